@@ -1,0 +1,103 @@
+"""The errors of the core, for everybody who raises, catches or reads one.
+
+    UniconError                    base: one clear line, exit status 1
+    ├── WorkflowError              a workflow file or graph is wrong (carries file and line)
+    ├── StateError                 a state is unknown, or its shape, dtype, unit or frame is not as asked
+    ├── RobotError                 a robot file is wrong, or lacks a fact that is needed
+    ├── ModelError                 a simulator model is missing or lacks a joint, sensor or actuator
+    ├── PolicyError                a policy or its contract is missing, incomplete or contradictory
+    ├── PlatformError              a platform is unknown, unreachable or cannot do what is asked
+    └── MissingDependencyError     an optional package is absent (names the install command)
+    Fault                          raised inside a tick: the runner damps, closes, exit status 3
+
+A message names the culprit, the alternatives and the remedy, in one line.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+__all__ = [
+    "Fault",
+    "MissingDependencyError",
+    "ModelError",
+    "PlatformError",
+    "PolicyError",
+    "RobotError",
+    "StateError",
+    "UniconError",
+    "WorkflowError",
+    "alternatives",
+]
+
+
+class UniconError(Exception):
+    """Base of every error that a user can cause and mend; `str()` is the one line to print."""
+
+
+class WorkflowError(UniconError):
+    """A workflow file or graph is wrong.
+
+    Args:
+        message: what is wrong, with alternatives and remedy.
+        where: `file:line` of the culprit, put in front of the message where known.
+    """
+
+    def __init__(self, message: str, where: str | None = None) -> None:
+        super().__init__(f"{where}: {message}" if where else message)
+        self.where = where
+
+
+class StateError(UniconError):
+    """A state is unknown, or its shape, dtype, unit or frame is not as asked."""
+
+
+class RobotError(UniconError):
+    """A robot file is wrong or lacks a fact that is needed."""
+
+
+class ModelError(UniconError):
+    """A simulator model is missing or lacks a joint, sensor or actuator."""
+
+
+class PolicyError(UniconError):
+    """A policy or its contract is missing, incomplete or contradictory."""
+
+
+class PlatformError(UniconError):
+    """A platform is unknown, unreachable or cannot do what is asked of it."""
+
+
+class MissingDependencyError(UniconError):
+    """An optional package is absent.
+
+    Args:
+        what: who needs it, such as `"platform 'mujoco'"`.
+        package: the distribution's name.
+        install: the command that installs it.
+    """
+
+    def __init__(self, what: str, package: str, install: str) -> None:
+        super().__init__(f"{what} needs {package}: {install}")
+        self.package = package
+
+
+class Fault(Exception):  # noqa: N818 - the field's word; it is an event of the robot, not a bad input
+    """Raised by a block inside a tick: nothing else is sent, the runner damps and closes."""
+
+
+def alternatives(wrong: str, known: Iterable[str], *, limit: int = 12) -> str:
+    """Return a phrase that names what else there is: the close match first, then the list.
+
+    Args:
+        wrong: the name that was not found.
+        known: the names that exist.
+        limit: how many names to list at most.
+    """
+    names = sorted(known)
+    if not names:
+        return "none is known"
+    close = difflib.get_close_matches(wrong, names, n=1)
+    shown = ", ".join(names[:limit]) + (f", … ({len(names)} in all)" if len(names) > limit else "")
+    return f"did you mean {close[0]!r}? known: {shown}" if close else f"known: {shown}"
