@@ -1,0 +1,147 @@
+"""Where files are found: configurations, models and policies, for everybody who loads one.
+
+Order: a path given; the folders of `UNICON_PATH`; the source tree's `config/`; the share folders of
+the ament prefixes; the installed package's share folder.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from functools import lru_cache
+from pathlib import Path
+
+from unicon_core.errors import UniconError, alternatives
+
+__all__ = [
+    "assets_root",
+    "config_roots",
+    "find_config",
+    "find_resource",
+    "list_config",
+]
+
+_SOURCE_TREE = Path(__file__).resolve().parent.parent
+_SHARE = Path("share") / "unicon_ros" / "config"
+
+
+@lru_cache(maxsize=8)
+def _roots(unicon_path: str, ament_path: str) -> tuple[Path, ...]:
+    candidates = [Path(p).expanduser() for p in unicon_path.split(os.pathsep) if p]
+    candidates.append(_SOURCE_TREE / "config")
+    candidates += [Path(p) / _SHARE for p in ament_path.split(os.pathsep) if p]
+    candidates.append(Path(sys.prefix) / _SHARE)
+    candidates += [p / _SHARE for p in _SOURCE_TREE.parents]
+    found: list[Path] = []
+    for root in candidates:
+        if root.is_dir() and root not in found:
+            found.append(root)
+    return tuple(found)
+
+
+def config_roots() -> tuple[Path, ...]:
+    """Return the existing configuration folders, the first one wins."""
+    return _roots(os.environ.get("UNICON_PATH", ""), os.environ.get("AMENT_PREFIX_PATH", ""))
+
+
+def list_config(kind: str, suffix: str = ".yaml") -> list[str]:
+    """Return the names known for a kind of configuration, sorted.
+
+    Args:
+        kind: a folder of the configuration roots, such as `"robots"`.
+        suffix: ending of the files; `"/"` lists folders.
+    """
+    names: set[str] = set()
+    for root in config_roots():
+        for path in (root / kind).glob("*") if (root / kind).is_dir() else ():
+            if suffix == "/" and path.is_dir():
+                names.add(path.name)
+            elif suffix != "/" and path.name.endswith(suffix) and path.is_file():
+                names.add(path.name[: -len(suffix)])
+    return sorted(names)
+
+
+def find_config(
+    kind: str,
+    name: str | Path,
+    suffix: str = ".yaml",
+    *,
+    error: type[UniconError] = UniconError,
+    relative_to: Path | None = None,
+) -> Path:
+    """Return the file that a name or a path means.
+
+    Args:
+        kind: a folder of the configuration roots, such as `"robots"` or `"workflows"`.
+        name: a bare name (`go2`), or a path to a file (it has a slash or the suffix).
+        suffix: ending of the files.
+        error: the class to raise.
+        relative_to: folder that a relative path is looked up in before the working folder.
+
+    Raises:
+        error: nothing there; the message names what is known.
+    """
+    text = str(name)
+    if "/" in text or os.sep in text or text.endswith(suffix):
+        given = Path(text).expanduser()
+        for base in (relative_to, Path.cwd(), *config_roots()):
+            if base is not None and (base / given).is_file():
+                return (base / given).resolve()
+        raise error(f"no file {text}; give an existing path, or a name: {_known(kind, suffix)}")
+    for root in config_roots():
+        path = root / kind / f"{text}{suffix}"
+        if path.is_file():
+            return path
+    known = alternatives(text, list_config(kind, suffix))
+    raise error(f"unknown {kind.rstrip('s')} {text!r}; {known}; or give a path to a {suffix} file")
+
+
+def _known(kind: str, suffix: str) -> str:
+    return ", ".join(list_config(kind, suffix)) or "none is known"
+
+
+def assets_root() -> Path | None:
+    """Return the folder of other people's models and policies, or None.
+
+    `UNICON_ASSETS`, else `../shared/assets` beside the source tree.
+    """
+    given = os.environ.get("UNICON_ASSETS")
+    path = Path(given).expanduser() if given else _SOURCE_TREE.parent / "shared" / "assets"
+    return path if path.is_dir() else None
+
+
+def find_resource(
+    reference: str | Path,
+    what: str,
+    *,
+    error: type[UniconError] = UniconError,
+    relative_to: Path | None = None,
+) -> Path:
+    """Return the file or folder that a reference in a configuration means.
+
+    Args:
+        reference: a path (absolute, or relative to the referring file, the working folder or a
+            configuration root), or `assets:PATH` below the assets folder.
+        what: for the message, such as `"model"`.
+        error: the class to raise.
+        relative_to: folder of the referring file.
+    """
+    text = str(reference)
+    if text.startswith("assets:"):
+        root = assets_root()
+        if root is None:
+            raise error(
+                f"{what} {text!r} is in the assets folder, which is not at hand; "
+                "set UNICON_ASSETS to its path"
+            )
+        path = root / text.removeprefix("assets:")
+        if path.exists():
+            return path
+        raise error(f"{what} {text!r}: no file {path}; look for it under {root} (UNICON_ASSETS)")
+    given = Path(text).expanduser()
+    bases = [base for base in (relative_to, Path.cwd(), *config_roots()) if base is not None]
+    for base in bases:
+        if (base / given).exists():
+            return (base / given).resolve()
+    looked = "" if given.is_absolute() else f"; looked below {', '.join(map(str, bases))}"
+    raise error(f"{what} {text!r}: no such file{looked}; correct the path or put the file there")

@@ -1,0 +1,66 @@
+"""The standard vocabulary: the states that every robot of n joints has, for whole workflows.
+
+Names, units and frames are those of REP-103, REP-105 and REP-145; quaternions are wxyz.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from unicon_core.states.spec import StateSpec
+
+__all__ = ["COMMAND_STATES", "standard_states"]
+
+COMMAND_STATES = (
+    "joint_pos_target",
+    "joint_vel_target",
+    "joint_effort_ff",
+    "joint_stiffness",
+    "joint_damping",
+)
+"""What leaves for the motors: the states that a platform's `send` reads."""
+
+
+def standard_states(joint_names: Sequence[str]) -> dict[str, StateSpec]:
+    """Return the standard states of a robot.
+
+    Args:
+        joint_names: names in the robot's (vendor's) order, length n.
+
+    Returns:
+        Name to specification: `joint_*` of shape (n,), base states, command and time.
+    """
+    names = tuple(joint_names)
+
+    def joints(unit: str, description: str) -> StateSpec:
+        return StateSpec((len(names),), unit=unit, names=names, description=description)
+
+    def vector(unit: str, frame: str, description: str) -> StateSpec:
+        return StateSpec((3,), "float32", unit, frame, ("x", "y", "z"), description)
+
+    quat = ("w", "x", "y", "z")
+    return {
+        "joint_pos": joints("rad", "joint positions"),
+        "joint_vel": joints("rad/s", "joint velocities"),
+        "joint_effort": joints("N·m", "joint torques, measured or applied"),
+        "base_quat": StateSpec(
+            (4,), "float32", "", "base to world", quat, "base orientation", (1.0, 0.0, 0.0, 0.0)
+        ),
+        "base_ang_vel": vector("rad/s", "base", "gyroscope"),
+        "base_lin_acc": vector("m/s²", "base", "accelerometer, gravity included"),
+        "projected_gravity": StateSpec(
+            (3,), "float32", "", "base", ("x", "y", "z"), "unit vector of gravity", (0.0, 0.0, -1.0)
+        ),
+        "base_pos_w": vector("m", "world", "base position"),
+        "base_lin_vel": vector("m/s", "base", "base velocity"),
+        "velocity_command": StateSpec(
+            (3,), "float32", "", "base", ("vx", "vy", "wz"), "commanded velocity [m/s, m/s, rad/s]"
+        ),
+        "joint_pos_target": joints("rad", "position target"),
+        "joint_vel_target": joints("rad/s", "velocity target"),
+        "joint_effort_ff": joints("N·m", "feed-forward torque"),
+        "joint_stiffness": joints("N·m/rad", "proportional gain"),
+        "joint_damping": joints("N·m·s/rad", "derivative gain"),
+        "stamp_ns": StateSpec((), "int64", "ns", "", (), "source time of the robot's data"),
+        "tick": StateSpec((), "int64", "", "", (), "number of the present tick"),
+    }
