@@ -55,7 +55,9 @@ class Layout:
             check_name(name)
         object.__setattr__(self, "specs", dict(self.specs))
         if self.num_robots is not None and self.num_robots < 1:
-            raise StateError(f"num_robots is {self.num_robots}; give a number >= 1, or leave it out")
+            raise StateError(
+                f"num_robots is {self.num_robots}; give a number >= 1, or leave it out"
+            )
 
     @cached_property
     def slots(self) -> dict[str, Slot]:
@@ -118,4 +120,6 @@ class Layout:
             specs = {entry.pop("name"): StateSpec.from_dict(entry) for entry in value["states"]}
             return cls(specs, value["num_robots"])
         except (KeyError, TypeError, ValueError) as error:
-            raise StateError(f"not a state layout: {error}; write it with Layout.to_json") from error
+            raise StateError(
+                f"not a state layout: {error}; write it with Layout.to_json"
+            ) from error

@@ -22,6 +22,10 @@ Array = NDArray[Any]
 _MAGIC = b"UNICONST1\n"
 
 
+class UnknownStateError(StateError, AttributeError):
+    """No state of that name; an AttributeError too, so that `hasattr(states, name)` works."""
+
+
 @dataclass(frozen=True)
 class Snapshot:
     """All states at one moment: the buffer's bytes and the hash of the layout they fit."""
@@ -86,10 +90,11 @@ class States:
             value = np.asarray(spec.initial, dtype=slot.dtype)
             part = initial[slot.offset : slot.offset + slot.nbytes].view(slot.dtype)
             part.reshape(slot.shape)[...] = value.reshape(spec.shape) if value.ndim else value
-        for attribute, value in zip(
-            self.__slots__, (own, initial, layout, views), strict=True
-        ):
-            object.__setattr__(self, attribute, value)
+        set_attribute = object.__setattr__  # our own __setattr__ writes into views
+        set_attribute(self, "_buffer", own)
+        set_attribute(self, "_initial", initial)
+        set_attribute(self, "_layout", layout)
+        set_attribute(self, "_views", views)
         if buffer is None:
             self.reset()
 
@@ -144,8 +149,8 @@ class States:
         batch = "" if self.num_robots is None else f" x {self.num_robots} robots"
         return f"States({len(self)} states{batch}, {self._layout.nbytes} bytes)"
 
-    def _unknown(self, name: str) -> StateError:
-        return StateError(f"no state {name!r}; {alternatives(name, self._views)}")
+    def _unknown(self, name: str) -> UnknownStateError:
+        return UnknownStateError(f"no state {name!r}; {alternatives(name, self._views)}")
 
     def spec(self, name: str) -> StateSpec:
         """Return the specification of a state.
