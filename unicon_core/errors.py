@@ -2,7 +2,7 @@
 
     UniconError                    base: one clear line, exit status 1
     ├── WorkflowError              a workflow file or graph is wrong (carries file and line)
-    ├── StateError                 a state is unknown, or its shape, dtype, unit or frame is not as asked
+    ├── StateError                 a state is unknown, or its shape, dtype, unit or frame is wrong
     ├── RobotError                 a robot file is wrong, or lacks a fact that is needed
     ├── ModelError                 a simulator model is missing or lacks a joint, sensor or actuator
     ├── PolicyError                a policy or its contract is missing, incomplete or contradictory
@@ -83,7 +83,7 @@ class MissingDependencyError(UniconError):
         self.package = package
 
 
-class Fault(Exception):  # noqa: N818 - the field's word; it is an event of the robot, not a bad input
+class Fault(Exception):
     """Raised by a block inside a tick: nothing else is sent, the runner damps and closes."""
 
 

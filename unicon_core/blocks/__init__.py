@@ -1,0 +1,1 @@
+"""Blocks that come with unicon: postures, commands, safety, for workflow authors."""

@@ -1,0 +1,109 @@
+"""Block: the unit of control, for whoever writes one; and how a factory gets the states it names.
+
+A block is built once against the arrays that it names, then called with no argument each tick. It
+returns True when it is done, False or None while it runs (the paper's r), and raises `Fault` when
+something is wrong. Any plain function that returns a bool is a block.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Annotated, Any, Literal, TypeAlias
+
+from numpy.typing import NDArray
+
+from unicon_core.errors import WorkflowError
+
+__all__ = ["Access", "Amends", "Block", "Reads", "Role", "Tick", "Writes", "as_block"]
+
+Tick: TypeAlias = Callable[[], object]
+"""A parameter-less function; a true result means done."""
+
+Role = Literal["", "recv", "send", "safety"]
+
+
+@dataclass(frozen=True)
+class Access:
+    """How a factory's parameter uses the state of its name."""
+
+    mode: Literal["reads", "writes", "amends"]
+
+
+Reads: TypeAlias = Annotated[NDArray[Any], Access("reads")]
+"""A state that the block reads: it gets a read-only view."""
+Writes: TypeAlias = Annotated[NDArray[Any], Access("writes")]
+"""A state that the block writes in every tick before anybody reads it."""
+Amends: TypeAlias = Annotated[NDArray[Any], Access("amends")]
+"""A state that another block writes and this one changes in place (limits, safety)."""
+
+
+@dataclass(eq=False)
+class Block:
+    """One built block.
+
+    Attributes:
+        name: label for traces, tables and errors.
+        tick: the parameter-less function.
+        reads: states that it reads.
+        writes: states that it writes; a state has one writer in a tick.
+        amends: states that it reads and changes after their writer.
+        reset: called when the flow enters the block anew after it has run, or None.
+        close: called once at the end, in reverse order of building, or None.
+        role: what the graph check needs to know: `recv`, `send`, `safety` or nothing.
+        where: `file:line` of its declaration, for messages.
+        inline: Python expression with names in `inline_names`, which the compiler may put in the
+            place of the call, or "".
+    """
+
+    name: str
+    tick: Tick
+    reads: tuple[str, ...] = ()
+    writes: tuple[str, ...] = ()
+    amends: tuple[str, ...] = ()
+    reset: Tick | None = None
+    close: Tick | None = None
+    role: Role = ""
+    where: str = ""
+    inline: str = ""
+    inline_names: dict[str, Any] = field(default_factory=dict)
+
+    def __call__(self) -> object:
+        return self.tick()
+
+
+def as_block(candidate: Any, *, name: str = "", where: str = "") -> Block:
+    """Wrap what a factory returned, or any callable, as a Block.
+
+    Attributes `reads`, `writes`, `amends`, `reset`, `close`, `role` and `name` of the callable are
+    taken over where it has them.
+
+    Raises:
+        WorkflowError: it cannot be called without arguments.
+    """
+    if isinstance(candidate, Block):
+        candidate.where = candidate.where or where
+        return candidate
+    if not callable(candidate):
+        raise WorkflowError(
+            f"block {name or candidate!r} is a {type(candidate).__name__}; "
+            "a block is a function without parameters that returns a bool",
+            where or None,
+        )
+
+    def listed(attribute: str) -> tuple[str, ...]:
+        value: Sequence[str] | Iterable[str] = getattr(candidate, attribute, ())
+        return (value,) if isinstance(value, str) else tuple(value)
+
+    label = name or getattr(candidate, "name", "") or getattr(candidate, "__name__", "")
+    return Block(
+        name=label or type(candidate).__name__,
+        tick=candidate,
+        reads=listed("reads"),
+        writes=listed("writes"),
+        amends=listed("amends"),
+        reset=getattr(candidate, "reset", None),
+        close=getattr(candidate, "close", None),
+        role=getattr(candidate, "role", ""),
+        where=where,
+    )

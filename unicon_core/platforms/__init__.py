@@ -1,0 +1,1 @@
+"""Platforms: robots and simulators behind recv, send and close, for adapter writers."""

@@ -1,0 +1,48 @@
+"""Platform: the contract between the graph and a robot or simulator, for adapter writers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+__all__ = ["Platform"]
+
+
+class Platform(Protocol):
+    """A robot or a simulator behind three blocks.
+
+    Built by a factory `make(states, robot, period, **options)` that is registered by name (entry
+    point group `unicon.platforms`). It aligns joints by name at build, pushes gains and limits by
+    name, and imports what it needs inside the factory.
+
+    Attributes:
+        name: word that the workflow uses for it.
+        simulated: True where `stamp_ns` is simulated time (then `/clock` is published).
+        writes: states that `recv` writes (`joint_pos`, `base_quat`, `stamp_ns`, …).
+        reads: states that `send` reads (`joint_pos_target`, `joint_stiffness`, …).
+    """
+
+    name: str
+    simulated: bool
+    writes: tuple[str, ...]
+    reads: tuple[str, ...]
+
+    def recv(self) -> bool | None:
+        """Bring the latest data of the robot into the states; True when it has gone for good."""
+        ...
+
+    def send(self) -> bool | None:
+        """Send the command states to the motors; a simulator then steps one tick period."""
+        ...
+
+    def close(self) -> None:
+        """Damp the motors first, then release everything; safe to call twice."""
+        ...
+
+    def reset(self) -> None:
+        """Return a simulator to its initial state; a real robot does nothing."""
+        ...
+
+    def info(self) -> Mapping[str, Any]:
+        """Return facts for `unicon show` and the report: model file, physics step, gains…"""
+        ...

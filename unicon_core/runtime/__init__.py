@@ -1,0 +1,1 @@
+"""Runtime: pacing, statistics, trace and report of a running graph."""

@@ -1,0 +1,1 @@
+"""Workflows: YAML to a built graph, for the command line and the node."""
