@@ -1,0 +1,16 @@
+"""Robots as data: joints, limits, gains, poses, IMU and transport facts, for whoever drives one."""
+
+from unicon_core.robots.joint_index import joint_index
+from unicon_core.robots.load import load_robot, robot_names
+from unicon_core.robots.robot import Imu, Robot
+from unicon_core.robots.table import robot_table, robots_table
+
+__all__ = [
+    "Imu",
+    "Robot",
+    "joint_index",
+    "load_robot",
+    "robot_names",
+    "robot_table",
+    "robots_table",
+]

@@ -1,0 +1,41 @@
+"""The one place where joint orders are matched by name, for policies, platforms and models."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.errors import RobotError, alternatives
+
+__all__ = ["joint_index"]
+
+
+def joint_index(to: Sequence[str], from_: Sequence[str]) -> NDArray[np.intp]:
+    """Return the index that brings an array from one joint order into another.
+
+    `x_from[joint_index(to, from_)]` is in the order of `to`: the result is a `to_from_from_`,
+    such as `policy_from_robot = joint_index(policy.joint_names, robot.joint_names)`.
+
+    Args:
+        to: the joint names wanted, in their order; a subset of `from_`.
+        from_: the joint names at hand, in their order.
+
+    Returns:
+        Indices into `from_`, shape (len(to),).
+
+    Raises:
+        RobotError: a joint of `to` is not in `from_`, or a list names a joint twice.
+    """
+    for which, names in (("wanted", to), ("given", from_)):
+        twice = sorted({name for name in names if list(names).count(name) > 1})
+        if twice:
+            raise RobotError(
+                f"joint {twice[0]!r} stands twice in the {which} joint order; name each joint once"
+            )
+    position = {name: i for i, name in enumerate(from_)}
+    for name in to:
+        if name not in position:
+            raise RobotError(f"no joint {name!r}; {alternatives(name, from_)}")
+    return np.array([position[name] for name in to], dtype=np.intp)

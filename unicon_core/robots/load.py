@@ -1,0 +1,66 @@
+"""Finds and reads robot files, for the workflow compiler, the commands and the tests."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.errors import RobotError
+from unicon_core.resources import find_config, list_config
+from unicon_core.robots.located_yaml import read_yaml
+from unicon_core.robots.robot import JOINT_FIELDS, Imu, Robot
+from unicon_core.robots.validate import validate
+
+__all__ = ["load_robot", "robot_names"]
+
+
+def robot_names() -> list[str]:
+    """Return the names of the robots that `load_robot` finds, sorted."""
+    return list_config("robots", ".yaml")
+
+
+def load_robot(name_or_path: str | Path) -> Robot:
+    """Read and check a robot file.
+
+    Args:
+        name_or_path: a name (`go2`), or a path to a robot file.
+
+    Raises:
+        RobotError: no such robot, or the file is wrong; one line with file, line, culprit and
+            remedy.
+    """
+    path = find_config("robots", name_or_path, ".yaml", error=RobotError)
+    located = read_yaml(path)
+    validate(located)
+    document: dict[str, Any] = located.value
+    joints = document["joints"]
+    imu = document["imu"]
+    return Robot(
+        name=document["name"],
+        description=document["description"],
+        manufacturer=document["manufacturer"],
+        kind=document["kind"],
+        path=path,
+        model=document["model"],
+        base_frame=document["base_frame"],
+        joint_names=tuple(joint["name"] for joint in joints),
+        **{field: _array([joint[key] for joint in joints]) for key, field in JOINT_FIELDS.items()},
+        imu=imu
+        and Imu(
+            imu["frame"], _array(imu["position"] or [None] * 3), _array(imu["quat"] or [None] * 4)
+        ),
+        feet=tuple(document.get("feet") or document.get("fingertips") or ()),
+        transport=MappingProxyType(document["transport"]),
+        sources=MappingProxyType(document["sources"]),
+        unknown=tuple(document.get("unknown") or ()),
+    )
+
+
+def _array(values: list[float | None]) -> NDArray[np.float32]:
+    array = np.array([np.nan if value is None else value for value in values], dtype=np.float32)
+    array.setflags(write=False)
+    return array

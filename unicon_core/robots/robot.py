@@ -1,0 +1,122 @@
+"""A robot as the rest of unicon sees it: arrays in the vendor's motor order."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["JOINT_FIELDS", "Imu", "Robot"]
+
+# Key of a joint in a robot file -> field of `Robot`.
+JOINT_FIELDS = {
+    "lower": "lower",
+    "upper": "upper",
+    "velocity": "velocity_limit",
+    "effort": "effort_limit",
+    "default": "default_joint_pos",
+    "rest": "rest_joint_pos",
+    "stiffness": "joint_stiffness",
+    "damping": "joint_damping",
+}
+
+_NEEDED = ("lower", "upper", "velocity", "effort", "default", "stiffness", "damping")
+
+
+@dataclass(frozen=True)
+class Imu:
+    """The inertial sensor and its pose in the robot's base frame."""
+
+    frame: str
+    """Name of the sensor's frame."""
+    position: NDArray[np.float32]
+    """Position in the base frame in [m], shape (3,), NaN where unknown."""
+    quat: NDArray[np.float32]
+    """Rotation sensor to base, unit quaternion wxyz, shape (4,), NaN where unknown."""
+
+
+@dataclass(frozen=True)
+class Robot:
+    """A robot file, read and checked. Arrays are float32, shape (n,), read-only, NaN = unknown."""
+
+    name: str
+    description: str
+    manufacturer: str
+    kind: str
+    """quadruped, humanoid, hand or arm."""
+    path: Path
+    """The file that it was read from."""
+    model: str | None
+    """Default simulation model: relative to a configuration root, or `assets:PATH`."""
+    base_frame: str
+    """Frame of the base, in which the IMU's pose is given."""
+    joint_names: tuple[str, ...]
+    """The joints in the vendor's motor order; every array below is in this order."""
+    lower: NDArray[np.float32]
+    """Smallest allowed position in [rad] ([m] for sliding joints)."""
+    upper: NDArray[np.float32]
+    """Largest allowed position in [rad]."""
+    velocity_limit: NDArray[np.float32]
+    """Largest allowed speed in [rad/s]."""
+    effort_limit: NDArray[np.float32]
+    """Largest allowed torque in [N·m]."""
+    default_joint_pos: NDArray[np.float32]
+    """Standing pose in [rad]."""
+    rest_joint_pos: NDArray[np.float32]
+    """Lying or powered-off pose in [rad]."""
+    joint_stiffness: NDArray[np.float32]
+    """Default proportional gain in [N·m/rad]."""
+    joint_damping: NDArray[np.float32]
+    """Default derivative gain in [N·m·s/rad]."""
+    imu: Imu | None
+    feet: tuple[str, ...]
+    """Bodies, sites or geoms of the model that touch the ground; the fingertips of a hand."""
+    transport: Mapping[str, Any]
+    """`protocol` names the platform adapter; the rest are its facts."""
+    sources: Mapping[str, str]
+    """Where each group of facts was taken from."""
+    unknown: tuple[str, ...]
+    """Dotted facts that were not found, such as `joints.velocity`."""
+
+    @property
+    def num_joints(self) -> int:
+        """Number of joints, n."""
+        return len(self.joint_names)
+
+    @property
+    def position_controlled(self) -> bool:
+        """Whether the vendor closes the loop: positions are sent, there are no gains to give."""
+        return self.transport.get("command") == "position"
+
+    def joint_fact(self, field: str) -> NDArray[np.float32]:
+        """Return the array behind a key of a joint in the robot file, shape (n,).
+
+        Args:
+            field: `lower`, `upper`, `velocity`, `effort`, `default`, `rest`, `stiffness` or
+                `damping`.
+        """
+        array: NDArray[np.float32] = getattr(self, JOINT_FIELDS[field])
+        return array
+
+    def missing_facts(self) -> list[str]:
+        """Return the facts that are still missing for driving the real robot, in the file's words.
+
+        Needed are the motor order, the limits, the standing pose and, unless the vendor closes the
+        position loop, the gains; of a robot that walks also how the IMU is turned.
+        An empty list means that it can be driven.
+        """
+        needed = _NEEDED[:-2] if self.position_controlled else _NEEDED
+        missing = ["joint_order"] if "joint_order" in self.unknown else []
+        missing += [f"joints.{key}" for key in needed if np.isnan(self.joint_fact(key)).any()]
+        if self.kind in ("quadruped", "humanoid"):
+            if self.imu is None:
+                missing.append("imu")
+            elif np.isnan(self.imu.quat).any():
+                missing.append("imu.quat")
+        if "protocol" not in self.transport or self.transport["protocol"] is None:
+            missing.append("transport.protocol")
+        return missing

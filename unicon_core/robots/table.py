@@ -1,0 +1,141 @@
+"""Robots as text tables, for `unicon robots [NAME]`."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from unicon_core.errors import RobotError
+from unicon_core.robots.load import load_robot, robot_names
+from unicon_core.robots.robot import JOINT_FIELDS, Robot
+
+__all__ = ["robot_table", "robots_table"]
+
+_UNITS = {
+    "lower": "rad",
+    "upper": "rad",
+    "velocity": "rad/s",
+    "effort": "N·m",
+    "default": "rad",
+    "rest": "rad",
+    "stiffness": "N·m/rad",
+    "damping": "N·m·s/rad",
+}
+_WIDTH = 100
+_UNKNOWN = "unknown"
+
+
+def robots_table() -> str:
+    """Return one line per robot: name, kind, joints, protocol, and whether it can be driven."""
+    rows = [("name", "kind", "joints", "protocol", "to drive it", "description")]
+    for name in robot_names():
+        try:
+            robot = load_robot(name)
+        except RobotError as error:
+            rows.append((name, "-", "-", "-", "file is wrong", str(error)))
+            continue
+        missing = robot.missing_facts()
+        ready = f"missing: {', '.join(missing)}" if missing else "complete"
+        protocol = str(robot.transport["protocol"] or _UNKNOWN)
+        rows.append((name, robot.kind, str(robot.num_joints), protocol, ready, robot.description))
+    return _aligned(rows, right=(2,))
+
+
+def robot_table(robot: Robot) -> str:
+    """Return everything a robot file says as aligned text; what is unknown stands last, marked.
+
+    Args:
+        robot: as `load_robot` returns it.
+    """
+    head = [
+        (robot.name, robot.description),
+        ("manufacturer", robot.manufacturer),
+        ("kind", robot.kind),
+        ("file", str(robot.path)),
+        ("model", robot.model or "none; give one by path"),
+        ("base frame", robot.base_frame),
+        ("imu", _imu(robot)),
+        ("fingertips" if robot.kind == "hand" else "feet", ", ".join(robot.feet) or "-"),
+    ]
+    parts = [_wrapped(head), _joints(robot)]
+    parts.append("transport\n" + _wrapped(_flat(robot.transport), indent="  "))
+    parts.append("sources\n" + _wrapped(list(robot.sources.items()), indent="  "))
+    parts.append(_missing(robot))
+    return "\n\n".join(parts)
+
+
+def _joints(robot: Robot) -> str:
+    order = "order not public" if "joint_order" in robot.unknown else "vendor's motor order"
+    rows = [("#", f"joint ({order})", *JOINT_FIELDS), ("", "", *(_UNITS[k] for k in JOINT_FIELDS))]
+    columns = [robot.joint_fact(key) for key in JOINT_FIELDS]
+    for i, name in enumerate(robot.joint_names):
+        rows.append((str(i), name, *(_figure(float(column[i])) for column in columns)))
+    return _aligned(rows, right=(0, *range(2, 2 + len(JOINT_FIELDS))))
+
+
+def _figure(value: float) -> str:
+    return "?" if np.isnan(value) else f"{value:.4g}"
+
+
+def _imu(robot: Robot) -> str:
+    if robot.imu is None:
+        return _UNKNOWN.upper() if "imu" in robot.unknown else "none"
+    position = " ".join(_figure(float(x)) for x in robot.imu.position)
+    quat = " ".join(_figure(float(x)) for x in robot.imu.quat)
+    return f"{robot.imu.frame}, position [{position}] m, quat wxyz [{quat}]"
+
+
+def _missing(robot: Robot) -> str:
+    if not robot.unknown:
+        return "unknown: nothing"
+    lines = [f"UNKNOWN: {', '.join(robot.unknown)}"]
+    missing = robot.missing_facts()
+    if missing:
+        lines.append(f"CANNOT BE DRIVEN before these are given: {', '.join(missing)}")
+        lines.append(f"find them in the vendor's documents and write them into {robot.path}")
+    return "\n".join(lines)
+
+
+def _flat(mapping: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
+    rows: list[tuple[str, str]] = []
+    for key, value in mapping.items():
+        if isinstance(value, Mapping):
+            rows += _flat(value, f"{prefix}{key}.")
+        elif isinstance(value, Sequence) and not isinstance(value, str):
+            rows.append((f"{prefix}{key}", " ".join(map(str, value))))
+        else:
+            rows.append((f"{prefix}{key}", "?" if value is None else str(value)))
+    return rows
+
+
+def _wrapped(rows: Sequence[tuple[str, str]], indent: str = "") -> str:
+    """Two columns, the second one wrapped below itself."""
+    width = max((len(key) for key, _ in rows), default=0)
+    lines = []
+    for key, text in rows:
+        start = f"{indent}{key.ljust(width)}  "
+        lines.append(
+            textwrap.fill(
+                text,
+                _WIDTH,
+                initial_indent=start,
+                subsequent_indent=" " * len(start),
+                break_long_words=False,
+                break_on_hyphens=False,
+            )
+        )
+    return "\n".join(lines)
+
+
+def _aligned(rows: Sequence[Sequence[str]], right: Sequence[int] = ()) -> str:
+    widths = [max(len(row[c]) for row in rows) for c in range(len(rows[0]))]
+    return "\n".join(
+        "  ".join(
+            cell.rjust(width) if c in right else cell.ljust(width)
+            for c, (cell, width) in enumerate(zip(row, widths))
+        ).rstrip()
+        for row in rows
+    )
