@@ -49,6 +49,8 @@ class Block:
         writes: states that it writes; a state has one writer in a tick.
         amends: states that it reads and changes after their writer.
         reset: called when the flow enters the block anew after it has run, or None.
+        dry_run: the same arithmetic on scratch memory, called shortly before the deadline to warm
+            the caches; changes nothing observable; or None.
         close: called once at the end, in reverse order of building, or None.
         role: what the graph check needs to know: `recv`, `send`, `safety` or nothing.
         where: `file:line` of its declaration, for messages.
@@ -63,6 +65,7 @@ class Block:
     amends: tuple[str, ...] = ()
     reset: Tick | None = None
     close: Tick | None = None
+    dry_run: Tick | None = None
     role: Role = ""
     where: str = ""
     inline: str = ""
@@ -75,8 +78,8 @@ class Block:
 def as_block(candidate: Any, *, name: str = "", where: str = "") -> Block:
     """Wrap what a factory returned, or any callable, as a Block.
 
-    Attributes `reads`, `writes`, `amends`, `reset`, `close`, `role` and `name` of the callable are
-    taken over where it has them.
+    Attributes `reads`, `writes`, `amends`, `reset`, `close`, `dry_run`, `role` and `name` of the
+    callable are taken over where it has them.
 
     Raises:
         WorkflowError: it cannot be called without arguments.
@@ -104,6 +107,7 @@ def as_block(candidate: Any, *, name: str = "", where: str = "") -> Block:
         amends=listed("amends"),
         reset=getattr(candidate, "reset", None),
         close=getattr(candidate, "close", None),
+        dry_run=getattr(candidate, "dry_run", None),
         role=getattr(candidate, "role", ""),
         where=where,
     )

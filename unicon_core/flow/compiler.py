@@ -1,0 +1,353 @@
+"""Compiler: turns a tree of nodes into two flat Python functions, for the runner and for readers.
+
+`step` is what the command depends on, in order, up to the end of the tree; `deferred` is what was
+put off until after it. Both are straight-line code over local names (`unicon show --source`). The
+meaning of each node is said in `nodes.py`; an interpreter of the tree in `test/` is the slow twin.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.flow.block import Block
+from unicon_core.flow.nodes import (
+    Chain,
+    Deferred,
+    Every,
+    Loop,
+    Node,
+    Switch,
+    When,
+    Zip,
+    children_of,
+)
+
+__all__ = ["CompiledGraph", "compile_graph"]
+
+
+@dataclass
+class CompiledGraph:
+    """The flat functions of a graph.
+
+    Attributes:
+        step: one tick up to and including `send`; True when the graph is done.
+        deferred: the rest of the same tick; call it once after each `step`.
+        dry: calls `dry_run` of the blocks that have one and that `step` would run next; changes
+            nothing observable.
+        reset: makes the whole graph fresh.
+        source: the generated Python text.
+        blocks: blocks in the order of their trace columns.
+        deferred_blocks: those of `blocks` that run in `deferred`.
+        stamps: int64 ns, shape (2 + len(blocks),): start of `step`, start of `deferred`, then the
+            end of each block; 0 where it did not run. Empty without `trace`.
+    """
+
+    step: Callable[[], bool]
+    deferred: Callable[[], None]
+    dry: Callable[[], None]
+    reset: Callable[[], None]
+    source: str
+    blocks: tuple[Block, ...]
+    deferred_blocks: frozenset[int]
+    stamps: NDArray[np.int64]
+
+
+def compile_graph(root: Node, *, trace: bool = False) -> CompiledGraph:
+    """Compile a tree of nodes.
+
+    Args:
+        root: the tree; shared blocks may stand in several places.
+        trace: write a time stamp after each block, about 60 ns a block.
+    """
+    return _Compiler(trace).compile(root)
+
+
+Lines = list[str]
+
+
+@dataclass
+class _Compiler:
+    trace: bool
+    names: dict[str, Any] = field(default_factory=dict)
+    state: dict[str, int] = field(default_factory=dict)
+    blocks: list[Block] = field(default_factory=list)
+    counters: dict[tuple[str, int], str] = field(default_factory=dict)
+    columns: dict[tuple[int, bool], int] = field(default_factory=dict)
+    tail: Lines = field(default_factory=list)
+    deferred_blocks: set[int] = field(default_factory=set)
+    in_tail: bool = False
+    temporaries: int = 0
+
+    def compile(self, root: Node) -> CompiledGraph:
+        body = self.node(root, ["done = True"], conditional=False, idempotent=True)
+        dry = self.dry(root)
+        reset = self.reset(root)
+        stamps = np.zeros(2 + len(self.blocks) if self.trace else 0, dtype=np.int64)
+        self.names |= {"now": time.perf_counter_ns, "T": memoryview(stamps.data)}
+        nonlocals = [f"nonlocal {', '.join(self.state)}"] if self.state else []
+        begin, begin_tail = (["T[0] = now()"], ["T[1] = now()"]) if self.trace else ([], [])
+        source = "\n".join(
+            [
+                f"def build({', '.join(self.names)}):",
+                *(f"    {name} = {value}" for name, value in self.state.items()),
+                "    def step():",
+                *_indent([*nonlocals, *begin, "done = False", *body, "return done"], 2),
+                "    def deferred():",
+                *_indent([*nonlocals, *begin_tail, *self.tail] or ["pass"], 2),
+                "    def dry():",
+                *_indent(dry or ["pass"], 2),
+                "    def reset():",
+                *_indent([*nonlocals, *reset] or ["pass"], 2),
+                "    return step, deferred, dry, reset",
+                "",
+            ]
+        )
+        namespace: dict[str, Any] = {}
+        exec(compile(source, "<unicon graph>", "exec"), namespace)
+        step, deferred, dry_run, reset_all = namespace["build"](**self.names)
+        return CompiledGraph(
+            step,
+            deferred,
+            dry_run,
+            reset_all,
+            source,
+            tuple(self.blocks),
+            frozenset(self.deferred_blocks),
+            stamps,
+        )
+
+    # -- names ------------------------------------------------------------------------------
+
+    def bind(self, prefix: str, value: Any, label: str = "") -> str:
+        for name, known in self.names.items():
+            if known is value and name.startswith(prefix):
+                return name
+        clean = "".join(c if c.isalnum() and c.isascii() else "_" for c in label)
+        name = f"{prefix}{len(self.names)}" + (f"_{clean}" if clean else "")
+        self.names[name] = value
+        return name
+
+    def counter(self, prefix: str, node: Node, initial: int = 0) -> str:
+        key = (prefix, id(node))
+        if key not in self.counters:
+            self.counters[key] = f"{prefix}{len(self.state)}"
+            self.state[self.counters[key]] = initial
+        return self.counters[key]
+
+    def temporary(self, prefix: str) -> str:
+        self.temporaries += 1
+        return f"{prefix}{self.temporaries}"
+
+    def call(self, block: Block) -> str:
+        if block.inline:
+            for name, value in block.inline_names.items():
+                self.names[name] = value
+            return f"({block.inline})"
+        return f"{self.bind('b', block.tick, block.name)}()"
+
+    # -- one tick -----------------------------------------------------------------------------
+
+    def node(self, node: Node, on_done: Lines, *, conditional: bool, idempotent: bool) -> Lines:
+        """Return the lines that step a node and run `on_done` when it ends.
+
+        `idempotent` says that `on_done` may run twice in one tick (it only sets a flag).
+        """
+        if isinstance(node, Block):
+            return self.block(node, on_done)
+        if isinstance(node, Zip):
+            return self.zip(node, on_done, conditional, idempotent)
+        if isinstance(node, Chain):
+            return self.chain(node, on_done, conditional, idempotent)
+        if isinstance(node, Loop):
+            return self.loop(node, on_done, conditional)
+        if isinstance(node, Every):
+            return self.every(node, on_done)
+        if isinstance(node, When):
+            return self.when(node, on_done)
+        if isinstance(node, Switch):
+            return self.switch(node, on_done)
+        return self.defer(node, conditional)
+
+    def block(self, block: Block, on_done: Lines) -> Lines:
+        after = [*self.reset(block), *on_done]
+        call = self.call(block)
+        if not self.trace:
+            return [f"if {call}:", *_indent(after)] if after else [call]
+        column = 2 + self.column(block)
+        lines = [f"r = {call}" if after else call, f"T[{column}] = now()"]
+        return [*lines, "if r:", *_indent(after)] if after else lines
+
+    def column(self, block: Block) -> int:
+        key = (id(block), self.in_tail)
+        if key not in self.columns:
+            self.columns[key] = len(self.blocks)
+            if self.in_tail:
+                self.deferred_blocks.add(len(self.blocks))
+            self.blocks.append(block)
+        return self.columns[key]
+
+    def zip(self, node: Zip, on_done: Lines, conditional: bool, idempotent: bool) -> Lines:
+        resets = [self.reset(child) for child in node.children]
+        if not any(resets) and (idempotent or not on_done):
+            return [
+                line
+                for child in node.children
+                for line in self.node(child, on_done, conditional=conditional, idempotent=True)
+            ]
+        mask = self.temporary("m")
+        lines = [f"{mask} = 0"]
+        for i, child in enumerate(node.children):
+            mark = [f"{mask} |= {1 << i}"]
+            lines += self.node(child, mark, conditional=conditional, idempotent=True)
+        lines.append(f"if {mask}:")
+        for i, reset in enumerate(resets):
+            if reset:
+                lines += [f"    if not {mask} & {1 << i}:", *_indent(reset, 2)]
+        return [*lines, *_indent(on_done)]
+
+    def chain(self, node: Chain, on_done: Lines, conditional: bool, idempotent: bool) -> Lines:
+        last = len(node.children) - 1
+        if not last:
+            child = node.children[0]
+            return self.node(child, on_done, conditional=conditional, idempotent=idempotent)
+        index = self.counter("chain", node)
+        lines: Lines = []
+        for i, child in enumerate(node.children):
+            after = [f"{index} = {i + 1}"] if i < last else [f"{index} = 0", *on_done]
+            safe_twice = i < last or idempotent
+            body = self.node(child, after, conditional=True, idempotent=safe_twice)
+            branch = "else:" if i == last else f"{'elif' if i else 'if'} {index} == {i}:"
+            lines += [branch, *_indent(body)]
+        return lines
+
+    def loop(self, node: Loop, on_done: Lines, conditional: bool) -> Lines:
+        if node.until is None:
+            return self.node(node.child, on_done, conditional=conditional, idempotent=False)
+        ended = self.temporary("d")
+        child = self.node(node.child, [f"{ended} = True"], conditional=conditional, idempotent=True)
+        until, reset = self.call(node.until), self.reset(node.until)
+        on_until = [*self.reset(node.child), *reset, *on_done]
+        return [
+            f"{ended} = False",
+            *child,
+            f"if {ended}:",
+            *_indent([*reset, *on_done] or ["pass"]),
+            f"elif {until}:",
+            *_indent(on_until or ["pass"]),
+        ]
+
+    def every(self, node: Every, on_done: Lines) -> Lines:
+        wait = self.counter("every", node)
+        after = [f"{wait} = 0", *on_done]
+        child = self.node(node.child, after, conditional=True, idempotent=False)
+        return [
+            f"if {wait}:",
+            f"    {wait} -= 1",
+            "else:",
+            f"    {wait} = {node.n - 1}",
+            *_indent(child),
+        ]
+
+    def when(self, node: When, on_done: Lines) -> Lines:
+        after = [*self.reset(node.predicate), *on_done]
+        child = self.node(node.child, after, conditional=True, idempotent=False)
+        return [f"if {self.call(node.predicate)}:", *_indent(child)]
+
+    def switch(self, node: Switch, on_done: Lines) -> Lines:
+        current = self.counter("case", node, -1)
+        blend = self.counter("blend", node) if node.blend else ""
+        index = self.bind("index", node.index)
+        new, ended = self.temporary("s"), self.temporary("d")
+        capture = []
+        if node.blender is not None and blend:
+            capture = [f"{self.bind('capture', node.blender.capture)}()", f"{blend} = {node.blend}"]
+        lines = [
+            f"{new} = {index}({self.call(node.selector)})",
+            f"if {new} != {current}:",
+            *_indent(self.reset_case(node, current)),
+            f"    if {current} >= 0:" if capture else "",
+            *_indent(capture, 2),
+            f"    {current} = {new}",
+            f"{ended} = False",
+        ]
+        for i, child in enumerate(node.children):
+            body = self.node(child, [f"{ended} = True"], conditional=True, idempotent=True)
+            lines += [f"{'if' if i == 0 else 'elif'} {new} == {i}:", *_indent(body)]
+        if node.blender is not None and blend:
+            weight = f"({node.blend + 1} - {blend}) / {node.blend + 1}"
+            mix = self.bind("mix", node.blender.mix)
+            lines += [f"if {blend}:", f"    {mix}({weight})", f"    {blend} -= 1"]
+        fresh = [f"{current} = -1", *([f"{blend} = 0"] if blend else [])]
+        after = [*fresh, *self.reset(node.selector), *on_done]
+        return [line for line in lines if line] + [f"if {ended}:", *_indent(after)]
+
+    def reset_case(self, node: Switch, current: str) -> Lines:
+        lines: Lines = []
+        for i, child in enumerate(node.children):
+            reset = self.reset(child)
+            if reset:
+                lines += [f"if {current} == {i}:", *_indent(reset)]
+        return lines
+
+    def defer(self, node: Deferred, conditional: bool) -> Lines:
+        outer, self.in_tail = self.in_tail, True
+        if outer:
+            lines = self.node(node.child, [], conditional=conditional, idempotent=True)
+            self.in_tail = outer
+            return lines
+        body = self.node(node.child, [], conditional=True, idempotent=True)
+        self.in_tail = outer
+        if not conditional:
+            self.tail += body
+            return []
+        flag = self.counter("due", node)
+        self.tail += [f"if {flag}:", f"    {flag} = 0", *_indent(body)]
+        return [f"{flag} = 1"]
+
+    # -- making fresh, running dry -------------------------------------------------------------
+
+    def reset(self, node: Node) -> Lines:
+        """Return the lines that make a node and all below it fresh."""
+        if isinstance(node, Block):
+            return [f"{self.bind('reset', node.reset, node.name)}()"] if node.reset else []
+        lines = [line for child in children_of(node) for line in self.reset(child)]
+        if isinstance(node, Chain) and len(node.children) > 1:
+            lines.append(f"{self.counter('chain', node)} = 0")
+        elif isinstance(node, Every):
+            lines.append(f"{self.counter('every', node)} = 0")
+        elif isinstance(node, Switch):
+            lines.append(f"{self.counter('case', node, -1)} = -1")
+            if node.blend:
+                lines.append(f"{self.counter('blend', node)} = 0")
+        return lines
+
+    def dry(self, node: Node) -> Lines:
+        """Return the lines that call `dry_run` of the blocks that are up next; no predicates."""
+        if isinstance(node, Deferred):
+            return []
+        if isinstance(node, Block):
+            return [f"{self.bind('dry', node.dry_run, node.name)}()"] if node.dry_run else []
+        if isinstance(node, (Chain, Switch)) and len(node.children) > 1:
+            kind, initial = ("chain", 0) if isinstance(node, Chain) else ("case", -1)
+            index = self.counter(kind, node, initial)
+            bodies = [(i, self.dry(child)) for i, child in enumerate(node.children)]
+            return [
+                line
+                for i, body in bodies
+                if body
+                for line in (f"if {index} == {i}:", *_indent(body))
+            ]
+        lines = [line for child in children_of(node) for line in self.dry(child)]
+        if isinstance(node, Every) and lines:
+            return [f"if not {self.counter('every', node)}:", *_indent(lines)]
+        return lines
+
+
+def _indent(lines: Lines, levels: int = 1) -> Lines:
+    return ["    " * levels + line for line in lines]

@@ -1,0 +1,213 @@
+"""The flow primitives, for workflow authors: how blocks follow each other from tick to tick.
+
+Every node is stepped once per tick and says whether it is done. Whoever ends is made fresh at once:
+its parts that were still running are reset (`Block.reset`, counters to zero), so a node that is
+entered again starts anew. Equations: UniCon paper, section 3.2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import TypeAlias
+
+from unicon_core.errors import WorkflowError
+from unicon_core.flow.block import Block, Tick, as_block
+
+__all__ = [
+    "Chain",
+    "Deferred",
+    "Every",
+    "Loop",
+    "Node",
+    "Switch",
+    "When",
+    "Zip",
+    "as_node",
+    "blocks_of",
+    "children_of",
+]
+
+
+class Zip:
+    """Each tick steps all children in order; done when one of them is done.
+
+    zip(T_g, T_h) = ((g_1, h_1), …, (g_n, h_n)).
+    """
+
+    def __init__(self, *children: Node | Tick, where: str = "") -> None:
+        self.children = _nodes("zip", children, where)
+        self.where = where
+
+
+class Chain:
+    """Steps the first child until it is done, from the next tick on the second, and so on.
+
+    chain(T_g, T_h) = (g_1, …, g_m, h_1, …, h_n). Done with its last child.
+    """
+
+    def __init__(self, *children: Node | Tick, where: str = "") -> None:
+        self.children = _nodes("chain", children, where)
+        self.where = where
+
+
+class Loop:
+    """Steps a child each tick until the predicate holds after it, or the child is done.
+
+    loop(T_g, p) = (g_1, …, g_k), p(k) = 1.
+
+    Args:
+        block: what is stepped.
+        until: function without parameters; asked after each step; None: the child alone decides.
+    """
+
+    def __init__(
+        self, block: Node | Tick, until: Tick | Block | None = None, *, where: str = ""
+    ) -> None:
+        self.child = as_node(block, where=where)
+        self.until = None if until is None else as_block(until, where=where)
+        self.where = where
+
+
+class Every:
+    """Steps a child in the first of every n ticks; done when the child is done."""
+
+    def __init__(self, n: int, block: Node | Tick, *, where: str = "") -> None:
+        if not isinstance(n, int) or isinstance(n, bool) or n < 1:
+            raise WorkflowError(f"every: n is {n!r}; give a whole number of ticks >= 1", where)
+        self.n = n
+        self.child = as_node(block, where=where)
+        self.where = where
+
+
+class When:
+    """Steps a child in those ticks in which the predicate holds; done when the child is done."""
+
+    def __init__(self, predicate: Tick | Block, block: Node | Tick, *, where: str = "") -> None:
+        self.predicate = as_block(predicate, where=where)
+        self.child = as_node(block, where=where)
+        self.where = where
+
+
+class Switch:
+    """Steps the one case that the selector names; done when that case is done.
+
+    On a change of case the outgoing one is reset. With `blend`, the command states then go from the
+    last outgoing command to the incoming ones: with w = k / (K + 1), tick k = 1 … K sends
+    (1 - w) · held + w · incoming.
+
+    Args:
+        selector: function without parameters that returns a case's name or its number.
+        cases: name to block.
+        blend: ticks K that a change of case is blended over; 0 for none.
+        blender: built by the workflow for the command states: `capture()` and `mix(weight)`.
+    """
+
+    def __init__(
+        self,
+        selector: Callable[[], str | int],
+        cases: Mapping[str, Node | Tick],
+        *,
+        blend: int = 0,
+        blender: Blender | None = None,
+        where: str = "",
+    ) -> None:
+        if not cases:
+            raise WorkflowError("switch: no cases; give at least one, as name: block", where)
+        if blend and blender is None:
+            raise WorkflowError("switch: blend needs a blender (Blender(states))", where)
+        self.selector = as_block(selector, name="selector", where=where)
+        self.names = tuple(cases)
+        self.children = tuple(as_node(case, where=where) for case in cases.values())
+        self.blend = int(blend)
+        self.blender = blender
+        self.where = where
+
+    def index(self, key: object) -> int:
+        """Return the number of the case that a selector's value means.
+
+        Raises:
+            WorkflowError: no such case.
+        """
+        if isinstance(key, str):
+            if key in self.names:
+                return self.names.index(key)
+        else:
+            number = int(key)  # type: ignore[call-overload]
+            if 0 <= number < len(self.names):
+                return int(number)
+        raise WorkflowError(f"switch: no case {key!r}; cases: {', '.join(self.names)}", self.where)
+
+
+class Deferred:
+    """Steps a child after `send`, in the slack of the tick; never makes its parent done."""
+
+    def __init__(self, block: Node | Tick, *, where: str = "") -> None:
+        self.child = as_node(block, where=where)
+        self.where = where
+
+
+class Blender:
+    """Mixes held and incoming commands in place: what `Switch` needs for blending.
+
+    Args:
+        arrays: the command states' views, float32.
+    """
+
+    def __init__(self, arrays: Mapping[str, object]) -> None:
+        import numpy as np
+
+        self.names = tuple(arrays)
+        self._live = [np.asarray(array) for array in arrays.values()]
+        self._held = [array.copy() for array in self._live]
+        self._scratch = [array.copy() for array in self._live]
+
+    def capture(self) -> None:
+        """Hold the present commands as the outgoing ones."""
+        for held, live in zip(self._held, self._live):
+            held[...] = live
+
+    def mix(self, weight: float) -> None:
+        """Replace the commands by (1 - weight) · held + weight · present."""
+        for held, live, scratch in zip(self._held, self._live, self._scratch):
+            live *= weight
+            scratch[...] = held
+            scratch *= 1.0 - weight
+            live += scratch
+
+
+Node: TypeAlias = Block | Zip | Chain | Loop | Every | When | Switch | Deferred
+
+
+def as_node(candidate: object, *, where: str = "") -> Node:
+    """Return a flow node as it is, anything callable as a Block."""
+    if isinstance(candidate, (Block, Zip, Chain, Loop, Every, When, Switch, Deferred)):
+        return candidate
+    return as_block(candidate, where=where)
+
+
+def children_of(node: Node) -> tuple[Node, ...]:
+    """Return the nodes right below, predicates and selectors included, in order of calling."""
+    if isinstance(node, (Zip, Chain)):
+        return node.children
+    if isinstance(node, Switch):
+        return (node.selector, *node.children)
+    if isinstance(node, Loop):
+        return (node.child,) if node.until is None else (node.child, node.until)
+    if isinstance(node, When):
+        return (node.predicate, node.child)
+    if isinstance(node, (Every, Deferred)):
+        return (node.child,)
+    return ()
+
+
+def blocks_of(node: Node) -> list[Block]:
+    """Return all blocks of a tree in order of calling, each once."""
+    if isinstance(node, Block):
+        return [node]
+    return list(dict.fromkeys(block for child in children_of(node) for block in blocks_of(child)))
+
+
+def _nodes(kind: str, children: tuple[object, ...], where: str) -> tuple[Node, ...]:
+    if not children:
+        raise WorkflowError(f"{kind}: no blocks; give at least one", where or None)
+    return tuple(as_node(child, where=where) for child in children)
