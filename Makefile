@@ -1,0 +1,74 @@
+# One place for set-up and checks. Needs python3 (3.10 or newer, with venv) and nothing else.
+#
+#   make demo       set up, run the main job with ROS 2 on, print a summary
+#   make test       set up, run the tests            make test-slow   soaks and second distributions
+#   make check      format, lint, types, imports     make bench       side by side measurements
+#   make venv       only the set-up                  make clean       remove what was built
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/unicon.stamp
+
+# What the demo runs, and how long one test may take in [s].
+DEMO_WORKFLOW ?= go2_stand
+DEMO_ARGS ?=
+TEST_TIMEOUT ?= 120
+TEST_ARGS ?=
+BENCHES ?= latency tick bridge policy stores timing batch
+
+# The ROS wheels start Python twice and leave these two to child processes, where they would load
+# another venv's libraries. A sourced ROS needs its LD_LIBRARY_PATH, so it goes only with the guard.
+ifdef _ROS_WHEELS_BOOTSTRAP_COMPLETE
+unexport LD_LIBRARY_PATH
+endif
+unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
+
+# ROS stays on this machine unless the user says otherwise.
+demo bench: export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
+demo bench: export ROS_DOMAIN_ID ?= 42
+demo bench: export FASTRTPS_DEFAULT_PROFILES_FILE ?= $(CURDIR)/config/dds/fast_discovery.xml
+demo bench: export FASTDDS_DEFAULT_PROFILES_FILE ?= $(FASTRTPS_DEFAULT_PROFILES_FILE)
+
+.PHONY: help venv demo test test-slow check format bench clean clean-venv
+.DEFAULT_GOAL := help
+
+help:
+	@sed -n '3,6s/^# *//p' Makefile
+
+venv: $(STAMP)
+
+$(STAMP): setup.py pyproject.toml tools/lib/make_venv.py
+	$(PYTHON) tools/lib/make_venv.py $(VENV)
+	@touch $@
+
+demo: $(STAMP)
+	@mkdir -p out/demo
+	$(BIN)/unicon run $(DEMO_WORKFLOW) --ros --report out/demo/report.json $(DEMO_ARGS)
+
+test: $(STAMP)
+	$(BIN)/python -m pytest -q --timeout=$(TEST_TIMEOUT) $(TEST_ARGS)
+
+test-slow: $(STAMP)
+	$(BIN)/python -m pytest -q --timeout=1800 -m slow $(TEST_ARGS)
+
+check: $(STAMP)
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+format: $(STAMP)
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+bench: $(STAMP)
+	@mkdir -p out/bench
+	@for bench in $(BENCHES); do $(BIN)/unicon bench $$bench --json out/bench/$$bench.json || exit 1; done
+
+clean:
+	rm -rf build dist out *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
+	find . -path ./$(VENV) -prune -o -name __pycache__ -type d -print | xargs rm -rf
+
+clean-venv:
+	rm -rf $(VENV)

@@ -1,0 +1,92 @@
+"""Starts unicon_node with a workflow, for `ros2 launch unicon_ros unicon.launch.py`.
+
+`rviz:=true` opens RViz beside it. `remap` takes ROS's own notation, several separated by spaces:
+`remap:="cmd_vel:=teleop/cmd_vel joint_states:=robot/joint_states"`.
+"""
+
+from pathlib import Path
+
+from launch import LaunchContext, LaunchDescription
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
+
+ARGUMENTS = {
+    "workflow": ("go2_stand", "name or path of the workflow to run"),
+    "map": ("", "name or path of the message map; empty: the workflow's own"),
+    "namespace": ("", "namespace of the node and of its topics"),
+    "use_sim_time": ("false", "follow /clock; a simulator in the workflow publishes it itself"),
+    "autostart": ("true", "configure and activate at start; else by lifecycle transitions"),
+    "record": ("", "file (.mcap) to record to; empty: no recording"),
+    "rviz": ("false", "open RViz with the robot, its frames and its odometry"),
+    "remap": ("", "remaps as from:=to, separated by spaces"),
+}
+RVIZ_CONFIG = Path(__file__).resolve().parent.parent / "config" / "rviz" / "unicon.rviz"
+
+
+def truth(text: str, argument: str) -> bool:
+    """Return the truth value that an argument says, or raise a ValueError that names it."""
+    values = {"true": True, "1": True, "false": False, "0": False}
+    if text.lower() not in values:
+        raise ValueError(f"argument {argument}:={text}: write true or false")
+    return values[text.lower()]
+
+
+def remaps(text: str) -> list[tuple[str, str]]:
+    """Return the (from, to) pairs of a text like `a:=b c:=d`, or raise a ValueError."""
+    pairs = []
+    for rule in text.split():
+        old, separator, new = rule.partition(":=")
+        if not (old and separator and new):
+            raise ValueError(f"argument remap: {rule!r} is not of the form from:=to")
+        pairs.append((old, new))
+    return pairs
+
+
+def nodes(context: LaunchContext) -> list[Node]:
+    """Return the nodes to start, once the arguments have their values."""
+    value = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+    use_sim_time = truth(value["use_sim_time"], "use_sim_time")
+    parameters = {
+        "workflow": ParameterValue(value["workflow"], value_type=str),
+        "use_sim_time": use_sim_time,
+        "autostart": truth(value["autostart"], "autostart"),
+    }
+    for name in ("map", "record"):
+        if value[name]:
+            parameters[name] = ParameterValue(value[name], value_type=str)
+    started = [
+        Node(
+            package="unicon_ros",
+            executable="unicon_node",
+            name="unicon",
+            namespace=value["namespace"],
+            parameters=[parameters],
+            remappings=remaps(value["remap"]),
+            output="screen",
+            # The node damps the motors on SIGINT: give it time before the harder signals.
+            sigterm_timeout="10",
+            sigkill_timeout="10",
+        )
+    ]
+    if truth(value["rviz"], "rviz"):
+        started.append(
+            Node(
+                package="rviz2",
+                executable="rviz2",
+                namespace=value["namespace"],
+                arguments=["--display-config", str(RVIZ_CONFIG)],
+                parameters=[{"use_sim_time": use_sim_time}],
+            )
+        )
+    return started
+
+
+def generate_launch_description() -> LaunchDescription:
+    """Return what `ros2 launch` runs."""
+    declared = [
+        DeclareLaunchArgument(name, default_value=default, description=description)
+        for name, (default, description) in ARGUMENTS.items()
+    ]
+    return LaunchDescription([*declared, OpaqueFunction(function=nodes)])

@@ -1,0 +1,114 @@
+"""Package metadata of unicon_ros, for pip and for colcon alike.
+
+Everything stands here and not in a `[project]` table of pyproject.toml, because colcon reads this
+file only. No dependency pins to a file, an address or a machine.
+"""
+
+import re
+from pathlib import Path
+
+from setuptools import find_packages, setup
+
+NAME = "unicon_ros"
+ROOT = Path(__file__).resolve().parent
+PACKAGES = ["unicon_core*", "unicon_msgs_map*", "unicon_ros*"]
+
+# The wheels of ROS 2 Jazzy exist for CPython 3.10 to 3.14 on x86-64 Linux only. Everywhere else the
+# markers leave them out, and rclpy comes from a sourced ROS installation.
+ROS_WHEELS = (
+    "sys_platform == 'linux' and platform_machine == 'x86_64' "
+    "and implementation_name == 'cpython' and python_version < '3.15'"
+)
+
+EXTRAS = {
+    # 4.0.0 has a regression in its sparse Cholesky factorization, noted upstream.
+    "sim": ["mujoco>=3.3,!=4.0.0", "onnxruntime"],
+    "bags": ["rosbags>=0.11"],
+    "ros": [
+        f"ros-rclpy[fastrtps]==7.1.6; {ROS_WHEELS}",
+        f"ros-jazzy-common-interfaces==5.3.6; {ROS_WHEELS}",
+    ],
+    # setuptools 80 turns `colcon build --symlink-install` into a silent copy.
+    "test": [
+        "pytest",
+        "pytest-timeout",
+        "hypothesis",
+        "onnx",
+        "psutil",
+        "colcon-common-extensions",
+        "setuptools>=70.1,<80",
+    ],
+    # Minor versions are held: a new one may format or type differently and break `make check`.
+    "dev": ["ruff==0.17.*", "mypy==2.4.*", "import-linter>=2.1", "types-PyYAML"],
+}
+EXTRAS["all"] = sorted({requirement for extra in EXTRAS.values() for requirement in extra})
+
+
+def version() -> str:
+    """Return the version, which has one home: `unicon_core.__version__`."""
+    text = (ROOT / "unicon_core" / "__init__.py").read_text(encoding="utf-8")
+    found = re.search(r'^__version__ = "([^"]+)"$', text, re.MULTILINE)
+    if found is None:
+        raise SystemExit("setup.py: unicon_core/__init__.py has no __version__ line")
+    return found.group(1)
+
+
+def files_below(folder: str) -> list[str]:
+    """Return the files below a folder of the source tree, as sorted relative POSIX paths."""
+    return sorted(
+        path.relative_to(ROOT).as_posix()
+        for path in (ROOT / folder).rglob("*")
+        if path.is_file() and "__pycache__" not in path.parts and not path.name.startswith(".")
+    )
+
+
+def data_files() -> list[tuple[str, list[str]]]:
+    """Return what goes to `share/`: the ament marker, the manifest, and every resource file."""
+    share = {f"share/{NAME}": ["package.xml"]}
+    for resource in [*files_below("config"), *files_below("launch")]:
+        folder = Path(resource).parent.as_posix()
+        share.setdefault(f"share/{NAME}/{folder}", []).append(resource)
+    marker = ("share/ament_index/resource_index/packages", [f"resource/{NAME}"])
+    return [marker, *sorted(share.items())]
+
+
+def package_data() -> dict[str, list[str]]:
+    """Return the files beside the code: type markers and message definitions.
+
+    Spelled out file by file, since setuptools before 62.3 (Ubuntu 22.04 has 59.6) knows no `**`.
+    """
+    return {
+        package: [
+            Path(path).relative_to(package).as_posix()
+            for path in files_below(package)
+            if path.endswith((".msg", "py.typed"))
+        ]
+        for package in ("unicon_core", "unicon_msgs_map", "unicon_ros")
+    }
+
+
+setup(
+    name=NAME,
+    version=version(),
+    description="Learned robot controllers on real and simulated robots inside ROS 2, "
+    "free of its overhead",
+    long_description=(ROOT / "README.md").read_text(encoding="utf-8"),
+    long_description_content_type="text/markdown",
+    license="Apache-2.0",
+    license_files=["LICENSE"],
+    maintainer="The unicon_ros maintainers",
+    maintainer_email="maintainers@unicon-ros.example",
+    python_requires=">=3.10",
+    packages=find_packages(str(ROOT), include=PACKAGES),
+    package_data=package_data(),
+    data_files=data_files(),
+    install_requires=["numpy", "pyyaml"],
+    extras_require=EXTRAS,
+    entry_points={
+        "console_scripts": [
+            "unicon = unicon_ros.cli.main:main",
+            "unicon_node = unicon_ros.node_main:main",
+        ]
+    },
+    zip_safe=False,
+)

@@ -1,0 +1,54 @@
+"""What every test of the project shares: a ROS of its own on loopback, and the assets folder."""
+
+from __future__ import annotations
+
+import os
+import random
+import shutil
+import tempfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+LOG_DIR = tempfile.mkdtemp(prefix="unicon_ros_log_")
+
+# Set before any test imports rclpy, and inherited by the processes that tests start. Domains above
+# 101 would reach into Linux's ephemeral ports (7400 + 250 × domain).
+os.environ["ROS_DOMAIN_ID"] = str(random.SystemRandom().randint(1, 101))
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+if os.environ.get("ROS_DISTRO") == "humble":
+    os.environ["ROS_LOCALHOST_ONLY"] = "1"
+os.environ["ROS_LOG_DIR"] = LOG_DIR
+for name in ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"):
+    os.environ[name] = str(ROOT / "config" / "dds" / "fast_discovery.xml")
+
+
+def pytest_unconfigure(config: pytest.Config) -> None:
+    """Remove the log folder of this run."""
+    shutil.rmtree(LOG_DIR, ignore_errors=True)
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Keep only the tests marked `smoke` where UNICON_TESTS=smoke asks for a quick look."""
+    if os.environ.get("UNICON_TESTS") != "smoke":
+        return
+    kept = [item for item in items if item.get_closest_marker("smoke")]
+    config.hook.pytest_deselected(items=[item for item in items if item not in kept])
+    items[:] = kept
+
+
+@pytest.fixture(scope="session")
+def under_colcon(request: pytest.FixtureRequest) -> bool:
+    """Whether `colcon test` runs this pytest: it names the package as prefix of its report."""
+    return request.config.getoption("junitprefix", default=None) == "unicon_ros"
+
+
+@pytest.fixture(scope="session")
+def assets() -> Path:
+    """The folder with other people's models and policies, which are not part of the repository."""
+    named = os.environ.get("UNICON_ASSETS")
+    folder = Path(named) if named else ROOT.parent / "shared" / "assets"
+    if not (folder / "README.md").is_file():
+        pytest.skip(f"no assets at {folder}: set UNICON_ASSETS to the folder with the test assets")
+    return folder
