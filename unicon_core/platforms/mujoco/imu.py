@@ -1,0 +1,172 @@
+"""Base and IMU readings of one simulated robot, from the model's sensors or its free joint."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["BaseReader", "find_base", "find_imu"]
+
+Float = NDArray[np.float64]
+Copy = Callable[[], None]
+
+
+def find_base(mujoco: Any, model: Any, joint: int) -> int | None:
+    """Return the id of the free joint that carries a robot's joint, or None for a fixed base."""
+    body = int(model.jnt_bodyid[joint])
+    while body != 0:
+        first = int(model.body_jntadr[body])
+        if first >= 0 and model.jnt_type[first] == int(mujoco.mjtJoint.mjJNT_FREE):
+            return first
+        body = int(model.body_parentid[body])
+    return None
+
+
+def find_imu(mujoco: Any, model: Any, body: int) -> dict[str, int]:
+    """Return the sensors of an IMU on a body by type, whatever their names.
+
+    Args:
+        body: id of the base's body.
+
+    Returns:
+        `quat`, `gyro`, `accelerometer` to the sensor's id, those that exist. Of several the
+        first one of the model.
+    """
+    kinds = {
+        int(mujoco.mjtSensor.mjSENS_FRAMEQUAT): "quat",
+        int(mujoco.mjtSensor.mjSENS_GYRO): "gyro",
+        int(mujoco.mjtSensor.mjSENS_ACCELEROMETER): "accelerometer",
+    }
+    found: dict[str, int] = {}
+    for i in range(model.nsensor):
+        kind = kinds.get(int(model.sensor_type[i]))
+        on_site = model.sensor_objtype[i] == int(mujoco.mjtObj.mjOBJ_SITE)
+        if kind is None or not on_site or model.sensor_refid[i] >= 0:
+            continue
+        if model.site_bodyid[model.sensor_objid[i]] == body:
+            found.setdefault(kind, i)
+    return found
+
+
+class BaseReader:
+    """Copies the base states of one robot out of its `MjData`.
+
+    Orientation and rates are those of the base's body: the readings of an IMU that is mounted with
+    a rotation are turned into the base frame. An accelerometer keeps its place (its lever arm).
+
+    Args:
+        data: the robot's `MjData`.
+        joint: id of the free joint.
+        views: the robot's own state arrays by name; absent ones are left out.
+    """
+
+    def __init__(
+        self, mujoco: Any, model: Any, data: Any, joint: int, views: dict[str, NDArray[Any]]
+    ) -> None:
+        body = int(model.jnt_bodyid[joint])
+        qpos = data.qpos[model.jnt_qposadr[joint] :][:7]
+        qvel = data.qvel[model.jnt_dofadr[joint] :][:6]
+        qacc = data.qacc[model.jnt_dofadr[joint] :][:6]
+        self._rotation = data.xmat[body].reshape(3, 3)
+        imu = find_imu(mujoco, model, body)
+        self.source = dict.fromkeys(("quat", "gyro", "accelerometer"), "free joint")
+
+        def sensor(kind: str) -> tuple[Float, Float] | None:
+            """Return the sensor's data and the rotation of its site in the base, or None."""
+            if kind not in imu:
+                return None
+            self.source[kind] = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_SENSOR, imu[kind])
+            start, size = int(model.sensor_adr[imu[kind]]), int(model.sensor_dim[imu[kind]])
+            quat = np.array(model.site_quat[model.sensor_objid[imu[kind]]], dtype=np.float64)
+            return data.sensordata[start : start + size], quat
+
+        copies: list[Copy] = []
+        none = np.empty(0)
+        if "base_quat" in views:
+            copies.append(_quat(mujoco, views["base_quat"], sensor("quat"), qpos[3:7]))
+        if "base_ang_vel" in views:
+            gyro = sensor("gyro")
+            copies.append(_vector(mujoco, views["base_ang_vel"], gyro or (qvel[3:6], none)))
+        if "base_lin_acc" in views:
+            reading = sensor("accelerometer")
+            if reading is not None:
+                copies.append(_vector(mujoco, views["base_lin_acc"], reading))
+            else:
+                copies.append(
+                    _specific_force(views["base_lin_acc"], qacc, self._rotation, model.opt.gravity)
+                )
+        if "base_pos_w" in views:
+            copies.append(_vector(mujoco, views["base_pos_w"], (qpos[:3], none)))
+        self._copies = tuple(copies)
+        self._linear = qvel[:3]
+        self._world = np.zeros((2, 3))
+        length = float(np.linalg.norm(model.opt.gravity))
+        self._world[1] = model.opt.gravity / length if length > 0.0 else (0.0, 0.0, -1.0)
+        self._base = np.zeros((2, 3))
+        self._lin_vel = views.get("base_lin_vel", np.zeros(3, dtype=np.float32))
+        self._gravity = views.get("projected_gravity", np.zeros(3, dtype=np.float32))
+
+    def __call__(self) -> None:
+        for copy in self._copies:
+            copy()
+        # Rows of world vectors times the base's rotation are rows in the base frame: one product
+        # turns velocity and gravity at once.
+        self._world[0] = self._linear
+        np.matmul(self._world, self._rotation, out=self._base)
+        self._lin_vel[...] = self._base[0]
+        self._gravity[...] = self._base[1]
+
+
+def _is_identity(quat: Float) -> bool:
+    return quat.size == 0 or bool(np.allclose(np.abs(quat), (1.0, 0.0, 0.0, 0.0), atol=1e-9))
+
+
+def _quat(mujoco: Any, out: NDArray[Any], reading: tuple[Float, Float] | None, own: Float) -> Copy:
+    if reading is None or _is_identity(reading[1]):
+        source = own if reading is None else reading[0]
+
+        def plain() -> None:
+            out[...] = source
+
+        return plain
+    source, base_from_site = reading
+    site_to_base = base_from_site * (1.0, -1.0, -1.0, -1.0)
+    turned = np.zeros(4)
+
+    def rotated() -> None:
+        mujoco.mju_mulQuat(turned, source, site_to_base)
+        out[...] = turned
+
+    return rotated
+
+
+def _vector(mujoco: Any, out: NDArray[Any], reading: tuple[Float, Float]) -> Copy:
+    source, base_from_site = reading
+    if _is_identity(base_from_site):
+
+        def plain() -> None:
+            out[...] = source
+
+        return plain
+    turned = np.zeros(3)
+
+    def rotated() -> None:
+        mujoco.mju_rotVecQuat(turned, source, base_from_site)
+        out[...] = turned
+
+    return rotated
+
+
+def _specific_force(out: NDArray[Any], qacc: Float, rotation: Float, gravity: Float) -> Copy:
+    """What an accelerometer at the base's origin reads: Rᵀ (a - g)."""
+    world, base = np.zeros(3), np.zeros(3)
+
+    def copy() -> None:
+        np.subtract(qacc[:3], gravity, out=world)
+        np.matmul(world, rotation, out=base)
+        out[...] = base
+
+    return copy
