@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -13,6 +14,8 @@ from unicon_core.platforms.mujoco.joints import find_joints, joint_transmissions
 from unicon_core.robots import Robot
 
 __all__ = ["LoadedModel", "import_mujoco", "load_model"]
+
+_log = logging.getLogger(__name__)
 
 _FLOATING = ("quadruped", "humanoid")
 _URDF_TIMESTEP = 0.002  # [s]; MuJoCo's own default, said here since a URDF cannot say it
@@ -47,6 +50,8 @@ def import_mujoco() -> Any:
         raise MissingDependencyError(
             "platform 'mujoco'", "mujoco", "pip install 'unicon_ros[sim]'"
         ) from error
+    if mujoco.get_mju_user_warning() is None:  # else MuJoCo writes MUJOCO_LOG.TXT where we stand
+        mujoco.set_mju_user_warning(_log.info)
     return mujoco
 
 

@@ -7,12 +7,15 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from unicon_core.errors import ModelError, PlatformError, alternatives
 from unicon_core.platforms.mujoco.imu import find_base
 from unicon_core.platforms.mujoco.initial import Pose, initial_positions
 from unicon_core.platforms.mujoco.load import LoadedModel, import_mujoco, load_model
 from unicon_core.platforms.mujoco.servo import Servo
 from unicon_core.platforms.mujoco.simulated_robot import Disturbances, SimulatedRobot
+from unicon_core.platforms.mujoco.viewer import Viewer
 from unicon_core.resources import find_resource
 from unicon_core.robots import Robot
 from unicon_core.states import States
@@ -179,6 +182,20 @@ class MujocoPlatform:
     def close(self) -> None:
         """Let go; a simulation has no motors to damp."""
 
+    def viewer(self, rate: float = 60.0) -> Viewer:
+        """Return a block that shows the (first) robot in a window, at most `rate` times a second.
+
+        Raises:
+            PlatformError: there is no display.
+        """
+        return Viewer(self.model, self.data, rate)
+
+    def _warnings(self) -> dict[str, int]:
+        """Return how often MuJoCo warned, by kind, over all robots."""
+        total = np.sum([robot.data.warning.number for robot in self.robots], axis=0)
+        kinds = [self._mujoco.mjtWarning(i).name.removeprefix("mjWARN_") for i in range(len(total))]
+        return {kind: int(count) for kind, count in zip(kinds, total) if count}
+
     def info(self) -> Mapping[str, Any]:
         """Return model, physics step, actuators, limits, IMU sources and what was changed."""
         mujoco, model, servo = self._mujoco, self.model, self._servo
@@ -206,6 +223,7 @@ class MujocoPlatform:
             "actuators": dict(zip(self._robot.joint_names, servo.kinds)),
             "effort_lower": dict(zip(self._robot.joint_names, servo.effort_lower.tolist())),
             "effort_upper": dict(zip(self._robot.joint_names, servo.effort_upper.tolist())),
+            "warnings": self._warnings(),
             "notes": notes,
         }
 

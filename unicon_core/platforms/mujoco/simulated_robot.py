@@ -180,12 +180,20 @@ class SimulatedRobot:
         )
 
     def _blown_up(self) -> str:
-        mujoco, model = self._mujoco, self._model
-        dof = int(np.argmax(np.nan_to_num(np.abs(self._qvel), nan=np.inf)))
-        joint = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, int(model.dof_jntid[dof]))
+        mujoco, model, qvel = self._mujoco, self._model, self._qvel
+        if np.isfinite(qvel).any():
+            dof = int(np.argmax(np.nan_to_num(np.abs(qvel), nan=np.inf)))
+            joint = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, int(model.dof_jntid[dof]))
+            what = f"joint {joint} moves at {qvel[dof]:.3g} rad/s"
+        else:  # it went through every joint within the tick: name the likeliest cause
+            joint_index = int(np.argmax(np.abs(self._command[3])))
+            what = (
+                "no velocity is finite any more (largest stiffness: "
+                f"{self._command[3, joint_index]:.6g} N·m/rad at joint {self._names[joint_index]})"
+            )
         time = self._ticks * self._decimation * float(model.opt.timestep)
         return (
-            f"{self._who()}the physics blew up before {time:.3f} s, first at joint {joint}; "
+            f"{self._who()}the physics blew up before {time:.3f} s: {what}; "
             "lower the gains or the physics step (timestep)"
         )
 
