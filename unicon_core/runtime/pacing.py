@@ -1,0 +1,129 @@
+"""Pacing: when the next tick starts, for the runner; absolute deadlines, so that nothing drifts.
+
+A sleep ends late by the kernel's timer slack (50 µs unless told) and the scheduler's mood; with a
+slack of 1 ns and a spin over the last 100 µs the deadline error stays near 0.3 µs at 5 % of a core.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import os
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from unicon_core.errors import UniconError
+
+__all__ = ["Pacing", "WallClock", "prepare_process"]
+
+_PR_SET_TIMERSLACK = 29  # linux/prctl.h
+
+
+@dataclass(frozen=True)
+class Pacing:
+    """How a run keeps time.
+
+    Attributes:
+        trigger: `deadline`, ticks at fixed times; `state`, ticks when the platform's data arrive.
+        overrun: `skip` lets missed ticks go and keeps the grid; `catch_up` runs them at once.
+        spin_us: busy wait before the deadline in [µs].
+        dry_run_us: how long before the deadline the blocks run dry in [µs]; 0 for never.
+        priority: SCHED_FIFO priority 1…99, or None.
+        cpu: core to stay on, or None.
+        lock_memory: lock all memory.
+    """
+
+    trigger: Literal["deadline", "state"] = "deadline"
+    overrun: Literal["skip", "catch_up"] = "skip"
+    spin_us: float = 100.0
+    dry_run_us: float = 1000.0
+    priority: int | None = None
+    cpu: int | None = None
+    lock_memory: bool = False
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> Pacing:
+        """Build from the `pacing:` section of a workflow.
+
+        Raises:
+            UniconError: an unknown key or a value out of range.
+        """
+        known = cls.__dataclass_fields__
+        for key in values:
+            if key not in known:
+                raise UniconError(f"pacing: unknown key {key!r}; known: {', '.join(known)}")
+        for key, choices in (("trigger", ("deadline", "state")), ("overrun", ("skip", "catch_up"))):
+            if values.get(key, choices[0]) not in choices:
+                raise UniconError(f"pacing: {key} {values[key]!r}; give {' or '.join(choices)}")
+        for key in ("spin_us", "dry_run_us"):
+            value = values.get(key, 0.0)
+            if isinstance(value, bool) or not isinstance(value, (int, float)) or value < 0:
+                raise UniconError(f"pacing: {key} is {value!r}; give a number of µs >= 0")
+        return cls(**values)
+
+
+class WallClock:
+    """Sleeps until absolute times of `time.perf_counter_ns`.
+
+    Args:
+        spin_ns: busy wait before the deadline in [ns].
+    """
+
+    def __init__(self, spin_ns: int = 100_000) -> None:
+        self.spin_ns = spin_ns
+
+    def until(self, deadline_ns: int) -> int:
+        """Return at the deadline with the present time in [ns]; at once if it has passed."""
+        now = time.perf_counter_ns
+        remaining = deadline_ns - now() - self.spin_ns
+        if remaining > 0:
+            time.sleep(remaining * 1e-9)
+        while (present := now()) < deadline_ns:
+            pass
+        return present
+
+
+def prepare_process(pacing: Pacing, warn: Callable[[str], None]) -> Callable[[], None]:
+    """Set timer slack, priority, core and memory as asked; what is refused is told, not fatal.
+
+    Returns:
+        A function that undoes it.
+    """
+    undo: list[Callable[[], object]] = []
+    if sys.platform == "linux":
+        libc = ctypes.CDLL(None, use_errno=True)
+        libc.prctl(_PR_SET_TIMERSLACK, ctypes.c_ulong(1), 0, 0, 0)
+        undo.append(lambda: libc.prctl(_PR_SET_TIMERSLACK, ctypes.c_ulong(0), 0, 0, 0))
+        if pacing.lock_memory:
+            if libc.mlockall(3) != 0:  # MCL_CURRENT | MCL_FUTURE
+                warn("pacing: memory not locked; raise the limit: ulimit -l unlimited")
+            else:
+                undo.append(lambda: libc.munlockall())
+    if pacing.priority is not None:
+        try:
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(pacing.priority))
+            undo.append(lambda: os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0)))
+        except (OSError, AttributeError) as error:
+            warn(
+                f"pacing: priority {pacing.priority} refused ({error}); allow it with "
+                "'<user> - rtprio 99' in /etc/security/limits.conf"
+            )
+    if pacing.cpu is not None:
+        try:
+            before = os.sched_getaffinity(0)
+            os.sched_setaffinity(0, {pacing.cpu})
+            undo.append(lambda: os.sched_setaffinity(0, before))
+        except (OSError, AttributeError) as error:
+            warn(f"pacing: core {pacing.cpu} refused ({error}); known: 0 to {os.cpu_count()}")
+    gc.collect()
+    gc.freeze()  # a collection of the oldest generation cost 1.6 to 2.5 ms without this
+    undo.append(gc.unfreeze)
+
+    def restore() -> None:
+        for action in reversed(undo):
+            action()
+
+    return restore

@@ -1,0 +1,123 @@
+"""Report: what a run did, as one JSON object and as a readable summary."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from unicon_core.states import States
+from unicon_core.states.standard import COMMAND_STATES
+
+__all__ = ["Monitor", "Report"]
+
+
+@dataclass
+class Report:
+    """One run.
+
+    Attributes:
+        workflow, robot, platform: names.
+        ticks: number of ticks.
+        duration_s: time of the run, simulated where the platform is a simulator.
+        rate_hz: ticks per second of wall time.
+        overruns: ticks that ended after the next one was due.
+        tick_us: p50, p99, max from `recv` to the end of `send`.
+        late_us: p50, p99, max of start minus deadline.
+        faults: what went wrong, one line each.
+        base_displacement_m: base position at the end minus at the start, world frame.
+        fell: the base tilted by more than 60° from upright.
+        sha256_commands: SHA-256 over the command states of every tick.
+        blocks: block label to p50, p99, max.
+        bridge: published and received messages, where ROS is on.
+    """
+
+    workflow: str
+    robot: str
+    platform: str
+    ticks: int = 0
+    duration_s: float = 0.0
+    rate_hz: float = 0.0
+    overruns: int = 0
+    tick_us: dict[str, float] = field(default_factory=dict)
+    late_us: dict[str, float] = field(default_factory=dict)
+    faults: list[str] = field(default_factory=list)
+    base_displacement_m: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
+    fell: bool = False
+    sha256_commands: str = ""
+    blocks: dict[str, dict[str, float]] = field(default_factory=dict)
+    bridge: dict[str, Any] | None = None
+    extra: dict[str, Any] = field(default_factory=dict)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the report as plain values; `bridge` only where ROS was on."""
+        values = {k: v for k, v in vars(self).items() if k not in ("bridge", "extra")}
+        if self.bridge is not None:
+            values["bridge"] = self.bridge
+        return values | self.extra
+
+    def write(self, path: str | Path) -> None:
+        """Write the report as JSON, folders made as needed."""
+        target = Path(path)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_text(json.dumps(self.to_dict(), indent=2) + "\n", encoding="utf-8")
+
+    def summary(self) -> str:
+        """Return the readable lines that end a run."""
+        x, y, z = self.base_displacement_m
+        share = f" ({self.overruns / self.ticks:.1%})" if self.ticks else ""
+        lines = [
+            f"workflow      {self.workflow} on {self.robot} ({self.platform})",
+            f"ticks         {self.ticks} in {self.duration_s:.2f} s, {self.rate_hz:.2f} Hz wall",
+            f"overruns      {self.overruns}{share}",
+            f"tick          p50 {self.tick_us.get('p50', 0):.0f} µs, "
+            f"p99 {self.tick_us.get('p99', 0):.0f} µs, max {self.tick_us.get('max', 0):.0f} µs",
+            f"base          moved {x:+.2f} {y:+.2f} {z:+.2f} m, "
+            f"{'FELL' if self.fell else 'did not fall'}",
+        ]
+        if self.bridge is not None:
+            lines.append(
+                f"ROS 2         published {self.bridge.get('published', 0)}, "
+                f"received {self.bridge.get('received', 0)} messages"
+            )
+        lines.append(f"faults        {'; '.join(self.faults) or 'none'}")
+        return "\n".join(lines)
+
+
+class Monitor:
+    """Watches a run for its report: displacement, fall, hash of the commands; after `send`."""
+
+    FALL_COSINE = 0.5
+    """Cosine of the tilt that counts as a fall: 60° from upright."""
+
+    name = "report"
+    reads = ("base_pos_w", "projected_gravity", *COMMAND_STATES)
+
+    def __init__(self, states: States) -> None:
+        self._pos = states["base_pos_w"].reshape(-1, 3)
+        self._gravity = states["projected_gravity"].reshape(-1, 3)[:, 2]
+        self._start = self._pos.copy()
+        self._started = False
+        self._hash = hashlib.sha256()
+        self._commands: list[Any] = [states[name].reshape(-1).data for name in COMMAND_STATES]
+        self.fell = False
+
+    def __call__(self) -> None:
+        if not self._started:
+            self._start[...] = self._pos
+            self._started = True
+        for view in self._commands:
+            self._hash.update(view)
+        if not self.fell and self._gravity.max() > -self.FALL_COSINE:
+            self.fell = True
+
+    def fill(self, report: Report) -> None:
+        """Write what was seen into the report."""
+        moved = self._pos[0] - self._start[0] if self._started else np.zeros(3)
+        report.base_displacement_m = [round(float(value), 6) for value in moved]
+        report.fell = self.fell
+        report.sha256_commands = self._hash.hexdigest()

@@ -1,0 +1,202 @@
+"""Runner: ticks a workflow until it is done, stopped or at fault, and damps at the end."""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from types import FrameType
+from typing import Any, Literal
+
+from unicon_core.errors import Fault
+from unicon_core.flow import Deferred, Zip, as_block, compile_graph
+from unicon_core.runtime.pacing import Pacing, WallClock, prepare_process
+from unicon_core.runtime.report import Monitor, Report
+from unicon_core.runtime.statistics import TickStatistics
+from unicon_core.workflow import Workflow
+
+__all__ = ["RunOptions", "Runner"]
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """How to run.
+
+    Attributes:
+        duration: end after this time in [s] of ticks; None: until the flow is done.
+        speed: `real` paces to the wall clock; `max` ticks as fast as it can (simulators).
+        capacity: ticks whose time stamps are kept.
+        warn: takes warnings, one line each.
+        status: called about once a second with facts for a status line, or None.
+    """
+
+    duration: float | None = None
+    speed: Literal["real", "max"] = "real"
+    capacity: int = 32_768
+    warn: Callable[[str], None] = print
+    status: Callable[[dict[str, Any]], None] | None = None
+
+
+class Runner:
+    """Runs one workflow; `tick` and `close` may also be driven by a host such as the ROS node.
+
+    Args:
+        workflow: what to run.
+        options: how.
+    """
+
+    def __init__(self, workflow: Workflow, options: RunOptions | None = None) -> None:
+        self.workflow = workflow
+        self.options = options or RunOptions()
+        self.pacing = Pacing.from_dict(workflow.document.get("pacing", dict, {}))
+        self.monitor = Monitor(workflow.states)
+        root = Zip(workflow.root, Deferred(as_block(self.monitor)))
+        self.graph = compile_graph(root, trace=True)
+        names = [block.name for block in self.graph.blocks]
+        self.statistics = TickStatistics(names, self.graph.deferred_blocks, self.options.capacity)
+        self.period_ns = round(workflow.period * 1e9)
+        self.faults: list[str] = []
+        self.done = False
+        self._tick = workflow.states["tick"]
+        self._stop = False
+        self._closed = False
+        self._started_ns = 0
+        self._ended_ns = 0
+
+    def stop(self) -> None:
+        """Ask the run to end after the present tick; safe from a signal handler or a thread."""
+        self._stop = True
+
+    def tick(self, due_ns: int) -> bool:
+        """Run one tick: step, then the deferred blocks. True when the flow is done.
+
+        Raises:
+            Fault: a block tripped; the caller must close, which damps.
+        """
+        graph = self.graph
+        graph.stamps.fill(0)
+        done = graph.step()
+        graph.deferred()
+        self._tick += 1
+        self.statistics.add(due_ns, time.perf_counter_ns(), graph.stamps)
+        return done
+
+    def run(self) -> Report:
+        """Run to the end and return the report; a fault is in it, the platform is closed."""
+        restore = prepare_process(self.pacing, self.options.warn)
+        try:
+            with self._signals():
+                self._started_ns = time.perf_counter_ns()
+                try:
+                    self._loop()
+                except Fault as fault:
+                    self.faults.append(str(fault))
+                finally:
+                    self._ended_ns = time.perf_counter_ns()
+                    self.close()
+        finally:
+            restore()
+        return self.report()
+
+    def close(self) -> None:
+        """Damp and close, once."""
+        if not self._closed:
+            self._closed = True
+            self.workflow.close()
+
+    def report(self) -> Report:
+        """Return the report of the run so far."""
+        workflow, statistics = self.workflow, self.statistics
+        end = self._ended_ns or time.perf_counter_ns()
+        wall = max((end - self._started_ns) * 1e-9, 1e-9)
+        ticks = statistics.count
+        report = Report(workflow.name, workflow.robot.name, workflow.platform.name)
+        report.ticks = ticks
+        report.duration_s = round(ticks * workflow.period, 9)
+        report.rate_hz = round(ticks / wall, 3)
+        report.overruns = statistics.overruns
+        report.tick_us = statistics.tick_us()
+        report.late_us = statistics.lateness_us()
+        report.blocks = statistics.block_us()
+        report.faults = list(self.faults)
+        self.monitor.fill(report)
+        return report
+
+    # -- the loop -----------------------------------------------------------------------------
+
+    def _limit(self) -> int:
+        duration = self.options.duration
+        if duration is None:
+            duration = self.workflow.document.get("duration", (int, float))
+        return 1 << 62 if duration is None else round(duration / self.workflow.period)
+
+    def _loop(self) -> None:
+        limit = self._limit()
+        status_every = max(1, round(1.0 / self.workflow.period))
+        if self.options.speed == "max":
+            while not self._stop and self.statistics.count < limit:
+                if self.tick(time.perf_counter_ns()):
+                    self.done = True
+                    break
+                if self.statistics.count % status_every == 0:
+                    self._status()
+            return
+        self._paced(limit, status_every)
+
+    def _paced(self, limit: int, status_every: int) -> None:
+        clock = WallClock(round(self.pacing.spin_us * 1e3))
+        dry_ns = round(self.pacing.dry_run_us * 1e3)
+        period, skip = self.period_ns, self.pacing.overrun == "skip"
+        statistics, now = self.statistics, time.perf_counter_ns
+        due = now() + min(period, 10_000_000)
+        while not self._stop and statistics.count < limit:
+            if dry_ns and due - now() > dry_ns:
+                clock.until(due - dry_ns)
+                self.graph.dry()
+            clock.until(due)
+            if self.tick(due):
+                self.done = True
+                break
+            due += period
+            late = now() - due
+            if late > 0:
+                statistics.overruns += 1
+                if skip:
+                    due += -(-late // period) * period
+            if statistics.count % status_every == 0:
+                self._status()
+
+    def _status(self) -> None:
+        if self.options.status is None:
+            return
+        statistics = self.statistics
+        wall = (time.perf_counter_ns() - self._started_ns) * 1e-9
+        self.options.status(
+            {
+                "t": f"{statistics.count * self.workflow.period:.1f} s",
+                "rate": f"{statistics.count / wall:.1f} Hz",
+                "overruns": statistics.overruns,
+                "faults": len(self.faults),
+            }
+        )
+
+    @contextmanager
+    def _signals(self) -> Iterator[None]:
+        """Let SIGINT and SIGTERM end the run after the present tick, where we may set handlers."""
+
+        def handler(number: int, frame: FrameType | None) -> None:
+            self.stop()
+
+        before = {}
+        try:
+            for number in (signal.SIGINT, signal.SIGTERM):
+                before[number] = signal.signal(number, handler)
+        except ValueError:  # not the main thread: the host handles signals
+            pass
+        try:
+            yield
+        finally:
+            for number, previous in before.items():
+                signal.signal(number, previous)

@@ -1,0 +1,140 @@
+"""Statistics: tick and block times, always on and cheap, for tables, reports and traces."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["TickStatistics", "percentiles"]
+
+
+def percentiles(values_us: NDArray[np.floating[Any]]) -> dict[str, float]:
+    """Return p50, p99 and max of times in [µs]; zeros where there are none."""
+    if not values_us.size:
+        return {"p50": 0.0, "p99": 0.0, "max": 0.0}
+    p50, p99 = np.percentile(values_us, [50, 99])
+    return {"p50": float(p50), "p99": float(p99), "max": float(values_us.max())}
+
+
+class TickStatistics:
+    """Time stamps of the most recent ticks, one preallocated row each.
+
+    Args:
+        names: block labels, in the order of the trace columns.
+        deferred: numbers of the blocks that run after `send`.
+        capacity: how many ticks are kept; older ones are overwritten.
+    """
+
+    def __init__(
+        self, names: Sequence[str], deferred: frozenset[int], capacity: int = 32_768
+    ) -> None:
+        self.names = tuple(names)
+        self.deferred = deferred
+        self.rows = np.zeros((capacity, 4 + len(names)), dtype=np.int64)
+        self.count = 0
+        self.overruns = 0
+        self.late_ns = 0
+
+    def add(self, due_ns: int, end_ns: int, stamps: NDArray[np.int64]) -> None:
+        """Keep one tick: when it was due, when it ended, and its time stamps."""
+        row = self.rows[self.count % len(self.rows)]
+        row[0] = due_ns
+        row[1] = end_ns
+        row[2:] = stamps
+        self.count += 1
+
+    def kept(self) -> NDArray[np.int64]:
+        """Return the rows kept, oldest first: due, end, step start, deferred start, block ends."""
+        capacity = len(self.rows)
+        if self.count <= capacity:
+            return self.rows[: self.count]
+        return np.roll(self.rows, -(self.count % capacity), axis=0)
+
+    def tick_us(self) -> dict[str, float]:
+        """Return p50, p99, max of recv → send in [µs]."""
+        rows = self.kept()
+        ends = [4 + i for i in range(len(self.names)) if i not in self.deferred]
+        if not rows.size or not ends:
+            return percentiles(np.empty(0))
+        return percentiles((rows[:, ends].max(axis=1) - rows[:, 2]) * 1e-3)
+
+    def lateness_us(self) -> dict[str, float]:
+        """Return p50, p99, max of start minus deadline in [µs]."""
+        rows = self.kept()
+        return percentiles((rows[:, 2] - rows[:, 0]) * 1e-3)
+
+    def block_us(self) -> dict[str, dict[str, float]]:
+        """Return label to p50, p99, max in [µs] and the number of calls among the kept ticks."""
+        starts, ends = self._spans()
+        table: dict[str, dict[str, float]] = {}
+        for i, name in enumerate(self.names):
+            ran = ends[:, i] > 0
+            label = name if name not in table else f"{name}#{i}"
+            table[label] = {
+                **percentiles((ends[ran, i] - starts[ran, i]) * 1e-3),
+                "calls": float(ran.sum()),
+            }
+        return table
+
+    def _spans(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return start and end of each block, shape (ticks, blocks); end 0 where it did not run."""
+        rows = self.kept()
+        ends = rows[:, 4:]
+        starts = np.empty_like(ends)
+        for part, begin in ((False, 2), (True, 3)):
+            last = rows[:, begin].copy()
+            for i in range(len(self.names)):
+                if (i in self.deferred) is part:
+                    starts[:, i] = last
+                    np.maximum(last, ends[:, i], out=last)
+        return starts, ends
+
+    def table(self, period_us: float) -> str:
+        """Return block × p50/p99/max and share of the period, as text."""
+        width = max((len(name) for name in self.names), default=5)
+        lines = [f"{'block':<{width}}  {'p50 µs':>9} {'p99 µs':>9} {'max µs':>9} {'share':>7}"]
+        for i, (label, row) in enumerate(self.block_us().items()):
+            mark = "  after send" if i in self.deferred else ""
+            lines.append(
+                f"{label:<{width}}  {row['p50']:9.1f} {row['p99']:9.1f} {row['max']:9.1f} "
+                f"{row['p50'] / period_us:7.2%}{mark}"
+            )
+        tick = self.tick_us()
+        lines.append(
+            f"{'tick':<{width}}  {tick['p50']:9.1f} {tick['p99']:9.1f} {tick['max']:9.1f} "
+            f"{tick['p50'] / period_us:7.2%}"
+        )
+        return "\n".join(lines)
+
+    def write_trace(self, path: str | Path, process: str) -> None:
+        """Write the kept ticks as Chrome trace JSON, which Perfetto opens.
+
+        Source of the format: Chrome's "Trace Event Format", complete events (`ph: X`, times in µs).
+        """
+        starts, ends = self._spans()
+        rows = self.kept()
+        origin = int(rows[0, 2]) if len(rows) else 0
+        events: list[dict[str, Any]] = [
+            {"ph": "M", "pid": 1, "tid": 1, "name": "process_name", "args": {"name": process}},
+            {"ph": "M", "pid": 1, "tid": 1, "name": "thread_name", "args": {"name": "tick"}},
+        ]
+        for tick, row in enumerate(rows):
+            span = {"ph": "X", "pid": 1, "tid": 1}
+            begin = (int(row[2]) - origin) * 1e-3
+            number = self.count - len(rows) + tick
+            length = (int(row[1]) - int(row[2])) * 1e-3
+            late = (int(row[2]) - int(row[0])) * 1e-3
+            args = {"number": number, "late_us": round(late, 3)}
+            events.append({**span, "name": "tick", "ts": begin, "dur": length, "args": args})
+            for i, name in enumerate(self.names):
+                if ends[tick, i]:
+                    begin = (int(starts[tick, i]) - origin) * 1e-3
+                    length = (int(ends[tick, i]) - int(starts[tick, i])) * 1e-3
+                    events.append({**span, "name": name, "ts": begin, "dur": length})
+        text = json.dumps({"traceEvents": events, "displayTimeUnit": "ns"})
+        Path(path).write_text(text, encoding="utf-8")

@@ -1,0 +1,174 @@
+"""WorkflowDocument: a workflow file read, overridden by `--set`, and checked for its keys."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from unicon_core.errors import WorkflowError, alternatives
+from unicon_core.located_yaml import Located, read_yaml
+from unicon_core.resources import find_config, list_config
+
+__all__ = ["KEYS", "WorkflowDocument", "load_document", "workflow_names"]
+
+SCHEMA = "unicon.workflow/1"
+
+KEYS = {
+    "schema": "unicon.workflow/1",
+    "name": "name of the workflow; the file's name unless given",
+    "description": "one line",
+    "robot": "robot file: name or path",
+    "platform": "platform's name: the one word that changes from simulation to the robot",
+    "platforms": "options by platform name",
+    "rate": "ticks per second [Hz]; the policy's period unless given",
+    "duration": "end of a run [s] unless --duration says otherwise",
+    "num_robots": "batch dimension",
+    "map": "message map: name or path",
+    "ros": "true to mirror to ROS 2 without being asked",
+    "states": "extra states: name to specification",
+    "policies": "name to policy: a path, or {path, given}",
+    "commands": "blocks that make commands, before ROS inputs may replace them",
+    "flow": "the graph",
+    "safety": "blocks between the flow and send",
+    "deferred": "blocks after send",
+    "pacing": "{trigger, overrun, spin_us, dry_run_us, realtime}",
+    "check": "settings of the preflight check",
+}
+
+
+@dataclass
+class WorkflowDocument:
+    """A workflow file's content.
+
+    Attributes:
+        name: name of the workflow.
+        values: the document with overrides applied.
+        located: the file, for `file:line`.
+        overridden: dotted paths that `--set` changed.
+    """
+
+    name: str
+    values: dict[str, Any]
+    located: Located
+    overridden: tuple[str, ...] = ()
+
+    @property
+    def path(self) -> Path:
+        """The file."""
+        return self.located.path
+
+    def where(self, *path: str | int) -> str:
+        """Return `file:line` of a value."""
+        dotted = ".".join(map(str, path))
+        if any(
+            dotted == set_path or dotted.startswith(set_path + ".") for set_path in self.overridden
+        ):
+            return f"--set {dotted}"
+        return self.located.where(path)
+
+    def error(self, message: str, *path: str | int) -> WorkflowError:
+        """Return the error for a value."""
+        return WorkflowError(message, self.where(*path))
+
+    def get(self, key: str, kind: type | tuple[type, ...], default: Any = None) -> Any:
+        """Return a top-level value of the kind wanted.
+
+        Raises:
+            WorkflowError: it is of another kind.
+        """
+        value = self.values.get(key)
+        if value is None:
+            return default
+        if not isinstance(value, kind) or (isinstance(value, bool) and kind in (int, (int, float))):
+            kinds = kind if isinstance(kind, tuple) else (kind,)
+            wanted = " or ".join(_KIND_NAMES.get(k, k.__name__) for k in kinds)
+            raise self.error(f"{key}: {value!r} is not a {wanted}", key)
+        return value
+
+
+_KIND_NAMES = {dict: "mapping", list: "list", str: "word", int: "number", float: "number"}
+
+
+def workflow_names() -> list[str]:
+    """Return the names of the workflows that `load_document` finds, sorted."""
+    return list_config("workflows")
+
+
+def load_document(
+    name_or_path: str | Path, overrides: Iterable[str] | Mapping[str, Any] = ()
+) -> WorkflowDocument:
+    """Read a workflow file.
+
+    Args:
+        name_or_path: a name in `config/workflows/`, or a path.
+        overrides: `path=value` texts as of `--set`, or a mapping of dotted paths to values.
+
+    Raises:
+        WorkflowError: no such file, broken YAML, an unknown key, a wrong override.
+    """
+    path = find_config("workflows", name_or_path, error=WorkflowError)
+    located = read_yaml(path, WorkflowError)
+    values = located.value
+    if not isinstance(values, dict):
+        raise WorkflowError("a workflow is a mapping with robot, platform and flow", f"{path}:1")
+    changed = []
+    pairs = overrides.items() if isinstance(overrides, Mapping) else map(_split, overrides)
+    for dotted, value in pairs:
+        _set(values, dotted, value)
+        changed.append(dotted)
+    document = WorkflowDocument(path.stem, values, located, tuple(changed))
+    for key in values:
+        if key not in KEYS:
+            raise document.error(f"unknown key {key!r}; {alternatives(str(key), KEYS)}", key)
+    schema = values.get("schema", SCHEMA)
+    if schema != SCHEMA:
+        raise document.error(
+            f"schema {schema!r} is not known; this version reads {SCHEMA}", "schema"
+        )
+    for key in ("robot", "platform", "flow"):
+        if values.get(key) is None:
+            raise document.error(f"the key {key!r} is missing: {KEYS[key]}")
+    document.name = str(document.get("name", str, path.stem))
+    return document
+
+
+def _split(text: str) -> tuple[str, Any]:
+    dotted, equals, value = text.partition("=")
+    if not equals or not dotted:
+        raise WorkflowError(
+            f"--set {text!r} has no '='; write --set path=value, as platform=mujoco"
+        )
+    try:
+        return dotted.strip(), yaml.safe_load(value)
+    except yaml.YAMLError as error:
+        raise WorkflowError(f"--set {dotted}: {value!r} is not valid YAML") from error
+
+
+def _set(values: dict[str, Any], dotted: str, value: Any) -> None:
+    """Set a value at a dotted path; missing mappings are made, list items go by number."""
+    here: Any = values
+    keys = dotted.split(".")
+    for depth, key in enumerate(keys):
+        last = depth == len(keys) - 1
+        if isinstance(here, list):
+            if not key.isdigit() or int(key) >= len(here):
+                raise WorkflowError(
+                    f"--set {dotted}: {key!r} is no place in a list of {len(here)}; "
+                    f"give a number from 0 to {len(here) - 1}"
+                )
+            place: Any = int(key)
+        elif isinstance(here, dict):
+            place = key
+        else:
+            parent = ".".join(keys[:depth])
+            raise WorkflowError(f"--set {dotted}: {parent} is {here!r}, which has no parts")
+        if last:
+            here[place] = value
+        else:
+            if isinstance(here, dict) and here.get(place) is None:
+                here[place] = {}
+            here = here[place]

@@ -1,0 +1,171 @@
+"""Flow in YAML: reads the `flow:` tree of a workflow file into nodes, block by block.
+
+    flow:
+      chain:
+        - pose: {to: stand, duration: 2.0}
+        - loop: {do: {policy: walk}, until: {elapsed: 10.0}}
+        - zip: [sway, {call: my_package.blocks:wave}]
+
+A word is a block without options; a mapping with one key is a block with its options, or one of
+zip, chain, loop, every, when, switch, deferred. A value that is no mapping is the first option.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, TypeAlias
+
+from unicon_core.errors import WorkflowError, alternatives
+from unicon_core.flow import Block, Chain, Deferred, Every, Loop, Node, Switch, When, Zip
+from unicon_core.workflow.document import WorkflowDocument
+from unicon_core.workflow.registry import known
+
+__all__ = ["FLOW_WORDS", "BlockUse", "FlowReader"]
+
+FLOW_WORDS = ("zip", "chain", "loop", "every", "when", "switch", "deferred")
+
+Where: TypeAlias = tuple[str | int, ...]
+
+
+@dataclass(frozen=True)
+class BlockUse:
+    """One mention of a block: its registered name, options, label, renamed states, `file:line`.
+
+    `first` is a single value given in place of options; the builder passes it to the factory's
+    first option.
+    """
+
+    name: str
+    options: dict[str, Any] = field(default_factory=dict)
+    first: Any = None
+    label: str = ""
+    rename: dict[str, str] = field(default_factory=dict)
+    where: str = ""
+
+
+class FlowReader:
+    """Reads a tree of YAML values into nodes.
+
+    Args:
+        document: the file, for `file:line`.
+        make_block: builds the block of one mention.
+        make_expression: builds a predicate of a text.
+        make_switch: builds the Switch of (selector, cases, blend in [s], where).
+    """
+
+    def __init__(
+        self,
+        document: WorkflowDocument,
+        make_block: Callable[[BlockUse], Node],
+        make_expression: Callable[[str, str], Block],
+        make_switch: Callable[[Block, dict[str, Node], float, str], Switch],
+    ) -> None:
+        self._document = document
+        self._make_block = make_block
+        self._make_expression = make_expression
+        self._make_switch = make_switch
+
+    def node(self, value: Any, path: Where) -> Node:
+        """Return the node of a YAML value.
+
+        Raises:
+            WorkflowError: the value is of no known form; with file and line.
+        """
+        if isinstance(value, list):
+            raise self._error(path, "a list stands alone; write chain: [...] or zip: [...]")
+        if isinstance(value, str):
+            return self._make_block(BlockUse(value, where=self._document.where(*path)))
+        if not isinstance(value, dict) or len(value) != 1:
+            keys = ", ".join(map(str, value)) if isinstance(value, dict) else repr(value)
+            raise self._error(
+                path, f"a block is a word or a mapping with one key, here: {keys or 'nothing'}"
+            )
+        ((word, body),) = value.items()
+        path = (*path, word)
+        if word in ("zip", "chain"):
+            if not isinstance(body, list) or not body:
+                raise self._error(path, f"{word}: needs a list of blocks")
+            children = [self.node(item, (*path, i)) for i, item in enumerate(body)]
+            where = self._document.where(*path)
+            return Zip(*children, where=where) if word == "zip" else Chain(*children, where=where)
+        if word == "deferred":
+            return Deferred(self.node(body, path), where=self._document.where(*path))
+        if word in FLOW_WORDS:
+            return self._control(word, body, path)
+        return self._make_block(self.use(str(word), body, path))
+
+    def use(self, name: str, body: Any, path: Where) -> BlockUse:
+        """Return the mention of a block with its options."""
+        where = self._document.where(*path)
+        if body is None:
+            return BlockUse(name, where=where)
+        if not isinstance(body, dict):
+            return BlockUse(name, first=body, where=where)
+        options = dict(body)
+        rename = options.pop("states", None) or {}
+        label = options.pop("name", "")
+        if not isinstance(rename, dict):
+            raise self._error(
+                path, f"block {name!r}: states: needs a mapping of parameter to state"
+            )
+        return BlockUse(name, options, None, str(label), rename, where)
+
+    def predicate(self, value: Any, path: Where) -> Block:
+        """Return the block of a predicate: an expression, a block's name, or a block."""
+        if isinstance(value, bool) or value is None:
+            raise self._error(path, f"{path[-1]}: needs a block or an expression over states")
+        if isinstance(value, (int, float)):
+            return self._make_expression(str(value), self._document.where(*path))
+        if isinstance(value, str) and value not in known("blocks") and ":" not in value:
+            return self._make_expression(value, self._document.where(*path))
+        node = self.node(value, path)
+        if not isinstance(node, Block):
+            raise self._error(path, f"{path[-1]}: needs a block or an expression, not a flow")
+        return node
+
+    def _control(self, word: str, body: Any, path: Where) -> Node:
+        forms = {
+            "loop": (("do",), ("until",)),
+            "every": (("n", "do"), ()),
+            "when": (("if", "do"), ()),
+            "switch": (("on", "cases"), ("blend",)),
+        }
+        needed, optional = forms[word]
+        shape = ", ".join([*(f"{key}: …" for key in needed), *(f"[{key}: …]" for key in optional)])
+        if not isinstance(body, dict):
+            raise self._error(path, f"{word}: needs {{{shape}}}")
+        for key in body:
+            if key not in needed and key not in optional:
+                known_keys = (*needed, *optional)
+                raise self._error(
+                    (*path, key), f"{word}: no key {key!r}; {alternatives(str(key), known_keys)}"
+                )
+        for key in needed:
+            if body.get(key) is None:
+                raise self._error(path, f"{word}: the key {key!r} is missing; it needs {{{shape}}}")
+        where = self._document.where(*path)
+        if word == "switch":
+            return self._switch(body, path, where)
+        child = self.node(body["do"], (*path, "do"))
+        if word == "every":
+            return Every(body["n"], child, where=where)
+        if word == "when":
+            return When(self.predicate(body["if"], (*path, "if")), child, where=where)
+        until = body.get("until")
+        stop = None if until is None else self.predicate(until, (*path, "until"))
+        return Loop(child, stop, where=where)
+
+    def _switch(self, body: dict[str, Any], path: Where, where: str) -> Node:
+        cases = body["cases"]
+        if not isinstance(cases, dict) or not cases:
+            raise self._error((*path, "cases"), "switch: cases: needs a mapping of name to block")
+        blend = body.get("blend", 0.0)
+        if isinstance(blend, bool) or not isinstance(blend, (int, float)) or blend < 0:
+            raise self._error((*path, "blend"), f"switch: blend: {blend!r} is no time >= 0 in [s]")
+        nodes = {str(name): self.node(case, (*path, "cases", name)) for name, case in cases.items()}
+        selector = self.predicate(body["on"], (*path, "on"))
+        return self._make_switch(selector, nodes, float(blend), where)
+
+    def _error(self, path: Where, message: str) -> WorkflowError:
+        return self._document.error(message, *path)

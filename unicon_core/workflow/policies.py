@@ -1,0 +1,87 @@
+"""Policies of a workflow: loads the contracts and gives each mention of one its block."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from unicon_core.errors import PolicyError, WorkflowError, alternatives
+from unicon_core.policies import PolicyContract, load_policy, make_policy, policy_states
+from unicon_core.robots import Robot
+from unicon_core.states import StateSpec
+from unicon_core.workflow.autowire import BuildContext
+from unicon_core.workflow.document import WorkflowDocument
+from unicon_core.workflow.flow_yaml import BlockUse
+
+__all__ = ["declared_states", "load_policies", "policy_factory"]
+
+
+def load_policies(document: WorkflowDocument, robot: Robot) -> dict[str, PolicyContract]:
+    """Load the contracts under `policies:`.
+
+    Raises:
+        PolicyError: a policy is missing, incomplete or contradictory.
+        WorkflowError: an entry is of no known form.
+    """
+    contracts = {}
+    for name, entry in document.get("policies", dict, {}).items():
+        values = {"path": entry} if isinstance(entry, str) else entry
+        if not isinstance(values, dict) or not isinstance(values.get("path"), str):
+            raise document.error(
+                f"policy {name!r}: needs a path, or a mapping {{path: …, given: …}}",
+                "policies",
+                name,
+            )
+        for key in values:
+            if key not in ("path", "given"):
+                raise document.error(
+                    f"policy {name!r}: unknown key {key!r}; known: path, given",
+                    "policies",
+                    name,
+                    key,
+                )
+        beside = document.path.parent / values["path"]
+        path: str | Path = values["path"]
+        if "/" in values["path"] and beside.exists():
+            path = beside
+        try:
+            contracts[str(name)] = load_policy(path, robot=robot, given=values.get("given") or {})
+        except PolicyError as error:
+            raise PolicyError(f"policy {name!r}: {error}") from error
+    return contracts
+
+
+def used_policy(use: BlockUse, policies: Mapping[str, Any]) -> str:
+    """Return the name of the policy that a `policy` block mentions.
+
+    Raises:
+        WorkflowError: none is named, or it is not under `policies:`.
+    """
+    name = use.options.get("use", use.first)
+    if name is None and len(policies) == 1:
+        return next(iter(policies))
+    if not isinstance(name, str) or name not in policies:
+        declared = alternatives(str(name), policies)
+        raise WorkflowError(
+            f"no policy {name!r} under 'policies:'; {declared}; write policy: NAME", use.where
+        )
+    return name
+
+
+def declared_states(
+    document: WorkflowDocument, use: BlockUse, policies: Mapping[str, Any], robot: Robot
+) -> dict[str, StateSpec]:
+    """Return the states that a policy block needs beyond the standard ones."""
+    return policy_states(policies[used_policy(use, policies)], robot)
+
+
+def policy_factory(use: BlockUse, policies: Mapping[str, Any]) -> Callable[..., Any]:
+    """Return the factory of the block that runs the mentioned policy."""
+    contract = policies[used_policy(use, policies)]
+
+    def policy(context: BuildContext, use: str = "") -> Any:
+        return make_policy(contract, context.states, context.robot)
+
+    # Annotations are text here; the autowiring evaluates them in this module.
+    return policy

@@ -1,0 +1,317 @@
+"""Workflow: a workflow file built into states, platform and a compiled graph, for the runner."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from unicon_core.errors import PlatformError, UniconError, WorkflowError, alternatives
+from unicon_core.flow import Blender, Block, Deferred, Every, Node, Switch, Zip
+from unicon_core.platforms.platform import Platform
+from unicon_core.robots import Robot, load_robot
+from unicon_core.states import Layout, States, StateSpec, standard_states
+from unicon_core.states.standard import COMMAND_STATES
+from unicon_core.workflow.autowire import BuildContext, autowire, option_names
+from unicon_core.workflow.document import WorkflowDocument, load_document
+from unicon_core.workflow.expression import expression
+from unicon_core.workflow.flow_yaml import BlockUse, FlowReader
+from unicon_core.workflow.policies import (
+    declared_states,
+    load_policies,
+    policy_factory,
+    used_policy,
+)
+from unicon_core.workflow.registry import Factory, find_factory
+
+__all__ = ["Hook", "Workflow", "build_workflow", "load_workflow"]
+
+Hook = Callable[["Workflow"], Sequence[Block]]
+"""Builds blocks once states and platform exist: a bridge, a recorder, a viewer."""
+
+DEFAULT_SAFETY: tuple[Any, ...] = ("finite", "joint_limits")
+
+
+@dataclass
+class Workflow:
+    """A built workflow.
+
+    Attributes:
+        document: the file it was built from.
+        robot: the robot file.
+        platform: the built platform.
+        states: all states.
+        period: tick period in [s].
+        policies: name to policy contract.
+        root: the whole tree: recv, commands, inputs, flow, safety, send, deferred.
+        blocks: all blocks in order of building, for closing.
+    """
+
+    document: WorkflowDocument
+    robot: Robot
+    platform: Platform
+    states: States
+    period: float
+    policies: Mapping[str, Any]
+    context: BuildContext
+    root: Node = field(init=False)
+    blocks: list[Block] = field(default_factory=list)
+
+    @property
+    def name(self) -> str:
+        """Name of the workflow."""
+        return self.document.name
+
+    def close(self) -> None:
+        """Close the platform first (it damps), then the blocks in reverse order of building."""
+        errors: list[Exception] = []
+        closers: list[Callable[[], object]] = [self.platform.close]
+        closers += [block.close for block in reversed(self.blocks) if block.close is not None]
+        for close in closers:
+            try:
+                close()
+            except Exception as error:  # everything is closed, then the first error is told
+                errors.append(error)
+        if errors:
+            raise errors[0]
+
+
+def load_workflow(
+    name_or_path: str | Path,
+    overrides: Iterable[str] | Mapping[str, Any] = (),
+    *,
+    inputs: Sequence[Hook] = (),
+    observers: Sequence[Hook] = (),
+) -> Workflow:
+    """Read and build a workflow.
+
+    Args:
+        name_or_path: a name in `config/workflows/`, or a path.
+        overrides: `path=value` texts as of `--set`, or a mapping.
+        inputs: hooks whose blocks run after `commands:` and before `flow:`.
+        observers: hooks whose blocks run after `send`.
+
+    Raises:
+        UniconError: anything that the user can mend; one line with culprit and remedy.
+    """
+    return build_workflow(
+        load_document(name_or_path, overrides), inputs=inputs, observers=observers
+    )
+
+
+def build_workflow(
+    document: WorkflowDocument,
+    *,
+    inputs: Sequence[Hook] = (),
+    observers: Sequence[Hook] = (),
+) -> Workflow:
+    """Build a workflow; see `load_workflow`."""
+    robot = load_robot(_reference(document, "robot"))
+    policies = load_policies(document, robot)
+    period = _period(document, policies)
+    specs = _specs(document, robot, policies)
+    num_robots = document.get("num_robots", int)
+    states = States(Layout(specs, num_robots))
+    context = BuildContext(states, robot, period, policies, document.path.parent)
+    platform = _platform(document, context)
+    workflow = Workflow(document, robot, platform, states, period, policies, context)
+    try:
+        _assemble(workflow, inputs, observers)
+    except BaseException:
+        workflow.close()
+        raise
+    return workflow
+
+
+def _assemble(workflow: Workflow, inputs: Sequence[Hook], observers: Sequence[Hook]) -> None:
+    document = workflow.document
+    reader = _reader(workflow)
+
+    def section(key: str, default: Sequence[Any] = ()) -> list[Node]:
+        items = document.get(key, list, list(default))
+        return [reader.node(item, (key, i)) for i, item in enumerate(items)]
+
+    platform = workflow.platform
+    recv = Block("recv", platform.recv, writes=tuple(platform.writes), role="recv")
+    send = Block("send", platform.send, reads=tuple(platform.reads), role="send")
+    commands = section("commands")
+    flow = reader.node(document.values["flow"], ("flow",))
+    safety = section("safety", DEFAULT_SAFETY)
+    for node in safety:
+        if isinstance(node, Block):
+            node.role = "safety"
+    after = [Deferred(node) for node in section("deferred")]
+
+    def hooked(hooks: Sequence[Hook]) -> list[Block]:
+        blocks = [block for hook in hooks for block in hook(workflow)]
+        workflow.blocks += blocks
+        return blocks
+
+    observed = [Deferred(block) for block in hooked(observers)]
+    workflow.root = Zip(recv, *commands, *hooked(inputs), flow, *safety, send, *after, *observed)
+
+
+def _reference(document: WorkflowDocument, key: str) -> str | Path:
+    """Return a robot's name, or its path relative to the workflow file."""
+    text: str = document.get(key, str)
+    beside = document.path.parent / text
+    return beside if "/" in text and beside.is_file() else text
+
+
+def _period(document: WorkflowDocument, policies: Mapping[str, Any]) -> float:
+    rate = document.get("rate", (int, float))
+    if rate is not None:
+        if not 0.0 < rate <= 10_000.0:
+            raise document.error(f"rate: {rate!r} is not between 0 and 10000 Hz", "rate")
+        return 1.0 / float(rate)
+    periods = {contract.period for contract in policies.values()}
+    if len(periods) != 1:
+        said = f"the policies say {sorted(periods)} s" if periods else "no policy says a period"
+        raise document.error(f"the key 'rate' is missing and {said}; give rate: HZ")
+    return float(periods.pop())
+
+
+def _specs(
+    document: WorkflowDocument, robot: Robot, policies: Mapping[str, Any]
+) -> dict[str, StateSpec]:
+    specs = standard_states(robot.joint_names)
+    given = document.get("states", dict, {})
+    for name, values in given.items():
+        try:
+            specs[name] = StateSpec.from_dict(values or {})
+        except (UniconError, TypeError) as error:
+            raise document.error(f"state {name!r}: {error}", "states", name) from error
+    for use in _uses(document):
+        if use.name == "policy":
+            specs |= declared_states(document, use, policies, robot)
+            continue
+        factory = _factory(use)
+        declares = getattr(factory, "declares", None)
+        if declares is not None:
+            for name, spec in declares(robot=robot, **_options(factory, use)).items():
+                specs.setdefault(use.rename.get(name, name), spec)
+    return specs
+
+
+def _uses(document: WorkflowDocument) -> list[BlockUse]:
+    """Return all mentions of blocks, read with a builder that only writes them down."""
+    found: list[BlockUse] = []
+
+    def note(use: BlockUse) -> Block:
+        found.append(use)
+        return Block(use.name, bool)
+
+    def predicate(text: str, where: str) -> Block:
+        return Block(text, bool, where=where)
+
+    def switch(selector: Block, cases: dict[str, Node], blend: float, where: str) -> Switch:
+        return Switch(selector, cases, where=where)
+
+    reader = FlowReader(document, note, predicate, switch)
+    reader.node(document.values["flow"], ("flow",))
+    for key in ("commands", "safety", "deferred"):
+        for i, item in enumerate(document.get(key, list, [])):
+            reader.node(item, (key, i))
+    return found
+
+
+def _factory(use: BlockUse) -> Factory:
+    name = use.options.get("function", use.first) if use.name == "call" else use.name
+    try:
+        return find_factory("blocks", str(name), WorkflowError)
+    except WorkflowError as error:
+        raise WorkflowError(str(error), use.where) from error
+
+
+def _options(factory: Factory, use: BlockUse) -> dict[str, Any]:
+    options = dict(use.options)
+    if use.name == "call":
+        options.pop("function", None)
+        return options
+    if use.first is not None:
+        free = option_names(factory)
+        names = [name for name in inspect.signature(factory).parameters if name in free]
+        if not names:
+            raise WorkflowError(
+                f"block {use.name!r} has no options, here: {use.first!r}", use.where
+            )
+        options[names[0]] = use.first
+    return options
+
+
+def _reader(workflow: Workflow) -> FlowReader:
+    context, document = workflow.context, workflow.document
+
+    def make_block(use: BlockUse) -> Node:
+        is_policy = use.name == "policy"
+        factory = policy_factory(use, context.policies) if is_policy else _factory(use)
+        block = autowire(
+            factory,
+            use.label or use.name,
+            context,
+            _options(factory, use),
+            use.rename,
+            use.where,
+        )
+        workflow.blocks.append(block)
+        return _at_its_period(block, workflow, use) if is_policy else block
+
+    def make_expression(text: str, where: str) -> Block:
+        return expression(text, workflow.states, where)
+
+    def make_switch(selector: Block, cases: dict[str, Node], blend: float, where: str) -> Switch:
+        blender = Blender({name: workflow.states[name] for name in COMMAND_STATES})
+        ticks = round(blend / workflow.period)
+        return Switch(selector, cases, blend=ticks, blender=blender, where=where)
+
+    return FlowReader(document, make_block, make_expression, make_switch)
+
+
+def _at_its_period(block: Block, workflow: Workflow, use: BlockUse) -> Node:
+    """Run a policy every n-th tick where the workflow ticks faster than it was trained for."""
+    contract = workflow.policies[used_policy(use, workflow.policies)]
+    ticks = contract.period / workflow.period
+    n = round(ticks)
+    if n < 1 or abs(ticks - n) > 1e-6 * n:
+        rate, wanted = 1.0 / workflow.period, 1.0 / contract.period
+        raise WorkflowError(
+            f"policy {contract.name!r} was trained for {wanted:g} Hz, which does not divide the "
+            f"workflow's rate of {rate:g} Hz; set rate: {wanted:g} or a multiple",
+            use.where,
+        )
+    return Every(n, block, where=use.where) if n > 1 else block
+
+
+def _platform(document: WorkflowDocument, context: BuildContext) -> Platform:
+    name = document.get("platform", str)
+    factory = find_factory("platforms", name, PlatformError)
+    options = document.get("platforms", dict, {}).get(name) or {}
+    if not isinstance(options, dict):
+        raise document.error(
+            f"platforms.{name}: {options!r} is not a mapping of options", "platforms", name
+        )
+    free = option_names(factory)
+    for option in options:
+        if option not in free:
+            raise document.error(
+                f"platform {name!r} has no option {option!r}; {alternatives(option, free)}",
+                "platforms",
+                name,
+                option,
+            )
+    arguments = dict(options)
+    if "relative_to" in _parameters(factory):
+        arguments["relative_to"] = context.relative_to
+    try:
+        platform: Platform = factory(context.states, context.robot, context.period, **arguments)
+    except (TypeError, ValueError) as error:
+        raise document.error(
+            f"platform {name!r}: {error}; correct platforms.{name}", "platforms", name
+        ) from error
+    return platform
+
+
+def _parameters(factory: Factory) -> Sequence[str]:
+    return list(inspect.signature(factory).parameters)
