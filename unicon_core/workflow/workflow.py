@@ -301,7 +301,7 @@ def _platform(document: WorkflowDocument, context: BuildContext) -> Platform:
                 name,
                 option,
             )
-    arguments = dict(options)
+    arguments = {key: _pose_of(value, document, context) for key, value in options.items()}
     if "relative_to" in _parameters(factory):
         arguments["relative_to"] = context.relative_to
     try:
@@ -311,6 +311,19 @@ def _platform(document: WorkflowDocument, context: BuildContext) -> Platform:
             f"platform {name!r}: {error}; correct platforms.{name}", "platforms", name
         ) from error
     return platform
+
+
+def _pose_of(value: Any, document: WorkflowDocument, context: BuildContext) -> Any:
+    """Return `policy:NAME` as that policy's default pose, joint to [rad]; else the value."""
+    if not isinstance(value, str) or not value.startswith("policy:"):
+        return value
+    name = value.removeprefix("policy:")
+    if name not in context.policies:
+        raise document.error(
+            f"{value!r}: no policy {name!r}; {alternatives(name, context.policies)}", "platforms"
+        )
+    contract = context.policies[name]
+    return dict(zip(contract.joints, map(float, contract.default_joint_pos)))
 
 
 def _parameters(factory: Factory) -> Sequence[str]:

@@ -1,0 +1,50 @@
+"""`unicon show WORKFLOW`: graph, states and tables of a workflow, without running it."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from unicon_core.errors import UniconError
+from unicon_ros.cli.workflow_arguments import add_workflow
+
+__all__ = ["add", "show"]
+
+
+def add(commands: Any) -> None:
+    """Add the command to the parser."""
+    parser = commands.add_parser("show", help="show graph and states", description=__doc__)
+    add_workflow(parser)
+    form = parser.add_mutually_exclusive_group()
+    form.add_argument("--source", action="store_true", help="the compiled step as Python")
+    form.add_argument("--mermaid", action="store_true", help="the graph as Mermaid")
+    form.add_argument("--svg", metavar="FILE", help="the graph as SVG, written to FILE")
+    parser.set_defaults(function=show)
+
+
+def show(arguments: argparse.Namespace) -> int:
+    """Run the command."""
+    from unicon_core.show import show_mermaid, show_svg, show_text
+
+    from unicon_core.flow import compile_graph
+    from unicon_core.workflow import load_workflow
+
+    workflow = load_workflow(arguments.workflow, arguments.overrides)
+    try:
+        facts = (workflow.root, workflow.states, workflow.critical)
+        if arguments.source:
+            print(compile_graph(workflow.root).source, end="")
+        elif arguments.mermaid:
+            print(show_mermaid(*facts))
+        elif arguments.svg:
+            try:
+                Path(arguments.svg).write_text(show_svg(*facts), encoding="utf-8")
+            except OSError as error:
+                raise UniconError(f"cannot write {arguments.svg}: {error.strerror}") from error
+            print(arguments.svg)
+        else:
+            print(show_text(*facts, robot=workflow.robot, policies=workflow.policies))
+    finally:
+        workflow.close()
+    return 0
