@@ -1,0 +1,37 @@
+"""Policies: networks with their contracts, from whatever format, as blocks."""
+
+from unicon_core.policies.contract import (
+    ActionSpec,
+    ObservationSpec,
+    ObservationTerm,
+    PhaseSpec,
+    PolicyContract,
+    Recurrent,
+)
+from unicon_core.policies.load import ImportReport, import_policy, load_policy, policy_names
+from unicon_core.policies.observation import Observation, TermSlice, term_slices
+from unicon_core.policies.onnx_block import OnnxPolicy
+from unicon_core.policies.phase import GaitPhase
+from unicon_core.policies.policy_states import policy_states
+from unicon_core.policies.policy_yaml import load_policy_yaml, write_policy_yaml
+
+__all__ = [
+    "ActionSpec",
+    "GaitPhase",
+    "ImportReport",
+    "Observation",
+    "ObservationSpec",
+    "ObservationTerm",
+    "OnnxPolicy",
+    "PhaseSpec",
+    "PolicyContract",
+    "Recurrent",
+    "TermSlice",
+    "import_policy",
+    "load_policy",
+    "load_policy_yaml",
+    "policy_names",
+    "policy_states",
+    "term_slices",
+    "write_policy_yaml",
+]

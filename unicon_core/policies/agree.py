@@ -1,0 +1,69 @@
+"""Do two sources of one policy say the same? Policy and configuration must not drift apart."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from unicon_core.policies.facts import Facts
+
+__all__ = ["check_agreement"]
+
+_VECTORS = ("default_joint_pos", "stiffness", "damping", "action.scale")
+
+
+def check_agreement(facts: Facts, other: Facts) -> None:
+    """Compare what a file says with the metadata of the network that it names, joint by joint.
+
+    Args:
+        facts: what is going to be used.
+        other: what the network's metadata say.
+
+    Raises:
+        PolicyError: a joint's number differs by more than the rounding of both sources.
+    """
+    joints, names = facts.values.get("joints"), other.values.get("joints")
+    if not isinstance(joints, list) or not isinstance(names, list):
+        return
+    unknown = [name for name in joints if name not in names]
+    if unknown:
+        raise facts.error(
+            ("joints",),
+            f"joint {unknown[0]!r} is not in the metadata of {other.path.name}, which has "
+            f"{', '.join(map(str, names))}; contract and network do not belong together",
+        )
+    for key in _VECTORS:
+        mine, theirs = _by_joint(facts.values, key, joints), _by_joint(other.values, key, names)
+        if mine is None or theirs is None:
+            continue
+        for joint in joints:
+            a, b = mine.get(joint), theirs.get(joint)
+            if a is None or b is None:
+                continue
+            relative = max(facts.tolerance[0], other.tolerance[0])
+            absolute = max(facts.tolerance[1], other.tolerance[1])
+            if not np.isclose(a, b, rtol=relative, atol=absolute):
+                raise facts.error(
+                    tuple(key.split(".")),
+                    f"{key} of {joint} is {a:g} here and {b:g} in the metadata of "
+                    f"{other.path.name}; correct one of them, or export both again",
+                )
+
+
+def _by_joint(values: Mapping[str, Any], key: str, joints: list[str]) -> dict[str, float] | None:
+    value: Any = values
+    for part in key.split("."):
+        value = value.get(part) if isinstance(value, Mapping) else None
+    if key == "action.scale":
+        moved = values.get("action", {}).get("joints")
+        joints = moved if isinstance(moved, list) else joints
+    if isinstance(value, (int, float)) and not isinstance(value, bool):
+        return dict.fromkeys(joints, float(value))
+    if isinstance(value, (list, tuple)) and len(value) == len(joints):
+        try:
+            return {joint: float(v) for joint, v in zip(joints, value)}
+        except (TypeError, ValueError):
+            return None
+    return None

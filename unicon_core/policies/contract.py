@@ -1,0 +1,180 @@
+"""PolicyContract: what a trained network leaves unsaid, for the policy block, checks and tables.
+
+The canonical form of `policy.yaml`; every importer ends here. One observation term is
+`scale · clip(state[index] − subtract)`; the command is
+`joint_pos_target = offset + scale · clip(action)`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = [
+    "ActionSpec",
+    "ObservationSpec",
+    "ObservationTerm",
+    "PhaseSpec",
+    "PolicyContract",
+    "Recurrent",
+]
+
+Floats = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class ObservationTerm:
+    """A part of the network's input: `scale · clip(state[index] − subtract)`.
+
+    Attributes:
+        name: the training side's name.
+        state: the state that it is taken from; joint states are taken in policy order.
+        index: elements of the state (for joint states: of the policy order), or None for all.
+        subtract: what is taken off before clipping, unit of the state: `"default_joint_pos"`,
+            numbers of shape (1,) or (d,), or None.
+        scale: factor after clipping, shape (1,) or (d,).
+        clip: lowest and highest value before scaling, shape (2, 1) or (2, d), or None.
+        history: number of frames that the network sees, at least 1.
+    """
+
+    name: str
+    state: str
+    index: tuple[int, ...] | None = None
+    subtract: str | Floats | None = None
+    scale: Floats = field(default_factory=lambda: np.ones(1, np.float32))
+    clip: Floats | None = None
+    history: int = 1
+
+
+@dataclass(frozen=True, eq=False)
+class ObservationSpec:
+    """The network's input vector.
+
+    Attributes:
+        terms: in the order of the input; empty where the network takes states one by one.
+        layout: `term_major` (each term's whole history together) or `frame_major` (whole frames).
+        newest: where the newest frame stands in a history.
+        start: what the older frames hold after a reset: the `first` observation, or `zeros`.
+    """
+
+    terms: tuple[ObservationTerm, ...]
+    layout: Literal["term_major", "frame_major"] = "term_major"
+    newest: Literal["first", "last"] = "last"
+    start: Literal["first", "zeros"] = "first"
+
+
+@dataclass(frozen=True, eq=False)
+class ActionSpec:
+    """What the network's output means: `joint_pos_target = offset + scale · clip(action)`.
+
+    Attributes:
+        joints: the joints that are moved, in output order; a subset of the policy's joints.
+        scale: in [rad] for one unit of action, shape (m,).
+        offset: in [rad], shape (m,).
+        clip: lowest and highest action, shape (2, m), or None.
+        feedback: what the state `action`, and so the term `last_action`, holds: the network's
+            `raw` output or the `clipped` one.
+    """
+
+    joints: tuple[str, ...]
+    scale: Floats
+    offset: Floats
+    clip: Floats | None = None
+    feedback: Literal["raw", "clipped"] = "raw"
+
+
+@dataclass(frozen=True)
+class Recurrent:
+    """A state tensor of the network that is fed back: `output` of one call is the next `input`."""
+
+    input: str
+    output: str
+
+
+@dataclass(frozen=True)
+class PhaseSpec:
+    """The gait clock behind `gait_phase_sin` and `gait_phase_cos`.
+
+    Attributes:
+        period: of the gait in [s].
+        offsets: start of each phase in [rad], such as (0, π) for two legs.
+        stand: value of all phases while the command is zero in [rad], or None to keep running.
+        stand_below: the command counts as zero below this ([m/s] and [rad/s]).
+        command: state with vx, vy, wz.
+    """
+
+    period: float
+    offsets: tuple[float, ...] = (0.0, float(np.pi))
+    stand: float | None = None
+    stand_below: float = 0.01
+    command: str = "velocity_command"
+
+
+@dataclass(frozen=True, eq=False)
+class PolicyContract:
+    """A network and everything that is needed to run it as it was trained.
+
+    Attributes:
+        name: of the policy.
+        path: the file that the contract was read from.
+        model: the network: `.onnx`, or `.pt` for TorchScript.
+        period: control period in [s].
+        joints: the policy's joint order, length n; every joint array below is in this order.
+        default_joint_pos: pose that relative positions refer to in [rad], shape (n,).
+        action: meaning of the output.
+        stiffness: proportional gains in [N·m/rad], shape (n,).
+        damping: derivative gains in [N·m·s/rad], shape (n,).
+        observation: the input vector.
+        inputs: `observation` or the name of a state -> name of the network's input.
+        outputs: `action` -> name of the network's output; further states may be written.
+        recurrent: state tensors that are fed back.
+        command_ranges: `lin_vel_x`, … -> lowest and highest trained command.
+        phase: the gait clock, or None.
+        robot: the robot it was trained for, for information.
+        sha256: of the network's file, or None.
+        source: the format that it came from.
+        notes: what whoever runs it should know, such as rounding of the source.
+    """
+
+    name: str
+    path: Path
+    model: Path
+    period: float
+    joints: tuple[str, ...]
+    default_joint_pos: Floats
+    action: ActionSpec
+    stiffness: Floats
+    damping: Floats
+    observation: ObservationSpec
+    inputs: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
+    outputs: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
+    recurrent: tuple[Recurrent, ...] = ()
+    command_ranges: Mapping[str, tuple[float, float]] = field(
+        default_factory=lambda: MappingProxyType({})
+    )
+    phase: PhaseSpec | None = None
+    robot: str | None = None
+    sha256: str | None = None
+    source: str = "policy.yaml"
+    notes: tuple[str, ...] = ()
+
+    @property
+    def terms(self) -> tuple[ObservationTerm, ...]:
+        """The observation's terms in the order of the input."""
+        return self.observation.terms
+
+    @property
+    def is_torchscript(self) -> bool:
+        """Whether the network is a TorchScript file."""
+        return self.model.suffix in (".pt", ".pth", ".jit")
+
+    def policy_from_action(self) -> NDArray[np.intp]:
+        """Return where each moved joint stands in the policy order, shape (m,)."""
+        place = {name: i for i, name in enumerate(self.joints)}
+        return np.array([place[name] for name in self.action.joints], dtype=np.intp)

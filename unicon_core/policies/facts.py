@@ -1,0 +1,263 @@
+"""What a source says of a policy, before anything is built: for importers and `load_policy`.
+
+`values` has the shape of `policy.yaml` and holds only what was said; nothing is guessed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from unicon_core.errors import PolicyError, alternatives
+from unicon_core.policies.located_yaml import Where
+
+__all__ = ["Facts", "dotted", "merge_given", "missing_facts", "term_state"]
+
+# Name of a term on the training side -> where its values come from. A plain `joint_pos` is relative
+# as a term of BeyondMimic, mjlab and holosoma, and absolute as a function of Isaac Lab and Unitree.
+_STATES: dict[str, tuple[str, ...]] = {
+    "base_ang_vel": ("base_ang_vel", "ang_vel", "gyro"),
+    "base_lin_vel": ("base_lin_vel", "lin_vel", "linvel"),
+    "projected_gravity": ("projected_gravity", "gravity"),
+    "velocity_command": (
+        "velocity_commands",
+        "velocity_command",
+        "command",
+        "commands",
+        "generated_commands",
+    ),
+    "joint_pos": ("joint_pos", "joint_pos_rel", "dof_pos"),
+    "joint_vel": ("joint_vel", "joint_vel_rel", "dof_vel"),
+    "action": ("actions", "last_action", "action"),
+    "gait_phase": ("gait_phase",),
+    "gait_phase_sin": ("sin_phase",),
+    "gait_phase_cos": ("cos_phase",),
+}
+_TERMS = {name: {"state": state} for state, names in _STATES.items() for name in names}
+_PARTS: dict[str, dict[str, Any]] = {
+    "command_lin_vel": {"state": "velocity_command", "index": [0, 1]},
+    "command_ang_vel": {"state": "velocity_command", "index": [2]},
+}
+
+# Facts without which a policy cannot run, and what each is, for messages.
+_NEEDED = {
+    "period": "the control period in [s]",
+    "joints": "the joint names in policy order",
+    "default_joint_pos": "the default pose in [rad], policy order",
+    "stiffness": "in [N·m/rad], policy order",
+    "damping": "in [N·m·s/rad], policy order",
+    "action.scale": "in [rad], one number or one for each joint",
+    "observation.terms": "the terms of the network's input, in order",
+}
+
+
+@dataclass
+class Facts:
+    """What one source says.
+
+    Attributes:
+        path: the source's file, named in errors.
+        source: its format, such as `Unitree deploy.yaml`.
+        values: `policy.yaml`-shaped values, only those that were said.
+        lines: line of a value in `path`, by its path of keys in `values`; empty without lines.
+        keys: the source's own word for a value, by the same path.
+        asks: dotted names of facts that the source leaves out beyond those always needed.
+        notes: what to tell the user, such as rounding.
+        tolerance: relative and absolute rounding of the source's numbers.
+    """
+
+    path: Path
+    source: str
+    values: dict[str, Any] = field(default_factory=dict)
+    lines: dict[Where, int] = field(default_factory=dict)
+    keys: dict[Where, str] = field(default_factory=dict)
+    asks: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    tolerance: tuple[float, float] = (1e-6, 1e-9)
+
+    def error(self, where: Where, message: str) -> PolicyError:
+        """Return the error with `file:line` of a value, or of its parent if it has no line."""
+        place = where
+        while place and place not in self.lines:
+            place = place[:-1]
+        line = f":{self.lines[place]}" if place in self.lines else ""
+        return PolicyError(f"{self.path}{line}: {message}")
+
+
+def term_state(name: str, *, absolute: bool = False) -> dict[str, Any]:
+    """Return `state` (and `index`, `subtract`) of a term's usual name, empty if it is unknown.
+
+    Args:
+        name: the training side's name.
+        absolute: whether a plain `joint_pos` means the position itself.
+    """
+    term: dict[str, Any] = dict(_TERMS.get(name, _PARTS.get(name, {})))
+    if term.get("state") == "joint_pos" and not (absolute and name == "joint_pos"):
+        term["subtract"] = "default_joint_pos"
+    return term
+
+
+def dotted(where: Where) -> str:
+    """Return a path of keys as `observation.terms[3].scale`."""
+    text = ""
+    for key in where:
+        text += f"[{key}]" if isinstance(key, int) else f".{key}" if text else str(key)
+    return text
+
+
+def missing_facts(facts: Facts) -> dict[str, str]:
+    """Return the facts that are needed and not known: dotted name -> what it is."""
+    missing = {}
+    for name, meaning in _NEEDED.items():
+        value: Any = facts.values
+        for key in name.split("."):
+            value = value.get(key) if isinstance(value, Mapping) else None
+        if value is not None and not (name == "observation.terms" and value == []):
+            continue
+        if name == "observation.terms" and not _has_observation(facts.values):
+            continue
+        missing[name] = meaning
+    observation = facts.values.get("observation")
+    terms = observation.get("terms", []) if isinstance(observation, Mapping) else []
+    for term in terms if isinstance(terms, list) else []:
+        if isinstance(term, Mapping) and "name" in term and term.get("state") is None:
+            missing[f"observation.terms.{term['name']}.state"] = "the state that it is taken from"
+    for name in facts.asks:
+        missing.setdefault(name, _ASKED.get(name, ""))
+    return missing
+
+
+_ASKED = {
+    "observation.scale": "one factor for every term, or scale of single terms",
+    "observation.layout": "term_major or frame_major",
+    "observation.newest": "last or first",
+    "phase": "the gait clock: period in [s], offsets in [rad]",
+    "inputs": "observation or a state -> input of the network",
+    "outputs": "action -> output of the network",
+}
+
+
+def _has_observation(values: Mapping[str, Any]) -> bool:
+    inputs = values.get("inputs")
+    return not isinstance(inputs, Mapping) or "observation" in inputs
+
+
+def merge_given(facts: Facts, given: Mapping[str, Any]) -> None:
+    """Add facts that the user gives; a fact that the source says otherwise is refused.
+
+    Args:
+        facts: changed in place.
+        given: keys of `policy.yaml`, nested or dotted (`action.scale`); `observation.terms` may be
+            a mapping from a term's name to what is to be added, and `observation.scale` one factor
+            for every term whose scale was not said.
+
+    Raises:
+        PolicyError: a given fact contradicts the source, or names no term.
+    """
+    nested: dict[str, Any] = {}
+    for key, value in given.items():
+        place = nested
+        *path, last = str(key).split(".")
+        for step in path:
+            place = place.setdefault(step, {})
+        if isinstance(value, Mapping) and isinstance(place.get(last), dict):
+            place[last].update(value)
+        else:
+            place[last] = dict(value) if isinstance(value, Mapping) else value
+    observation = nested.get("observation")
+    if isinstance(observation, dict):
+        nested["observation"] = observation = dict(observation)
+        _merge_terms(facts, observation)
+    _merge(facts, facts.values, nested, ())
+    facts.asks = [name for name in facts.asks if not _answered(name, nested, facts.values)]
+
+
+def _answered(name: str, given: Mapping[str, Any], values: Mapping[str, Any]) -> bool:
+    for tree in (given, values):
+        value: Any = tree
+        for key in name.split("."):
+            value = value.get(key) if isinstance(value, Mapping) else None
+        if value is not None:
+            return True
+    if name == "observation.scale":
+        terms = values.get("observation", {}).get("terms", [])
+        return bool(terms) and all("scale" in term for term in terms)
+    return False
+
+
+def _merge_terms(facts: Facts, observation: dict[str, Any]) -> None:
+    """Bring given terms into the source's list of terms, by name."""
+    given = observation.pop("terms", None)
+    target = facts.values.setdefault("observation", {})
+    terms = target.get("terms")
+    if given is not None and not terms:
+        if isinstance(given, Mapping):
+            raise PolicyError(
+                f"{facts.path}: given observation.terms changes terms by name, and the "
+                f"{facts.source} has none; give the whole list of terms in order"
+            )
+        target["terms"] = terms = list(given)
+    elif given is not None and terms:
+        names = [term.get("name") for term in terms]
+        if isinstance(given, Sequence):
+            order = [item.get("name") if isinstance(item, Mapping) else item for item in given]
+            if order != names:
+                raise PolicyError(
+                    f"{facts.path}: given observation.terms are {', '.join(map(str, order))} but "
+                    f"the {facts.source} says {', '.join(map(str, names))}; name the same terms in "
+                    "the same order, or correct the file"
+                )
+            given = {item["name"]: item for item in given if isinstance(item, Mapping)}
+        for name, extra in given.items():
+            if name not in names:
+                raise PolicyError(
+                    f"{facts.path}: given observation.terms has no term {name!r} to change; "
+                    f"{alternatives(str(name), map(str, names))}"
+                )
+            i = names.index(name)
+            _merge(facts, terms[i], dict(extra), ("observation", "terms", i))
+    scale = observation.pop("scale", None)
+    if scale is not None:
+        for term in terms or ():
+            if isinstance(term, dict):
+                term.setdefault("scale", scale)
+        facts.asks = [name for name in facts.asks if name != "observation.scale"]
+
+
+def _merge(facts: Facts, said: dict[str, Any], given: Mapping[str, Any], where: Where) -> None:
+    for key, value in given.items():
+        place = (*where, key)
+        known = said.get(key)
+        if isinstance(value, Mapping) and isinstance(known, dict):
+            _merge(facts, known, value, place)
+        elif known is None or _same(known, value, facts.tolerance):
+            said[key] = value
+        else:
+            word = facts.keys.get(place)
+            raise facts.error(
+                place,
+                f"{facts.source} says {dotted(place)} is {_show(known)}"
+                f"{f' ({word})' if word else ''} and given says {_show(value)}; "
+                "remove it from 'given', or correct the file",
+            )
+
+
+def _same(known: Any, value: Any, tolerance: tuple[float, float]) -> bool:
+    if known == value:
+        return True
+    try:
+        a, b = np.asarray(known, dtype=float), np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        return False
+    if a.shape != b.shape and a.size > 1 and b.size > 1:
+        return False
+    return bool(np.allclose(a, b, rtol=tolerance[0], atol=tolerance[1]))
+
+
+def _show(value: Any, limit: int = 60) -> str:
+    text = str(value)
+    return text if len(text) <= limit else f"{text[: limit - 1]}…"

@@ -1,0 +1,281 @@
+"""Unitree's `deploy.yaml` (unitree_rl_lab, unitree_rl_mjlab) as facts.
+
+Facts of the format, from unitreerobotics/unitree_rl_lab:
+`utils/export_deploy_cfg.py` rounds to 3 significant digits; `stiffness` and `damping` are in the
+SDK's motor order, everything else in policy order, and policy joint i is motor `joint_ids_map[i]`
+(`deploy/include/unitree_articulation.h`). An action is scaled, offset, then clipped, and the raw
+one is fed back (`envs/mdp/actions/joint_actions.h`). A term is clipped, then scaled, unless
+`scale_first`; its history is oldest first and filled with the first value at the start
+(`manager/manager_term_cfg.h`); `use_gym_history` interleaves whole frames
+(`manager/observation_manager.h`). The gait phase is [sin, cos] of one clock (`mdp/observations.h`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from unicon_core.errors import PolicyError, alternatives
+from unicon_core.policies.facts import Facts, term_state
+from unicon_core.policies.located_yaml import Tagged, Where, read_yaml
+
+__all__ = ["deploy_yaml_facts", "is_deploy_yaml"]
+
+_FLAGS = ("scale_first", "use_gym_history")
+
+
+def is_deploy_yaml(values: Any) -> bool:
+    """Whether a YAML document is a `deploy.yaml`."""
+    return isinstance(values, Mapping) and "joint_ids_map" in values and "step_dt" in values
+
+
+def deploy_yaml_facts(
+    path: Path, robot_joints: Sequence[str] | None, robot_name: str = ""
+) -> Facts:
+    """Read a `deploy.yaml`.
+
+    Args:
+        path: the file.
+        robot_joints: joint names in the robot's vendor order, which `joint_ids_map` counts; None
+            leaves the joints to be given.
+        robot_name: for messages.
+
+    Raises:
+        PolicyError: not readable, or against the format.
+    """
+    document, lines = read_yaml(path)
+    if not is_deploy_yaml(document):
+        raise PolicyError(f"{path}: no deploy.yaml: it has no joint_ids_map and step_dt")
+    facts = Facts(path, "deploy.yaml", tolerance=(6e-3, 1e-6))
+    reader = _Deploy(facts, document, lines)
+    reader.joints(robot_joints, robot_name)
+    reader.action()
+    reader.observation()
+    reader.ranges()
+    facts.notes.append("deploy.yaml: numbers are rounded to 3 significant digits by its exporter")
+    return facts
+
+
+class _Deploy:
+    def __init__(self, facts: Facts, document: Mapping[str, Any], lines: dict[Where, int]) -> None:
+        self.facts = facts
+        self.document = document
+        self.lines = lines
+        self.count = 0
+
+    def fail(self, where: Where, message: str) -> PolicyError:
+        place = where
+        while place and place not in self.lines:
+            place = place[:-1]
+        return PolicyError(f"{self.facts.path}:{self.lines.get(place, 1)}: {message}")
+
+    def say(self, target: Where, value: Any, source: Where) -> None:
+        """Note a value and where it stood."""
+        place: Any = self.facts.values
+        for key in target[:-1]:
+            place = place.setdefault(key, {})
+        place[target[-1]] = value
+        self.facts.keys[target] = ".".join(map(str, source))
+        if source in self.lines:
+            self.facts.lines[target] = self.lines[source]
+
+    def floats(self, where: Where, value: Any) -> list[float]:
+        if not isinstance(value, list) or not all(
+            isinstance(v, (int, float)) and not isinstance(v, bool) for v in value
+        ):
+            raise self.fail(where, f"{'.'.join(map(str, where))} is {value!r}; give numbers")
+        return [float(v) for v in value]
+
+    def joints(self, robot_joints: Sequence[str] | None, robot_name: str) -> None:
+        order = self.document["joint_ids_map"]
+        if not isinstance(order, list) or not order or not all(isinstance(i, int) for i in order):
+            raise self.fail(("joint_ids_map",), f"joint_ids_map is {order!r}; give motor numbers")
+        for i in order:
+            if i < 0 or order.count(i) > 1:
+                raise self.fail(
+                    ("joint_ids_map",),
+                    f"joint_ids_map has motor {i} {order.count(i)} times; name each motor once",
+                )
+        self.count = len(order)
+        self.say(("period",), self.document["step_dt"], ("step_dt",))
+        if robot_joints is not None:
+            if max(order) >= len(robot_joints):
+                raise self.fail(
+                    ("joint_ids_map",),
+                    f"joint_ids_map names motor {max(order)}, but robot {robot_name!r} has "
+                    f"{len(robot_joints)} joints; choose the robot whose motors it counts",
+                )
+            self.say(("joints",), [robot_joints[i] for i in order], ("joint_ids_map",))
+        else:
+            self.facts.notes.append(
+                "deploy.yaml: joints are numbers of the robot's motors (joint_ids_map); "
+                "name the robot and they are known"
+            )
+        for target in ("stiffness", "damping"):
+            values = self.floats((target,), self.need(target))
+            if max(order) >= len(values):
+                raise self.fail(
+                    (target,),
+                    f"{target} has {len(values)} values in motor order, but joint_ids_map names "
+                    f"motor {max(order)}; give one value for each motor",
+                )
+            self.say((target,), [values[i] for i in order], (target,))
+        default = self.floats(("default_joint_pos",), self.need("default_joint_pos"))
+        if len(default) != self.count:
+            raise self.fail(
+                ("default_joint_pos",),
+                f"default_joint_pos has {len(default)} values for {self.count} joints of "
+                "joint_ids_map; give one for each",
+            )
+        self.say(("default_joint_pos",), default, ("default_joint_pos",))
+
+    def need(self, key: str) -> Any:
+        if key not in self.document:
+            raise self.fail((), f"deploy.yaml has no {key!r}; export it again")
+        return self.document[key]
+
+    def action(self) -> None:
+        actions = self.need("actions")
+        if not isinstance(actions, Mapping) or list(actions) != ["JointPositionAction"]:
+            names = ", ".join(actions) if isinstance(actions, Mapping) else repr(actions)
+            raise self.fail(
+                ("actions",),
+                f"actions are {names}; only one JointPositionAction (joint position targets) can "
+                "be run",
+            )
+        where: Where = ("actions", "JointPositionAction")
+        action = actions["JointPositionAction"]
+        ids = action.get("joint_ids")
+        size = self.count
+        if isinstance(ids, list):
+            size = len(ids)
+            joints = self.facts.values.get("joints")
+            for i in ids:
+                if not isinstance(i, int) or not 0 <= i < self.count:
+                    raise self.fail(
+                        (*where, "joint_ids"),
+                        f"joint_ids has {i!r}; give places from 0 to {self.count - 1}",
+                    )
+            if joints is not None and ids != list(range(self.count)):
+                self.say(("action", "joints"), [joints[i] for i in ids], (*where, "joint_ids"))
+        scale = self.spread((*where, "scale"), action.get("scale"), size)
+        offset = self.spread((*where, "offset"), action.get("offset"), size)
+        self.say(("action", "scale"), scale, (*where, "scale"))
+        self.say(("action", "offset"), offset, (*where, "offset"))
+        clip = action.get("clip")
+        if clip is not None:
+            # Unitree clips the target, we clip the action: bring the bounds to the other side.
+            if not isinstance(clip, list) or len(clip) not in (size, 1):
+                raise self.fail((*where, "clip"), f"clip is {clip!r}; give [lowest, highest] each")
+            low, high = [], []
+            for i in range(size):
+                pair = self.floats((*where, "clip"), clip[i if len(clip) == size else 0])
+                if len(pair) != 2 or scale[i] == 0:
+                    raise self.fail(
+                        (*where, "clip"), f"clip[{i}] is {pair}; give [lowest, highest]"
+                    )
+                bounds = sorted((bound - offset[i]) / scale[i] for bound in pair)
+                low.append(bounds[0])
+                high.append(bounds[1])
+            self.say(("action", "clip"), [low, high], (*where, "clip"))
+        self.say(("action", "feedback"), "raw", where)
+
+    def spread(self, where: Where, value: Any, size: int) -> list[float]:
+        values = self.floats(where, value if isinstance(value, list) else [value])
+        if len(values) not in (1, size):
+            raise self.fail(
+                where, f"{where[-1]} has {len(values)} values for {size} joints; give one for each"
+            )
+        return values * size if len(values) == 1 and size > 1 else values
+
+    def observation(self) -> None:
+        where: Where = ("observations",)
+        group = self.need("observations")
+        if not isinstance(group, Mapping) or not group:
+            raise self.fail(where, f"observations are {group!r}; give the terms")
+        entries = [key for key in group if key not in _FLAGS]
+        if entries and not any(_is_term(group[key]) for key in entries):
+            if len(entries) > 1:
+                raise self.fail(
+                    where,
+                    f"observations has the groups {', '.join(entries)}; only one group can be "
+                    "imported, write a policy.yaml with 'inputs' for the others",
+                )
+            self.say(("inputs", "observation"), entries[0], (*where, entries[0]))
+            where, group = (*where, entries[0]), group[entries[0]]
+        scale_first = bool(group.get("scale_first", False))
+        frame_major = bool(group.get("use_gym_history", False))
+        terms: list[dict[str, Any]] = []
+        for name, value in group.items():
+            if name in _FLAGS:
+                continue
+            if not _is_term(value):
+                raise self.fail((*where, name), f"observations.{name} is {value!r}; no term")
+            source: Where = (*where, name)
+            self.facts.lines[("observation", "terms", len(terms))] = self.lines[source]
+            terms.append(self.term(source, name, value, scale_first))
+        self.facts.values["observation"] = {
+            "layout": "frame_major" if frame_major else "term_major",
+            "newest": "last",
+            "start": "first",
+            "terms": terms,
+        }
+
+    def term(
+        self, where: Where, name: str, value: Mapping[str, Any], scale_first: bool
+    ) -> dict[str, Any]:
+        term: dict[str, Any] = {"name": name, **term_state(name, absolute=True)}
+        params = value.get("params")
+        params = params if isinstance(params, Mapping) else {}
+        joint_ids = params.get("asset_cfg", {})
+        joint_ids = joint_ids.get("joint_ids") if isinstance(joint_ids, Mapping) else None
+        if isinstance(joint_ids, list):
+            term["index"] = joint_ids
+        elif joint_ids is not None and not isinstance(joint_ids, Tagged):
+            raise self.fail(where, f"{name}: joint_ids is {joint_ids!r}; give places, or null")
+        if name == "gait_phase" and "period" in params:
+            self.say(("phase",), {"period": params["period"], "offsets": [0.0]}, (*where, "params"))
+        scale = value.get("scale")
+        if scale is not None:
+            term["scale"] = self.floats(
+                (*where, "scale"), scale if isinstance(scale, list) else [scale]
+            )
+        clip = value.get("clip")
+        if clip is not None:
+            pair = self.floats((*where, "clip"), clip)
+            if len(pair) != 2:
+                raise self.fail((*where, "clip"), f"clip is {clip!r}; give [lowest, highest]")
+            term["clip"] = list(pair)
+            if scale_first and scale is not None:
+                # clip(scale · x) = scale · clip(x) with the bounds divided by the scale
+                sides = [sorted(bound / s for bound in pair) for s in term["scale"] if s]
+                if len(sides) != len(term["scale"]):
+                    raise self.fail((*where, "scale"), f"{name}: scale 0 with scale_first and clip")
+                term["clip"] = [[side[0] for side in sides], [side[1] for side in sides]]
+        history = value.get("history_length", 1)
+        term["history"] = history if history else 1
+        if not term_state(name):
+            known = alternatives(name, ("base_ang_vel", "projected_gravity", "velocity_commands",
+                                        "joint_pos_rel", "joint_vel_rel", "last_action",
+                                        "gait_phase"))  # fmt: skip
+            self.facts.notes.append(f"deploy.yaml: no state is known for term {name!r}; {known}")
+        return term
+
+    def ranges(self) -> None:
+        commands = self.document.get("commands")
+        ranges = commands.get("base_velocity", {}) if isinstance(commands, Mapping) else {}
+        ranges = ranges.get("ranges", {}) if isinstance(ranges, Mapping) else {}
+        result = {
+            name: list(pair)
+            for name, pair in (ranges.items() if isinstance(ranges, Mapping) else ())
+            if isinstance(pair, (list, tuple)) and len(pair) == 2
+        }
+        if result:
+            self.say(("command_ranges",), result, ("commands", "base_velocity", "ranges"))
+
+
+def _is_term(value: Any) -> bool:
+    return isinstance(value, Mapping) and any(
+        key in value for key in ("params", "scale", "clip", "history_length")
+    )

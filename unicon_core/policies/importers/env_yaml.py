@@ -1,0 +1,197 @@
+"""Isaac Lab's `params/env.yaml` (the dumped environment) as facts, as far as it says them.
+
+From isaac-sim/IsaacLab: period = `sim.dt` · `decimation`; pose, gains and scale stand as patterns
+over joint names, so they are known once `joints` is given (the joint order is in the robot's USD
+file only); a term is named by its function (`…mdp.observations:joint_pos_rel`), clipped, then
+scaled; its history is oldest first and flattened term by term.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from unicon_core.errors import PolicyError
+from unicon_core.policies.facts import Facts, term_state
+from unicon_core.policies.importers.regex import values_by_pattern
+from unicon_core.policies.located_yaml import Where, read_yaml
+
+__all__ = ["env_yaml_facts", "is_env_yaml"]
+
+_GROUPS = ("policy", "actor")
+
+
+def is_env_yaml(values: Any) -> bool:
+    """Whether a YAML document is an Isaac Lab environment."""
+    return (
+        isinstance(values, Mapping)
+        and isinstance(values.get("sim"), Mapping)
+        and "decimation" in values
+        and "observations" in values
+    )
+
+
+def env_yaml_facts(path: Path, given: Mapping[str, Any]) -> Facts:
+    """Read an Isaac Lab `env.yaml`.
+
+    Args:
+        path: the file.
+        given: facts of the user; `joints` resolves the patterns.
+
+    Raises:
+        PolicyError: not readable, or actions that are no joint position targets.
+    """
+    document, lines = read_yaml(path)
+    facts = Facts(path, "Isaac Lab env.yaml")
+    joints = given.get("joints")
+    joints = list(joints) if isinstance(joints, (list, tuple)) else None
+    sim = document["sim"]
+    if isinstance(sim.get("dt"), (int, float)) and isinstance(document["decimation"], int):
+        facts.values["period"] = sim["dt"] * document["decimation"]
+        facts.keys[("period",)] = "sim.dt · decimation"
+    if joints is not None:
+        facts.values["joints"] = joints
+        _robot(facts, document, joints)
+    _action(facts, document, joints, lines)
+    _observation(facts, document, lines)
+    _commands(facts, document)
+    if joints is None:
+        facts.notes.append(
+            "env.yaml: pose, gains and scale stand there by name patterns; "
+            "they are known once joints is given"
+        )
+    return facts
+
+
+def _dig(tree: Any, *keys: str) -> Any:
+    for key in keys:
+        tree = tree.get(key) if isinstance(tree, Mapping) else None
+    return tree
+
+
+def _fail(path: Path, lines: Mapping[Where, int], where: Where, message: str) -> PolicyError:
+    while where and where not in lines:
+        where = where[:-1]
+    return PolicyError(f"{path}:{lines.get(where, 1)}: {message}")
+
+
+def _robot(facts: Facts, document: Mapping[str, Any], joints: list[str]) -> None:
+    pose = values_by_pattern(
+        _dig(document, "scene", "robot", "init_state", "joint_pos"), joints, default=0.0
+    )
+    if pose is not None:
+        facts.values["default_joint_pos"] = pose
+    actuators = _dig(document, "scene", "robot", "actuators")
+    for key in ("stiffness", "damping"):
+        found: dict[str, float] = {}
+        for actuator in (actuators or {}).values() if isinstance(actuators, Mapping) else ():
+            patterns = _dig(actuator, "joint_names_expr") or []
+            patterns = patterns if isinstance(patterns, list) else [patterns]
+            own = [
+                joint
+                for joint in joints
+                if values_by_pattern(dict.fromkeys(patterns, 1.0), [joint]) is not None
+            ]
+            gains = values_by_pattern(_dig(actuator, key), own)
+            found |= dict(zip(own, gains)) if gains is not None else {}
+        if all(joint in found for joint in joints):
+            facts.values[key] = [found[joint] for joint in joints]
+
+
+def _action(
+    facts: Facts,
+    document: Mapping[str, Any],
+    joints: list[str] | None,
+    lines: Mapping[Where, int],
+) -> None:
+    actions = document.get("actions")
+    terms = {
+        name: term
+        for name, term in (actions.items() if isinstance(actions, Mapping) else ())
+        if isinstance(term, Mapping)
+    }
+    if len(terms) != 1:
+        raise _fail(
+            facts.path,
+            lines,
+            ("actions",),
+            f"actions has {len(terms)} terms ({', '.join(terms) or 'none'}); only one of joint "
+            "position targets can be run",
+        )
+    name, term = next(iter(terms.items()))
+    kind = str(term.get("class_type", ""))
+    if kind and "JointPositionAction" not in kind:
+        raise _fail(
+            facts.path,
+            lines,
+            ("actions", name),
+            f"action {name!r} is {kind}; only joint position targets can be run",
+        )
+    action: dict[str, Any] = {"feedback": "raw"}
+    moved = joints
+    patterns = term.get("joint_names")
+    if joints is not None and isinstance(patterns, list):
+        moved = [j for j in joints if values_by_pattern(dict.fromkeys(patterns, 1.0), [j])]
+        if moved and moved != joints:
+            action["joints"] = moved
+    scale = term.get("scale")
+    if isinstance(scale, (int, float)):
+        action["scale"] = scale
+    elif moved:
+        resolved = values_by_pattern(scale, moved, default=1.0)
+        if resolved is not None:
+            action["scale"] = resolved
+    if not term.get("use_default_offset", True):
+        offset = term.get("offset", 0.0)
+        resolved = values_by_pattern(offset, moved or [], default=0.0)
+        action["offset"] = offset if isinstance(offset, (int, float)) else resolved
+    facts.values["action"] = action
+    for key in ("scale", "offset"):
+        facts.keys[("action", key)] = f"actions.{name}.{key}"
+
+
+def _observation(facts: Facts, document: Mapping[str, Any], lines: Mapping[Where, int]) -> None:
+    observations = document["observations"]
+    name = next((g for g in _GROUPS if isinstance(_dig(observations, g), Mapping)), None)
+    if name is None:
+        raise _fail(
+            facts.path, lines, ("observations",), "observations has no group policy or actor"
+        )
+    group = observations[name]
+    if group.get("concatenate_terms") is False:
+        raise _fail(
+            facts.path,
+            lines,
+            ("observations", name),
+            f"observations.{name} is not concatenated; only one input vector can be run",
+        )
+    shared = group.get("history_length")
+    terms: list[dict[str, Any]] = []
+    for key, value in group.items():
+        if not isinstance(value, Mapping) or "func" not in value:
+            continue
+        function = str(value["func"]).rsplit(":", 1)[-1].rsplit(".", 1)[-1]
+        term: dict[str, Any] = {"name": key, **term_state(function, absolute=True)}
+        if not term_state(function):
+            facts.notes.append(f"env.yaml: no state is known for {key!r} (function {function})")
+        scale = value.get("scale")
+        term["scale"] = 1.0 if scale is None else scale
+        clip = value.get("clip")
+        if clip is not None:
+            term["clip"] = list(clip)
+        length = shared if shared is not None else value.get("history_length", 0)
+        term["history"] = max(int(length or 0), 1)
+        facts.lines[("observation", "terms", len(terms))] = lines[("observations", name, key)]
+        terms.append(term)
+    facts.values["observation"] = {"layout": "term_major", "newest": "last", "terms": terms}
+
+
+def _commands(facts: Facts, document: Mapping[str, Any]) -> None:
+    ranges = _dig(document, "commands", "base_velocity", "ranges")
+    if isinstance(ranges, Mapping):
+        facts.values["command_ranges"] = {
+            name: list(pair)
+            for name, pair in ranges.items()
+            if isinstance(pair, (list, tuple)) and len(pair) == 2
+        }

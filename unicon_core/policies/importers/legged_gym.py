@@ -1,0 +1,87 @@
+"""legged_gym's dumped configuration as facts, as far as it says them.
+
+From leggedrobotics/legged_gym `envs/base/legged_robot.py`: period = `sim.dt` ·
+`control.decimation`; gains match by a part of the joint's name; actions are clipped to
+`normalization.clip_actions`, and the clipped action is fed back. The terms and the joint order stand in
+Python code, so they must be given; a term's scale is `normalization.obs_scales` of its kind.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from unicon_core.policies.facts import Facts
+from unicon_core.policies.importers.regex import values_by_pattern
+from unicon_core.policies.located_yaml import read_yaml
+
+__all__ = ["is_legged_gym", "legged_gym_facts"]
+
+_RANGES = {"ang_vel_yaw": "ang_vel_z"}
+
+
+def is_legged_gym(values: Any) -> bool:
+    """Whether a YAML document is a legged_gym configuration."""
+    return (
+        isinstance(values, Mapping)
+        and isinstance(values.get("control"), Mapping)
+        and isinstance(values.get("init_state"), Mapping)
+        and "default_joint_angles" in values["init_state"]
+    )
+
+
+def legged_gym_facts(path: Path, given: Mapping[str, Any]) -> Facts:
+    """Read a legged_gym configuration.
+
+    Args:
+        path: the file.
+        given: facts of the user; `joints` resolves names.
+
+    Raises:
+        PolicyError: not readable.
+    """
+    document, lines = read_yaml(path)
+    facts = Facts(path, "legged_gym configuration")
+    control, init = document["control"], document["init_state"]
+    dt = document.get("sim", {}).get("dt") if isinstance(document.get("sim"), Mapping) else None
+    if isinstance(dt, (int, float)) and isinstance(control.get("decimation"), int):
+        facts.values["period"] = dt * control["decimation"]
+        facts.keys[("period",)] = "sim.dt · control.decimation"
+    action: dict[str, Any] = {"feedback": "clipped"}
+    if "action_scale" in control:
+        action["scale"] = control["action_scale"]
+        facts.keys[("action", "scale")] = "control.action_scale"
+    normalization = document.get("normalization")
+    if isinstance(normalization, Mapping):
+        bound = normalization.get("clip_actions")
+        if isinstance(bound, (int, float)):
+            action["clip"] = [-bound, bound]
+        scales = normalization.get("obs_scales")
+        if isinstance(scales, Mapping):
+            listed = ", ".join(f"{name} {value}" for name, value in scales.items())
+            facts.notes.append(f"{path.name}: scales for the terms to give: {listed}")
+    facts.values["action"] = action
+    joints = given.get("joints")
+    if isinstance(joints, (list, tuple)):
+        facts.values["joints"] = list(joints)
+        angles = init["default_joint_angles"]
+        pose = values_by_pattern(angles, joints)
+        if pose is not None:
+            facts.values["default_joint_pos"] = pose
+        for key in ("stiffness", "damping"):
+            gains = values_by_pattern(control.get(key), joints, whole=False)
+            if gains is not None:
+                facts.values[key] = gains
+                facts.keys[(key,)] = f"control.{key}"
+    ranges = document.get("commands", {})
+    ranges = ranges.get("ranges") if isinstance(ranges, Mapping) else None
+    if isinstance(ranges, Mapping):
+        facts.values["command_ranges"] = {
+            _RANGES.get(name, name): list(pair)
+            for name, pair in ranges.items()
+            if isinstance(pair, (list, tuple)) and len(pair) == 2
+        }
+    facts.lines[("action", "scale")] = lines.get(("control", "action_scale"), 1)
+    facts.values["observation"] = {"start": "zeros"}
+    return facts

@@ -1,0 +1,40 @@
+"""Values by joint-name pattern, as Isaac Lab writes them: a number, or {pattern: number}."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+__all__ = ["values_by_pattern"]
+
+
+def values_by_pattern(
+    value: Any, joints: Sequence[str], *, default: float | None = None, whole: bool = True
+) -> list[float] | None:
+    """Return one value for each joint, or None where a joint gets none.
+
+    Args:
+        value: a number, a list in joint order, or a mapping from a pattern to a number.
+        joints: joint names.
+        default: value of a joint that no pattern matches.
+        whole: whether a pattern must match the whole name (Isaac Lab), or a part (legged_gym).
+    """
+    if isinstance(value, (int, float)) and not isinstance(value, bool):
+        return [float(value)] * len(joints)
+    if isinstance(value, list) and len(value) == len(joints):
+        return [float(v) for v in value]
+    if not isinstance(value, Mapping):
+        return None
+    result: list[float] = []
+    for joint in joints:
+        found = default
+        for pattern, number in value.items():
+            matches = re.fullmatch(str(pattern), joint) if whole else str(pattern) in joint
+            if matches and isinstance(number, (int, float)):
+                found = float(number)
+                break
+        if found is None:
+            return None
+        result.append(found)
+    return result

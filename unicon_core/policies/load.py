@@ -1,0 +1,275 @@
+"""Finding a policy by name, folder or file, in whatever format: what workflows and tools call."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+from unicon_core.errors import PolicyError, alternatives
+from unicon_core.policies.agree import check_agreement
+from unicon_core.policies.build import build_contract
+from unicon_core.policies.contract import PolicyContract
+from unicon_core.policies.facts import Facts, merge_given, missing_facts
+from unicon_core.policies.importers.deploy_yaml import deploy_yaml_facts, is_deploy_yaml
+from unicon_core.policies.importers.env_yaml import env_yaml_facts, is_env_yaml
+from unicon_core.policies.importers.legged_gym import is_legged_gym, legged_gym_facts
+from unicon_core.policies.importers.metadata import has_metadata, metadata_facts
+from unicon_core.policies.located_yaml import read_yaml
+from unicon_core.policies.onnx_file import OnnxFile, read_onnx
+from unicon_core.policies.policy_yaml import (
+    policy_yaml_facts,
+    write_partial_yaml,
+    write_policy_yaml,
+)
+from unicon_core.resources import config_roots, find_resource, list_config
+
+__all__ = ["ImportReport", "NamedJoints", "import_policy", "load_policy", "policy_names"]
+
+_TORCHSCRIPT = (".pt", ".pth", ".jit")
+# Files that carry no name of their own: the policy is called after the folder.
+_PLAIN_STEMS = ("policy", "deploy", "env", "model")
+_PLAIN_FOLDERS = ("params", "exported", "config")
+
+
+class NamedJoints(Protocol):
+    """What an importer asks of a robot: its name, and its joints in the vendor's order."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def joint_names(self) -> tuple[str, ...]: ...
+
+
+@dataclass(frozen=True)
+class ImportReport:
+    """What an import gave.
+
+    Attributes:
+        path: the `policy.yaml` written.
+        source: the format that was read.
+        missing: dotted facts that the source does not say -> what each is; they are to be added.
+        notes: what else to know, such as rounding.
+    """
+
+    path: Path
+    source: str
+    missing: Mapping[str, str]
+    notes: tuple[str, ...]
+
+
+def policy_names() -> list[str]:
+    """Return the names of the policies in `config/policies/`, sorted."""
+    return [name for name in list_config("policies", "/") if _config_policy(name) is not None]
+
+
+def load_policy(
+    reference: str | Path,
+    *,
+    robot: NamedJoints | None = None,
+    given: Mapping[str, Any] | None = None,
+) -> PolicyContract:
+    """Load a policy in any known format.
+
+    Args:
+        reference: a name in `config/policies/`, a folder, a file (`policy.yaml`, `deploy.yaml`,
+            `env.yaml`, `.onnx`, TorchScript), or `assets:PATH`.
+        robot: gives joint names to sources that only count motors.
+        given: facts that the source leaves out, with the keys of `policy.yaml`, nested or dotted.
+
+    Returns:
+        The checked contract; its network file exists.
+
+    Raises:
+        PolicyError: nothing there; facts missing (all are named) or contradictory; files missing.
+    """
+    facts = _read(reference, robot, given or {})
+    contract = build_contract(facts)
+    _check_model(facts, contract)
+    return contract
+
+
+def import_policy(
+    reference: str | Path,
+    out_dir: str | Path,
+    *,
+    robot: NamedJoints | None = None,
+    given: Mapping[str, Any] | None = None,
+) -> ImportReport:
+    """Write a policy of any known format as `policy.yaml`, and list what its source did not say.
+
+    Args:
+        reference: as for `load_policy`.
+        out_dir: folder to write to; the network is copied there.
+        robot: as for `load_policy`.
+        given: as for `load_policy`.
+
+    Raises:
+        PolicyError: as for `load_policy`, except that missing facts are listed, not refused.
+    """
+    facts = _read(reference, robot, given or {})
+    missing = missing_facts(facts)
+    if missing:
+        path = write_partial_yaml(facts, missing, out_dir)
+    else:
+        contract = build_contract(facts)
+        _check_model(facts, contract)
+        path = write_policy_yaml(contract, out_dir)
+    return ImportReport(path, facts.source, missing, tuple(facts.notes))
+
+
+def _config_policy(name: str) -> Path | None:
+    for root in config_roots():
+        folder = root / "policies" / name
+        if folder.is_dir() and _main_file(folder) is not None:
+            return folder
+    return None
+
+
+def _locate(reference: str | Path) -> Path:
+    text = str(reference)
+    if text.startswith("assets:"):
+        path = find_resource(text, "policy", error=PolicyError)
+    elif Path(text).expanduser().exists() and ("/" in text or isinstance(reference, Path)):
+        path = Path(text).expanduser().resolve()
+    elif "/" not in text and (named := _config_policy(text)) is not None:
+        path = named
+    elif "/" in text or Path(text).suffix in (".yaml", ".onnx", *_TORCHSCRIPT):
+        path = find_resource(text, "policy", error=PolicyError)
+    else:
+        known = alternatives(text, policy_names())
+        raise PolicyError(f"unknown policy {text!r}; {known}; or give a path to a folder or file")
+    if not path.is_dir():
+        return path
+    main = _main_file(path)
+    if main is None:
+        raise PolicyError(
+            f"{path}: no policy in this folder; put policy.yaml, deploy.yaml, env.yaml or exactly "
+            "one .onnx there"
+        )
+    return main
+
+
+def _main_file(folder: Path) -> Path | None:
+    for name in ("policy.yaml", "deploy.yaml", "params/deploy.yaml"):
+        if (folder / name).is_file():
+            return folder / name
+    models = sorted(folder.glob("*.onnx"))
+    if len(models) == 1 and has_metadata(read_onnx(models[0])):
+        return models[0]
+    for name in ("env.yaml", "params/env.yaml"):
+        if (folder / name).is_file():
+            return folder / name
+    models = models or sorted(p for p in folder.glob("*") if p.suffix in _TORCHSCRIPT)
+    return models[0] if len(models) == 1 else None
+
+
+def _read(reference: str | Path, robot: NamedJoints | None, given: Mapping[str, Any]) -> Facts:
+    path = _locate(reference)
+    facts, onnx = _facts_of(path, robot, given)
+    merge_given(facts, given)
+    facts.values.setdefault("name", _name_of(path))
+    if "onnx" in facts.values and "torchscript" not in facts.values:
+        model = Path(str(facts.values["onnx"])).expanduser()
+        model = model if model.is_absolute() else facts.path.parent / model
+        if onnx is None or onnx.path != model:
+            onnx = read_onnx(model)
+        _name_tensors(facts, onnx)
+        if facts.path != onnx.path and has_metadata(onnx):
+            check_agreement(facts, metadata_facts(onnx))
+    return facts
+
+
+def _facts_of(
+    path: Path, robot: NamedJoints | None, given: Mapping[str, Any]
+) -> tuple[Facts, OnnxFile | None]:
+    if path.suffix == ".onnx":
+        onnx = read_onnx(path)
+        for beside in ("policy.yaml", "deploy.yaml", "../params/deploy.yaml"):
+            other = path.parent / beside
+            if other.is_file():
+                facts, _ = _facts_of(other.resolve(), robot, given)
+                if _names_model(facts, path):
+                    return facts, onnx
+        if has_metadata(onnx):
+            return metadata_facts(onnx), onnx
+        return Facts(path, "ONNX file (no metadata)", {"onnx": path.name}), onnx
+    if path.suffix in _TORCHSCRIPT:
+        return Facts(path, "TorchScript file", {"torchscript": path.name}), None
+    values, _ = read_yaml(path)
+    names = None if robot is None else robot.joint_names
+    if is_deploy_yaml(values):
+        facts = deploy_yaml_facts(path, names, "" if robot is None else robot.name)
+    elif is_env_yaml(values):
+        facts = env_yaml_facts(path, given)
+    elif is_legged_gym(values):
+        facts = legged_gym_facts(path, given)
+    else:
+        return policy_yaml_facts(path), None
+    _add_model(facts)
+    return facts, None
+
+
+def _names_model(facts: Facts, model: Path) -> bool:
+    named = facts.values.get("onnx")
+    return named is not None and (facts.path.parent / str(named)).resolve() == model.resolve()
+
+
+def _add_model(facts: Facts) -> None:
+    """Find the one network that belongs to a file which does not name it."""
+    folder = facts.path.parent
+    for place in (folder, folder.parent / "exported", folder / "exported"):
+        for suffix, key in ((".onnx", "onnx"), (".pt", "torchscript")):
+            models = sorted(place.glob(f"*{suffix}"))
+            if len(models) == 1:
+                facts.values[key] = str(models[0])
+                return
+    facts.asks.append("onnx")
+
+
+def _name_of(path: Path) -> str:
+    if path.stem not in _PLAIN_STEMS:
+        return path.stem
+    folder = path.parent
+    while folder.name in _PLAIN_FOLDERS:
+        folder = folder.parent
+    return folder.name or path.stem
+
+
+def _name_tensors(facts: Facts, onnx: OnnxFile) -> None:
+    """Fill in the names of inputs and outputs where there is no choice; else they are asked for."""
+    values = facts.values
+    recurrent = [pair for pair in values.get("recurrent") or [] if isinstance(pair, Mapping)]
+    fed_back = {pair.get("input") for pair in recurrent}
+    kept = {pair.get("output") for pair in recurrent}
+    for key, canonical, tensors, skip in (
+        ("inputs", "observation", onnx.inputs, fed_back),
+        ("outputs", "action", onnx.outputs, kept),
+    ):
+        if values.get(key):
+            continue
+        free = [tensor for tensor in tensors if tensor.name not in skip]
+        if len(free) == 1:
+            values[key] = {canonical: free[0].name}
+        else:
+            facts.asks.append(key)
+            listed = ", ".join(str(tensor) for tensor in free) or "none"
+            facts.notes.append(f"{onnx.path.name}: {key} to choose from: {listed}")
+
+
+def _check_model(facts: Facts, contract: PolicyContract) -> None:
+    if not contract.model.is_file():
+        where = ("torchscript",) if contract.is_torchscript else ("onnx",)
+        raise facts.error(
+            where, f"no such file {contract.model}; put the network there or correct the path"
+        )
+    if contract.sha256 is not None:
+        digest = hashlib.sha256(contract.model.read_bytes()).hexdigest()
+        if digest != contract.sha256:
+            raise facts.error(
+                ("sha256",),
+                f"{contract.model.name} has sha256 {digest[:12]}… and not {contract.sha256[:12]}…; "
+                "it is not the network that this contract was written for: import it again",
+            )

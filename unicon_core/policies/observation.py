@@ -1,0 +1,324 @@
+"""The observation as one gather over the packed state buffer, for the policy block.
+
+Per call: one `take` of every element of every term, one subtraction, one clip and one scaling, each
+skipped where it changes nothing; then, with a history, one copy into a ring and one `take` that
+lays out the window. Nothing is looped over terms.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.errors import PolicyError, alternatives
+from unicon_core.policies.contract import ObservationSpec, ObservationTerm, PolicyContract
+
+__all__ = ["Observation", "PackedStates", "TermSlice", "term_slices"]
+
+Floats = NDArray[np.float32]
+
+
+class PackedStates(Protocol):
+    """What is asked of the states: views by name, their specifications and the packed buffer."""
+
+    @property
+    def num_robots(self) -> int | None: ...
+    def __getitem__(self, name: str) -> NDArray[Any]: ...
+    def __contains__(self, name: object) -> bool: ...
+    def __iter__(self) -> Any: ...
+    def spec(self, name: str) -> Any: ...
+    def buffer_of(self, dtype: Any) -> NDArray[Any]: ...
+    def offset(self, name: str) -> int: ...
+
+
+@dataclass(frozen=True)
+class TermSlice:
+    """A term as it stands in one frame: its elements and the names and unit of its state.
+
+    Attributes:
+        term: of the contract.
+        elements: elements of the state in its own order, shape (d,).
+        start: first place in the frame.
+        names: names of the elements, such as joints; may be empty.
+        unit: unit of the state.
+        subtract: shape (d,), unit of the state.
+        scale: shape (d,).
+        low, high: bounds before scaling, shape (d,); infinite where there is no clip.
+    """
+
+    term: ObservationTerm
+    elements: NDArray[np.intp]
+    start: int
+    names: tuple[str, ...]
+    unit: str
+    subtract: Floats
+    scale: Floats
+    low: Floats
+    high: Floats
+
+    @property
+    def stop(self) -> int:
+        """One past the last place in the frame."""
+        return self.start + self.elements.size
+
+
+def term_slices(
+    contract: PolicyContract,
+    states: PackedStates,
+    robot_joints: Sequence[str],
+    spec: ObservationSpec | None = None,
+) -> tuple[TermSlice, ...]:
+    """Resolve the terms of an observation against states: which elements, and every number.
+
+    Args:
+        contract: the policy.
+        states: the states; a state whose element names are the robot's joints is taken in policy
+            order.
+        robot_joints: the robot's joint order.
+        spec: another observation than the contract's own.
+
+    Raises:
+        PolicyError: no such state, a joint the robot has not, or an index or number of values that
+            does not fit.
+    """
+    spec = contract.observation if spec is None else spec
+    slices: list[TermSlice] = []
+    start = 0
+    for term in spec.terms:
+        label = f"policy {contract.name}: term {term.name!r}"
+        if term.state not in states:
+            known = alternatives(term.state, list(states))
+            raise PolicyError(f"{label}: no state {term.state!r}; {known}")
+        state = states.spec(term.state)
+        view = states[term.state]
+        if view.dtype != np.float32:
+            raise PolicyError(
+                f"{label}: state {term.state!r} is {view.dtype}; a network takes float32 states"
+            )
+        names: tuple[str, ...] = tuple(state.names)
+        elements = np.arange(state.size, dtype=np.intp)
+        if names == tuple(robot_joints) and term.state != "action":
+            place = {name: i for i, name in enumerate(names)}
+            unknown = [name for name in contract.joints if name not in place]
+            if unknown:
+                raise PolicyError(
+                    f"{label}: the robot has no joint {unknown[0]!r}; "
+                    f"{alternatives(unknown[0], names)}"
+                )
+            elements = np.array([place[name] for name in contract.joints], dtype=np.intp)
+            names = contract.joints
+        default = contract.default_joint_pos if names == contract.joints else None
+        if term.index is not None:
+            if max(term.index) >= elements.size:
+                raise PolicyError(
+                    f"{label}: index {max(term.index)} of state {term.state!r}, which has "
+                    f"{elements.size} elements; the last is {elements.size - 1}"
+                )
+            index = list(term.index)
+            elements = elements[index]
+            names = tuple(names[i] for i in index) if names else ()
+            default = None if default is None else default[index]
+        size = elements.size
+        subtract = _subtract(label, term, size, default)
+        low, high = (-np.inf, np.inf) if term.clip is None else term.clip
+        slices.append(
+            TermSlice(
+                term,
+                elements,
+                start,
+                names,
+                str(state.unit),
+                subtract,
+                _spread(label, "scale", term.scale, size),
+                _spread(label, "clip", low, size),
+                _spread(label, "clip", high, size),
+            )
+        )
+        start += size
+    return tuple(slices)
+
+
+def _subtract(label: str, term: ObservationTerm, size: int, default: Floats | None) -> Floats:
+    if not isinstance(term.subtract, str):
+        return _spread(label, "subtract", 0.0 if term.subtract is None else term.subtract, size)
+    if default is None:
+        raise PolicyError(
+            f"{label}: subtract {term.subtract} needs a joint state, and {term.state!r} has no "
+            "joint names; give numbers, or take joint_pos"
+        )
+    return np.array(default, dtype=np.float32)
+
+
+def _spread(label: str, what: str, values: Any, size: int) -> Floats:
+    array = np.atleast_1d(np.asarray(values, dtype=np.float32))
+    if array.size not in (1, size):
+        raise PolicyError(
+            f"{label}: {what} has {array.size} values for {size} elements; give 1 or {size}"
+        )
+    return np.array(np.broadcast_to(array, (size,)))
+
+
+class Observation:
+    """The observation of a policy, assembled in place.
+
+    Args:
+        contract: the policy.
+        states: the packed states.
+        robot_joints: the robot's joint order.
+        spec: another observation than the contract's own, for networks with several inputs.
+
+    Attributes:
+        slices: the terms, resolved; `start` counts within one frame.
+        frame_size: elements of one frame, d.
+        size: elements of the whole observation with histories.
+
+    Raises:
+        PolicyError: as `term_slices`.
+    """
+
+    def __init__(
+        self,
+        contract: PolicyContract,
+        states: PackedStates,
+        robot_joints: Sequence[str],
+        spec: ObservationSpec | None = None,
+    ) -> None:
+        spec = contract.observation if spec is None else spec
+        self.slices = term_slices(contract, states, robot_joints, spec)
+        self.frame_size = self.slices[-1].stop if self.slices else 0
+        self.size = sum(part.elements.size * part.term.history for part in self.slices)
+        self.num_robots = states.num_robots
+        rows = self.num_robots or 1
+        self.shape = (rows, self.size)
+        index = np.concatenate(
+            [
+                states.offset(part.term.state)
+                + np.arange(rows)[:, None] * states.spec(part.term.state).size
+                + part.elements
+                for part in self.slices
+            ]
+            or [np.zeros((rows, 0), dtype=np.intp)],
+            axis=1,
+        )
+        # Only the part that is read: `take` copies its result where it lies inside what it reads,
+        # and the state `observation` lies in the same buffer.
+        first = int(index.min()) if index.size else 0
+        last = int(index.max()) + 1 if index.size else 0
+        self._buffer = states.buffer_of(np.float32)[first:last]
+        self._index = index - first
+        subtract = _joined(part.subtract for part in self.slices)
+        scale = _joined(part.scale for part in self.slices)
+        self._subtract = subtract if subtract.any() else None
+        self._scale = scale if (scale != 1.0).any() else None
+        low = _joined(part.low for part in self.slices)
+        high = _joined(part.high for part in self.slices)
+        clipped = np.flatnonzero(np.isfinite(low) | np.isfinite(high))
+        self._clip: tuple[slice, Floats, Floats] | None = None
+        if clipped.size:
+            span = slice(int(clipped[0]), int(clipped[-1]) + 1)
+            self._clip = (span, low[span], high[span])
+        self._history = max((part.term.history for part in self.slices), default=1)
+        self._zeros = spec.start == "zeros"
+        self._fresh = True
+        if self._history > 1:
+            self._frame = np.zeros((rows, self.frame_size), np.float32)
+            self._make_ring(spec, rows)
+
+    def _make_ring(self, spec: ObservationSpec, rows: int) -> None:
+        """Lay out a ring of 2·H frames; the last H frames always stand in one piece in it."""
+        h, d = self._history, self.frame_size
+        self._ring = np.zeros((2 * h, rows, d), np.float32)
+        self._head = 0
+        frames: list[tuple[int, int, TermSlice]] = []  # (age of the frame, order, term)
+        for order, part in enumerate(self.slices):
+            frames += [(age, order, part) for age in range(part.term.history)]
+        oldest_first = spec.newest == "last"
+        sign = -1 if oldest_first else 1
+        if spec.layout == "term_major":
+            frames.sort(key=lambda f: (f[1], sign * f[0]))
+        else:
+            frames.sort(key=lambda f: (sign * f[0], f[1]))
+        columns = np.arange(rows)[:, None] * d
+        # Within the window frame H − 1 is the newest.
+        self._window_index = np.concatenate(
+            [
+                (h - 1 - age) * rows * d + columns + np.arange(part.start, part.stop)
+                for age, _, part in frames
+            ],
+            axis=1,
+        )
+        flat = self._ring.reshape(-1)
+        size = h * rows * d
+        # After writing frame k (and its copy k + H) the window starts at frame k + 1.
+        self._windows = [flat[(k + 1) * rows * d :][:size] for k in range(h)]
+        self._slots = [(self._ring[k], self._ring[k + h]) for k in range(h)]
+
+    def reset(self) -> None:
+        """Forget the history: the next call fills it with its own frame, or leaves zeros."""
+        self._fresh = True
+
+    def __call__(self, out: Floats) -> None:
+        """Write the observation of this tick.
+
+        Args:
+            out: contiguous, shape (num_robots or 1, size).
+        """
+        if self._history == 1:
+            self._assemble(out)
+            return
+        frame = self._frame
+        self._assemble(frame)
+        if self._fresh:
+            self._ring[...] = 0.0 if self._zeros else frame
+            self._fresh = False
+        head = self._head
+        first, second = self._slots[head]
+        first[...] = frame
+        second[...] = frame
+        self._windows[head].take(self._window_index, None, out, "clip")
+        self._head = head + 1 if head + 1 < self._history else 0
+
+    def _assemble(self, out: Floats) -> None:
+        # mode "clip": the indices are known to fit, and "raise" would go through a buffer.
+        self._buffer.take(self._index, None, out, "clip")
+        if self._subtract is not None:
+            np.subtract(out, self._subtract, out)
+        if self._clip is not None:
+            span, low, high = self._clip
+            part = out[:, span]
+            np.maximum(part, low, part)  # unlike np.clip's fast path, both pass NaN on
+            np.minimum(part, high, part)
+        if self._scale is not None:
+            np.multiply(out, self._scale, out)
+
+    def place_of(self, position: int) -> str:
+        """Return what stands at a place of the observation, for messages.
+
+        Args:
+            position: from 0 to size − 1.
+        """
+        if self._history == 1:
+            age, column = 0, position
+        else:
+            window = int(self._window_index[0, position])
+            rows = self.shape[0]
+            age = self._history - 1 - window // (rows * self.frame_size)
+            column = window % self.frame_size
+        part = next(part for part in self.slices if column < part.stop)
+        i = column - part.start
+        element = part.names[i] if part.names else f"element {i}"
+        old = f", {age} frames ago" if age else ""
+        return f"term {part.term.name!r} ({part.term.state}, {element}{old})"
+
+    def table(self) -> Mapping[str, tuple[int, int]]:
+        """Return each term's name and (elements of a frame, history), for size messages."""
+        return {p.term.name: (p.elements.size, p.term.history) for p in self.slices}
+
+
+def _joined(parts: Any) -> Floats:
+    listed = list(parts)
+    return np.concatenate(listed) if listed else np.zeros(0, np.float32)

@@ -1,0 +1,162 @@
+"""The policy block: states in, joint targets out, once a tick, for workflows.
+
+Observation → network → check → targets; a NaN or infinity is a Fault before any target is written.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from unicon_core.errors import Fault, PolicyError
+from unicon_core.policies.contract import PolicyContract
+from unicon_core.policies.joint_command import JointCommand
+from unicon_core.policies.lane import Lane, build_lane
+from unicon_core.policies.network import Network, OnnxNetwork
+from unicon_core.policies.observation import PackedStates
+from unicon_core.robots import Robot
+
+__all__ = ["OnnxPolicy"]
+
+_TARGETS = ("joint_pos_target", "joint_stiffness", "joint_damping")
+
+
+class OnnxPolicy:
+    """A policy as a block.
+
+    Args:
+        contract: the policy.
+        states: packed states; `joint_pos_target`, `joint_stiffness` and `joint_damping` are
+            written, `observation` and `action` too where they are declared.
+        robot: the robot that is to move; joints are aligned by name.
+        network: another runtime than onnxruntime.
+
+    Attributes:
+        name: of the policy.
+        reads: states that the observation is taken from.
+        writes: states that are written.
+        command: the alignment of joints.
+        lane: arrays and bound calls of the real run.
+
+    Raises:
+        PolicyError: states, joints or sizes that do not fit, or missing files.
+        MissingDependencyError: onnxruntime is not installed.
+    """
+
+    def __init__(
+        self,
+        contract: PolicyContract,
+        states: PackedStates,
+        robot: Robot,
+        *,
+        network: Network | None = None,
+    ) -> None:
+        self.name = contract.name
+        self.contract = contract
+        self.network = _network(contract) if network is None else network
+        self._robot = robot
+        self._states = states
+        rows = states.num_robots or 1
+        self.lane = build_lane(contract, states, robot.joint_names, self.network, scratch=False)
+        self.command = JointCommand(contract, robot, rows)
+        n = robot.num_joints
+        for name in _TARGETS:
+            if name not in states or states[name].size != rows * n:
+                raise PolicyError(
+                    f"policy {contract.name}: state {name!r} must hold {n} joints of robot "
+                    f"{robot.name}; declare the standard states of this robot"
+                )
+        self._target, self._stiffness, self._damping = (
+            states[name].reshape(rows, n) for name in _TARGETS
+        )
+        self._command_scratch: JointCommand | None = None
+        self._scratch: Lane | None = None
+        own = [name for name in ("observation", "action") if name in states]
+        outputs = [n for n in contract.outputs if n in states and n != "action"]
+        self.writes: tuple[str, ...] = (*own, *outputs, *_TARGETS)
+        read = [term.state for term in contract.terms if "observation" in contract.inputs]
+        read += [name for name in contract.inputs if name != "observation" and name in states]
+        self.reads: tuple[str, ...] = tuple(
+            name for name in dict.fromkeys(read) if name not in self.writes
+        )
+
+    def __call__(self) -> None:
+        """Run one tick.
+
+        Raises:
+            Fault: the observation or the action holds a NaN or infinity; no target is written.
+        """
+        lane = self.lane
+        lane.assemble()
+        if not lane.finite():
+            raise Fault(self._blame_observation())
+        lane.infer()
+        action = lane.action
+        flat = action.reshape(-1)
+        total = float(flat.dot(flat))
+        if total - total != 0.0 and not np.isfinite(flat).all():
+            raise Fault(self._blame_action())
+        self.command(action, self._target)
+        self._stiffness[...] = self.command.stiffness
+        self._damping[...] = self.command.damping
+
+    def reset(self) -> None:
+        """Forget history, memory and last action, as at the start of training episodes."""
+        self.lane.reset()
+        self.lane.action[...] = 0.0
+
+    def prepare_dry_run(self) -> None:
+        """Build the scratch lane now, so that the first `dry_run` costs no more than the next."""
+        self._scratch = build_lane(
+            self.contract, self._states, self._robot.joint_names, self.network, scratch=True
+        )
+        self._command_scratch = JointCommand(self.contract, self._robot, self._target.shape[0])
+        self._target_scratch = np.zeros_like(self._target)
+
+    def dry_run(self) -> None:
+        """Run the same code on scratch arrays: caches get warm and nothing observable changes."""
+        if self._scratch is None or self._command_scratch is None:
+            self.prepare_dry_run()
+            assert self._scratch is not None
+            assert self._command_scratch is not None
+        lane = self._scratch
+        lane.assemble()
+        if not lane.finite():
+            return
+        lane.infer()
+        flat = lane.action.reshape(-1)
+        total = float(flat.dot(flat))
+        if total - total == 0.0:
+            self._command_scratch(lane.action, self._target_scratch)
+
+    def _blame_observation(self) -> str:
+        lane = self.lane
+        bad = np.argwhere(~np.isfinite(lane.obs))
+        if lane.observation is not None and bad.size:
+            row, column = (int(i) for i in bad[0])
+            place = lane.observation.place_of(column)
+            return (
+                f"policy {self.name}: the observation is not finite: {place} is "
+                f"{lane.obs[row, column]}{self._of_robot(row)}; the network was not run"
+            )
+        return f"policy {self.name}: an input of the network is not finite; it was not run"
+
+    def _blame_action(self) -> str:
+        row, column = (int(i) for i in np.argwhere(~np.isfinite(self.lane.action))[0])
+        joint = self.contract.action.joints[column]
+        return (
+            f"policy {self.name}: the action is not finite: joint {joint!r} is "
+            f"{self.lane.action[row, column]}{self._of_robot(row)}; no target was written"
+        )
+
+    def _of_robot(self, row: int) -> str:
+        return f" of robot {row}" if self._states.num_robots else ""
+
+
+def _network(contract: PolicyContract) -> Any:
+    if contract.is_torchscript:
+        from unicon_core.policies.torch_block import TorchNetwork
+
+        return TorchNetwork(contract)
+    return OnnxNetwork(contract.model)

@@ -1,0 +1,50 @@
+"""The states that a policy adds to the standard ones, for whoever lays out the states."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from unicon_core.policies.contract import PolicyContract
+from unicon_core.policies.load import NamedJoints
+from unicon_core.policies.observation import Observation
+from unicon_core.states import States, StateSpec, standard_states
+
+__all__ = ["policy_states"]
+
+
+def policy_states(
+    contract: PolicyContract,
+    robot: NamedJoints,
+    extra: Mapping[str, StateSpec] | None = None,
+) -> dict[str, StateSpec]:
+    """Return the states to declare for a policy: `observation`, `action`, and the gait phase.
+
+    Args:
+        contract: the policy.
+        robot: its joint order decides which states are taken in policy order.
+        extra: further states of the workflow that terms may name.
+
+    Raises:
+        PolicyError: a term takes a state that is neither standard, nor extra, nor the policy's own.
+    """
+    own = _own_states(contract)
+    if contract.terms:
+        specs = {**standard_states(robot.joint_names), **(extra or {}), **own}
+        size = Observation(contract, States(specs), robot.joint_names).size
+        own["observation"] = StateSpec((size,), description="the network's input")
+    return own
+
+
+def _own_states(contract: PolicyContract) -> dict[str, StateSpec]:
+    joints = contract.action.joints
+    states = {
+        "action": StateSpec(
+            (len(joints),), names=joints, description="the network's last output, policy order"
+        )
+    }
+    if contract.phase is not None:
+        count = len(contract.phase.offsets)
+        states["gait_phase_sin"] = StateSpec((count,), description="sine of the gait phases")
+        states["gait_phase_cos"] = StateSpec((count,), description="cosine of the gait phases")
+        states["gait_phase"] = StateSpec((2 * count,), description="all sines, then all cosines")
+    return states

@@ -1,0 +1,225 @@
+"""Our own `policy.yaml`: reading it into facts, and writing a contract in canonical form."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from unicon_core.errors import PolicyError
+from unicon_core.policies.build import SCHEMA, build_contract
+from unicon_core.policies.contract import ObservationTerm, PolicyContract
+from unicon_core.policies.facts import Facts
+from unicon_core.policies.located_yaml import read_yaml
+from unicon_core.policies.onnx_file import read_onnx
+
+__all__ = [
+    "contract_values",
+    "load_policy_yaml",
+    "policy_yaml_facts",
+    "write_partial_yaml",
+    "write_policy_yaml",
+]
+
+
+def policy_yaml_facts(path: Path) -> Facts:
+    """Read a `policy.yaml` as facts.
+
+    Raises:
+        PolicyError: not readable, not YAML, or no mapping.
+    """
+    values, lines = read_yaml(path)
+    if not isinstance(values, Mapping):
+        raise PolicyError(f"{path}:1: no policy; start it with 'schema: {SCHEMA}'")
+    return Facts(path, "policy.yaml", dict(values), lines)
+
+
+def load_policy_yaml(path: str | Path) -> PolicyContract:
+    """Read and check a `policy.yaml`.
+
+    Args:
+        path: the file.
+
+    Raises:
+        PolicyError: wrong; the message has file and line, the culprit and the remedy.
+    """
+    return build_contract(policy_yaml_facts(Path(path)))
+
+
+def write_policy_yaml(contract: PolicyContract, out_dir: str | Path) -> Path:
+    """Write the canonical form, with the network's files copied beside it.
+
+    Args:
+        contract: the policy.
+        out_dir: folder; made where it is missing.
+
+    Returns:
+        The `policy.yaml` written.
+
+    Raises:
+        PolicyError: the network or one of its files is missing, or the folder cannot be written.
+    """
+    values = contract_values(contract)
+    values["sha256"] = hashlib.sha256(contract.model.read_bytes()).hexdigest()
+    return _write(Path(out_dir), _dump(values), contract.model)
+
+
+def write_partial_yaml(facts: Facts, missing: Mapping[str, str], out_dir: str | Path) -> Path:
+    """Write what a source says; what it does not say stands at the top as a list of comments.
+
+    Args:
+        facts: of the source.
+        missing: dotted name -> what it is, from `missing_facts`.
+        out_dir: folder; made where it is missing.
+
+    Raises:
+        PolicyError: as for `write_policy_yaml`.
+    """
+    key = "torchscript" if "torchscript" in facts.values else "onnx"
+    model = None
+    values: dict[str, Any] = {"schema": SCHEMA}
+    if key in facts.values:
+        model = facts.path.parent / str(facts.values[key])
+        values[key] = model.name
+    values |= {k: v for k, v in facts.values.items() if k not in values}
+    lines = [f"# The {facts.source} of {facts.path.name} does not say, so add:"]
+    lines += [f"#   {name}: {what}".rstrip(": ") for name, what in missing.items()]
+    return _write(Path(out_dir), "\n".join(lines) + "\n" + _dump(values), model)
+
+
+def _write(folder: Path, text: str, model: Path | None) -> Path:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if model is not None:
+            _copy_model(model, folder)
+        path = folder / "policy.yaml"
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise PolicyError(
+            f"{folder}: cannot write the policy: {error.strerror}; give another folder"
+        ) from error
+    return path
+
+
+def _copy_model(model: Path, folder: Path) -> None:
+    external = read_onnx(model).external if model.suffix == ".onnx" else ()
+    for name in (model.name, *external):
+        source, target = model.parent / name, folder / name
+        if not source.is_file():
+            raise PolicyError(
+                f"{source}: no such file; {model.name} needs its weights, put it there"
+            )
+        if not target.exists() or not os.path.samefile(source, target):
+            target.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(source, target)
+
+
+def contract_values(contract: PolicyContract) -> dict[str, Any]:
+    """Return the canonical form as plain values; `build_contract` reads them back."""
+    action, observation = contract.action, contract.observation
+    values: dict[str, Any] = {
+        "schema": SCHEMA,
+        "name": contract.name,
+        "torchscript" if contract.is_torchscript else "onnx": contract.model.name,
+        "sha256": contract.sha256,
+        "period": contract.period,
+        "robot": contract.robot,
+        "joints": list(contract.joints),
+        "default_joint_pos": _plain(contract.default_joint_pos),
+        "action": {
+            "joints": list(action.joints) if action.joints != contract.joints else None,
+            "scale": _plain(action.scale),
+            "offset": _plain(action.offset),
+            "clip": None if action.clip is None else _plain(action.clip),
+            "feedback": action.feedback,
+        },
+        "stiffness": _plain(contract.stiffness),
+        "damping": _plain(contract.damping),
+    }
+    if observation.terms:
+        values["observation"] = {
+            "layout": observation.layout,
+            "newest": observation.newest,
+            "start": observation.start,
+            "terms": [_term(term) for term in observation.terms],
+        }
+    if contract.inputs:
+        values["inputs"] = dict(contract.inputs)
+    if contract.outputs:
+        values["outputs"] = dict(contract.outputs)
+    if contract.recurrent:
+        values["recurrent"] = [{"input": r.input, "output": r.output} for r in contract.recurrent]
+    if contract.command_ranges:
+        values["command_ranges"] = {k: list(v) for k, v in contract.command_ranges.items()}
+    if contract.phase is not None:
+        phase = contract.phase
+        values["phase"] = {
+            "period": phase.period,
+            "offsets": list(phase.offsets),
+            "stand": phase.stand,
+            "stand_below": phase.stand_below,
+            "command": phase.command,
+        }
+    for key in ("joints", "clip"):
+        if values["action"][key] is None:
+            del values["action"][key]
+    return {key: value for key, value in values.items() if value is not None}
+
+
+def _term(term: ObservationTerm) -> dict[str, Any]:
+    values: dict[str, Any] = {"name": term.name, "state": term.state}
+    if term.index is not None:
+        values["index"] = list(term.index)
+    if term.subtract is not None:
+        values["subtract"] = (
+            term.subtract if isinstance(term.subtract, str) else _scalar_or_list(term.subtract)
+        )
+    if not (term.scale == 1.0).all():
+        values["scale"] = _scalar_or_list(term.scale)
+    if term.clip is not None:
+        values["clip"] = [_scalar_or_list(side) for side in term.clip]
+    if term.history != 1:
+        values["history"] = term.history
+    return values
+
+
+def _plain(array: NDArray[np.float32]) -> Any:
+    """Return shortest decimals that read back as the same float32."""
+    if array.ndim > 1:
+        return [_plain(row) for row in array]
+    return [float(str(value)) for value in array]
+
+
+def _scalar_or_list(array: NDArray[np.float32]) -> Any:
+    values = _plain(array)
+    return values[0] if len(set(values)) == 1 else values
+
+
+class _Dumper(yaml.SafeDumper):
+    """Lists of plain values and terms on one line, mappings spread out."""
+
+
+def _list(dumper: yaml.SafeDumper, values: list[Any]) -> yaml.Node:
+    flow = not any(isinstance(value, dict) for value in values)
+    return dumper.represent_sequence("tag:yaml.org,2002:seq", values, flow_style=flow)
+
+
+_Dumper.add_representer(list, _list)
+
+
+def _dump(values: dict[str, Any]) -> str:
+    return yaml.dump(
+        values,
+        Dumper=_Dumper,
+        sort_keys=False,
+        allow_unicode=True,
+        width=98,
+        default_flow_style=False,
+    )
