@@ -15,7 +15,8 @@ DEMO_WORKFLOW ?= go2_stand
 DEMO_ARGS ?=
 TEST_TIMEOUT ?= 120
 TEST_ARGS ?=
-BENCHES ?= latency tick bridge policy stores timing batch
+# All that `unicon bench` knows.
+BENCHES ?= $(shell $(BIN)/python -c 'from unicon_ros.cli.bench import BENCHES; print(*BENCHES)')
 
 # The ROS wheels start Python twice and leave these two to child processes, where they would load
 # another venv's libraries. A sourced ROS needs its LD_LIBRARY_PATH, so it goes only with the guard.

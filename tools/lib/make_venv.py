@@ -105,7 +105,9 @@ def main():
     env = clean_environment(os.environ)
     python = os.path.join(folder, "bin", "python")
     if not os.path.exists(python):
-        subprocess.run([sys.executable, "-m", "venv", *venv_args, folder], check=True, env=env)
+        made = subprocess.run([sys.executable, "-m", "venv", *venv_args, folder], env=env)
+        if made.returncode:
+            sys.exit(f"make venv: {folder} cannot be made (see above): mend that and try again")
     package = ".[{}]".format(",".join(extras))
     print(f"make venv: installing {package} and what it needs; this takes a minute or two")
     sys.stdout.flush()

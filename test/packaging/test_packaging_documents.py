@@ -1,0 +1,92 @@
+"""README, ARCHITECTURE and CONTRIBUTING tell the truth: links, file names, commands, examples."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from source_tree import ROOT, tracked_files
+
+DOCUMENTS = ("README.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "CHANGELOG.md")
+FOLDERS = ("unicon_core/", "unicon_msgs_map/", "unicon_ros/", "config/", "launch/", "test/")
+
+
+def text_of(document: str) -> str:
+    return (ROOT / document).read_text(encoding="utf-8")
+
+
+def code_block(language: str, first_words: str) -> str:
+    """Return the code block of the README whose first line starts with these words."""
+    blocks = re.findall(rf"```{language}\n(.*?)```", text_of("README.md"), re.DOTALL)
+    [block] = [block for block in blocks if block.startswith(first_words)]
+    return str(block)
+
+
+def unicon(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    path = os.pathsep.join([str(cwd), str(ROOT), os.environ.get("PYTHONPATH", "")])
+    return subprocess.run(
+        [sys.executable, "-m", "unicon_ros", *arguments],
+        cwd=cwd,
+        env={**os.environ, "PYTHONPATH": path.rstrip(os.pathsep)},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=90,
+    )
+
+
+@pytest.mark.parametrize("document", DOCUMENTS)
+def test_every_relative_link_leads_to_a_tracked_file(document: str) -> None:
+    links = re.findall(r"\]\(([^)#]+)\)", text_of(document))
+    relative = {link for link in links if "://" not in link}
+    assert relative - set(tracked_files()) == set()
+
+
+@pytest.mark.parametrize("document", DOCUMENTS)
+def test_every_file_and_folder_that_is_named_exists(document: str) -> None:
+    quoted = re.findall(r"`([A-Za-z0-9_./-]+)`", text_of(document))
+    named = {name for name in quoted if name.startswith(FOLDERS)}
+    named |= {f"unicon_core/{name}" for name in quoted if _below(name, ROOT / "unicon_core")}
+    assert {name for name in named if not (ROOT / name).exists()} == set()
+
+
+def _below(name: str, folder: Path) -> bool:
+    # ARCHITECTURE shortens unicon_core/flow/block.py to flow/block.py.
+    return name[0].isalpha() and "/" in name and (folder / name.split("/")[0]).is_dir()
+
+
+def test_every_make_target_that_is_named_exists() -> None:
+    targets = set(re.findall(r"^([a-z-]+):", text_of("Makefile"), re.MULTILINE))
+    for document in DOCUMENTS:
+        assert set(re.findall(r"(?:`|^)make ([a-z-]+)", text_of(document), re.MULTILINE)) <= targets
+
+
+def test_every_command_of_the_table_exists(tmp_path: Path) -> None:
+    named = set(re.findall(r"^\| `unicon ([a-z]+)", text_of("README.md"), re.MULTILINE))
+    assert named >= {"run", "check", "show", "robots"}
+    for command in named:
+        done = unicon(command, "--help", cwd=tmp_path)
+        assert done.returncode == 0, f"unicon {command}: {done.stderr}"
+
+
+def test_every_option_of_run_that_is_named_exists(tmp_path: Path) -> None:
+    sentence = re.search(r"`unicon run` takes (.*?)\. Exit", text_of("README.md"), re.DOTALL)
+    assert sentence is not None
+    options = set(re.findall(r"--[a-z-]+", sentence.group(1)))
+    help_text = unicon("run", "--help", cwd=tmp_path).stdout
+    assert {option for option in options if option not in help_text} == set()
+
+
+def test_the_examples_of_the_readme_run(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    (tmp_path / "my_blocks.py").write_text(code_block("python", "# my_blocks.py"), "utf-8")
+    workflow = tmp_path / "my_workflow.yaml"
+    workflow.write_text(code_block("yaml", "# my_workflow.yaml"), "utf-8")
+    checked = unicon("check", str(workflow), cwd=tmp_path)
+    assert checked.returncode == 0, checked.stdout + checked.stderr
+    ran = unicon("run", str(workflow), "--speed", "max", "--no-ros", cwd=tmp_path)
+    assert ran.returncode == 0, ran.stdout + ran.stderr
