@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import RobotError
+from unicon_core.located_yaml import read_yaml
 from unicon_core.resources import find_config, list_config
-from unicon_core.robots.located_yaml import read_yaml
 from unicon_core.robots.robot import JOINT_FIELDS, Imu, Robot
 from unicon_core.robots.validate import validate
 
@@ -34,7 +34,7 @@ def load_robot(name_or_path: str | Path) -> Robot:
             remedy.
     """
     path = find_config("robots", name_or_path, ".yaml", error=RobotError)
-    located = read_yaml(path)
+    located = read_yaml(path, RobotError)
     validate(located)
     document: dict[str, Any] = located.value
     joints = document["joints"]

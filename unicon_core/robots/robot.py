@@ -24,7 +24,9 @@ JOINT_FIELDS = {
     "damping": "joint_damping",
 }
 
-_NEEDED = ("lower", "upper", "velocity", "effort", "default", "stiffness", "damping")
+_NEEDED = ("lower", "upper", "default")
+# What a servo needs besides whose loop is closed by us; a hand that takes positions has its own.
+_NEEDED_FOR_TORQUE = ("velocity", "effort", "stiffness", "damping")
 
 
 @dataclass(frozen=True)
@@ -105,11 +107,12 @@ class Robot:
     def missing_facts(self) -> list[str]:
         """Return the facts that are still missing for driving the real robot, in the file's words.
 
-        Needed are the motor order, the limits, the standing pose and, unless the vendor closes the
-        position loop, the gains; of a robot that walks also how the IMU is turned.
+        Needed are the motor order, the position limits, the standing pose, the protocol and, unless
+        the vendor closes the position loop, the speed and torque limits and the gains; of a robot
+        that walks also how the IMU is turned.
         An empty list means that it can be driven.
         """
-        needed = _NEEDED[:-2] if self.position_controlled else _NEEDED
+        needed = _NEEDED if self.position_controlled else _NEEDED + _NEEDED_FOR_TORQUE
         missing = ["joint_order"] if "joint_order" in self.unknown else []
         missing += [f"joints.{key}" for key in needed if np.isnan(self.joint_fact(key)).any()]
         if self.kind in ("quadruped", "humanoid"):

@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from unicon_core.errors import alternatives
-from unicon_core.robots.located_yaml import Located, Where
+from unicon_core.located_yaml import Located, Where
 from unicon_core.robots.robot import JOINT_FIELDS
 
 __all__ = ["KINDS", "SCHEMA", "validate"]
