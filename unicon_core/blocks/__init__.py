@@ -1,1 +1,21 @@
-"""Blocks that come with unicon: postures, commands, safety, for workflow authors."""
+"""Built-in blocks: postures, commands, predicates and safety, for the `flow:` of a workflow."""
+
+__all__ = ["BUILTIN"]
+
+BUILTIN: dict[str, str] = {
+    name: f"unicon_core.blocks.{module}:{name}"
+    for module, names in {
+        "pose": ("pose",),
+        "hold": ("hold", "damp"),
+        "sway": ("sway",),
+        "velocity_command": ("velocity_command",),
+        "predicates": ("elapsed", "settled", "tilted"),
+        "limits": ("effort_limits", "joint_limits", "rate_limit"),
+        "stops": ("finite", "stale_stop", "tilt_stop", "velocity_stop"),
+        "fade_in": ("fade_in",),
+        "projected_gravity": ("projected_gravity",),
+        "maps": ("copy", "linear_map"),
+    }.items()
+    for name in names
+}
+"""Block name to `module:factory`; a factory is imported when a workflow names it."""

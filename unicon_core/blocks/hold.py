@@ -1,0 +1,131 @@
+"""Blocks `hold` and `damp`: stay where you are, and go limp with damping."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from unicon_core.blocks.joint_command import JointCommand, robot_gains, ticks_of
+from unicon_core.errors import WorkflowError
+from unicon_core.flow.block import Reads, Writes
+from unicon_core.robots import Robot
+
+__all__ = ["Damp", "Hold", "damp", "hold"]
+
+
+def hold(
+    joint_pos: Reads,
+    joint_pos_target: Writes,
+    joint_vel_target: Writes,
+    joint_effort_ff: Writes,
+    joint_stiffness: Writes,
+    joint_damping: Writes,
+    *,
+    robot: Robot,
+    period: float,
+    duration: float | None = None,
+    keep_gains: bool = False,
+) -> Hold:
+    """Keep the position targets of the moment of entry; limp joints keep their measured position.
+
+    Args:
+        duration: in [s]; None never ends.
+        keep_gains: leave stiffness and damping as the block before set them (a policy's), instead
+            of the robot file's.
+    """
+    command = JointCommand(
+        joint_pos,
+        joint_pos_target,
+        joint_vel_target,
+        joint_effort_ff,
+        joint_stiffness,
+        joint_damping,
+    )
+    return Hold(command, robot, ticks_of(duration, period, "duration"), keep_gains)
+
+
+class Hold:
+    """The tick of `hold`."""
+
+    def __init__(
+        self, command: JointCommand, robot: Robot, ticks: int | None, keep_gains: bool
+    ) -> None:
+        self._command, self._ticks = command, ticks
+        self._gains = None if keep_gains else robot_gains(robot, "hold")
+        self._held = np.zeros_like(command.target)
+        self._tick = 0
+
+    def __call__(self) -> bool:
+        command = self._command
+        if self._tick == 0:
+            command.entry(self._held)
+        self._tick += 1
+        command.target[...] = self._held
+        command.vel_target[...] = 0.0
+        command.effort_ff[...] = 0.0
+        if self._gains is not None:
+            command.stiffness[...], command.damping[...] = self._gains
+        return self._ticks is not None and self._tick >= self._ticks
+
+    def reset(self) -> None:
+        """Hold whatever is the target at the next tick."""
+        self._tick = 0
+
+
+def damp(
+    joint_pos: Reads,
+    joint_pos_target: Writes,
+    joint_vel_target: Writes,
+    joint_effort_ff: Writes,
+    joint_stiffness: Writes,
+    joint_damping: Writes,
+    *,
+    robot: Robot,
+    period: float,
+    duration: float | None = None,
+    damping: float | None = None,
+) -> Damp:
+    """Let go: stiffness 0, damping against every motion, targets at the measured positions.
+
+    Args:
+        duration: in [s]; None never ends.
+        damping: of every joint in [N·m·s/rad]; None for the robot file's.
+    """
+    command = JointCommand(
+        joint_pos,
+        joint_pos_target,
+        joint_vel_target,
+        joint_effort_ff,
+        joint_stiffness,
+        joint_damping,
+    )
+    if damping is None:
+        gain = robot_gains(robot, "damp")[1]
+    elif damping >= 0.0:
+        gain = np.full(robot.num_joints, damping, np.float32)
+    else:
+        raise WorkflowError(f"damping is {damping}; give 0 or more in [N·m·s/rad]")
+    return Damp(command, gain, ticks_of(duration, period, "duration"))
+
+
+class Damp:
+    """The tick of `damp`."""
+
+    def __init__(
+        self, command: JointCommand, gain: np.typing.NDArray[np.float32], ticks: int | None
+    ) -> None:
+        self._command, self._gain, self._ticks = command, gain, ticks
+        self._tick = 0
+
+    def __call__(self) -> bool:
+        command = self._command
+        command.target[...] = command.pos
+        command.vel_target[...] = 0.0
+        command.effort_ff[...] = 0.0
+        command.stiffness[...] = 0.0
+        command.damping[...] = self._gain
+        self._tick += 1
+        return self._ticks is not None and self._tick >= self._ticks
+
+    def reset(self) -> None:
+        """Count the duration anew."""
+        self._tick = 0

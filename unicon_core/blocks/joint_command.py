@@ -1,0 +1,142 @@
+"""What the posture blocks share: the command states, the robot's gains, joints by pattern."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from fnmatch import fnmatchcase
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.errors import RobotError, WorkflowError, alternatives
+from unicon_core.robots import Robot
+
+__all__ = ["JointCommand", "joints_like", "named_pose", "robot_gains", "ticks_of"]
+
+Float = NDArray[np.float32]
+
+
+class JointCommand:
+    """The five command states of the tick and where the joints are.
+
+    Args:
+        joint_pos: measured positions in [rad], shape (..., n).
+        joint_pos_target, joint_vel_target, joint_effort_ff, joint_stiffness, joint_damping: views
+            of the command states, shape (..., n).
+    """
+
+    def __init__(
+        self,
+        joint_pos: NDArray[Any],
+        joint_pos_target: NDArray[Any],
+        joint_vel_target: NDArray[Any],
+        joint_effort_ff: NDArray[Any],
+        joint_stiffness: NDArray[Any],
+        joint_damping: NDArray[Any],
+    ) -> None:
+        self.pos = joint_pos
+        self.target = joint_pos_target
+        self.vel_target = joint_vel_target
+        self.effort_ff = joint_effort_ff
+        self.stiffness = joint_stiffness
+        self.damping = joint_damping
+
+    def entry(self, out: NDArray[Any]) -> None:
+        """Write where a movement begins in [rad], shape (..., n).
+
+        A joint that holds a target begins there, so that the torque does not jump; a limp one
+        (stiffness 0) begins where it was measured.
+        """
+        out[...] = np.where(self.stiffness > 0.0, self.target, self.pos)
+
+
+def robot_gains(robot: Robot, needed_for: str) -> tuple[Float, Float]:
+    """Return the stiffness [N·m/rad] and damping [N·m·s/rad] of a robot file, each shape (n,).
+
+    A robot whose vendor closes the position loop has none: 1 then stands for "on".
+
+    Raises:
+        RobotError: a gain is unknown.
+    """
+    gains = []
+    for key, values in (("stiffness", robot.joint_stiffness), ("damping", robot.joint_damping)):
+        known = np.where(np.isnan(values), 1.0, values) if robot.position_controlled else values
+        unknown = [name for name, value in zip(robot.joint_names, known) if math.isnan(value)]
+        if unknown:
+            raise RobotError(
+                f"block {needed_for!r}: robot {robot.name} does not say the {key} of joint "
+                f"{unknown[0]} ({len(unknown)} joints); give it in {robot.path}"
+            )
+        gains.append(known.astype(np.float32))
+    return gains[0], gains[1]
+
+
+def joints_like(pattern: str, robot: Robot) -> list[int]:
+    """Return the joints whose names match a pattern with `*` and `?`, never empty.
+
+    Raises:
+        WorkflowError: none does.
+    """
+    found = [i for i, name in enumerate(robot.joint_names) if fnmatchcase(name, pattern)]
+    if not found:
+        raise WorkflowError(
+            f"robot {robot.name} has no joint like {pattern!r}; "
+            f"{alternatives(pattern, robot.joint_names)}"
+        )
+    return found
+
+
+def named_pose(to: str | Mapping[str, float], robot: Robot, block: str) -> tuple[Float, Float]:
+    """Return a pose [rad] and which joints it says (1 or 0), each shape (n,).
+
+    Args:
+        to: `stand` or `default`, `rest` or `lie`, or joint names and patterns to [rad].
+
+    Raises:
+        RobotError: the robot file does not say that pose.
+        WorkflowError: no such pose or joint, or a position beyond the joint's limits.
+    """
+    if isinstance(to, str):
+        poses = {
+            "default": robot.default_joint_pos,
+            "stand": robot.default_joint_pos,
+            "rest": robot.rest_joint_pos,
+            "lie": robot.rest_joint_pos,
+        }
+        if to not in poses:
+            raise WorkflowError(f"no pose {to!r}; {alternatives(to, poses)}; or joints to [rad]")
+        if np.isnan(poses[to]).any():
+            joint = robot.joint_names[int(np.argmax(np.isnan(poses[to])))]
+            raise RobotError(
+                f"block {block!r}: robot {robot.name} does not say the {to} pose of joint {joint}; "
+                f"give it in {robot.path}, or give the block joints and positions"
+            )
+        return poses[to].astype(np.float32), np.ones(robot.num_joints, np.float32)
+    pose = np.zeros(robot.num_joints, np.float32)
+    said = np.zeros(robot.num_joints, np.float32)
+    for pattern, position in to.items():
+        for i in joints_like(pattern, robot):
+            lower, upper = robot.lower[i], robot.upper[i]
+            if position < lower - 1e-6 or position > upper + 1e-6:  # false for an unknown limit
+                raise WorkflowError(
+                    f"{position} rad is beyond the limits of joint {robot.joint_names[i]}: "
+                    f"{lower:.6g} to {upper:.6g} rad; correct the pose"
+                )
+            pose[i], said[i] = position, 1.0
+    return pose, said
+
+
+def ticks_of(seconds: float | None, period: float, option: str) -> int | None:
+    """Return a time as a number of ticks, at least 1; None for no end.
+
+    Raises:
+        WorkflowError: it is no time.
+    """
+    if seconds is None:
+        return None
+    number = isinstance(seconds, (int, float)) and not isinstance(seconds, bool)
+    if not number or not 0.0 <= seconds < math.inf:
+        raise WorkflowError(f"{option} is {seconds!r}; give a time of 0 or more in [s]")
+    return max(round(seconds / period), 1)

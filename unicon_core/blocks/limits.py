@@ -1,0 +1,194 @@
+"""Safety blocks that amend commands: `joint_limits`, `effort_limits`, `rate_limit`."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.errors import RobotError, WorkflowError
+from unicon_core.flow.block import Amends, Reads, Role
+from unicon_core.robots import Robot
+
+__all__ = [
+    "EffortLimits",
+    "JointLimits",
+    "RateLimit",
+    "effort_limits",
+    "joint_limits",
+    "rate_limit",
+]
+
+Float = NDArray[np.float32]
+
+
+def joint_limits(joint_pos_target: Amends, *, robot: Robot, margin: float = 0.0) -> JointLimits:
+    """Clip position targets to the robot's limits; an unknown limit does not bind.
+
+    Args:
+        joint_pos_target: in [rad], shape (..., n).
+        margin: distance kept from the limits in [rad].
+
+    Raises:
+        WorkflowError: the margin leaves a joint nothing.
+    """
+    lower = np.nan_to_num(robot.lower, nan=-np.inf) + np.float32(margin)
+    upper = np.nan_to_num(robot.upper, nan=np.inf) - np.float32(margin)
+    if (lower > upper).any():
+        joint = robot.joint_names[int(np.argmax(lower > upper))]
+        raise WorkflowError(
+            f"margin {margin} rad leaves joint {joint} no range; give a smaller one"
+        )
+    return JointLimits(joint_pos_target, lower, upper)
+
+
+class JointLimits:
+    """The tick of `joint_limits`."""
+
+    role: Role = "safety"
+
+    def __init__(self, target: Float, lower: Float, upper: Float) -> None:
+        self._target, self._lower, self._upper = target, lower, upper
+
+    def __call__(self) -> None:
+        np.clip(self._target, self._lower, self._upper, out=self._target)
+
+
+def effort_limits(
+    joint_pos: Reads,
+    joint_vel: Reads,
+    joint_vel_target: Reads,
+    joint_stiffness: Reads,
+    joint_damping: Reads,
+    joint_pos_target: Amends,
+    joint_effort_ff: Amends,
+    *,
+    robot: Robot,
+    scale: float = 1.0,
+) -> EffortLimits:
+    """Move targets so that the servo's torque stays within the effort limits.
+
+    tau = kp (q* - q) + kd (qd* - qd) + tau_ff is clipped to ±scale·effort; where it was beyond, q*
+    becomes the target that gives the limit (tau_ff where kp is 0). Other joints keep their bits.
+
+    Args:
+        scale: share of the robot's effort limits [N·m] that may be used.
+    """
+    if not scale > 0.0:
+        raise WorkflowError(f"scale is {scale}; give a share of the effort limits above 0")
+    limit = np.nan_to_num(robot.effort_limit, nan=np.inf) * np.float32(scale)
+    return EffortLimits(
+        joint_pos,
+        joint_vel,
+        joint_vel_target,
+        joint_stiffness,
+        joint_damping,
+        joint_pos_target,
+        joint_effort_ff,
+        limit,
+    )
+
+
+class EffortLimits:
+    """The tick of `effort_limits`."""
+
+    role: Role = "safety"
+
+    def __init__(
+        self,
+        pos: Float,
+        vel: Float,
+        vel_target: Float,
+        stiffness: Float,
+        damping: Float,
+        target: Float,
+        effort_ff: Float,
+        limit: Float,
+    ) -> None:
+        self._pos, self._vel, self._vel_target = pos, vel, vel_target
+        self._stiffness, self._damping = stiffness, damping
+        self._target, self._effort_ff = target, effort_ff
+        self._lower, self._upper = -limit, limit
+        self._torque, self._rest, self._clipped = (np.zeros_like(target) for _ in range(3))
+        self._beyond = np.zeros(target.shape, np.bool_)
+        self._stiff, self._limp = self._beyond.copy(), self._beyond.copy()
+
+    def __call__(self) -> None:
+        torque, rest, clipped, beyond = self._torque, self._rest, self._clipped, self._beyond
+        np.subtract(self._vel_target, self._vel, out=rest)
+        rest *= self._damping  # what damping adds
+        np.subtract(self._target, self._pos, out=torque)
+        torque *= self._stiffness
+        torque += rest
+        torque += self._effort_ff
+        np.clip(torque, self._lower, self._upper, out=clipped)
+        np.not_equal(torque, clipped, out=beyond)
+        if not beyond.any():
+            return
+        np.greater(self._stiffness, 0.0, out=self._stiff)
+        np.logical_not(self._stiff, out=self._limp)
+        self._stiff &= beyond
+        self._limp &= beyond
+        clipped -= rest
+        np.copyto(self._effort_ff, clipped, where=self._limp)
+        clipped -= self._effort_ff
+        np.divide(clipped, self._stiffness, out=clipped, where=self._stiff)
+        clipped += self._pos
+        np.copyto(self._target, clipped, where=self._stiff)
+
+
+def rate_limit(
+    joint_pos: Reads,
+    joint_pos_target: Amends,
+    *,
+    robot: Robot,
+    period: float,
+    max_rate: float | Literal["robot"] = "robot",
+) -> RateLimit:
+    """Let position targets move no faster than a speed, beginning at the measured positions.
+
+    Args:
+        max_rate: in [rad/s], or `robot` for the robot file's velocity limits.
+
+    Raises:
+        RobotError: the robot file does not say them.
+    """
+    if max_rate == "robot":
+        rate = robot.velocity_limit
+        if np.isnan(rate).any():
+            joint = robot.joint_names[int(np.argmax(np.isnan(rate)))]
+            raise RobotError(
+                f"robot {robot.name} does not say the velocity limit of joint {joint}; "
+                "give rate_limit a max_rate in [rad/s]"
+            )
+    elif isinstance(max_rate, (int, float)) and max_rate > 0.0:
+        rate = np.full(robot.num_joints, max_rate, np.float32)
+    else:
+        raise WorkflowError(f"max_rate is {max_rate!r}; give [rad/s] above 0, or robot")
+    return RateLimit(joint_pos, joint_pos_target, rate * np.float32(period))
+
+
+class RateLimit:
+    """The tick of `rate_limit`."""
+
+    role: Role = "safety"
+
+    def __init__(self, pos: Float, target: Float, step: Float) -> None:
+        self._pos, self._target, self._step = pos, target, step
+        self._last, self._bound = np.zeros_like(target), np.zeros_like(target)
+        self._fresh = True
+
+    def __call__(self) -> None:
+        if self._fresh:
+            self._last[...] = self._pos
+            self._fresh = False
+        np.subtract(self._last, self._step, out=self._bound)
+        np.maximum(self._target, self._bound, out=self._target)
+        np.add(self._last, self._step, out=self._bound)
+        np.minimum(self._target, self._bound, out=self._target)
+        self._last[...] = self._target
+
+    def reset(self) -> None:
+        """Begin anew at the measured positions."""
+        self._fresh = True

@@ -1,0 +1,114 @@
+"""Block `pose`: goes smoothly into a posture and is done there."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from unicon_core.blocks.joint_command import JointCommand, named_pose, robot_gains, ticks_of
+from unicon_core.flow.block import Reads, Writes
+from unicon_core.robots import Robot
+
+__all__ = ["Pose", "pose"]
+
+
+def pose(
+    joint_pos: Reads,
+    joint_pos_target: Writes,
+    joint_vel_target: Writes,
+    joint_effort_ff: Writes,
+    joint_stiffness: Writes,
+    joint_damping: Writes,
+    *,
+    robot: Robot,
+    period: float,
+    to: str | Mapping[str, float] = "stand",
+    duration: float = 2.0,
+    fade_in: float = 0.0,
+    stiffness_scale: float = 1.0,
+    damping_scale: float = 1.0,
+) -> Pose:
+    """Interpolate the position targets from where they are to a pose.
+
+    The path is half a cosine: it begins and ends at rest, and its largest speed is
+    π/2 · distance / duration.
+
+    Args:
+        to: `stand` (`default`), `rest` (`lie`), or joint names and patterns (`*_knee_joint`) to
+            [rad]; joints that are not named stay where they are.
+        duration: in [s]; done at its end.
+        fade_in: time in [s] over which the gains go from their present values to the robot's.
+        stiffness_scale: factor on the robot file's stiffness.
+        damping_scale: factor on the robot file's damping.
+    """
+    command = JointCommand(
+        joint_pos,
+        joint_pos_target,
+        joint_vel_target,
+        joint_effort_ff,
+        joint_stiffness,
+        joint_damping,
+    )
+    return Pose(command, robot, period, to, duration, fade_in, stiffness_scale, damping_scale)
+
+
+class Pose:
+    """The tick of `pose`."""
+
+    def __init__(
+        self,
+        command: JointCommand,
+        robot: Robot,
+        period: float,
+        to: str | Mapping[str, float],
+        duration: float,
+        fade_in: float,
+        stiffness_scale: float,
+        damping_scale: float,
+    ) -> None:
+        self._command = command
+        self._goal, self._said = named_pose(to, robot, "pose")
+        stiffness, damping = robot_gains(robot, "pose")
+        self._gains = stiffness * np.float32(stiffness_scale), damping * np.float32(damping_scale)
+        self._ticks = ticks_of(duration, period, "duration") or 1
+        self._fade_ticks = ticks_of(fade_in, period, "fade_in") or 1
+        self._start, self._way = (np.zeros_like(command.target) for _ in range(2))
+        self._first_gains = np.zeros_like(command.stiffness), np.zeros_like(command.damping)
+        self._tick = 0
+
+    def __call__(self) -> bool:
+        command = self._command
+        if self._tick == 0:
+            command.entry(self._start)
+            np.subtract(self._goal, self._start, out=self._way)
+            self._way *= self._said
+            for held, now in zip(self._first_gains, (command.stiffness, command.damping)):
+                held[...] = now
+        self._tick += 1
+        done = self._tick >= self._ticks
+        share = 1.0 if done else 0.5 - 0.5 * math.cos(math.pi * self._tick / self._ticks)
+        np.multiply(self._way, share, out=command.target)
+        command.target += self._start
+        command.vel_target[...] = 0.0
+        command.effort_ff[...] = 0.0
+        self._write_gains()
+        return done
+
+    def _write_gains(self) -> None:
+        command = self._command
+        faded = min(self._tick / self._fade_ticks, 1.0)
+        for out, gain, first in zip(
+            (command.stiffness, command.damping), self._gains, self._first_gains
+        ):
+            if faded == 1.0:
+                out[...] = gain
+            else:  # first + faded · (gain - first), in place
+                np.subtract(gain, first, out=out)
+                out *= faded
+                out += first
+
+    def reset(self) -> None:
+        """Begin anew from wherever the joints are at the next tick."""
+        self._tick = 0

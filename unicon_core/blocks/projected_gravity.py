@@ -1,0 +1,46 @@
+"""Block `projected_gravity`: the direction of gravity for platforms that give an orientation only."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.flow.block import Reads, Writes
+
+__all__ = ["ProjectedGravity", "projected_gravity"]
+
+
+def projected_gravity(base_quat: Reads, projected_gravity: Writes) -> ProjectedGravity:
+    """Turn the unit vector of gravity into the base frame: g = R(q)ᵀ (0, 0, -1).
+
+    Args:
+        base_quat: unit quaternion wxyz, base to world, shape (..., 4).
+        projected_gravity: shape (..., 3).
+    """
+    return ProjectedGravity(base_quat, projected_gravity)
+
+
+class ProjectedGravity:
+    """The tick of `projected_gravity`; the third row of R(q), negated."""
+
+    def __init__(self, quat: NDArray[np.float32], out: NDArray[np.float32]) -> None:
+        self._w, self._x, self._y, self._z = (quat[..., i] for i in range(4))
+        self._parts = tuple(out[..., i] for i in range(3))
+        self._first, self._second = (np.zeros(quat.shape[:-1], np.float32) for _ in range(2))
+
+    def __call__(self) -> None:
+        first, second = self._first, self._second
+        (gx, gy, gz), (w, x, y, z) = self._parts, (self._w, self._x, self._y, self._z)
+        np.multiply(w, y, out=first)
+        np.multiply(x, z, out=second)
+        np.subtract(first, second, out=first)
+        np.multiply(first, 2.0, out=gx)
+        np.multiply(w, x, out=first)
+        np.multiply(y, z, out=second)
+        np.add(first, second, out=first)
+        np.multiply(first, -2.0, out=gy)
+        np.multiply(x, x, out=first)
+        np.multiply(y, y, out=second)
+        np.add(first, second, out=first)
+        np.multiply(first, 2.0, out=first)
+        np.subtract(first, 1.0, out=gz)

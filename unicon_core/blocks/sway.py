@@ -1,0 +1,135 @@
+"""Block `sway`: a standing robot leans as the velocity command says, feet where they are."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.blocks.joint_command import (
+    JointCommand,
+    joints_like,
+    named_pose,
+    robot_gains,
+    ticks_of,
+)
+from unicon_core.errors import WorkflowError
+from unicon_core.flow.block import Reads, Writes
+from unicon_core.robots import Robot
+
+__all__ = ["Sway", "sway"]
+
+
+def sway(
+    joint_pos: Reads,
+    velocity_command: Reads,
+    joint_pos_target: Writes,
+    joint_vel_target: Writes,
+    joint_effort_ff: Writes,
+    joint_stiffness: Writes,
+    joint_damping: Writes,
+    *,
+    robot: Robot,
+    period: float,
+    gains: Mapping[str, Sequence[float]],
+    amplitude: Sequence[float] = (0.0, 0.0, 0.0),
+    frequency: float = 0.5,
+    time_constant: float = 0.3,
+    around: str | Mapping[str, float] = "stand",
+    duration: float | None = None,
+) -> Sway:
+    """Move the position targets around a pose: target = pose + K (command + own oscillation).
+
+    Args:
+        gains: joint names and patterns to their row of K: radians for each m/s of vx, m/s of vy and
+            rad/s of wz; rows of patterns that meet on a joint add up.
+        amplitude: of the block's own sine command, vx, vy in [m/s] and wz in [rad/s].
+        frequency: of that sine in [Hz].
+        time_constant: of the first-order filter on the targets in [s].
+        around: the pose, as for `pose`.
+        duration: in [s]; None never ends.
+
+    The targets stay within the robot's joint limits.
+    """
+    command = JointCommand(
+        joint_pos,
+        joint_pos_target,
+        joint_vel_target,
+        joint_effort_ff,
+        joint_stiffness,
+        joint_damping,
+    )
+    matrix = np.zeros((robot.num_joints, 3), np.float32)
+    for pattern, row in gains.items():
+        if not isinstance(row, Sequence) or len(row) != 3:
+            raise WorkflowError(f"gains of {pattern!r} are {row!r}; give [per vx, per vy, per wz]")
+        matrix[joints_like(pattern, robot)] += np.asarray(row, np.float32)
+    if len(amplitude) != 3:
+        raise WorkflowError(f"amplitude is {list(amplitude)}; give [vx, vy, wz]")
+    centre, said = named_pose(around, robot, "sway")
+    centre = np.where(said > 0.0, centre, np.nan_to_num(robot.default_joint_pos))
+    return Sway(
+        command,
+        velocity_command,
+        robot,
+        period,
+        matrix,
+        centre,
+        np.asarray(amplitude, np.float32),
+        frequency,
+        time_constant,
+        ticks_of(duration, period, "duration"),
+    )
+
+
+class Sway:
+    """The tick of `sway`."""
+
+    def __init__(
+        self,
+        command: JointCommand,
+        velocity_command: NDArray[np.float32],
+        robot: Robot,
+        period: float,
+        matrix: NDArray[np.float32],
+        centre: NDArray[np.float32],
+        amplitude: NDArray[np.float32],
+        frequency: float,
+        time_constant: float,
+        ticks: int | None,
+    ) -> None:
+        self._command, self._velocity = command, velocity_command
+        self._transposed, self._centre = np.ascontiguousarray(matrix.T), centre
+        self._amplitude, self._turn = amplitude, 2.0 * math.pi * frequency * period
+        self._share = 1.0 if time_constant <= 0.0 else -math.expm1(-period / time_constant)
+        self._lower = np.nan_to_num(robot.lower, nan=-np.inf)
+        self._upper = np.nan_to_num(robot.upper, nan=np.inf)
+        self._gains = robot_gains(robot, "sway")
+        self._ticks, self._tick = ticks, 0
+        self._filtered, self._wanted = (np.zeros_like(command.target) for _ in range(2))
+        self._twist = np.zeros_like(velocity_command)
+
+    def __call__(self) -> bool:
+        command, wanted, filtered = self._command, self._wanted, self._filtered
+        if self._tick == 0:
+            command.entry(filtered)
+        self._tick += 1
+        np.multiply(self._amplitude, math.sin(self._turn * self._tick), out=self._twist)
+        self._twist += self._velocity
+        np.matmul(self._twist, self._transposed, out=wanted)
+        wanted += self._centre
+        np.clip(wanted, self._lower, self._upper, out=wanted)
+        wanted -= filtered
+        wanted *= self._share
+        filtered += wanted
+        command.target[...] = filtered
+        command.vel_target[...] = 0.0
+        command.effort_ff[...] = 0.0
+        command.stiffness[...], command.damping[...] = self._gains
+        return self._ticks is not None and self._tick >= self._ticks
+
+    def reset(self) -> None:
+        """Begin anew from wherever the joints are at the next tick."""
+        self._tick = 0
