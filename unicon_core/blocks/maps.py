@@ -115,7 +115,9 @@ class LinearMap:
                 f"{what} has {vector.size} values for {len(self.index)} elements of "
                 f"{self.target_label!r}; give one, or one for each"
             )
-        return np.broadcast_to(vector, (len(self.index),)).copy()
+        filled = np.empty(len(self.index), np.float32)
+        filled[:] = vector
+        return filled
 
     def __call__(self) -> None:
         if self._whole:

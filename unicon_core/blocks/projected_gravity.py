@@ -1,4 +1,4 @@
-"""Block `projected_gravity`: the direction of gravity for platforms that give an orientation only."""
+"""Block `projected_gravity`: where gravity points, for platforms that give only an orientation."""
 
 from __future__ import annotations
 

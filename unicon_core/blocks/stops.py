@@ -1,4 +1,4 @@
-"""Safety blocks that end a run: `finite`, `tilt_stop`, `velocity_stop`, `stale_stop` raise Fault."""
+"""Safety blocks that raise Fault: `finite`, `tilt_stop`, `velocity_stop`, `stale_stop`."""
 
 from __future__ import annotations
 
@@ -151,9 +151,10 @@ class VelocityStop:
         if not self._share.max() <= 1.0:
             worst = np.argmax(np.nan_to_num(self._share, nan=np.inf))
             index = tuple(int(i) for i in np.unravel_index(worst, self._share.shape))
+            joint, allowed = self._names[index[-1]], self._bound[index[-1]]
             raise Fault(
-                f"{_who(index)}joint {self._names[index[-1]]} moves at {self._vel[index]:.2f} rad/s, "
-                f"allowed are {self._bound[index[-1]]:.2f}"
+                f"{_who(index)}joint {joint} moves at {self._vel[index]:.2f} rad/s, "
+                f"allowed are {allowed:.2f}"
             )
 
 
@@ -175,7 +176,8 @@ class StaleStop:
 
     def __init__(self, stamp: NDArray[np.int64], ticks: int, timeout: float) -> None:
         self._stamp, self._ticks, self._timeout = stamp, ticks, timeout
-        self.reset()
+        self._last: int | None = None
+        self._same = 0
 
     def __call__(self) -> None:
         stamp = int(self._stamp.min())
@@ -191,5 +193,5 @@ class StaleStop:
 
     def reset(self) -> None:
         """Wait anew for data."""
-        self._last: int | None = None
+        self._last = None
         self._same = 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,7 +46,7 @@ def velocity_command(
         shown = wrong[1:] if constant is not None else wrong
         raise WorkflowError(f"{shown} is no command; give [vx, vy, wz], with t in front in a row")
     times = [float(row[0]) for row in rows]
-    if any(late <= early for early, late in zip(times, times[1:])) or times[0] < 0.0:
+    if any(late <= early for early, late in pairwise(times)) or times[0] < 0.0:
         raise WorkflowError(f"the schedule's times {times} do not rise from 0; put them in order")
     values = np.array([row[1:] for row in rows], np.float32)
     if limits is not None:
