@@ -9,8 +9,9 @@ from typing import Any
 import pytest
 from source_tree import ROOT
 
-launch = pytest.importorskip("launch", reason="no ROS launch: source a ROS 2 installation")
+# launch_ros first: our own folder launch/ answers to `import launch` where ROS's is missing.
 pytest.importorskip("launch_ros.actions", reason="no launch_ros: source a ROS 2 installation")
+launch = pytest.importorskip("launch")
 
 
 @pytest.fixture(scope="module")
