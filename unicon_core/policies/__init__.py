@@ -14,6 +14,12 @@ from unicon_core.policies.onnx_block import OnnxPolicy
 from unicon_core.policies.phase import GaitPhase
 from unicon_core.policies.policy_states import policy_states
 from unicon_core.policies.policy_yaml import load_policy_yaml, write_policy_yaml
+from unicon_core.policies.table import (
+    joint_table,
+    observation_table,
+    policies_table,
+    policy_table,
+)
 
 __all__ = [
     "ActionSpec",
@@ -28,10 +34,14 @@ __all__ = [
     "Recurrent",
     "TermSlice",
     "import_policy",
+    "joint_table",
     "load_policy",
     "load_policy_yaml",
+    "observation_table",
+    "policies_table",
     "policy_names",
     "policy_states",
+    "policy_table",
     "term_slices",
     "write_policy_yaml",
 ]

@@ -59,6 +59,13 @@ class ImportReport:
     missing: Mapping[str, str]
     notes: tuple[str, ...]
 
+    def __str__(self) -> str:
+        lines = [f"{self.path}  (from {self.source})"]
+        if self.missing:
+            lines.append("not said by the source, add to the file or under 'given':")
+            lines += [f"  {name}: {what}".rstrip(": ") for name, what in self.missing.items()]
+        return "\n".join([*lines, *(f"note: {note}" for note in self.notes)])
+
 
 def policy_names() -> list[str]:
     """Return the names of the policies in `config/policies/`, sorted."""

@@ -15,6 +15,8 @@ from unicon_core.policies.joint_command import JointCommand
 from unicon_core.policies.lane import Lane, build_lane
 from unicon_core.policies.network import Network, OnnxNetwork
 from unicon_core.policies.observation import PackedStates
+from unicon_core.policies.phase import GaitPhase
+from unicon_core.policies.prefixed import PrefixedStates
 from unicon_core.robots import Robot
 
 __all__ = ["OnnxPolicy"]
@@ -30,6 +32,7 @@ class OnnxPolicy:
         states: packed states; `joint_pos_target`, `joint_stiffness` and `joint_damping` are
             written, `observation` and `action` too where they are declared.
         robot: the robot that is to move; joints are aligned by name.
+        prefix: of the policy's own states, as given to `policy_states`.
         network: another runtime than onnxruntime.
 
     Attributes:
@@ -50,8 +53,12 @@ class OnnxPolicy:
         states: PackedStates,
         robot: Robot,
         *,
+        prefix: str = "",
         network: Network | None = None,
     ) -> None:
+        declared = states
+        if prefix:
+            states = PrefixedStates(states, prefix)
         self.name = contract.name
         self.contract = contract
         self.network = _network(contract) if network is None else network
@@ -72,14 +79,10 @@ class OnnxPolicy:
         )
         self._command_scratch: JointCommand | None = None
         self._scratch: Lane | None = None
-        own = [name for name in ("observation", "action") if name in states]
-        outputs = [n for n in contract.outputs if n in states and n != "action"]
-        self.writes: tuple[str, ...] = (*own, *outputs, *_TARGETS)
-        read = [term.state for term in contract.terms if "observation" in contract.inputs]
-        read += [name for name in contract.inputs if name != "observation" and name in states]
-        self.reads: tuple[str, ...] = tuple(
-            name for name in dict.fromkeys(read) if name not in self.writes
-        )
+        self.phase: GaitPhase | None = None
+        if contract.phase is not None and "gait_phase" in states:
+            self.phase = GaitPhase(contract.phase, states, contract.period)
+        self.reads, self.writes = _reads_writes(contract, states, declared, prefix, self.phase)
 
     def __call__(self) -> None:
         """Run one tick.
@@ -88,6 +91,8 @@ class OnnxPolicy:
             Fault: the observation or the action holds a NaN or infinity; no target is written.
         """
         lane = self.lane
+        if self.phase is not None:
+            self.phase()
         lane.assemble()
         if not lane.finite():
             raise Fault(self._blame_observation())
@@ -105,6 +110,8 @@ class OnnxPolicy:
         """Forget history, memory and last action, as at the start of training episodes."""
         self.lane.reset()
         self.lane.action[...] = 0.0
+        if self.phase is not None:
+            self.phase.reset()
 
     def prepare_dry_run(self) -> None:
         """Build the scratch lane now, so that the first `dry_run` costs no more than the next."""
@@ -152,6 +159,29 @@ class OnnxPolicy:
 
     def _of_robot(self, row: int) -> str:
         return f" of robot {row}" if self._states.num_robots else ""
+
+
+def _reads_writes(
+    contract: PolicyContract,
+    states: PackedStates,
+    declared: PackedStates,
+    prefix: str,
+    phase: GaitPhase | None,
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names as they are declared: what the policy takes from others, and what it writes."""
+    own = [name for name in ("observation", "action") if name in states]
+    own += [] if phase is None else phase.writes
+    own += [name for name in contract.outputs if name in states and name != "action"]
+    read = [] if phase is None else list(phase.reads)
+    read += [term.state for term in contract.terms if "observation" in contract.inputs]
+    read += [name for name in contract.inputs if name != "observation" and name in states]
+
+    def actual(name: str) -> str:
+        return f"{prefix}{name}" if prefix and f"{prefix}{name}" in declared else name
+
+    writes = tuple(dict.fromkeys([*map(actual, own), *_TARGETS]))
+    reads = tuple(name for name in dict.fromkeys(map(actual, read)) if name not in writes)
+    return reads, writes
 
 
 def _network(contract: PolicyContract) -> Any:

@@ -16,6 +16,8 @@ def policy_states(
     contract: PolicyContract,
     robot: NamedJoints,
     extra: Mapping[str, StateSpec] | None = None,
+    *,
+    prefix: str = "",
 ) -> dict[str, StateSpec]:
     """Return the states to declare for a policy: `observation`, `action`, and the gait phase.
 
@@ -23,6 +25,8 @@ def policy_states(
         contract: the policy.
         robot: its joint order decides which states are taken in policy order.
         extra: further states of the workflow that terms may name.
+        prefix: put before the names, so that a workflow can hold several policies; the policy
+            block takes the same.
 
     Raises:
         PolicyError: a term takes a state that is neither standard, nor extra, nor the policy's own.
@@ -32,7 +36,7 @@ def policy_states(
         specs = {**standard_states(robot.joint_names), **(extra or {}), **own}
         size = Observation(contract, States(specs), robot.joint_names).size
         own["observation"] = StateSpec((size,), description="the network's input")
-    return own
+    return {f"{prefix}{name}": spec for name, spec in own.items()}
 
 
 def _own_states(contract: PolicyContract) -> dict[str, StateSpec]:

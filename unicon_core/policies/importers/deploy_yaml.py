@@ -107,6 +107,7 @@ class _Deploy:
                     f"{len(robot_joints)} joints; choose the robot whose motors it counts",
                 )
             self.say(("joints",), [robot_joints[i] for i in order], ("joint_ids_map",))
+            self.facts.values["robot"] = robot_name
         else:
             self.facts.notes.append(
                 "deploy.yaml: joints are numbers of the robot's motors (joint_ids_map); "

@@ -2,8 +2,8 @@
 
 From leggedrobotics/legged_gym `envs/base/legged_robot.py`: period = `sim.dt` ·
 `control.decimation`; gains match by a part of the joint's name; actions are clipped to
-`normalization.clip_actions`, and the clipped action is fed back. The terms and the joint order stand in
-Python code, so they must be given; a term's scale is `normalization.obs_scales` of its kind.
+`normalization.clip_actions`, and the clipped action is fed back. The terms and the joint order
+stand in Python code, so they must be given; a term's scale is `normalization.obs_scales` of its kind.
 """
 
 from __future__ import annotations

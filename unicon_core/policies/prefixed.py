@@ -1,0 +1,54 @@
+"""States as one policy of several sees them: its own states carry a prefix, the others do not."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from numpy.typing import NDArray
+
+from unicon_core.policies.observation import PackedStates
+
+__all__ = ["PrefixedStates"]
+
+
+class PrefixedStates:
+    """A view of states where `action` means `<prefix>action` if that is declared.
+
+    Args:
+        states: the states of the workflow.
+        prefix: such as `walk_`.
+    """
+
+    def __init__(self, states: PackedStates, prefix: str) -> None:
+        self._states = states
+        self._prefix = prefix
+
+    def _actual(self, name: object) -> Any:
+        prefixed = f"{self._prefix}{name}"
+        return prefixed if prefixed in self._states else name
+
+    @property
+    def num_robots(self) -> int | None:
+        """Leading batch dimension, or None."""
+        return self._states.num_robots
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        return self._states[self._actual(name)]
+
+    def __contains__(self, name: object) -> bool:
+        return self._actual(name) in self._states
+
+    def __iter__(self) -> Any:
+        return iter(self._states)
+
+    def spec(self, name: str) -> Any:
+        """Return the specification of a state."""
+        return self._states.spec(self._actual(name))
+
+    def buffer_of(self, dtype: Any) -> NDArray[Any]:
+        """Return all states of one dtype as one flat view."""
+        return self._states.buffer_of(dtype)
+
+    def offset(self, name: str) -> int:
+        """Return the index of a state's first element in `buffer_of`."""
+        return self._states.offset(self._actual(name))

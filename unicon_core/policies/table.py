@@ -1,0 +1,203 @@
+"""Policies as text tables, for `unicon policies`, `unicon show` and `unicon check`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.errors import PolicyError
+from unicon_core.policies.contract import PolicyContract
+from unicon_core.policies.load import NamedJoints, load_policy, policy_names
+from unicon_core.policies.observation import PackedStates, TermSlice, term_slices
+from unicon_core.policies.policy_states import policy_states
+from unicon_core.states import States, standard_states
+
+__all__ = ["joint_table", "observation_table", "policies_table", "policy_table"]
+
+
+def policies_table() -> str:
+    """Return one line for each policy in `config/policies/`; a broken one shows its error."""
+    rows = [["policy", "robot", "rate [Hz]", "joints", "source", "terms"]]
+    for name in policy_names():
+        try:
+            contract = load_policy(name)
+        except PolicyError as error:
+            rows.append([name, "?", "?", "?", str(error), ""])
+            continue
+        rows.append(
+            [
+                name,
+                contract.robot or "-",
+                f"{1.0 / contract.period:g}",
+                str(len(contract.joints)),
+                contract.source,
+                " ".join(term.name for term in contract.terms),
+            ]
+        )
+    return _table(rows) if len(rows) > 1 else "no policies in config/policies"
+
+
+def policy_table(contract: PolicyContract, robot: NamedJoints | None = None) -> str:
+    """Return all that is known of a policy.
+
+    Args:
+        contract: the policy.
+        robot: adds each joint's place in the robot's order.
+    """
+    action = contract.action
+    lines = [
+        f"policy {contract.name}  ({contract.source}: {contract.path})",
+        f"network      {contract.model}",
+        f"period       {contract.period:g} s ({1.0 / contract.period:g} Hz)",
+        f"robot        {contract.robot or 'not said'}",
+        f"inputs       {_pairs(contract.inputs.items())}",
+        f"outputs      {_pairs(contract.outputs.items())}",
+    ]
+    if contract.recurrent:
+        lines.append(f"recurrent    {_pairs((r.output, r.input) for r in contract.recurrent)}")
+    value = "action" if action.clip is None else "clip(action)"
+    lines.append(
+        f"action       target = offset + scale · {value}; last action is the {action.feedback} one"
+    )
+    for name, (low, high) in contract.command_ranges.items():
+        lines.append(f"command      {name} from {low:g} to {high:g}")
+    if contract.phase is not None:
+        offsets = ", ".join(f"{offset:.4g}" for offset in contract.phase.offsets)
+        stand = contract.phase.stand
+        still = "keeps running" if stand is None else f"stands at {stand:.4g} rad"
+        lines.append(
+            f"gait phase   period {contract.phase.period:g} s, offsets {offsets} rad, "
+            f"{still} without a command"
+        )
+    lines += [f"note         {note}" for note in contract.notes]
+    lines += ["", joint_table(contract, robot)]
+    if contract.terms:
+        lines += ["", observation_table(contract, robot)]
+    return "\n".join(lines)
+
+
+def joint_table(contract: PolicyContract, robot: NamedJoints | None = None) -> str:
+    """Return one line for each joint in policy order: gains, pose and action.
+
+    Args:
+        contract: the policy.
+        robot: adds the place in the robot's order, and a line for each joint that is only held.
+    """
+    action = contract.action
+    place = {} if robot is None else {name: i for i, name in enumerate(robot.joint_names)}
+    head = ["#", "joint", "kp", "kd", "default [rad]", "scale", "offset [rad]", "clip"]
+    rows = [[*head[:2], "robot", *head[2:]] if robot is not None else head]
+    for i, name in enumerate(contract.joints):
+        row = [str(i), name]
+        if robot is not None:
+            row.append(str(place.get(name, "missing")))
+        row += [
+            f"{contract.stiffness[i]:g}",
+            f"{contract.damping[i]:g}",
+            f"{contract.default_joint_pos[i]:g}",
+        ]
+        if name in action.joints:
+            j = action.joints.index(name)
+            clip = "-" if action.clip is None else _range(*action.clip[:, j])
+            row += [f"{action.scale[j]:g}", f"{action.offset[j]:g}", clip]
+        else:
+            row += ["held", "-", "-"]
+        rows.append(row)
+    own = ["robot's"] * 3
+    rows += [
+        ["-", name, str(place[name]), *own, "held", "-", "-"]
+        for name in place
+        if name not in contract.joints
+    ]
+    return _table(rows)
+
+
+def observation_table(
+    contract: PolicyContract,
+    robot: NamedJoints | None = None,
+    states: PackedStates | None = None,
+) -> str:
+    """Return one line for each term: source state, slice of the input, numbers, unit.
+
+    Args:
+        contract: the policy.
+        robot: joint order; the policy's own if None.
+        states: the workflow's states; the standard ones and the policy's own if None.
+
+    Raises:
+        PolicyError: a term does not fit the states.
+    """
+    joints: Sequence[str] = contract.joints if robot is None else robot.joint_names
+    if states is None:
+        named = _Joints(contract.robot or "", tuple(joints)) if robot is None else robot
+        states = States({**standard_states(joints), **policy_states(contract, named)})
+    slices = term_slices(contract, states, joints)
+    rows = [["term", "state", "slice", "subtract", "scale", "clip", "history", "unit"]]
+    start = 0
+    frame_major = contract.observation.layout == "frame_major"
+    for part in slices:
+        term, width = part.term, part.elements.size
+        if frame_major:
+            where = f"frame[{part.start}:{part.stop}]"
+        else:
+            where = f"[{start}:{start + width * term.history}]"
+        start += width * term.history
+        rows.append(
+            [
+                term.name,
+                _source(part),
+                where,
+                term.subtract
+                if isinstance(term.subtract, str)
+                else _values(part.subtract, "-", 0.0),
+                _values(part.scale, "1", 1.0),
+                "-" if term.clip is None else _range(part.low.min(), part.high.max()),
+                str(term.history),
+                part.unit or "-",
+            ]
+        )
+    layout = contract.observation
+    order = f"{layout.layout}, newest {layout.newest}" if _has_history(slices) else "no history"
+    return f"{_table(rows)}\n{start} values, {order}; term = scale · clip(state − subtract)"
+
+
+class _Joints:
+    def __init__(self, name: str, joint_names: tuple[str, ...]) -> None:
+        self.name = name
+        self.joint_names = joint_names
+
+
+def _has_history(slices: Sequence[TermSlice]) -> bool:
+    return any(part.term.history > 1 for part in slices)
+
+
+def _source(part: TermSlice) -> str:
+    index = part.term.index
+    return part.term.state + ("" if index is None else f"[{','.join(map(str, index))}]")
+
+
+def _values(values: NDArray[np.float32], same: str, neutral: float) -> str:
+    if (values == neutral).all():
+        return same
+    if (values == values[0]).all():
+        return f"{values[0]:g}"
+    return f"{values.min():g}…{values.max():g}"
+
+
+def _range(low: float, high: float) -> str:
+    return f"{low:g}…{high:g}"
+
+
+def _pairs(items: Iterable[tuple[str, str]]) -> str:
+    return ", ".join(f"{a} → {b}" for a, b in items) or "-"
+
+
+def _table(rows: list[list[str]]) -> str:
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    lines = [
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths)).rstrip() for row in rows
+    ]
+    lines.insert(1, "  ".join("─" * width for width in widths))
+    return "\n".join(lines)
