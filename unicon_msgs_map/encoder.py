@@ -1,0 +1,361 @@
+"""Encoders: state arrays in, the bytes of one ROS message out; for bridges and recorders.
+
+Built once per topic against arrays; then `encode()` takes no argument. The function is generated
+(read it in `Encoder.source`): numbers that stand alone go through one `struct` pack, arrays are
+cast-copied into NumPy views of a template, and arrays at even distances, such as joint_pos,
+joint_vel and joint_effort in one state buffer, share a single strided copy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+from unicon_msgs_map.binding import (
+    Arrays,
+    Bound,
+    Names,
+    Variables,
+    affine,
+    bind_state,
+    bind_variable,
+    quaternions,
+)
+from unicon_msgs_map.emit import generate
+from unicon_msgs_map.errors import MapStateError, alternatives
+from unicon_msgs_map.messages import (
+    DURATION,
+    QUATERNION,
+    TIME,
+    Array,
+    Primitive,
+    String,
+    Struct,
+    TypeRef,
+)
+from unicon_msgs_map.spec import FieldSpec, PublishSpec
+from unicon_msgs_map.template import (
+    Leaf,
+    Node,
+    Place,
+    Template,
+    expand,
+    leaf_size,
+    numeric_leaves,
+    place,
+)
+
+__all__ = ["Encoder"]
+
+
+class Encoder:
+    """Bytes of one message type from state arrays; make it with `Encoder.build`.
+
+    Attributes:
+        encode: returns the message as bytes: little-endian CDR behind its 4-byte header. Raises
+            nothing: integers saturate, NaN becomes 0 in an integer field, and a finite number
+            that float32 cannot hold becomes an infinity.
+        size: length of every message, [B].
+        source: the generated Python.
+        spec: the mapping entry.
+    """
+
+    __slots__ = ("encode", "size", "source", "spec")
+
+    encode: Callable[[], bytes]
+
+    def __init__(
+        self, spec: PublishSpec, encode: Callable[[], bytes], source: str, size: int
+    ) -> None:
+        self.spec = spec
+        self.encode = encode
+        self.source = source
+        self.size = size
+
+    @classmethod
+    def build(
+        cls,
+        spec: PublishSpec,
+        arrays: Arrays,
+        names: Names | None = None,
+        variables: Variables | None = None,
+    ) -> Encoder:
+        """Compile a mapping entry against arrays, which are read in place from then on.
+
+        Args:
+            spec: topic, type and fields.
+            arrays: state arrays by name, any shape; elements count in C order. `stamp_ns` and
+                other times are integers in [ns].
+            names: element names per state, for references such as `joint_pos[FR_hip_joint]`.
+            variables: values of `$name`: text, numbers, or lists of them.
+
+        Raises:
+            MapStateError: a state, variable, size or dtype does not fit.
+            MessageTypeError: the type or a path in it is unknown.
+        """
+        message = spec.messages.struct(spec.type)
+        root = Node()
+        bounds: dict[int, Bound] = {}
+        for number, field in enumerate(spec.fields):
+            if field.source.kind == "state":
+                bounds[number] = _place_state(
+                    root, message, number, field, bind_state(field, arrays, names or {})
+                )
+            else:
+                value = field.source.value
+                if field.source.kind == "variable":
+                    value = bind_variable(field, variables or {})
+                _place_constant(root, message, field, value)
+        template = Template(message, root)
+        conversions = {
+            number: affine(bound.field, len(bound.elements), receive=False)
+            for number, bound in bounds.items()
+        }
+        title = f"{spec.type} on {spec.topic}"
+        encode, source = generate(title, template, bounds, conversions)
+        return cls(spec, encode, source, len(template.data))
+
+
+def _place_state(root: Node, message: Struct, number: int, field: FieldSpec, bound: Bound) -> Bound:
+    elements = bound.elements
+    leaves = expand(field, message, len(elements))
+    if len(leaves) == 1 and isinstance(leaves[0].type, Array) and leaves[0].type.length is None:
+        kind = leaves[0].type
+        _check_sequence(field, kind, len(elements))
+        place(root, leaves[0], Place("number", number, elements, 0), field)
+        return bound
+    if any(_is_quaternion(leaf.type) for leaf in leaves) and field.quat is None:
+        if not all(_is_quaternion(leaf.type) for leaf in leaves):  # pragma: no cover - one type
+            raise MapStateError(f"{field.path}: mixes quaternions and others", field.where)
+        elements = quaternions(elements, field)
+    elif field.quat == "xyzw_from_wxyz":
+        elements = quaternions(elements, field)
+    flat = [one for leaf in leaves for one in numeric_leaves(leaf, field)]
+    sizes = [leaf_size(leaf.type, field) for leaf in flat]
+    if sum(sizes) != len(elements):
+        raise MapStateError(
+            f"{field.path} takes {sum(sizes)} elements, {field.source} has {len(elements)}; "
+            f"select them, as in {field.source.name}[:{sum(sizes)}]",
+            field.where,
+        )
+    rank = 0
+    for leaf, size in zip(flat, sizes):
+        part = elements[rank : rank + size]
+        place(root, leaf, _state_place(field, leaf.type, number, part, rank, bound), field)
+        rank += size
+    return Bound(field, bound.flat, elements, bound.names)
+
+
+def _state_place(
+    field: FieldSpec,
+    kind: TypeRef,
+    number: int,
+    part: tuple[int, ...],
+    rank: int,
+    bound: Bound,
+) -> Place:
+    if isinstance(kind, Struct):  # a Time or Duration
+        if bound.is_float or bound.flat.dtype.kind == "b":
+            raise MapStateError(
+                f"{field.path}: {kind.name} takes integer nanoseconds, state "
+                f"{field.source.name!r} has dtype {bound.flat.dtype}; use an int64 state",
+                field.where,
+            )
+        return Place("time", number, part, rank)
+    if isinstance(kind, String):
+        if field.text is None:
+            raise MapStateError(
+                f"{field.path}: a string cannot hold state {field.source.name!r}; write "
+                f"{{state: {field.source}, text: 8.2f}} for a number of fixed width, "
+                f"or ={field.source} for the word",
+                field.where,
+            )
+        width = len(format(0.0 if bound.is_float else 0, field.text))
+        if kind.bound and width > kind.bound:
+            raise MapStateError(
+                f"{field.path}: text {field.text!r} is {width} wide; the string takes {kind.bound}",
+                field.where,
+            )
+        return Place("text", number, part, rank, width)
+    if isinstance(kind, Array):
+        _check_sequence(field, kind, len(part))
+    return Place("number", number, part, rank)
+
+
+def _check_sequence(field: FieldSpec, kind: Array, count: int) -> None:
+    if not isinstance(kind.item, Primitive):
+        what = "strings" if isinstance(kind.item, String) else kind.item.name
+        raise MapStateError(
+            f"{field.path}: an array of {what} cannot hold state {field.source.name!r}; map the "
+            f"fields of its elements, as in {field.path}[0], or give a $variable",
+            field.where,
+        )
+    if kind.bound and count > kind.bound:
+        raise MapStateError(
+            f"{field.path} takes at most {kind.bound} elements, {field.source} has {count}; "
+            f"select them, as in {field.source.name}[:{kind.bound}]",
+            field.where,
+        )
+
+
+def _is_quaternion(kind: TypeRef) -> bool:
+    return isinstance(kind, Struct) and kind.name == QUATERNION
+
+
+def _place_constant(root: Node, message: Struct, field: FieldSpec, value: object) -> None:
+    if isinstance(value, str) or not isinstance(value, Sequence):
+        leaves = expand(field, message, None)
+        for leaf in leaves:
+            for one in numeric_leaves(leaf, field):
+                _place_one(root, message, field, one, value)
+        return
+    items = list(value)
+    leaves = expand(field, message, len(items))
+    if len(leaves) == 1 and isinstance(leaves[0].type, Array) and leaves[0].type.length is None:
+        kind = leaves[0].type
+        if kind.bound and len(items) > kind.bound:
+            raise MapStateError(
+                f"{field.path} takes at most {kind.bound} elements, {len(items)} are given",
+                field.where,
+            )
+        constants = message.constants
+        place(
+            root,
+            leaves[0],
+            [_constant(field, kind.item, item, constants) for item in items],
+            field,
+        )
+        return
+    flat = [one for leaf in leaves for one in numeric_leaves(leaf, field)]
+    total = sum(leaf_size(leaf.type, field) for leaf in flat)
+    if total != len(items):
+        raise MapStateError(
+            f"{field.path} takes {total} values, {len(items)} are given", field.where
+        )
+    start = 0
+    for leaf in flat:
+        size = leaf_size(leaf.type, field)
+        part: object = items[start : start + size] if isinstance(leaf.type, Array) else items[start]
+        _place_one(root, message, field, leaf, part)
+        start += size
+
+
+def _place_one(root: Node, message: Struct, field: FieldSpec, leaf: Leaf, value: object) -> None:
+    kind, constants = leaf.type, owner_constants(message, leaf)
+    if isinstance(kind, Array):
+        if isinstance(value, list):
+            items = value
+        elif kind.length is None:
+            raise MapStateError(
+                f"{field.path} is a sequence and takes a list, not {value!r}; write [{value}]",
+                field.where,
+            )
+        else:
+            items = [value] * kind.length
+        parts = [_constant(field, kind.item, item, constants) for item in items]
+        place(root, leaf, parts, field)
+        return
+    if isinstance(kind, Struct):  # a Time or Duration, in nanoseconds
+        if isinstance(value, bool) or not isinstance(value, int):
+            raise MapStateError(
+                f"{field.path}: {kind.name} takes integer nanoseconds, not {value!r}", field.where
+            )
+        sec, nanosec = divmod(value, 1_000_000_000)
+        for name, number in (("sec", sec), ("nanosec", nanosec)):
+            member = kind.field(name)
+            assert member is not None
+            place(
+                root,
+                Leaf((*leaf.at, name), member.type),
+                _constant(field, member.type, number, {}),
+                field,
+            )
+        return
+    place(root, leaf, _constant(field, kind, value, constants), field)
+
+
+def owner_constants(message: Struct, leaf: Leaf) -> dict[str, bool | int | float | str]:
+    """Return the constants of the message that holds a leaf, such as POWER_SUPPLY_STATUS_FULL."""
+    owner = message
+    for step in leaf.at[:-1]:
+        if isinstance(step, str):
+            member = owner.field(step)
+            kind = member.type if member else None
+            if isinstance(kind, Array):
+                kind = kind.item
+            if isinstance(kind, Struct):
+                owner = kind
+    return owner.constants
+
+
+def constant(
+    field: FieldSpec, kind: TypeRef, value: object, constants: Mapping[str, object]
+) -> object:
+    """Return a constant as the wire type takes it.
+
+    Raises:
+        MapStateError: it does not fit.
+    """
+    return _constant(field, kind, value, constants)
+
+
+def _constant(
+    field: FieldSpec, kind: TypeRef, value: object, constants: Mapping[str, object]
+) -> object:
+    if isinstance(kind, String):
+        if not isinstance(value, str):
+            value = str(value)
+        if kind.bound and len(value.encode()) > kind.bound:
+            raise MapStateError(
+                f"{field.path}: {value!r} is longer than the string's bound of {kind.bound}",
+                field.where,
+            )
+        if "\0" in value:
+            raise MapStateError(f"{field.path}: a string cannot hold a NUL character", field.where)
+        return value
+    if not isinstance(kind, Primitive):
+        raise MapStateError(
+            f"{field.path}: {value!r} cannot fill a {getattr(kind, 'name', 'message array')}; "
+            "map the fields of its elements",
+            field.where,
+        )
+    number = constants.get(value, value) if isinstance(value, str) else value
+    if isinstance(number, bytes) and len(number) == 1:
+        number = number[0]
+    if isinstance(number, str):
+        try:
+            number = _parse_number(number)
+        except ValueError:
+            known = alternatives(number, constants) if constants else "it has no named constants"
+            raise MapStateError(
+                f"{field.path}: {number!r} is no {kind.name}; {known}", field.where
+            ) from None
+    if kind.name == "bool":
+        return bool(number)
+    if kind.code in "fd":
+        return float(number)  # type: ignore[arg-type]
+    low, high = integer_range(kind)
+    if isinstance(number, float) and number.is_integer():
+        number = int(number)
+    if not isinstance(number, int) or not low <= number <= high:
+        raise MapStateError(
+            f"{field.path}: {value!r} is no {kind.name}; give an integer from {low} to {high}",
+            field.where,
+        )
+    return int(number)
+
+
+def integer_range(kind: Primitive) -> tuple[int, int]:
+    """Return the smallest and largest value of an integer type."""
+    bits = 8 * kind.size
+    return (
+        (-(1 << (bits - 1)), (1 << (bits - 1)) - 1) if kind.code.islower() else (0, (1 << bits) - 1)
+    )
+
+
+def _parse_number(text: str) -> bool | int | float:
+    if text in ("true", "false"):
+        return text == "true"
+    try:
+        return int(text, 0)
+    except ValueError:
+        return float(text)

@@ -1,0 +1,380 @@
+"""The fast path: one generated function that reads a payload at the offsets a walk found.
+
+The function first compares length and structural bytes with those that the walk saw. It returns
+True when it wrote the states, None when the structure differs (walk again), and False when a
+value needs the careful path. It never writes before every check has passed.
+
+Measured (NumPy 2.4, Python 3.11, one warm core): one `take` of all joints of a JointState 160 ns,
+the finiteness test by a dot product of them with themselves 150 ns (`isfinite().all()`: 1000 ns),
+one strided cast-copy into three adjacent states 130 ns.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Callable
+from functools import lru_cache
+from itertools import pairwise
+from types import CodeType
+from typing import Any
+
+import numpy as np
+from numpy.lib.stride_tricks import as_strided
+
+from unicon_msgs_map.apply import SINGLE_MAX, Run, limits
+from unicon_msgs_map.binding import AnyArray
+from unicon_msgs_map.messages import Primitive
+
+__all__ = ["compile_fast", "merge"]
+
+SCALAR_LIMIT = 8  # numbers of one field that are still read one by one
+BRIDGE = 16  # padding and unread bytes between structural ones that are compared along, [B]
+DOUBLE_MAX = float(np.finfo(np.float64).max)
+
+
+def compile_fast(
+    raw: bytes,
+    order: str,
+    hard: list[tuple[int, int]],
+    runs: list[Run],
+    nonfinite: str,
+    loose: bool,
+) -> Callable[[bytes], bool | None]:
+    """Return the function for payloads that are built like `raw`.
+
+    Args:
+        raw: the payload that was walked.
+        order: its byte order for `struct`.
+        hard: byte ranges that fix the layout.
+        runs: what to read and where to write it.
+        nonfinite: `reject` or `accept`.
+        loose: compare structural bytes only, not the padding between them.
+    """
+    return _Fast(raw, order, hard, runs, nonfinite, loose).compile()
+
+
+def merge(hard: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Return byte ranges in ascending order, touching and overlapping ones united."""
+    merged: list[tuple[int, int]] = []
+    for start, end in sorted(hard):
+        if merged and start <= merged[-1][1]:
+            merged[-1] = (merged[-1][0], max(end, merged[-1][1]))
+        else:
+            merged.append((start, end))
+    return merged
+
+
+@lru_cache(maxsize=256)
+def _code(source: str) -> CodeType:
+    # 300 µs to compile, 3 µs to run again: a publisher that keeps changing its joint order
+    # yields the same source with other offsets.
+    return compile(source, "<decode>", "exec")
+
+
+class _Fast:
+    def __init__(
+        self,
+        raw: bytes,
+        order: str,
+        hard: list[tuple[int, int]],
+        runs: list[Run],
+        nonfinite: str,
+        loose: bool,
+    ) -> None:
+        self.raw = raw
+        self.order = order
+        self.reject = nonfinite == "reject"
+        self.space: dict[str, Any] = {"size": len(raw)}
+        self.reads: dict[int, tuple[str, str]] = {}  # offset: struct code, variable
+        self.checks: list[str] = []
+        self.work: list[str] = []
+        self.writes: list[str] = []
+        bulk: dict[Primitive, list[Run]] = {}
+        for number, run in enumerate(runs):
+            if run.kind == "zero":
+                self._zero(number, run)
+            elif run.primitive is None:
+                self._time(number, run)
+            elif run.kind == "required":
+                self._required(number, run, run.primitive)
+            elif len(run.offsets) > SCALAR_LIMIT and _plain(run):
+                bulk.setdefault(run.primitive, []).append(run)
+            else:
+                self._scalars(number, run, run.primitive)
+        for number, (primitive, members) in enumerate(bulk.items()):
+            self._bulk(number, primitive, members)
+        self.staged = bool(bulk)
+        self.guards = self._guards(hard, [o for r in runs for o in r.offsets], loose)
+
+    def compile(self) -> Callable[[bytes], bool | None]:
+        """Generate and return the function."""
+        body = ["if len(raw) != size: return None"]
+        body += self._unpack()
+        body += self.checks
+        if self.staged:
+            body.append("stage[:] = raw")
+        body += self.work
+        body += self.writes
+        body.append("return True")
+        source = "def decode(raw):\n" + "".join(f"    {line}\n" for line in body)
+        exec(_code(source), self.space)
+        function: Callable[[bytes], bool | None] = self.space["decode"]
+        return function
+
+    def _guards(
+        self, hard: list[tuple[int, int]], offsets: list[int], loose: bool
+    ) -> list[tuple[int, int]]:
+        read = np.array(sorted(offsets), dtype=np.int64)
+        guards: list[tuple[int, int]] = []
+        for start, end in merge(hard):
+            if guards and not loose and start - guards[-1][1] <= BRIDGE:
+                before = guards[-1][1]
+                if np.searchsorted(read, before) == np.searchsorted(read, start):
+                    guards[-1] = (guards[-1][0], end)
+                    continue
+            guards.append((start, end))
+        return guards
+
+    def _unpack(self) -> list[str]:
+        pieces: list[tuple[int, str, str]] = [
+            (offset, code, name) for offset, (code, name) in self.reads.items()
+        ]
+        tests = []
+        for number, (start, end) in enumerate(self.guards):
+            pieces.append((start, f"{end - start}s", f"g{number}"))
+            self.space[f"G{number}"] = self.raw[start:end]
+            tests.append(f"g{number} != G{number}")
+        form, position, names = self.order, 0, []
+        for offset, code, name in sorted(pieces):
+            form += f"{offset - position}x{code}"
+            names.append(name)
+            position = offset + struct.calcsize(self.order + code)
+        form += f"{len(self.raw) - position}x"
+        self.space["unpack"] = struct.Struct(form).unpack
+        return [f"{', '.join(names)}, = unpack(raw)", f"if {' or '.join(tests)}: return None"]
+
+    def _read(self, offset: int, code: str) -> str:
+        if offset not in self.reads:
+            self.reads[offset] = (code, f"v{len(self.reads)}")
+        return self.reads[offset][1]
+
+    def _element(self, number: int, position: int, run: Run) -> str:
+        self.space[f"w{number}"] = memoryview(run.flat)
+        self.space[f"e{number}_{position}"] = run.elements[position]
+        return f"w{number}[e{number}_{position}]"
+
+    def _zero(self, number: int, run: Run) -> None:
+        self.space[f"z{number}"] = np.array(run.elements, dtype=np.intp)
+        self.space[f"f{number}"] = run.flat
+        self.writes.append(f"f{number}[z{number}] = 0")
+
+    def _time(self, number: int, run: Run) -> None:
+        for position, offset in enumerate(run.offsets):
+            sec, nanosec = self._read(offset, "i"), self._read(offset + 4, "I")
+            value = f"t{number}_{position}"
+            self.work.append(f"{value} = {sec} * 1000000000 + {nanosec}")
+            if run.target is not None and run.flat.dtype != np.int64:
+                self._between(number, run, value)
+            self.writes.append(f"{self._element(number, position, run)} = {value}")
+
+    def _required(self, number: int, run: Run, primitive: Primitive) -> None:
+        assert run.target is not None
+        name = self._read(run.offsets[0], primitive.code)
+        self.space[f"r{number}"] = run.target.required
+        self.checks.append(f"if {name} != r{number}: return False")
+
+    def _scalars(self, number: int, run: Run, primitive: Primitive) -> None:
+        assert run.target is not None
+        dtype, conversion = run.flat.dtype, run.target.conversion
+        wire = np.dtype(primitive.dtype)
+        real = wire.kind == "f" or conversion is not None
+        for position, (offset, rank) in enumerate(zip(run.offsets, run.ranks)):
+            value = self._read(offset, primitive.code)
+            if conversion is not None:
+                scale, summand = f"a{number}_{position}", f"b{number}_{position}"
+                self.space[scale] = float(conversion[0][rank])
+                self.space[summand] = float(conversion[1][rank])
+                self.work.append(f"x{number}_{position} = {value} * {scale} + {summand}")
+                value = f"x{number}_{position}"
+            if dtype.kind == "f":
+                narrow = dtype == np.float32 and (wire.itemsize == 8 or conversion is not None)
+                if real and (self.reject or narrow):
+                    self._finite(value, SINGLE_MAX if dtype == np.float32 else DOUBLE_MAX)
+            elif dtype.kind == "b":
+                if real and self.reject:
+                    self._finite(value, DOUBLE_MAX)
+                value = f"{value} != 0"
+            elif real or not np.can_cast(wire, dtype, "safe"):
+                self._between(number, run, value)
+                value = f"round({value})"
+            self.writes.append(f"{self._element(number, position, run)} = {value}")
+
+    def _finite(self, value: str, largest: float) -> None:
+        name = "single_max" if largest == SINGLE_MAX else "double_max"
+        self.space[name] = largest
+        self.work.append(f"if not -{name} <= {value} <= {name}: return False")
+
+    def _between(self, number: int, run: Run, value: str) -> None:
+        low, high = limits(run.flat.dtype)
+        # floats next to the limit round beyond it; the careful path knows what to do with them
+        self.space[f"low{number}"], self.space[f"high{number}"] = low, high
+        self.work.append(f"if not low{number} <= {value} < high{number}: return False")
+
+    def _bulk(self, number: int, primitive: Primitive, runs: list[Run]) -> None:
+        """Read all long runs of one wire type with one gather, write them with few copies."""
+        stage = self._stage()
+        wire = np.dtype(primitive.dtype).newbyteorder(self.order)
+        flat = stage[4 : 4 + (len(stage) - 4) // wire.itemsize * wire.itemsize].view(wire)
+        index = np.array([(o - 4) // wire.itemsize for r in runs for o in r.offsets], dtype=np.intp)
+        read = np.zeros(len(index), wire.newbyteorder("="))
+        self.space |= {f"index{number}": index, f"read{number}": read}
+        if wire.isnative:
+            self.space[f"take{number}"] = flat.take
+            self.work.append(f"take{number}(index{number}, None, read{number}, 'clip')")
+        else:
+            self.space[f"flat{number}"] = flat
+            self.work.append(f"read{number}[...] = flat{number}[index{number}]")
+        if wire.kind == "f":
+            limit = self._square_limit(runs, wire)
+            if limit is not None:
+                self.space |= {f"square{number}": read.dot, f"limit{number}": limit}
+                self.work.append(
+                    f"if not square{number}(read{number}) < limit{number}: return False"
+                )
+        result, name = read, f"read{number}"
+        if any(run.target and run.target.conversion for run in runs):
+            result = self._convert(number, runs)
+            name = f"real{number}"
+        start = 0
+        for group in _fuse(runs):
+            count = sum(len(run.elements) for run in group)
+            piece = result[start : start + count]
+            key = f"{number}_{start}"
+            self._copy(key, group, piece, name)
+            start += count
+
+    def _convert(self, number: int, runs: list[Run]) -> AnyArray:
+        scales, summands = [], []
+        for run in runs:
+            assert run.target is not None
+            for rank in run.ranks:
+                pair = run.target.conversion
+                scales.append(float(pair[0][rank]) if pair else 1.0)
+                summands.append(float(pair[1][rank]) if pair else 0.0)
+        real = np.zeros(len(scales))
+        self.space |= {
+            f"real{number}": real,
+            f"scale{number}": np.array(scales),
+            f"summand{number}": np.array(summands),
+            "multiply": np.multiply,
+            "add": np.add,
+        }
+        self.work.append(f"real{number}[...] = read{number}")
+        self.work.append(f"multiply(real{number}, scale{number}, real{number})")
+        self.work.append(f"add(real{number}, summand{number}, real{number})")
+        return real
+
+    def _copy(self, key: str, group: list[Run], piece: AnyArray, name: str) -> None:
+        run = group[0]
+        target: AnyArray
+        if len(group) == 1 and _step(run.elements) is None:
+            self.space |= {
+                f"out{key}": run.flat,
+                f"at{key}": np.array(run.elements, dtype=np.intp),
+                f"piece{key}": piece,
+            }
+            self.writes.append(f"out{key}[at{key}] = piece{key}")
+            return
+        target = _line(run)
+        if len(group) > 1:
+            piece = piece.reshape(len(group), len(run.elements))
+            between = _address(group[1]) - _address(group[0])
+            # Every element touched lies in one of the group's arrays, all kept alive here.
+            self.space[f"keep{key}"] = [member.flat for member in group]
+            target = as_strided(target, piece.shape, (between, target.strides[0]))
+        self.space |= {f"out{key}": target, f"piece{key}": piece}
+        self.writes.append(f"out{key}[...] = piece{key}")
+
+    def _stage(self) -> AnyArray:
+        known = self.space.get("staged")
+        if known is None:
+            # The body starts at byte 4; numbers are aligned in it, so it is aligned in memory.
+            room = np.zeros(len(self.raw) + 16, dtype=np.uint8)
+            shift = -(room.__array_interface__["data"][0] + 4) % 8
+            known = self.space["staged"] = room[shift : shift + len(self.raw)]
+            self.space["stage"] = memoryview(known)
+        stage: AnyArray = known
+        return stage
+
+    def _square_limit(self, runs: list[Run], wire: np.dtype[Any]) -> float | None:
+        """Return a bound on the sum of squares below which every value is acceptable.
+
+        None where any value is. Sums beyond the bound go to the careful path, which decides.
+        """
+        bound = math.inf
+        for run in runs:
+            assert run.target is not None
+            pair, single = run.target.conversion, run.flat.dtype == np.float32
+            if not self.reject and pair is None and not (single and wire.itemsize == 8):
+                continue
+            scale = max(float(np.abs(pair[0]).max()), 1e-300) if pair else 1.0
+            summand = float(np.abs(pair[1]).max()) if pair else 0.0
+            largest = (SINGLE_MAX if single else 1e150) / 2
+            bound = min(bound, max(largest - summand, 0.0) / scale)
+        if bound == math.inf:
+            return None
+        return min(bound, 1e15 if wire.itemsize == 4 else 1e150) ** 2
+
+
+def _plain(run: Run) -> bool:
+    """Tell whether NumPy's cast gives the value, with no rounding, saturation or wrapping."""
+    assert run.target is not None and run.primitive is not None
+    wire, state = np.dtype(run.primitive.dtype), run.flat.dtype
+    if wire.kind == "b" or state.kind == "b":
+        return False
+    if state.kind == "f":
+        return True
+    return run.target.conversion is None and bool(np.can_cast(wire, state, "safe"))
+
+
+def _fuse(runs: list[Run]) -> list[list[Run]]:
+    """Group consecutive runs of equal form whose states lie at even distances."""
+    groups: list[list[Run]] = []
+    for run in runs:
+        group = groups[-1] if groups else None
+        if group is not None and _alike(group[-1], run):
+            step = _address(run) - _address(group[-1])
+            if len(group) == 1 or step == _address(group[1]) - _address(group[0]):
+                group.append(run)
+                continue
+        groups.append([run])
+    return groups
+
+
+def _alike(a: Run, b: Run) -> bool:
+    steps = _step(a.elements), _step(b.elements)
+    return (
+        steps[0] is not None
+        and steps[0] == steps[1]
+        and len(a.elements) == len(b.elements)
+        and a.flat.dtype == b.flat.dtype
+        and a.flat.strides == b.flat.strides
+    )
+
+
+def _line(run: Run) -> AnyArray:
+    """Return the view of a run's elements, which are evenly spaced."""
+    step = _step(run.elements)
+    assert step is not None
+    first = run.flat[run.elements[0] : run.elements[0] + 1]
+    return as_strided(first, (len(run.elements),), (step * run.flat.strides[0],))
+
+
+def _address(run: Run) -> int:
+    return int(run.flat[run.elements[0] :].__array_interface__["data"][0])
+
+
+def _step(elements: tuple[int, ...]) -> int | None:
+    steps = {b - a for a, b in pairwise(elements)}
+    return steps.pop() if len(steps) == 1 else None

@@ -1,0 +1,291 @@
+"""Mapping files: YAML into specs, every mistake named with file, line, alternatives and remedy.
+
+See the package's docstring for the format, and `config/maps/` for ready files.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from unicon_msgs_map.check import check_publish, check_subscribe
+from unicon_msgs_map.errors import MapError, MapFileError, alternatives
+from unicon_msgs_map.messages import Messages, full_name
+from unicon_msgs_map.paths import PathError, Reference, parse_path, parse_reference
+from unicon_msgs_map.source import Entry, read_text, read_yaml
+from unicon_msgs_map.spec import FieldSpec, MessageMap, PublishSpec, Qos, SubscribeSpec
+from unicon_msgs_map.units import PER_SI
+
+__all__ = ["load_map", "parse_map"]
+
+_TOP = ("description", "typestore", "messages", "publish", "subscribe")
+_BOTH = ("topic", "type", "rate", "qos", "optional", "fields")
+_SUBSCRIBE = (*_BOTH, "timeout", "on_timeout", "missing", "extra", "unnamed", "nonfinite")
+_FIELD = ("state", "const", "scale", "sign", "offset", "unit", "quat", "by", "text")
+_QOS_WORDS: dict[str, tuple[str, ...]] = {
+    "reliability": ("reliable", "best_effort"),
+    "durability": ("volatile", "transient_local"),
+    "history": ("keep_last", "keep_all"),
+    "liveliness": ("automatic", "manual_by_topic"),
+}
+_QOS_TIMES = ("deadline", "lifespan", "liveliness_lease")
+QOS_PROFILES: dict[str, Qos] = {
+    "default": Qos(),
+    "sensor_data": Qos(reliability="best_effort", depth=5),
+    "latest": Qos(reliability="best_effort", depth=1),
+    "latched": Qos(durability="transient_local", depth=1),
+}
+_POLICIES: dict[str, tuple[str, ...]] = {
+    "on_timeout": ("zero", "hold"),
+    "missing": ("hold", "zero", "error"),
+    "extra": ("ignore", "error"),
+    "unnamed": ("error", "order"),
+    "nonfinite": ("reject", "accept"),
+}
+
+
+def load_map(path: str | Path, typestore: str | Messages | Any | None = None) -> MessageMap:
+    """Read a mapping file.
+
+    Args:
+        path: the YAML file.
+        typestore: distribution such as `humble`, a `Messages`, or a rosbags typestore; it
+            outranks the file's own `typestore`. Default: the file's, else Jazzy.
+
+    Raises:
+        MapFileError: the file cannot be read or says something wrong.
+        MessageTypeError: a type or a field path is unknown.
+    """
+    path = Path(path)
+    return parse_map(read_text(path), typestore, name=str(path), folder=path.parent)
+
+
+def parse_map(
+    text: str,
+    typestore: str | Messages | Any | None = None,
+    *,
+    name: str = "mapping",
+    folder: Path | None = None,
+) -> MessageMap:
+    """Parse the text of a mapping.
+
+    Args:
+        text: the YAML.
+        typestore: as for `load_map`.
+        name: stands for the file in messages.
+        folder: where relative paths under `messages` start; default is the working directory.
+    """
+    top = read_yaml(text, name)
+    keys = top.mapping("a message map", _TOP)
+    messages = _messages(keys, typestore, folder or Path())
+    publish = [_publish(e, messages) for e in _list(keys, "publish")]
+    subscribe = [_subscribe(e, messages) for e in _list(keys, "subscribe")]
+    if not publish and not subscribe:
+        raise top.fail("the message map maps nothing; add entries under 'publish' or 'subscribe'")
+    for direction, entries in (("publish", publish), ("subscribe", subscribe)):
+        seen: dict[str, str | None] = {}
+        for spec in entries:
+            if spec.topic in seen:
+                raise MapFileError(
+                    f"{direction} has topic {spec.topic!r} twice (first {seen[spec.topic]}); "
+                    "merge the two or rename one",
+                    spec.where,
+                )
+            seen[spec.topic] = spec.where
+    description = keys["description"].text("description") if "description" in keys else ""
+    return MessageMap(tuple(publish), tuple(subscribe), messages, name, description)
+
+
+def _list(keys: dict[str, Entry], key: str) -> list[Entry]:
+    return keys[key].items(key) if key in keys and keys[key].value is not None else []
+
+
+def _messages(keys: dict[str, Entry], typestore: object, folder: Path) -> Messages:
+    if isinstance(typestore, Messages):
+        messages = typestore
+    elif typestore is not None:
+        messages = Messages(typestore)
+    elif "typestore" in keys:
+        entry = keys["typestore"]
+        try:
+            messages = Messages(entry.text("typestore"))
+        except MapError as error:
+            raise entry.fail(error.message) from None
+    else:
+        messages = Messages()
+    for entry in _list(keys, "messages"):
+        path = folder / entry.text("an entry of 'messages'")
+        try:
+            if path.is_dir():
+                messages.register_folder(path)
+            else:
+                messages.register_file(path)
+        except MapError as error:
+            raise entry.fail(error.message) from None
+    return messages
+
+
+def _publish(entry: Entry, messages: Messages) -> PublishSpec:
+    keys, topic, kind, where = _head(entry, "a publish entry", _BOTH, messages)
+    spec = PublishSpec(
+        topic=topic,
+        type=kind,
+        fields=_fields(keys["fields"], topic, receive=False),
+        messages=messages,
+        rate=_positive(keys, "rate"),
+        qos=_qos(keys.get("qos")),
+        optional=keys["optional"].boolean("optional") if "optional" in keys else False,
+        where=where,
+    )
+    check_publish(spec)
+    return spec
+
+
+def _subscribe(entry: Entry, messages: Messages) -> SubscribeSpec:
+    keys, topic, kind, where = _head(entry, "a subscribe entry", _SUBSCRIBE, messages)
+    policies = {k: keys[k].one_of(k, c) for k, c in _POLICIES.items() if k in keys}
+    spec = SubscribeSpec(
+        topic=topic,
+        type=kind,
+        fields=_fields(keys["fields"], topic, receive=True),
+        messages=messages,
+        rate=_positive(keys, "rate"),
+        qos=_qos(keys.get("qos")),
+        optional=keys["optional"].boolean("optional") if "optional" in keys else False,
+        timeout=_positive(keys, "timeout"),
+        where=where,
+        **policies,
+    )
+    check_subscribe(spec)
+    return spec
+
+
+def _head(
+    entry: Entry, what: str, known: tuple[str, ...], messages: Messages
+) -> tuple[dict[str, Entry], str, str, str]:
+    keys = entry.mapping(what, known)
+    for key in ("topic", "type", "fields"):
+        if key not in keys:
+            raise entry.fail(f"{what} lacks {key!r}; it needs topic, type and fields")
+    topic = keys["topic"].text("topic")
+    if any(c.isspace() for c in topic):
+        raise keys["topic"].fail(f"topic {topic!r} holds white space; write it like imu/data")
+    try:
+        kind = full_name(keys["type"].text("type"))
+        messages.struct(kind)
+    except MapFileError:
+        raise
+    except MapError as error:
+        raise type(error)(error.message, f"{keys['type'].where}: {topic}") from None
+    return keys, topic, kind, f"{entry.where}: {topic}"
+
+
+def _positive(keys: dict[str, Entry], key: str) -> float | None:
+    if key not in keys or keys[key].value is None:
+        return None
+    return keys[key].number(key, positive=True)
+
+
+def _qos(entry: Entry | None) -> Qos:
+    if entry is None:
+        return Qos()
+    if isinstance(entry.value, str):
+        if entry.value not in QOS_PROFILES:
+            raise entry.fail(
+                f"qos profile {entry.value!r} is unknown; "
+                f"{alternatives(entry.value, QOS_PROFILES)}; or write a mapping"
+            )
+        return QOS_PROFILES[entry.value]
+    keys = entry.mapping("qos", (*_QOS_WORDS, "depth", *_QOS_TIMES))
+    values: dict[str, Any] = {
+        key: keys[key].one_of(f"qos {key}", words)
+        for key, words in _QOS_WORDS.items()
+        if key in keys
+    }
+    values |= {
+        key: keys[key].number(f"qos {key}", positive=True) for key in _QOS_TIMES if key in keys
+    }
+    if "depth" in keys:
+        depth = keys["depth"].number("qos depth", positive=True)
+        if not depth.is_integer():
+            raise keys["depth"].fail(f"qos depth must be a whole number, not {depth}")
+        values["depth"] = int(depth)
+    return Qos(**values)
+
+
+def _fields(entry: Entry, topic: str, *, receive: bool) -> tuple[FieldSpec, ...]:
+    fields = entry.mapping("fields")
+    if not fields and receive:
+        raise entry.fail("fields maps nothing; write field: state")
+    return tuple(_field(path, value, topic, receive=receive) for path, value in fields.items())
+
+
+def _field(path: str, entry: Entry, topic: str, *, receive: bool) -> FieldSpec:
+    where = f"{entry.where}: {topic}"
+    try:
+        steps = parse_path(path)
+        if not isinstance(entry.value, dict):
+            return FieldSpec(path, steps, parse_reference(entry.plain()), where=where)
+        keys = entry.mapping(f"field {path!r}", _FIELD)
+        if ("state" in keys) == ("const" in keys):
+            raise MapFileError(f"{path}: give either 'state' or 'const'", where)
+        if "const" in keys:
+            return FieldSpec(
+                path, steps, Reference("const", value=keys["const"].plain()), where=where
+            )
+        source = parse_reference(keys["state"].text("state"))
+    except PathError as error:
+        raise MapFileError(str(error), where) from None
+    unit = keys["unit"].text("unit") if "unit" in keys else None
+    if unit is not None and unit not in PER_SI:
+        raise keys["unit"].fail(f"{path}: unit {unit!r} is unknown; {alternatives(unit, PER_SI)}")
+    quats = ("wxyz_from_xyzw" if receive else "xyzw_from_wxyz", "none")
+    return FieldSpec(
+        path,
+        steps,
+        source,
+        scale=_scale(path, keys),
+        offset=_numbers(keys["offset"], f"{path}: offset") if "offset" in keys else 0.0,
+        unit=unit,
+        quat=keys["quat"].one_of(f"{path}: quat", quats) if "quat" in keys else None,
+        by=keys["by"].text("by") if "by" in keys else None,
+        text=_text(path, keys["text"]) if "text" in keys else None,
+        where=where,
+    )
+
+
+def _text(path: str, entry: Entry) -> str:
+    form = entry.text("text")
+    try:
+        width = len(format(0.0, form))
+    except ValueError:
+        raise entry.fail(f"{path}: text {form!r} is no format; write a width, as in 8.2f") from None
+    if width != len(format(-1.5, form)) or width < 2:
+        raise entry.fail(f"{path}: text {form!r} has no fixed width; write one, as in 8.2f")
+    return form
+
+
+def _scale(path: str, keys: dict[str, Entry]) -> float | tuple[float, ...]:
+    scale = _numbers(keys["scale"], f"{path}: scale") if "scale" in keys else 1.0
+    sign = _numbers(keys["sign"], f"{path}: sign") if "sign" in keys else 1.0
+    signs = sign if isinstance(sign, tuple) else (sign,)
+    if any(abs(s) != 1.0 for s in signs):
+        raise keys["sign"].fail(f"{path}: sign must be 1 or -1; use scale for other factors")
+    scales = scale if isinstance(scale, tuple) else (scale,)
+    if any(s == 0.0 for s in scales):
+        raise keys["scale"].fail(f"{path}: scale must not be 0; drop the field instead")
+    if isinstance(scale, tuple) and isinstance(sign, tuple) and len(scale) != len(sign):
+        raise keys["sign"].fail(
+            f"{path}: sign has {len(sign)} entries, scale has {len(scale)}; give equally many"
+        )
+    count = max(len(scales), len(signs))
+    if count == 1 and not isinstance(scale, tuple) and not isinstance(sign, tuple):
+        return scale * sign
+    scales, signs = scales * (count // len(scales)), signs * (count // len(signs))
+    return tuple(a * b for a, b in zip(scales, signs))
+
+
+def _numbers(entry: Entry, what: str) -> float | tuple[float, ...]:
+    if isinstance(entry.value, list):
+        return tuple(item.number(what) for item in entry.value)
+    return entry.number(what)

@@ -1,0 +1,170 @@
+"""A parsed mapping as plain values: what the loader makes and encoders, decoders and bridges read."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from unicon_msgs_map.paths import Path, Reference
+
+if TYPE_CHECKING:
+    from unicon_msgs_map.messages import Messages
+
+__all__ = ["FieldSpec", "MessageMap", "PublishSpec", "Qos", "SubscribeSpec"]
+
+Numbers = float | tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Qos:
+    """Quality of service of one topic; times in [s], None is the middleware's default.
+
+    Attributes:
+        reliability: `reliable` or `best_effort`.
+        durability: `volatile` or `transient_local` (late joiners get the last messages).
+        history: `keep_last` or `keep_all`.
+        depth: messages kept.
+        deadline: longest gap between messages that a reader accepts, [s].
+        lifespan: age after which a message is dropped, [s].
+        liveliness: `automatic` or `manual_by_topic`.
+        liveliness_lease: time after which a silent writer counts as gone, [s].
+    """
+
+    reliability: str = "reliable"
+    durability: str = "volatile"
+    history: str = "keep_last"
+    depth: int = 10
+    deadline: float | None = None
+    lifespan: float | None = None
+    liveliness: str = "automatic"
+    liveliness_lease: float | None = None
+
+
+@dataclass(frozen=True)
+class FieldSpec:
+    """One message field and what stands on our side of it.
+
+    The value written is `value read × unit × scale + offset`, element by element; the unit
+    factor leads from SI to the message's unit on publish and back on subscribe.
+
+    Attributes:
+        path: as written.
+        steps: the parsed path.
+        source: state, variable or constant.
+        scale: factor, one or per element (a `sign` is part of it).
+        offset: summand in the written value's unit, one or per element.
+        unit: the message's unit, see `unicon_msgs_map.units`; None is SI.
+        quat: element order, `xyzw_from_wxyz`, `wxyz_from_xyzw` or `none`; None is automatic:
+            geometry_msgs/Quaternion is converted, anything else is not.
+        by: on subscribe, path of the names that order this array; `none` takes it by position;
+            None is automatic.
+        text: on publish into a string, a `format()` spec with a fixed width such as `8.2f`.
+        where: `file:line: entry` for messages.
+    """
+
+    path: str
+    steps: Path
+    source: Reference
+    scale: Numbers = 1.0
+    offset: Numbers = 0.0
+    unit: str | None = None
+    quat: str | None = None
+    by: str | None = None
+    text: str | None = None
+    where: str | None = None
+
+
+@dataclass(frozen=True)
+class PublishSpec:
+    """One topic that we publish.
+
+    Attributes:
+        topic: relative names take the node's namespace.
+        type: full type name, `pkg/msg/Name`.
+        fields: what is mapped; every other field is zero, empty, or (Quaternion) identity.
+        messages: the type store that defines `type`.
+        rate: [Hz]; None publishes every tick.
+        qos: quality of service.
+        optional: leave the topic out where a state or the ROS type is missing.
+        where: `file:line: entry` for messages.
+    """
+
+    topic: str
+    type: str
+    fields: tuple[FieldSpec, ...]
+    messages: Messages = field(repr=False, compare=False)
+    rate: float | None = None
+    qos: Qos = Qos()
+    optional: bool = False
+    where: str | None = None
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """Names of the states that this message reads, in field order."""
+        return _states(self.fields)
+
+
+@dataclass(frozen=True)
+class SubscribeSpec:
+    """One topic that we receive.
+
+    Attributes:
+        topic: relative names take the node's namespace.
+        type: full type name, `pkg/msg/Name`.
+        fields: what is mapped; everything else in the message is skipped.
+        messages: the type store that defines `type`.
+        rate: [Hz]; take at most that often; None takes every tick.
+        qos: quality of service.
+        optional: leave the topic out where a state or the ROS type is missing.
+        timeout: [s] without an accepted message after which `on_timeout` applies; None is never.
+        on_timeout: `zero` sets the written states to zero, `hold` leaves them.
+        missing: elements of ours that the message lacks: `hold`, `zero` or `error`.
+        extra: elements of the message that we lack: `ignore` or `error`.
+        unnamed: a message that should carry names and has none: `error`, or `order` to take
+            the elements in our order where their number is ours.
+        nonfinite: NaN and infinities: `reject` the message or `accept` them.
+        where: `file:line: entry` for messages.
+    """
+
+    topic: str
+    type: str
+    fields: tuple[FieldSpec, ...]
+    messages: Messages = field(repr=False, compare=False)
+    rate: float | None = None
+    qos: Qos = Qos()
+    optional: bool = False
+    timeout: float | None = None
+    on_timeout: str = "zero"
+    missing: str = "hold"
+    extra: str = "ignore"
+    unnamed: str = "error"
+    nonfinite: str = "reject"
+    where: str | None = None
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """Names of the states that this message writes, in field order."""
+        return _states(self.fields)
+
+
+@dataclass(frozen=True)
+class MessageMap:
+    """A mapping file: topics out and topics in.
+
+    Attributes:
+        publish: topics out.
+        subscribe: topics in.
+        messages: the type store that defines their types.
+        path: the file, where there is one.
+        description: the file's own words.
+    """
+
+    publish: tuple[PublishSpec, ...]
+    subscribe: tuple[SubscribeSpec, ...]
+    messages: Messages = field(repr=False, compare=False)
+    path: str | None = None
+    description: str = ""
+
+
+def _states(fields: tuple[FieldSpec, ...]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(f.source.name for f in fields if f.source.kind == "state"))
