@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import signal
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from types import FrameType
 from typing import Any, Literal
 
-from unicon_core.errors import Fault
+from unicon_core.errors import Fault, PlatformError
 from unicon_core.flow import Deferred, Zip, as_block, compile_graph
 from unicon_core.runtime.pacing import Pacing, WallClock, prepare_process
 from unicon_core.runtime.report import Monitor, Report
@@ -45,6 +46,14 @@ class Runner:
     Args:
         workflow: what to run.
         options: how.
+
+    Attributes:
+        next_due_ns: when the next tick is due, on the clock of `time.perf_counter_ns`; 0 where
+            ticks are not paced. What comes after `send` may use the time until then.
+        interrupted: SIGINT or SIGTERM ended the run.
+
+    Raises:
+        PlatformError: ticks shall come with the platform's data, and it has no `wait`.
     """
 
     def __init__(self, workflow: Workflow, options: RunOptions | None = None) -> None:
@@ -59,6 +68,17 @@ class Runner:
         self.period_ns = round(workflow.period * 1e9)
         self.faults: list[str] = []
         self.done = False
+        self.next_due_ns = 0
+        self.interrupted = False
+        self._between: deque[Callable[[], object]] = deque()
+        self._platform_wait: Callable[[float], bool] | None = None
+        if self.pacing.trigger == "state":
+            self._platform_wait = getattr(workflow.platform, "wait", None)
+            if self._platform_wait is None:
+                raise PlatformError(
+                    f"platform {workflow.platform.name!r} cannot tell when its data arrive; "
+                    "set pacing.trigger: deadline"
+                )
         self._tick = workflow.states["tick"]
         self._stop = False
         self._closed = False
@@ -68,6 +88,18 @@ class Runner:
     def stop(self) -> None:
         """Ask the run to end after the present tick; safe from a signal handler or a thread."""
         self._stop = True
+
+    def call_soon(self, action: Callable[[], object]) -> None:
+        """Run an action between two ticks, in the thread of the ticks; safe from any thread.
+
+        It may take its time (a pause): ticks missed meanwhile are not overruns.
+        """
+        self._between.append(action)
+
+    def reset(self) -> None:
+        """Bring a simulator and the flow back to their beginning; call it between two ticks."""
+        self.workflow.platform.reset()
+        self.graph.reset()
 
     def tick(self, due_ns: int) -> bool:
         """Run one tick: step, then the deferred blocks. True when the flow is done.
@@ -135,8 +167,13 @@ class Runner:
     def _loop(self) -> None:
         limit = self._limit()
         status_every = max(1, round(1.0 / self.workflow.period))
+        if self._platform_wait is not None:
+            self._triggered(limit, status_every, self._platform_wait)
+            return
         if self.options.speed == "max":
             while not self._stop and self.statistics.count < limit:
+                if self._between:
+                    self._act()
                 if self.tick(time.perf_counter_ns()):
                     self.done = True
                     break
@@ -152,10 +189,14 @@ class Runner:
         statistics, now = self.statistics, time.perf_counter_ns
         due = now() + min(period, 10_000_000)
         while not self._stop and statistics.count < limit:
+            if self._between:
+                self._act()
+                due = max(due, now())
             if dry_ns and due - now() > dry_ns:
                 clock.until(due - dry_ns)
                 self.graph.dry()
             clock.until(due)
+            self.next_due_ns = due + period
             if self.tick(due):
                 self.done = True
                 break
@@ -167,6 +208,27 @@ class Runner:
                     due += -(-late // period) * period
             if statistics.count % status_every == 0:
                 self._status()
+
+    def _triggered(self, limit: int, status_every: int, wait: Callable[[float], bool]) -> None:
+        """Tick when data arrive; without data at a slow pace, so that safety sees that they lack."""
+        statistics, now, period = self.statistics, time.perf_counter_ns, self.period_ns
+        patience = 3e-9 * period
+        while not self._stop and statistics.count < limit:
+            if self._between:
+                self._act()
+            if not wait(patience):
+                statistics.overruns += 1
+            due = now()
+            self.next_due_ns = due + period
+            if self.tick(due):
+                self.done = True
+                break
+            if statistics.count % status_every == 0:
+                self._status()
+
+    def _act(self) -> None:
+        for _ in range(len(self._between)):
+            self._between.popleft()()
 
     def _status(self) -> None:
         if self.options.status is None:
@@ -187,6 +249,7 @@ class Runner:
         """Let SIGINT and SIGTERM end the run after the present tick, where we may set handlers."""
 
         def handler(number: int, frame: FrameType | None) -> None:
+            self.interrupted = True
             self.stop()
 
         before = {}
