@@ -87,7 +87,7 @@ class Fault(Exception):
     """Raised by a block inside a tick: nothing else is sent, the runner damps and closes."""
 
 
-def alternatives(wrong: str, known: Iterable[str], *, limit: int = 12) -> str:
+def alternatives(wrong: str, known: Iterable[str], *, limit: int = 24) -> str:
     """Return a phrase that names what else there is: the close match first, then the list.
 
     Args:

@@ -66,10 +66,18 @@ def read_yaml(path: Path, error_type: type[UniconError] = UniconError) -> Locate
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         line = mark.line + 1 if mark else 1
-        raise error_type(f"{path}:{line}: not valid YAML: {error.problem}") from error
+        raise error_type(f"{path}:{line}: not valid YAML: {_problem(error)}") from error
     except yaml.YAMLError as error:
         raise error_type(f"{path}: not valid YAML: {' '.join(str(error).split())}") from error
     return located
+
+
+def _problem(error: yaml.MarkedYAMLError) -> str:
+    """Return what is wrong, with the line of the bracket or quote that was left open."""
+    begun = error.context_mark
+    if begun is None or error.problem_mark is None or begun.line == error.problem_mark.line:
+        return str(error.problem)
+    return f"{error.problem} ({error.context}, which begins in line {begun.line + 1})"
 
 
 def _value(loader: yaml.SafeLoader, node: yaml.Node, where: Where, located: Located) -> Any:

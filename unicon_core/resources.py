@@ -143,5 +143,6 @@ def find_resource(
     for base in bases:
         if (base / given).exists():
             return (base / given).resolve()
-    looked = "" if given.is_absolute() else f"; looked below {', '.join(map(str, bases))}"
+    below = ", ".join(dict.fromkeys(map(str, bases)))
+    looked = "" if given.is_absolute() else f"; looked below {below}"
     raise error(f"{what} {text!r}: no such file{looked}; correct the path or put the file there")

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from unicon_core.errors import PolicyError, WorkflowError, alternatives
-from unicon_core.policies import PolicyContract, load_policy, make_policy, policy_states
+from unicon_core.policies import OnnxPolicy, PolicyContract, load_policy, policy_states
 from unicon_core.robots import Robot
 from unicon_core.states import StateSpec
 from unicon_core.workflow.autowire import BuildContext
@@ -81,7 +81,7 @@ def policy_factory(use: BlockUse, policies: Mapping[str, Any]) -> Callable[..., 
     contract = policies[used_policy(use, policies)]
 
     def policy(context: BuildContext, use: str = "") -> Any:
-        return make_policy(contract, context.states, context.robot)
+        return OnnxPolicy(contract, context.states, context.robot)
 
     # Annotations are text here; the autowiring evaluates them in this module.
     return policy

@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from unicon_core.errors import PlatformError, UniconError, WorkflowError, alternatives
+from unicon_core.errors import PlatformError, RobotError, UniconError, WorkflowError, alternatives
 from unicon_core.flow import Blender, Block, Deferred, Every, Node, Switch, Zip
 from unicon_core.platforms.platform import Platform
-from unicon_core.robots import Robot, load_robot
+from unicon_core.robots import Robot, load_robot, robot_names
 from unicon_core.states import Layout, States, StateSpec, standard_states
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_core.workflow.autowire import BuildContext, autowire, option_names
@@ -108,7 +108,7 @@ def build_workflow(
     observers: Sequence[Hook] = (),
 ) -> Workflow:
     """Build a workflow; see `load_workflow`."""
-    robot = load_robot(_reference(document, "robot"))
+    robot = load_robot_of(document)
     policies = load_policies(document, robot)
     period = _period(document, policies)
     specs = _specs(document, robot, policies)
@@ -133,9 +133,6 @@ def _assemble(workflow: Workflow, inputs: Sequence[Hook], observers: Sequence[Ho
         items = document.get(key, list, list(default))
         return [reader.node(item, (key, i)) for i, item in enumerate(items)]
 
-    platform = workflow.platform
-    recv = Block("recv", platform.recv, writes=tuple(platform.writes), role="recv")
-    send = Block("send", platform.send, reads=tuple(platform.reads), role="send")
     commands = section("commands")
     flow = reader.node(document.values["flow"], ("flow",))
     safety = section("safety", DEFAULT_SAFETY)
@@ -149,15 +146,31 @@ def _assemble(workflow: Workflow, inputs: Sequence[Hook], observers: Sequence[Ho
         workflow.blocks += blocks
         return blocks
 
+    before = hooked(inputs)
     observed = [Deferred(block) for block in hooked(observers)]
-    workflow.root = Zip(recv, *commands, *hooked(inputs), flow, *safety, send, *after, *observed)
+    platform = workflow.platform
+    recv = Block("recv", platform.recv, writes=tuple(platform.writes), role="recv")
+    send = Block("send", platform.send, reads=tuple(platform.reads), role="send")
+    workflow.root = Zip(recv, *commands, *before, flow, *safety, send, *after, *observed)
 
 
-def _reference(document: WorkflowDocument, key: str) -> str | Path:
-    """Return a robot's name, or its path relative to the workflow file."""
-    text: str = document.get(key, str)
+def load_robot_of(document: WorkflowDocument) -> Robot:
+    """Load the robot that a workflow names, by name or by a path beside the workflow file.
+
+    Raises:
+        RobotError: no such robot, or its file is wrong.
+    """
+    text: str = document.get("robot", str)
     beside = document.path.parent / text
-    return beside if "/" in text and beside.is_file() else text
+    if "/" in text and beside.is_file():
+        return load_robot(beside)
+    if text not in robot_names() and "/" not in text and not text.endswith(".yaml"):
+        known = alternatives(text, robot_names())
+        where = document.where("robot")
+        raise RobotError(
+            f"{where}: unknown robot {text!r}; {known}; or give a path to a .yaml file"
+        )
+    return load_robot(text)
 
 
 def _period(document: WorkflowDocument, policies: Mapping[str, Any]) -> float:
@@ -286,7 +299,10 @@ def _at_its_period(block: Block, workflow: Workflow, use: BlockUse) -> Node:
 
 def _platform(document: WorkflowDocument, context: BuildContext) -> Platform:
     name = document.get("platform", str)
-    factory = find_factory("platforms", name, PlatformError)
+    try:
+        factory = find_factory("platforms", name, PlatformError)
+    except PlatformError as error:
+        raise document.error(str(error), "platform") from error
     options = document.get("platforms", dict, {}).get(name) or {}
     if not isinstance(options, dict):
         raise document.error(

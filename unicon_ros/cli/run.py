@@ -10,8 +10,9 @@ from unicon_core.errors import UniconError
 from unicon_ros.cli.workflow_arguments import add_workflow
 
 if TYPE_CHECKING:
+    from unicon_core.flow import Block
     from unicon_core.runtime import Report
-    from unicon_core.workflow import Hook
+    from unicon_core.workflow import Hook, Workflow
 
 __all__ = ["add", "run"]
 
@@ -80,9 +81,7 @@ def run(arguments: argparse.Namespace) -> int:
                 recorder_hook(arguments.record, arguments.map or document.get("map", str))
             )
         if arguments.view:
-            from unicon_core.platforms.mujoco.viewer import viewer_hook
-
-            observers.append(viewer_hook)
+            observers.append(_viewer)
         workflow = build_workflow(document, inputs=inputs, observers=observers)
         options = RunOptions(
             duration=arguments.duration,
@@ -104,6 +103,15 @@ def run(arguments: argparse.Namespace) -> int:
         if session is not None:
             session.close()
     return _tell(arguments, report, runner)
+
+
+def _viewer(workflow: Workflow) -> list[Block]:
+    from unicon_core.flow import as_block
+
+    make = getattr(workflow.platform, "viewer", None)
+    if make is None:
+        raise UniconError(f"platform {workflow.platform.name!r} has no viewer; run without --view")
+    return [as_block(make())]
 
 
 def _tell(arguments: argparse.Namespace, report: Report, runner: Any) -> int:

@@ -1,0 +1,188 @@
+"""The runner: ticks, deadlines, faults, reports and traces, on the fake platform."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from unicon_core.errors import Fault
+from unicon_core.flow import Block
+from unicon_core.runtime import Runner, RunOptions
+from unicon_core.workflow import Workflow, load_workflow
+
+WORKFLOW = """
+robot: go2
+platform: fake
+rate: 100
+flow:
+  chain:
+    - pose: {to: stand, duration: 0.1}
+    - hold: {duration: 0.1}
+safety: []
+"""
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    file = tmp_path / "short.yaml"
+    file.write_text(WORKFLOW, encoding="utf-8")
+    return file
+
+
+def observer(tick: Any, **options: Any) -> Any:
+    """A hook that adds one block."""
+    return lambda workflow: [Block("observer", tick, **options)]
+
+
+def test_a_run_ends_when_its_flow_is_done(path: Path) -> None:
+    runner = Runner(load_workflow(path), RunOptions(speed="max"))
+    report = runner.run()
+    assert runner.done
+    assert report.ticks == 20
+    assert report.duration_s == pytest.approx(0.2)
+    assert report.faults == []
+
+
+def test_a_run_ends_at_its_duration(path: Path) -> None:
+    report = Runner(load_workflow(path), RunOptions(duration=0.05, speed="max")).run()
+    assert report.ticks == 5
+
+
+def test_the_same_run_sends_the_same_commands_and_another_does_not(path: Path) -> None:
+    def digest(*overrides: str) -> str:
+        return Runner(load_workflow(path, overrides), RunOptions(speed="max")).run().sha256_commands
+
+    assert digest() == digest()
+    assert digest() != digest("flow.chain.0.pose.to=rest")
+
+
+def test_the_report_has_the_keys_of_the_contract(path: Path, tmp_path: Path) -> None:
+    report = Runner(load_workflow(path), RunOptions(speed="max")).run()
+    report.write(tmp_path / "new" / "report.json")
+    values = json.loads((tmp_path / "new" / "report.json").read_text())
+    expected = {
+        "workflow", "robot", "ticks", "duration_s", "rate_hz", "overruns", "tick_us", "faults",
+        "base_displacement_m", "fell", "sha256_commands",
+    }  # fmt: skip
+    assert expected <= set(values)
+    assert set(values["tick_us"]) == {"p50", "p99", "max"}
+    assert "bridge" not in values
+    assert len(values["base_displacement_m"]) == 3
+
+
+def test_a_fault_stops_before_send_and_closes_everything(path: Path) -> None:
+    calls: list[str] = []
+    ticks = 0
+
+    def trip() -> None:
+        nonlocal ticks
+        ticks += 1
+        if ticks == 3:
+            raise Fault("the test says so")
+
+    def inputs(workflow: Workflow) -> list[Block]:
+        platform = workflow.platform
+        send, close = platform.send, platform.close
+        monitored: Any = platform
+        monitored.send = lambda: (calls.append("send"), send())[1]
+        monitored.close = lambda: (calls.append("close"), close())[1]
+        return [Block("trip", trip, close=lambda: calls.append("trip closed"))]
+
+    # Hooks are asked before `send` is bound, so the counting one is what the graph calls.
+    runner = Runner(load_workflow(path, inputs=[inputs]), RunOptions(speed="max"))
+    report = runner.run()
+    assert report.faults == ["the test says so"]
+    assert calls == ["send", "send", "close", "trip closed"]
+    runner.close()
+    assert calls.count("close") == 1
+
+
+@pytest.mark.parametrize(("overrun", "wanted"), [("skip", 1), ("catch_up", 2)])
+def test_a_slow_tick_is_an_overrun_and_the_policy_says_what_follows(
+    path: Path, overrun: str, wanted: int
+) -> None:
+    starts: list[int] = []
+
+    def slow_once() -> None:
+        starts.append(time.perf_counter_ns())
+        if len(starts) == 5:
+            time.sleep(0.035)  # 3.5 periods
+
+    workflow = load_workflow(path, [f"pacing.overrun={overrun}"], observers=[observer(slow_once)])
+    report = Runner(workflow).run()
+    assert report.ticks == 20
+    assert report.overruns >= wanted
+    wall_periods = (starts[-1] - starts[0]) / 1e7
+    # skip: the three missed ticks are gone, so 20 ticks span about 22 periods; catch_up: 19.
+    assert wall_periods > 20.5 if overrun == "skip" else wall_periods < 20.5
+
+
+def test_deadlines_do_not_drift(path: Path) -> None:
+    starts: list[int] = []
+
+    def note() -> None:
+        starts.append(time.perf_counter_ns())
+        time.sleep(0.002)  # a loop that sleeps a period after its work would lose 20 %
+
+    workflow = load_workflow(path, ["flow.chain.1.hold.duration=0.4"], observers=[observer(note)])
+    Runner(workflow).run()
+    assert (starts[-1] - starts[0]) / 1e7 == pytest.approx(len(starts) - 1, rel=0.05)
+
+
+def test_the_trace_opens_as_chrome_trace_events(path: Path, tmp_path: Path) -> None:
+    runner = Runner(load_workflow(path), RunOptions(speed="max"))
+    runner.run()
+    runner.statistics.write_trace(tmp_path / "trace.json", "test")
+    events = json.loads((tmp_path / "trace.json").read_text())["traceEvents"]
+    spans = [event for event in events if event["ph"] == "X"]
+    ticks = [event for event in spans if event["name"] == "tick"]
+    assert [event["args"]["number"] for event in ticks] == list(range(20))
+    for name, count in {"recv": 20, "send": 20, "pose": 10, "hold": 10}.items():
+        assert sum(event["name"] == name for event in spans) == count
+    for event in spans:
+        inside = [t for t in ticks if t["ts"] <= event["ts"] <= t["ts"] + t["dur"]]
+        assert inside
+        assert event["dur"] >= 0
+
+
+def test_the_block_table_names_every_block_with_its_share(path: Path) -> None:
+    runner = Runner(load_workflow(path), RunOptions(speed="max"))
+    runner.run()
+    table = runner.statistics.table(period_us=1e4)
+    for name in ("recv", "pose", "hold", "send", "report", "tick"):
+        assert f"\n{name} " in table
+    assert runner.statistics.block_us()["pose"]["calls"] == 10
+
+
+def test_old_ticks_are_overwritten_and_the_newest_are_kept(path: Path) -> None:
+    runner = Runner(load_workflow(path), RunOptions(speed="max", capacity=8))
+    runner.run()
+    rows = runner.statistics.kept()
+    assert runner.statistics.count == 20
+    assert len(rows) == 8
+    assert (rows[1:, 2] > rows[:-1, 2]).all()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_damps_closes_and_exits_0(path: Path, tmp_path: Path, number: int) -> None:
+    report = tmp_path / "report.json"
+    command = [sys.executable, "-m", "unicon_ros", "run", str(path), "--no-ros"]
+    command += ["--set", "flow.chain.1.hold.duration=60.0", "--report", str(report)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=dict(os.environ))
+    try:
+        time.sleep(2.0)
+        process.send_signal(number)
+        out, _ = process.communicate(timeout=30)
+    finally:
+        process.kill()
+    assert process.returncode == 0
+    assert "faults        none" in out
+    assert json.loads(report.read_text())["ticks"] > 10
