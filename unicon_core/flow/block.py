@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal, TypeAlias
 from numpy.typing import NDArray
 
 from unicon_core.errors import WorkflowError
+from unicon_core.flow.linear import LinearMap
 
 __all__ = ["Access", "Amends", "Block", "Reads", "Role", "Tick", "Writes", "as_block"]
 
@@ -54,6 +55,9 @@ class Block:
         close: called once at the end, in reverse order of building, or None.
         role: what the graph check needs to know: `recv`, `send`, `safety` or nothing.
         where: `file:line` of its declaration, for messages.
+        endless: True where the block can never be done; the graph check relies on it.
+        linear: what it does where that is a copy or a linear index map, or None; neighbours are
+            then fused into one operation.
         inline: Python expression with names in `inline_names`, which the compiler may put in the
             place of the call, or "".
     """
@@ -68,6 +72,8 @@ class Block:
     dry_run: Tick | None = None
     role: Role = ""
     where: str = ""
+    endless: bool = False
+    linear: LinearMap | None = None
     inline: str = ""
     inline_names: dict[str, Any] = field(default_factory=dict)
 
@@ -78,8 +84,8 @@ class Block:
 def as_block(candidate: Any, *, name: str = "", where: str = "") -> Block:
     """Wrap what a factory returned, or any callable, as a Block.
 
-    Attributes `reads`, `writes`, `amends`, `reset`, `close`, `dry_run`, `role` and `name` of the
-    callable are taken over where it has them.
+    Attributes `reads`, `writes`, `amends`, `reset`, `close`, `dry_run`, `role`, `endless`,
+    `linear` and `name` of the callable are taken over where it has them.
 
     Raises:
         WorkflowError: it cannot be called without arguments.
@@ -98,6 +104,7 @@ def as_block(candidate: Any, *, name: str = "", where: str = "") -> Block:
         value: Sequence[str] | Iterable[str] = getattr(candidate, attribute, ())
         return (value,) if isinstance(value, str) else tuple(value)
 
+    linear = getattr(candidate, "linear", None)
     label = name or getattr(candidate, "name", "") or getattr(candidate, "__name__", "")
     return Block(
         name=label or type(candidate).__name__,
@@ -110,4 +117,6 @@ def as_block(candidate: Any, *, name: str = "", where: str = "") -> Block:
         dry_run=getattr(candidate, "dry_run", None),
         role=getattr(candidate, "role", ""),
         where=where,
+        endless=bool(getattr(candidate, "endless", False)) or linear is not None,
+        linear=linear,
     )

@@ -7,6 +7,7 @@ meaning of each node is said in `nodes.py`; an interpreter of the tree in `test/
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -37,10 +38,11 @@ class CompiledGraph:
 
     Attributes:
         step: one tick up to and including `send`; True when the graph is done.
-        deferred: the rest of the same tick; call it once after each `step`.
+        deferred: the rest of the same tick; call it once after each `step`. True when a
+            `Deferred(…, ends=True)` was done, which ends the graph like a true `step`.
         dry: calls `dry_run` of the blocks that have one and that `step` would run next; changes
             nothing observable.
-        reset: makes the whole graph fresh.
+        reset: makes the whole graph fresh, between two ticks or instead of `deferred`.
         source: the generated Python text.
         blocks: blocks in the order of their trace columns.
         deferred_blocks: those of `blocks` that run in `deferred`.
@@ -49,7 +51,7 @@ class CompiledGraph:
     """
 
     step: Callable[[], bool]
-    deferred: Callable[[], None]
+    deferred: Callable[[], bool]
     dry: Callable[[], None]
     reset: Callable[[], None]
     source: str
@@ -70,40 +72,64 @@ def compile_graph(root: Node, *, trace: bool = False) -> CompiledGraph:
 
 Lines = list[str]
 
+OUTLINE_DEPTH = 12
+"""Every so many levels of nesting the code goes on in a function of its own: Python refuses more
+than 100 levels of indentation, and a level of nodes takes up to two."""
+
+OUTLINE_RESETS = 6
+"""A subtree with more lines of reset than this gets a function for them, so that the source grows
+linearly with the tree and not with its square."""
+
 
 @dataclass
 class _Compiler:
     trace: bool
     names: dict[str, Any] = field(default_factory=dict)
+    bound: dict[tuple[str, int], str] = field(default_factory=dict)
     state: dict[str, int] = field(default_factory=dict)
     blocks: list[Block] = field(default_factory=list)
     counters: dict[tuple[str, int], str] = field(default_factory=dict)
     columns: dict[tuple[int, bool], int] = field(default_factory=dict)
+    functions: list[tuple[str, Lines]] = field(default_factory=list)
+    resets: dict[int, Lines] = field(default_factory=dict)
     tail: Lines = field(default_factory=list)
     deferred_blocks: set[int] = field(default_factory=set)
     in_tail: bool = False
+    depth: int = 0
     temporaries: int = 0
 
     def compile(self, root: Node) -> CompiledGraph:
         body = self.node(root, ["done = True"], conditional=False, idempotent=True)
         dry = self.dry(root)
-        reset = self.reset(root)
+        after = (name for name in self.state if name.startswith(("due", "ending")))
+        reset = [*self.reset(root), *(f"{name} = 0" for name in after)]
         stamps = np.zeros(2 + len(self.blocks) if self.trace else 0, dtype=np.int64)
-        self.names |= {"now": time.perf_counter_ns, "T": memoryview(stamps.data)}
+        begin: Lines = []
+        tail = self.tail
+        if self.trace:
+            zeros = memoryview(np.zeros_like(stamps).data)
+            self.names |= {"now": time.perf_counter_ns, "T": memoryview(stamps.data), "Z": zeros}
+            begin = ["T[:] = Z", "T[0] = now()"]  # 60 ns, once a tick, whatever the blocks
+            tail = ["T[1] = now()", *tail]
+        if "ending" in self.state:
+            tail = [*tail, "if ending:", *_indent([*reset, "return True"])]
+        functions = [
+            *self.functions,
+            ("step", [*begin, "done = False", *body, "return done"]),
+            ("deferred", [*tail, "return False"]),
+            ("dry", dry or ["pass"]),
+            ("reset", reset or ["pass"]),
+        ]
         nonlocals = [f"nonlocal {', '.join(self.state)}"] if self.state else []
-        begin, begin_tail = (["T[0] = now()"], ["T[1] = now()"]) if self.trace else ([], [])
         source = "\n".join(
             [
                 f"def build({', '.join(self.names)}):",
                 *(f"    {name} = {value}" for name, value in self.state.items()),
-                "    def step():",
-                *_indent([*nonlocals, *begin, "done = False", *body, "return done"], 2),
-                "    def deferred():",
-                *_indent([*nonlocals, *begin_tail, *self.tail] or ["pass"], 2),
-                "    def dry():",
-                *_indent(dry or ["pass"], 2),
-                "    def reset():",
-                *_indent([*nonlocals, *reset] or ["pass"], 2),
+                *(
+                    line
+                    for name, text in functions
+                    for line in (f"    def {name}():", *_indent([*nonlocals, *text], 2))
+                ),
                 "    return step, deferred, dry, reset",
                 "",
             ]
@@ -125,13 +151,12 @@ class _Compiler:
     # -- names ------------------------------------------------------------------------------
 
     def bind(self, prefix: str, value: Any, label: str = "") -> str:
-        for name, known in self.names.items():
-            if known is value and name.startswith(prefix):
-                return name
-        clean = "".join(c if c.isalnum() and c.isascii() else "_" for c in label)
-        name = f"{prefix}{len(self.names)}" + (f"_{clean}" if clean else "")
-        self.names[name] = value
-        return name
+        key = (prefix, id(value))
+        if key not in self.bound:
+            clean = "".join(c if c.isalnum() and c.isascii() else "_" for c in label)
+            self.bound[key] = f"{prefix}{len(self.names)}" + (f"_{clean}" if clean else "")
+            self.names[self.bound[key]] = value  # held here, so its id is not given away again
+        return self.bound[key]
 
     def counter(self, prefix: str, node: Node, initial: int = 0) -> str:
         key = (prefix, id(node))
@@ -145,11 +170,17 @@ class _Compiler:
         return f"{prefix}{self.temporaries}"
 
     def call(self, block: Block) -> str:
-        if block.inline:
-            for name, value in block.inline_names.items():
-                self.names[name] = value
-            return f"({block.inline})"
-        return f"{self.bind('b', block.tick, block.name)}()"
+        if not block.inline:
+            return f"{self.bind('b', block.tick, block.name)}()"
+        text = block.inline
+        for name, value in block.inline_names.items():
+            text = re.sub(rf"(?<![\w.]){re.escape(name)}\b", self.bind("i", value, name), text)
+        return f"({text})"
+
+    def outline(self, prefix: str, lines: Lines) -> str:
+        name = f"{prefix}{len(self.functions)}"
+        self.functions.append((name, lines))
+        return f"{name}()"
 
     # -- one tick -----------------------------------------------------------------------------
 
@@ -160,6 +191,19 @@ class _Compiler:
         """
         if isinstance(node, Block):
             return self.block(node, on_done)
+        self.depth += 1
+        if self.depth % OUTLINE_DEPTH:
+            lines = self.composite(node, on_done, conditional=conditional, idempotent=idempotent)
+        else:
+            body = self.composite(node, ["end = True"], conditional=conditional, idempotent=True)
+            call = self.outline("part", ["end = False", *body, "return end"])
+            lines = [f"if {call}:", *_indent(on_done)] if on_done else [call]
+        self.depth -= 1
+        return lines
+
+    def composite(
+        self, node: Node, on_done: Lines, *, conditional: bool, idempotent: bool
+    ) -> Lines:
         if isinstance(node, Zip):
             return self.zip(node, on_done, conditional, idempotent)
         if isinstance(node, Chain):
@@ -172,6 +216,7 @@ class _Compiler:
             return self.when(node, on_done)
         if isinstance(node, Switch):
             return self.switch(node, on_done)
+        assert isinstance(node, Deferred)
         return self.defer(node, conditional)
 
     def block(self, block: Block, on_done: Lines) -> Lines:
@@ -296,17 +341,20 @@ class _Compiler:
         return lines
 
     def defer(self, node: Deferred, conditional: bool) -> Lines:
-        outer, self.in_tail = self.in_tail, True
-        if outer:
-            lines = self.node(node.child, [], conditional=conditional, idempotent=True)
-            self.in_tail = outer
-            return lines
-        body = self.node(node.child, [], conditional=True, idempotent=True)
-        self.in_tail = outer
+        ends = []
+        if node.ends:
+            self.state["ending"] = 0
+            ends = ["ending = 1"]
+        if self.in_tail:
+            return self.node(node.child, ends, conditional=conditional, idempotent=True)
+        depth, self.depth, self.in_tail = self.depth, 0, True
+        body = self.node(node.child, ends, conditional=True, idempotent=True)
+        self.depth, self.in_tail = depth, False
         if not conditional:
             self.tail += body
             return []
-        flag = self.counter("due", node)
+        flag = f"due{len(self.state)}"  # one for each place, even of a shared node
+        self.state[flag] = 0
         self.tail += [f"if {flag}:", f"    {flag} = 0", *_indent(body)]
         return [f"{flag} = 1"]
 
@@ -314,6 +362,14 @@ class _Compiler:
 
     def reset(self, node: Node) -> Lines:
         """Return the lines that make a node and all below it fresh."""
+        if id(node) not in self.resets:
+            lines = self.reset_lines(node)
+            if len(lines) > OUTLINE_RESETS:
+                lines = [self.outline("fresh", lines)]
+            self.resets[id(node)] = lines
+        return self.resets[id(node)]
+
+    def reset_lines(self, node: Node) -> Lines:
         if isinstance(node, Block):
             return [f"{self.bind('reset', node.reset, node.name)}()"] if node.reset else []
         lines = [line for child in children_of(node) for line in self.reset(child)]
@@ -327,26 +383,27 @@ class _Compiler:
                 lines.append(f"{self.counter('blend', node)} = 0")
         return lines
 
-    def dry(self, node: Node) -> Lines:
+    def dry(self, node: Node, depth: int = 0) -> Lines:
         """Return the lines that call `dry_run` of the blocks that are up next; no predicates."""
         if isinstance(node, Deferred):
             return []
         if isinstance(node, Block):
             return [f"{self.bind('dry', node.dry_run, node.name)}()"] if node.dry_run else []
-        if isinstance(node, (Chain, Switch)) and len(node.children) > 1:
+        if isinstance(node, Switch) or (isinstance(node, Chain) and len(node.children) > 1):
             kind, initial = ("chain", 0) if isinstance(node, Chain) else ("case", -1)
             index = self.counter(kind, node, initial)
-            bodies = [(i, self.dry(child)) for i, child in enumerate(node.children)]
-            return [
+            lines = [
                 line
-                for i, body in bodies
-                if body
+                for i, child in enumerate(node.children)
+                if (body := self.dry(child, depth + 1))
                 for line in (f"if {index} == {i}:", *_indent(body))
             ]
-        lines = [line for child in children_of(node) for line in self.dry(child)]
-        if isinstance(node, Every) and lines:
-            return [f"if not {self.counter('every', node)}:", *_indent(lines)]
-        return lines
+        else:
+            lines = [line for child in children_of(node) for line in self.dry(child, depth + 1)]
+            if isinstance(node, Every) and lines:
+                lines = [f"if not {self.counter('every', node)}:", *_indent(lines)]
+        outlined = lines and depth and depth % OUTLINE_DEPTH == 0
+        return [self.outline("dry", lines)] if outlined else lines
 
 
 def _indent(lines: Lines, levels: int = 1) -> Lines:

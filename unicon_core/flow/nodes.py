@@ -7,7 +7,8 @@ entered again starts anew. Equations: UniCon paper, section 3.2.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
+from operator import index as index_of
 from typing import TypeAlias
 
 from unicon_core.errors import WorkflowError
@@ -104,7 +105,7 @@ class Switch:
 
     def __init__(
         self,
-        selector: Callable[[], str | int],
+        selector: Tick | Block,
         cases: Mapping[str, Node | Tick],
         *,
         blend: int = 0,
@@ -113,12 +114,16 @@ class Switch:
     ) -> None:
         if not cases:
             raise WorkflowError("switch: no cases; give at least one, as name: block", where)
+        if blend is True or not isinstance(blend, int) or blend < 0:
+            raise WorkflowError(
+                f"switch: blend is {blend!r}; give a whole number of ticks >= 0", where
+            )
         if blend and blender is None:
             raise WorkflowError("switch: blend needs a blender (Blender(states))", where)
         self.selector = as_block(selector, name="selector", where=where)
         self.names = tuple(cases)
         self.children = tuple(as_node(case, where=where) for case in cases.values())
-        self.blend = int(blend)
+        self.blend = blend
         self.blender = blender
         self.where = where
 
@@ -131,18 +136,26 @@ class Switch:
         if isinstance(key, str):
             if key in self.names:
                 return self.names.index(key)
-        else:
-            number = int(key)  # type: ignore[call-overload]
-            if 0 <= number < len(self.names):
-                return int(number)
+        elif hasattr(key, "__index__") and 0 <= (number := index_of(key)) < len(self.names):
+            return number
         raise WorkflowError(f"switch: no case {key!r}; cases: {', '.join(self.names)}", self.where)
 
 
 class Deferred:
-    """Steps a child after `send`, in the slack of the tick; never makes its parent done."""
+    """Steps a child after `send`, in the slack of the tick; never makes its parent done.
 
-    def __init__(self, block: Node | Tick, *, where: str = "") -> None:
+    A child that became due is stepped even if its parent has ended in the same tick. Several of
+    them run in their order in the tree.
+
+    Args:
+        block: what is stepped.
+        ends: the whole graph is done when the child is done. The compiler sets it on what it puts
+            off itself, so that a block that may end the graph can be moved behind `send`.
+    """
+
+    def __init__(self, block: Node | Tick, *, ends: bool = False, where: str = "") -> None:
         self.child = as_node(block, where=where)
+        self.ends = ends
         self.where = where
 
 
