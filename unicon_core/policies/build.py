@@ -20,7 +20,7 @@ from unicon_core.policies.contract import (
     Recurrent,
 )
 from unicon_core.policies.facts import Facts, dotted, missing_facts
-from unicon_core.policies.located_yaml import Where
+from unicon_core.policies.tolerant_yaml import Where
 
 __all__ = ["build_contract"]
 

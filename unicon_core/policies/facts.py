@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from unicon_core.errors import PolicyError, alternatives
-from unicon_core.policies.located_yaml import Where
+from unicon_core.policies.tolerant_yaml import Where
 
 __all__ = ["Facts", "dotted", "merge_given", "missing_facts", "term_state"]
 

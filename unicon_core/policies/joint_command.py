@@ -86,11 +86,11 @@ class JointCommand:
             target: joint position targets in the robot's order in [rad], shape (rows, n).
         """
         if self._feed_clipped and self._clip is not None:
-            np.maximum(action, self._clip[0], action)
-            np.minimum(action, self._clip[1], action)
+            np.maximum(action, self._clip[0], out=action)
+            np.minimum(action, self._clip[1], out=action)
         action.take(self._index, None, target, "clip")
         if self._clip_all is not None:
-            np.maximum(target, self._clip_all[0], target)
-            np.minimum(target, self._clip_all[1], target)
+            np.maximum(target, self._clip_all[0], out=target)
+            np.minimum(target, self._clip_all[1], out=target)
         np.multiply(target, self._scale, target)
         np.add(target, self._offset, target)

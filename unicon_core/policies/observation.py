@@ -290,8 +290,8 @@ class Observation:
         if self._clip is not None:
             span, low, high = self._clip
             part = out[:, span]
-            np.maximum(part, low, part)  # unlike np.clip's fast path, both pass NaN on
-            np.minimum(part, high, part)
+            np.maximum(part, low, out=part)  # unlike np.clip's fast path, both pass NaN on
+            np.minimum(part, high, out=part)
         if self._scale is not None:
             np.multiply(out, self._scale, out)
 

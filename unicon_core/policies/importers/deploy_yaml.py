@@ -18,7 +18,7 @@ from typing import Any
 
 from unicon_core.errors import PolicyError, alternatives
 from unicon_core.policies.facts import Facts, term_state
-from unicon_core.policies.located_yaml import Tagged, Where, read_yaml
+from unicon_core.policies.tolerant_yaml import Tagged, Where, read_yaml
 
 __all__ = ["deploy_yaml_facts", "is_deploy_yaml"]
 

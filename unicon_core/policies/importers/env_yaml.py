@@ -15,7 +15,7 @@ from typing import Any
 from unicon_core.errors import PolicyError
 from unicon_core.policies.facts import Facts, term_state
 from unicon_core.policies.importers.regex import values_by_pattern
-from unicon_core.policies.located_yaml import Where, read_yaml
+from unicon_core.policies.tolerant_yaml import Where, read_yaml
 
 __all__ = ["env_yaml_facts", "is_env_yaml"]
 

@@ -3,7 +3,7 @@
 From leggedrobotics/legged_gym `envs/base/legged_robot.py`: period = `sim.dt` ·
 `control.decimation`; gains match by a part of the joint's name; actions are clipped to
 `normalization.clip_actions`, and the clipped action is fed back. The terms and the joint order
-stand in Python code, so they must be given; a term's scale is `normalization.obs_scales` of its kind.
+stand in Python code, so they must be given; `normalization.obs_scales` has a term's scale.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any
 
 from unicon_core.policies.facts import Facts
 from unicon_core.policies.importers.regex import values_by_pattern
-from unicon_core.policies.located_yaml import read_yaml
+from unicon_core.policies.tolerant_yaml import read_yaml
 
 __all__ = ["is_legged_gym", "legged_gym_facts"]
 
