@@ -89,6 +89,11 @@ class Runner:
         """Ask the run to end after the present tick; safe from a signal handler or a thread."""
         self._stop = True
 
+    @property
+    def stopping(self) -> bool:
+        """Whether the run was asked to end."""
+        return self._stop
+
     def call_soon(self, action: Callable[[], object]) -> None:
         """Run an action between two ticks, in the thread of the ticks; safe from any thread.
 

@@ -1,0 +1,136 @@
+"""Controls: what the services start, stop, estop, reset, pause and step do to a running workflow."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+from unicon_core.errors import Fault
+from unicon_core.runtime import Runner
+
+__all__ = ["SERVICES", "Controls", "add_services"]
+
+SERVICES = ("estop", "stop", "start", "reset", "pause", "step")
+"""Names of the services, each `~/<name>` of type std_srvs/srv/Trigger."""
+
+Answer = tuple[bool, str]
+
+
+class Controls:
+    """Acts on one runner; every method returns success and a line for the caller.
+
+    Args:
+        serve: serves callbacks for up to a time in [s]; keeps services alive during a pause.
+
+    Attributes:
+        runner: the run; None before `attach`.
+        stopped: an emergency stop was asked for.
+        paused: ticks are paused.
+    """
+
+    def __init__(self, serve: Callable[[float], None]) -> None:
+        self.runner: Runner | None = None
+        self.stopped = False
+        self.paused = False
+        self._steps = 0
+        self._serve = serve
+
+    def check(self) -> None:
+        """Called in every tick before anything is sent.
+
+        Raises:
+            Fault: an emergency stop was asked for.
+        """
+        if self.stopped:
+            raise Fault("emergency stop by the service ~/estop")
+
+    def estop(self) -> Answer:
+        """Stop before the next command is sent; the platform damps; it counts as a fault."""
+        self.stopped = True
+        if self.runner is None:
+            return False, "nothing runs"
+        self.paused = False
+        return True, "emergency stop: the platform damps"
+
+    def stop(self) -> Answer:
+        """End the run after the present tick; the platform damps."""
+        if self.runner is None:
+            return False, "nothing runs"
+        self.paused = False
+        self.runner.stop()
+        return True, "stopping: the platform damps"
+
+    def start(self) -> Answer:
+        """Go on after a pause."""
+        if self.runner is None:
+            return False, "nothing runs"
+        if not self.paused:
+            return False, "it runs already"
+        self.paused = False
+        return True, "going on"
+
+    def reset(self) -> Answer:
+        """Bring a simulator and the flow back to their beginning."""
+        refusal = self._only_simulators("reset")
+        if refusal or self.runner is None:
+            return False, refusal
+        self.runner.call_soon(self.runner.reset)
+        return True, "reset before the next tick"
+
+    def pause(self) -> Answer:
+        """Let a simulator stand still until `start` or `step`."""
+        refusal = self._only_simulators("pause")
+        if refusal or self.runner is None:
+            return False, refusal
+        if not self.paused:
+            self.paused, self._steps = True, 0
+            self.runner.call_soon(self._stand_still)
+        return True, "paused; ~/start goes on, ~/step ticks once"
+
+    def step(self) -> Answer:
+        """Run one tick of a paused simulator."""
+        refusal = self._only_simulators("step")
+        if refusal:
+            return False, refusal
+        if not self.paused:
+            return False, "it is not paused; call ~/pause first"
+        self._steps += 1
+        return True, "one tick"
+
+    def _only_simulators(self, what: str) -> str:
+        if self.runner is None:
+            return "nothing runs"
+        platform = self.runner.workflow.platform
+        if not platform.simulated:
+            return f"platform {platform.name!r} is a real robot, which has no {what}; use ~/stop"
+        return ""
+
+    def _stand_still(self) -> None:
+        runner = self.runner
+        assert runner is not None
+        while self.paused and not runner.stopping:
+            self._serve(0.02)
+            if self._steps:
+                self._steps -= 1
+                if runner.tick(time.perf_counter_ns()):
+                    runner.done = True
+                    runner.stop()
+        self.paused = False
+
+
+def add_services(node: Any, handlers: dict[str, Callable[[], Answer]]) -> list[Any]:
+    """Create `~/<name>` of type std_srvs/srv/Trigger for each handler; return the services."""
+    from std_srvs.srv import Trigger
+
+    def callback(handler: Callable[[], Answer]) -> Callable[[Any, Any], Any]:
+        def answer(_: Any, response: Any) -> Any:
+            response.success, response.message = handler()
+            return response
+
+        return answer
+
+    return [
+        node.create_service(Trigger, f"~/{name}", callback(handler))
+        for name, handler in handlers.items()
+    ]

@@ -1,0 +1,322 @@
+"""RosSession: a running workflow's place in ROS 2; for `unicon run --ros` and the node.
+
+    session = RosSession(map="default", node_name="unicon")
+    workflow = load_workflow(name, inputs=[session.inputs], observers=[session.observers])
+    runner = Runner(workflow); session.attach(runner)
+    report = runner.run(); report.bridge = session.counts()
+    session.close()
+
+In the tick: subscriptions are polled before the flow; after `send` the states are published as
+bytes and services are served in the slack. No thread, no executor on the path to the motors.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from numpy.typing import NDArray
+
+from unicon_core.errors import UniconError
+from unicon_core.flow import Block
+from unicon_core.resources import find_config
+from unicon_core.runtime import Runner
+from unicon_core.workflow import Workflow
+from unicon_msgs_map import Decoder, Encoder, MapError, MapStateError, MessageMap, load_map
+from unicon_msgs_map.spec import PublishSpec, SubscribeSpec
+from unicon_ros import compat
+from unicon_ros.bridge.controls import SERVICES, Controls, add_services
+from unicon_ros.bridge.slack import SlackServer
+from unicon_ros.bridge.stamps import WallStamp
+from unicon_ros.bridge.topics_in import TopicIn
+from unicon_ros.bridge.topics_out import TopicOut
+
+__all__ = ["RosSession"]
+
+CLOCK = "/clock"
+
+
+class RosSession:
+    """A ROS node for one workflow.
+
+    Args:
+        map: name in `config/maps/` or path of a message map; None is `default`.
+        node_name: name of the node, unless `ros_args` remap it.
+        namespace: its namespace; topics of the map are relative to it.
+        ros_args: ROS arguments (`-r a:=b`, `-p name:=value`), with or without `--ros-args`.
+        warn: takes warnings, one line each.
+        node: an rclpy node to live in; then the caller owns it, its services and its context.
+        executor: the executor of that node.
+
+    Raises:
+        MissingDependencyError: rclpy is not installed.
+        UniconError: the map, a name or a ROS argument is wrong.
+    """
+
+    def __init__(
+        self,
+        map: str | Path | None = None,
+        node_name: str = "unicon",
+        namespace: str | None = None,
+        ros_args: Sequence[str] = (),
+        warn: Callable[[str], None] = print,
+        *,
+        node: Any = None,
+        executor: Any = None,
+    ) -> None:
+        self._rclpy = compat.import_rclpy()
+        self.map = _read_map(map)
+        self.warn = warn
+        self._owns = node is None
+        self._context: Any = None
+        if node is None:
+            node, executor = self._make_node(node_name, namespace, ros_args)
+        self.node, self._executor = node, executor
+        self.slack = SlackServer(executor, warn)
+        self.controls = Controls(self.slack.spin)
+        self.outgoing: list[TopicOut] = []
+        self.incoming: list[TopicIn] = []
+        self.skipped: list[str] = []
+        self._group = compat.polled_group()
+        self._others: list[Callable[[], None]] = []
+        self._services: list[Any] = []
+        self._runner: Runner | None = None
+        self._stamp: WallStamp | None = None
+        self._closed = False
+        self._started_ns = time.perf_counter_ns()
+        if self._owns:
+            handlers = {name: getattr(self.controls, name) for name in SERVICES}
+            self._services = add_services(node, handlers)
+
+    def _make_node(
+        self, name: str, namespace: str | None, ros_args: Sequence[str]
+    ) -> tuple[Any, Any]:
+        rclpy = self._rclpy
+        arguments = list(ros_args)
+        if arguments and "--ros-args" not in arguments:
+            arguments.insert(0, "--ros-args")
+        context = self._context = rclpy.context.Context()
+        try:
+            # Signals stay with the runner: SIGINT has to damp before ROS goes away.
+            rclpy.init(
+                args=arguments,
+                context=context,
+                signal_handler_options=rclpy.signals.SignalHandlerOptions.NO,
+            )
+            node = rclpy.node.Node(name, namespace=namespace, context=context)
+        except Exception as error:
+            rclpy.try_shutdown(context=context)
+            raise UniconError(
+                f"ROS 2 node {name!r} in namespace {namespace or '/'!r} with arguments "
+                f"{arguments}: {_one_line(error)}; correct the name, the namespace or --ros-args"
+            ) from error
+        executor = rclpy.executors.SingleThreadedExecutor(context=context)
+        executor.add_node(node)
+        return node, executor
+
+    # -- hooks ----------------------------------------------------------------------------------
+
+    def inputs(self, workflow: Workflow) -> list[Block]:
+        """Return the block that polls the subscriptions; a hook of `load_workflow`."""
+        arrays, names = _arrays(workflow), _names(workflow)
+        variables = _variables(workflow)
+        written = {s for block in workflow.blocks for s in (*block.writes, *block.amends)}
+        taken = set(workflow.platform.writes)
+        for spec in self.map.subscribe:
+            message = self._message(spec, "subscribe")
+            if message is None:
+                continue
+            for state in spec.states:
+                if state in taken:
+                    raise UniconError(
+                        f"{spec.where or spec.topic}: topic {spec.topic!r} would write state "
+                        f"{state!r}, which platform {workflow.platform.name!r} writes; "
+                        "take the topic out of the map, or use platform 'ros'"
+                    )
+            decoder = self._built(spec, partial(Decoder.build, spec, arrays, names, variables))
+            if decoder is None:
+                continue
+            contested = not written.isdisjoint(spec.states)
+            try:
+                topic = TopicIn(self.node, decoder, message, contested, self._group, self.warn)
+            except Exception as error:
+                raise self._refused(spec, error) from error
+            self.incoming.append(topic)
+            self.slack.always |= not topic.polled
+        states = {state for topic in self.incoming for state in topic.states}
+        return [
+            Block(
+                "ros inputs",
+                _poll_all(self.incoming, self.controls, self.warn),
+                writes=tuple(sorted(states - written)),
+                amends=tuple(sorted(states & written)),
+            )
+        ]
+
+    def observers(self, workflow: Workflow) -> list[Block]:
+        """Return the blocks that publish and serve; a hook of `load_workflow`."""
+        arrays, names = _arrays(workflow), _names(workflow)
+        variables = _variables(workflow)
+        blocks: list[Block] = []
+        platform = workflow.platform
+        if not platform.simulated:
+            source = arrays["stamp_ns"] if "stamp_ns" in platform.writes else None
+            self._stamp = WallStamp(source)
+            arrays["stamp_ns"] = self._stamp.out
+            blocks.append(Block(self._stamp.name, self._stamp, reads=self._stamp.reads))
+        phases: dict[int, int] = {}
+        for spec in self.map.publish:
+            if spec.topic == CLOCK and not platform.simulated:
+                continue  # only a simulator makes the time of others
+            message = self._message(spec, "publish")
+            if message is None:
+                continue
+            encoder = self._built(spec, partial(Encoder.build, spec, arrays, names, variables))
+            if encoder is None:
+                continue
+            every = 1 if spec.rate is None else max(1, round(1.0 / (spec.rate * workflow.period)))
+            phase = phases[every] = phases.get(every, -1) + 1
+            try:
+                topic = TopicOut(self.node, encoder, message, every, phase, self._group, self.warn)
+            except Exception as error:
+                raise self._refused(spec, error) from error
+            self.outgoing.append(topic)
+            blocks.append(topic.block)
+        blocks.append(Block(self.slack.name, self.slack))
+        return blocks
+
+    def attach(self, runner: Runner) -> None:
+        """Let services act on this runner, and its deadlines bound what they may take."""
+        self._runner = self.controls.runner = self.slack.runner = runner
+
+    def counts(self) -> dict[str, Any]:
+        """Return what passed: totals, and per topic `published`, or `received`, `rejected`, …"""
+        seconds = max((time.perf_counter_ns() - self._started_ns) * 1e-9, 1e-9)
+        topics: dict[str, dict[str, Any]] = {}
+        for out in self.outgoing:
+            topics[out.topic] = {"published": out.published, "failed": out.failed}
+        for topic in self.incoming:
+            topics.setdefault(topic.topic, {}).update(
+                received=topic.received,
+                dropped=topic.dropped,
+                rejected=topic.rejected,
+                stale=topic.stale,
+            )
+        return {
+            "published": sum(out.published for out in self.outgoing),
+            "received": sum(topic.received for topic in self.incoming),
+            "services": {"served": self.slack.served, "forced": self.slack.forced},
+            "seconds": round(seconds, 3),
+            "skipped": list(self.skipped),
+            "topics": topics,
+        }
+
+    def close(self) -> None:
+        """Destroy publishers, subscriptions and our own node, once; then ROS is shut down."""
+        if self._closed:
+            return
+        self._closed = True
+        closers = [topic.close for topic in self.incoming]
+        closers += [topic.close for topic in self.outgoing]
+        for close in (*closers, *self._others):
+            close()
+        if self._owns:
+            self._executor.shutdown()
+            self.node.destroy_node()
+            self._rclpy.try_shutdown(context=self._context)
+
+    # -- helpers --------------------------------------------------------------------------------
+
+    def _message(self, spec: PublishSpec | SubscribeSpec, direction: str) -> Any:
+        """Return the Python class of a topic's type; None where it is absent and optional."""
+        message = compat.message_class(spec.type)
+        if message is None:
+            package = spec.type.split("/")[0]
+            remedy = f"install the ROS package {package}"
+            if not spec.optional:
+                raise UniconError(
+                    f"{spec.where or spec.topic}: cannot {direction} topic {spec.topic!r}: the "
+                    f"type {spec.type} is not installed; {remedy}, or say optional: true"
+                )
+            self._skip(spec, f"type {spec.type} is not installed ({remedy})")
+        return message
+
+    def _built(self, spec: PublishSpec | SubscribeSpec, build: Callable[[], Any]) -> Any:
+        try:
+            return build()
+        except MapStateError as error:
+            if not spec.optional:
+                raise UniconError(str(error)) from error
+            self._skip(spec, str(error))
+        except MapError as error:
+            raise UniconError(str(error)) from error
+        return None
+
+    def _skip(self, spec: PublishSpec | SubscribeSpec, reason: str) -> None:
+        if spec.topic not in self.skipped:
+            self.skipped.append(spec.topic)
+            self.warn(f"topic {spec.topic} is left out: {reason}")
+
+    def _refused(self, spec: PublishSpec | SubscribeSpec, error: Exception) -> UniconError:
+        return UniconError(
+            f"{spec.where or spec.topic}: topic {spec.topic!r} was refused by ROS "
+            f"({_one_line(error)}); correct its name or qos"
+        )
+
+
+def _poll_all(
+    topics: list[TopicIn], controls: Controls, warn: Callable[[str], None]
+) -> Callable[[], None]:
+    def poll() -> None:
+        if controls.stopped:
+            controls.check()
+        for topic in topics:
+            try:
+                topic.poll()
+            except Exception as error:  # the middleware is gone: the tick goes on
+                topics.remove(topic)
+                warn(f"topic {topic.topic}: given up ({_one_line(error)})")
+                return
+
+    return poll
+
+
+def _read_map(name: str | Path | None) -> MessageMap:
+    path = find_config("maps", name or "default")
+    try:
+        return load_map(path)
+    except MapError as error:
+        raise UniconError(str(error)) from error
+
+
+def _arrays(workflow: Workflow) -> dict[str, NDArray[Any]]:
+    """Return the states' views by name; of the first robot where there are many."""
+    states = workflow.states
+    if states.num_robots is None:
+        return {name: states[name] for name in states}
+    return {name: states[name][0, ...] for name in states}
+
+
+def _names(workflow: Workflow) -> dict[str, tuple[str, ...]]:
+    specs = workflow.states.layout.specs
+    return {name: spec.names for name, spec in specs.items() if spec.names}
+
+
+def _variables(workflow: Workflow) -> dict[str, object]:
+    """Return what a map may call `$name`."""
+    robot = workflow.robot
+    return {
+        "joint_names": list(robot.joint_names),
+        "robot_name": robot.name,
+        "base_frame": robot.base_frame or "base_link",
+        "odom_frame": "odom",
+        "imu_frame": robot.imu.frame if robot.imu is not None else "imu_link",
+        "feet": list(robot.feet),
+    }
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split()) or type(error).__name__

@@ -1,0 +1,92 @@
+"""Topics out: one block per published topic, sent as bytes after the motors have their command."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from unicon_core.flow import Block
+from unicon_msgs_map import Encoder
+from unicon_ros import compat
+from unicon_ros.bridge.qos import incompatibility, qos_profile
+
+__all__ = ["TopicOut"]
+
+GIVE_UP = 100
+"""Failures in a row after which a topic is given up: it must not cost every tick."""
+
+
+class TopicOut:
+    """One topic that we publish.
+
+    Args:
+        node: rclpy node.
+        encoder: makes the bytes.
+        message: Python class of the type.
+        every: publish every so many ticks.
+        phase: number of the first tick of those, so that topics do not all fall on one tick.
+        group: callback group of its events.
+        warn: takes warnings.
+
+    Attributes:
+        topic: full name, after namespace and remaps.
+        published: messages sent.
+        failed: messages that the middleware refused.
+    """
+
+    def __init__(
+        self,
+        node: Any,
+        encoder: Encoder,
+        message: Any,
+        every: int,
+        phase: int,
+        group: Any,
+        warn: Callable[[str], None],
+    ) -> None:
+        spec = encoder.spec
+        options: dict[str, Any] = {"callback_group": group}
+        events = incompatibility(spec.topic, spec.qos, "subscription", warn)
+        if events is not None:
+            options["event_callbacks"] = events
+        self._node, self._warn = node, warn
+        self.publisher = node.create_publisher(
+            message, spec.topic, qos_profile(spec.qos), **options
+        )
+        self.topic: str = self.publisher.topic_name
+        self.published = 0
+        self.failed = 0
+        self._encode = encoder.encode
+        self._publish, self._release = compat.raw_publish(self.publisher)
+        self._every, self._wait = every, phase % every
+        self._in_a_row = 0
+        self.block = Block(f"publish {spec.topic}", self.tick, reads=spec.states)
+
+    def tick(self) -> None:
+        """Publish when it is due; never raises."""
+        if self._wait:
+            self._wait -= 1
+            return
+        self._wait = self._every - 1
+        try:
+            self._publish(self._encode())
+        except Exception as error:  # whatever the middleware says, the tick goes on
+            self._refused(error)
+        else:
+            self.published += 1
+            self._in_a_row = 0
+
+    def _refused(self, error: Exception) -> None:
+        self.failed += 1
+        self._in_a_row += 1
+        if self.failed == 1:
+            self._warn(f"topic {self.topic}: a message was not published ({error})")
+        if self._in_a_row == GIVE_UP:
+            self._warn(f"topic {self.topic}: given up after {GIVE_UP} messages were not published")
+            self._wait = 1 << 62
+
+    def close(self) -> None:
+        """Destroy the publisher."""
+        self._wait = 1 << 62
+        self._release()
+        self._node.destroy_publisher(self.publisher)
