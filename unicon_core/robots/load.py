@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -54,8 +53,8 @@ def load_robot(name_or_path: str | Path) -> Robot:
             imu["frame"], _array(imu["position"] or [None] * 3), _array(imu["quat"] or [None] * 4)
         ),
         feet=tuple(document.get("feet") or document.get("fingertips") or ()),
-        transport=MappingProxyType(document["transport"]),
-        sources=MappingProxyType(document["sources"]),
+        transport=document["transport"],
+        sources=document["sources"],
         unknown=tuple(document.get("unknown") or ()),
     )
 

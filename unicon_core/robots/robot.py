@@ -29,7 +29,7 @@ _NEEDED = ("lower", "upper", "default")
 _NEEDED_FOR_TORQUE = ("velocity", "effort", "stiffness", "damping")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Imu:
     """The inertial sensor and its pose in the robot's base frame."""
 
@@ -41,7 +41,7 @@ class Imu:
     """Rotation sensor to base, unit quaternion wxyz, shape (4,), NaN where unknown."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Robot:
     """A robot file, read and checked. Arrays are float32, shape (n,), read-only, NaN = unknown."""
 

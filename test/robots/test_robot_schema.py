@@ -1,0 +1,84 @@
+"""The JSON Schema for editors agrees with the validator, as far as a schema can see."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from json_schema_twin import accepts
+
+from unicon_core.robots.check_parts import IMU_KEYS
+from unicon_core.robots.robot import JOINT_FIELDS
+from unicon_core.robots.validate import _OPTIONAL, _REQUIRED, COMMANDS, KINDS, SCHEMA
+
+HERE = Path(__file__).parent
+ROBOTS = HERE.parents[1] / "config" / "robots"
+ROBOT_SCHEMA: dict[str, Any] = json.loads((ROBOTS / "robot.schema.json").read_text("utf-8"))
+GOOD = sorted(ROBOTS.glob("*.yaml"))
+BAD = sorted((HERE / "bad").glob("*.yaml"))
+
+# Broken in a way that YAML itself refuses, or that takes arithmetic or a comparison of two places.
+NOT_YAML = {"broken_yaml", "tab_indent", "python_object"}
+BEYOND_A_SCHEMA = {
+    "default_outside",
+    "feet_empty_not_in_unknown",
+    "figure_is_infinite",
+    "imu_null_not_in_unknown",
+    "joint_twice",
+    "key_twice",
+    "lower_above_upper",
+    "name_differs",
+    "no_source_for_gains",
+    "null_not_in_unknown",
+    "quat_not_unit",
+    "rest_outside",
+    "transport_null_not_in_unknown",
+    "unknown_but_given",
+    "unknown_misspelt",
+}
+
+
+def _document(path: Path) -> Any:
+    return yaml.safe_load(path.read_text("utf-8"))
+
+
+@pytest.mark.parametrize("path", GOOD, ids=lambda path: path.stem)
+def test_schema_accepts_every_robot_file(path: Path) -> None:
+    assert accepts(ROBOT_SCHEMA, _document(path), ROBOT_SCHEMA)
+
+
+@pytest.mark.parametrize(
+    "path", [p for p in BAD if p.stem not in NOT_YAML], ids=lambda path: path.stem
+)
+def test_schema_refuses_what_the_validator_refuses(path: Path) -> None:
+    expected = path.stem in BEYOND_A_SCHEMA
+    assert accepts(ROBOT_SCHEMA, _document(path), ROBOT_SCHEMA) is expected
+
+
+def test_exceptions_exist() -> None:
+    assert {p.stem for p in BAD} >= NOT_YAML | BEYOND_A_SCHEMA
+
+
+def test_schema_and_validator_know_the_same_words() -> None:
+    properties = ROBOT_SCHEMA["properties"]
+    assert set(properties) == {*_REQUIRED, *_OPTIONAL}
+    assert set(ROBOT_SCHEMA["required"]) == set(_REQUIRED)
+    assert tuple(properties["kind"]["enum"]) == KINDS
+    assert properties["schema"]["const"] == SCHEMA
+    assert tuple(properties["transport"]["properties"]["command"]["enum"]) == COMMANDS
+    defs = ROBOT_SCHEMA["$defs"]
+    assert tuple(defs["joint"]["required"]) == ("name", *JOINT_FIELDS)
+    assert set(defs["joint"]["properties"]) == {"name", *JOINT_FIELDS}
+    assert set(defs["imu"]["properties"]) == set(IMU_KEYS)
+
+
+def test_twin_agrees_with_the_jsonschema_package() -> None:
+    jsonschema = pytest.importorskip("jsonschema", reason="package jsonschema is not installed")
+    jsonschema.Draft202012Validator.check_schema(ROBOT_SCHEMA)
+    validator = jsonschema.Draft202012Validator(ROBOT_SCHEMA)
+    for path in GOOD + [p for p in BAD if p.stem not in NOT_YAML]:
+        document = _document(path)
+        assert validator.is_valid(document) == accepts(ROBOT_SCHEMA, document, ROBOT_SCHEMA), path
