@@ -79,7 +79,8 @@ def select(
         by_name |= target.by is not None
         if absent and spec.missing == "error":
             raise Rejected(
-                f"{target.field.path} lacks {_named(target, absent)}, and missing: error is declared"
+                f"{target.field.path} lacks {_named(target, absent)}, "
+                "and missing: error is declared"
             )
         pairs = [(place, rank) for place, rank in zip(places, ranks) if rank is not None]
         carried += len(pairs)

@@ -27,11 +27,14 @@ KEPT_LAYOUTS = 4  # publishers with layouts of their own that may alternate on o
 STAMP = -1
 
 
+_Fast = Callable[[bytes], bool | None]
+
+
 @dataclass(frozen=True)
 class _Layout:
     size: int
     structure: tuple[bytes, ...]
-    fast: Callable[[bytes], bool | None]
+    fast: _Fast
     runs: list[Run]
 
 
@@ -75,9 +78,9 @@ class Decoder:
         stamp = _stamp_path(message)
         if stamp:
             self._want.add(STAMP, stamp, message)
-        self._stamp = memoryview(np.zeros(1, dtype=np.int64))
+        self._stamp = np.zeros(1, dtype=np.int64).data
         self._layouts: list[_Layout] = []
-        self._fast: Callable[[bytes], bool | None] = _miss
+        self._fast: _Fast = _miss
         self._loose = False
 
     @classmethod
@@ -144,10 +147,10 @@ class Decoder:
             runs = select(found, self.spec, self._targets, self._stamp)
         except (Malformed, Rejected) as error:
             return self._refuse(str(error))
-        self._remember(raw, found, runs)
-        return self._accept(raw, runs, written=False)
+        fast = self._remember(raw, found, runs)
+        return self._accept(raw, runs, written=bool(fast(raw)))
 
-    def _remember(self, raw: bytes, found: Found, runs: list[Run]) -> None:
+    def _remember(self, raw: bytes, found: Found, runs: list[Run]) -> _Fast:
         self.derived += 1
         structure = tuple(raw[start:end] for start, end in merge(found.hard))
         if any(kept.size == len(raw) and kept.structure == structure for kept in self._layouts):
@@ -158,6 +161,7 @@ class Decoder:
         self._fast = fast
         self._layouts.insert(0, _Layout(len(raw), structure, fast, runs))
         del self._layouts[KEPT_LAYOUTS:]
+        return fast
 
     def _accept(self, raw: bytes, runs: list[Run], *, written: bool) -> bool:
         """Apply a message by the careful path, unless the fast one already did."""

@@ -31,7 +31,7 @@ SCALAR_LIMIT = 8  # numbers of one field that still go through struct
 GAP_LIMIT = 64  # constant bytes that a pack into the buffer may write again, [B]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Copy:
     """An array copy: flat source elements at an even step to an even stride in the message."""
 
@@ -130,24 +130,28 @@ class _Writer:
     def loads(self, scalars: list[Slot]) -> list[str]:
         """Return the lines that read the scalars; note what to pack for each slot."""
         lines: list[str] = []
-        loaded: dict[tuple[int, int], str] = {}
-        for source in dict.fromkeys(slot.source for slot in scalars):
-            elements = sorted({s.element for s in scalars if s.source == source})
-            flat = self.bounds[source].flat
-            names = [f"s{source}_{element}" for element in elements]
-            loaded.update({(source, e): name for e, name in zip(elements, names)})
-            whole = elements == list(range(elements[0], elements[0] + len(elements)))
-            view = memoryview(flat[elements[0] : elements[-1] + 1])
-            self.space[f"m{source}"] = view
-            if whole and len(elements) > 1:
-                lines.append(f"{', '.join(names)} = m{source}")
-            else:
-                lines += [f"{n} = m{source}[{e - elements[0]}]" for n, e in zip(names, elements)]
+        wanted: dict[str, tuple[AnyArray, set[int]]] = {}
         for slot in scalars:
-            name = loaded[slot.source, slot.element]
+            bound = self.bounds[slot.source]
+            wanted.setdefault(bound.field.source.name, (bound.flat, set()))[1].add(slot.element)
+        for state, (flat, members) in wanted.items():
+            elements = sorted(members)
+            names = [f"{state}_{element}" for element in elements]
+            first, last = elements[0], elements[-1]
+            view = f"in_{state}"
+            self.space[view] = flat[first : last + 1].data
+            if len(elements) == last - first + 1 > 1:
+                lines.append(f"{', '.join(names)} = {view}")
+            else:
+                lines += [f"{n} = {view}[{e - first}]" for n, e in zip(names, elements)]
+        split: set[str] = set()
+        for slot in scalars:
+            name = f"{self.bounds[slot.source].field.source.name}_{slot.element}"
             if slot.kind == "time":
-                sec, nanosec = f"{name}_sec_{slot.offset}", f"{name}_nanosec_{slot.offset}"
-                lines.append(f"{sec}, {nanosec} = divmod({name}, 1000000000)")
+                sec, nanosec = f"{name}_sec", f"{name}_nanosec"
+                if name not in split:
+                    lines.append(f"{sec}, {nanosec} = divmod({name}, 1000000000)")
+                    split.add(name)
                 # masked: struct raises beyond 32 bits, and encode must not
                 self.values[slot] = [("I", f"{sec} & 0xffffffff"), ("I", nanosec)]
             else:
@@ -219,7 +223,8 @@ class _Writer:
         return sum(struct.calcsize("<" + code) for code, _ in self.values[slot])
 
     def _run(self, slots: list[Slot], start: int, stop: int) -> tuple[str, list[str]]:
-        form, arguments, position = "<", [], start
+        form, position = "<", start
+        arguments: list[str] = []
         for slot in sorted(slots, key=lambda s: s.offset):
             form, position = self._gap(form, arguments, position, slot.offset)
             for code, expression in self.values[slot]:
@@ -266,7 +271,9 @@ class _Writer:
         return lines
 
     def _target(self, first: _Copy, shape: tuple[int, ...], strides: tuple[int, ...]) -> AnyArray:
-        return np.ndarray(shape, first.primitive.dtype, self.data, first.offset, strides)
+        dtype = np.dtype(first.primitive.dtype)
+        target: AnyArray = np.ndarray(shape, dtype, self.data, first.offset, strides)
+        return target
 
     def _converted(self, copy: _Copy) -> list[str]:
         number, conversion = copy.source, self.conversions[copy.source]

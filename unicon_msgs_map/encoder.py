@@ -8,7 +8,7 @@ joint_vel and joint_effort in one state buffer, share a single strided copy.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 
 from unicon_msgs_map.binding import (
     Arrays,
@@ -20,12 +20,11 @@ from unicon_msgs_map.binding import (
     bind_variable,
     quaternions,
 )
+from unicon_msgs_map.constants import constant, owner_constants
 from unicon_msgs_map.emit import generate
-from unicon_msgs_map.errors import MapStateError, alternatives
+from unicon_msgs_map.errors import MapStateError
 from unicon_msgs_map.messages import (
-    DURATION,
     QUATERNION,
-    TIME,
     Array,
     Primitive,
     String,
@@ -221,7 +220,7 @@ def _place_constant(root: Node, message: Struct, field: FieldSpec, value: object
         place(
             root,
             leaves[0],
-            [_constant(field, kind.item, item, constants) for item in items],
+            [constant(field, kind.item, item, constants) for item in items],
             field,
         )
         return
@@ -251,7 +250,7 @@ def _place_one(root: Node, message: Struct, field: FieldSpec, leaf: Leaf, value:
             )
         else:
             items = [value] * kind.length
-        parts = [_constant(field, kind.item, item, constants) for item in items]
+        parts = [constant(field, kind.item, item, constants) for item in items]
         place(root, leaf, parts, field)
         return
     if isinstance(kind, Struct):  # a Time or Duration, in nanoseconds
@@ -266,96 +265,8 @@ def _place_one(root: Node, message: Struct, field: FieldSpec, leaf: Leaf, value:
             place(
                 root,
                 Leaf((*leaf.at, name), member.type),
-                _constant(field, member.type, number, {}),
+                constant(field, member.type, number, {}),
                 field,
             )
         return
-    place(root, leaf, _constant(field, kind, value, constants), field)
-
-
-def owner_constants(message: Struct, leaf: Leaf) -> dict[str, bool | int | float | str]:
-    """Return the constants of the message that holds a leaf, such as POWER_SUPPLY_STATUS_FULL."""
-    owner = message
-    for step in leaf.at[:-1]:
-        if isinstance(step, str):
-            member = owner.field(step)
-            kind = member.type if member else None
-            if isinstance(kind, Array):
-                kind = kind.item
-            if isinstance(kind, Struct):
-                owner = kind
-    return owner.constants
-
-
-def constant(
-    field: FieldSpec, kind: TypeRef, value: object, constants: Mapping[str, object]
-) -> object:
-    """Return a constant as the wire type takes it.
-
-    Raises:
-        MapStateError: it does not fit.
-    """
-    return _constant(field, kind, value, constants)
-
-
-def _constant(
-    field: FieldSpec, kind: TypeRef, value: object, constants: Mapping[str, object]
-) -> object:
-    if isinstance(kind, String):
-        if not isinstance(value, str):
-            value = str(value)
-        if kind.bound and len(value.encode()) > kind.bound:
-            raise MapStateError(
-                f"{field.path}: {value!r} is longer than the string's bound of {kind.bound}",
-                field.where,
-            )
-        if "\0" in value:
-            raise MapStateError(f"{field.path}: a string cannot hold a NUL character", field.where)
-        return value
-    if not isinstance(kind, Primitive):
-        raise MapStateError(
-            f"{field.path}: {value!r} cannot fill a {getattr(kind, 'name', 'message array')}; "
-            "map the fields of its elements",
-            field.where,
-        )
-    number = constants.get(value, value) if isinstance(value, str) else value
-    if isinstance(number, bytes) and len(number) == 1:
-        number = number[0]
-    if isinstance(number, str):
-        try:
-            number = _parse_number(number)
-        except ValueError:
-            known = alternatives(number, constants) if constants else "it has no named constants"
-            raise MapStateError(
-                f"{field.path}: {number!r} is no {kind.name}; {known}", field.where
-            ) from None
-    if kind.name == "bool":
-        return bool(number)
-    if kind.code in "fd":
-        return float(number)  # type: ignore[arg-type]
-    low, high = integer_range(kind)
-    if isinstance(number, float) and number.is_integer():
-        number = int(number)
-    if not isinstance(number, int) or not low <= number <= high:
-        raise MapStateError(
-            f"{field.path}: {value!r} is no {kind.name}; give an integer from {low} to {high}",
-            field.where,
-        )
-    return int(number)
-
-
-def integer_range(kind: Primitive) -> tuple[int, int]:
-    """Return the smallest and largest value of an integer type."""
-    bits = 8 * kind.size
-    return (
-        (-(1 << (bits - 1)), (1 << (bits - 1)) - 1) if kind.code.islower() else (0, (1 << bits) - 1)
-    )
-
-
-def _parse_number(text: str) -> bool | int | float:
-    if text in ("true", "false"):
-        return text == "true"
-    try:
-        return int(text, 0)
-    except ValueError:
-        return float(text)
+    place(root, leaf, constant(field, kind, value, constants), field)

@@ -224,7 +224,7 @@ class _Fast:
     def _bulk(self, number: int, primitive: Primitive, runs: list[Run]) -> None:
         """Read all long runs of one wire type with one gather, write them with few copies."""
         stage = self._stage()
-        wire = np.dtype(primitive.dtype).newbyteorder(self.order)
+        wire = np.dtype(primitive.dtype).newbyteorder("<" if self.order == "<" else ">")
         flat = stage[4 : 4 + (len(stage) - 4) // wire.itemsize * wire.itemsize].view(wire)
         index = np.array([(o - 4) // wire.itemsize for r in runs for o in r.offsets], dtype=np.intp)
         read = np.zeros(len(index), wire.newbyteorder("="))
@@ -303,7 +303,7 @@ class _Fast:
             room = np.zeros(len(self.raw) + 16, dtype=np.uint8)
             shift = -(room.__array_interface__["data"][0] + 4) % 8
             known = self.space["staged"] = room[shift : shift + len(self.raw)]
-            self.space["stage"] = memoryview(known)
+            self.space["stage"] = memoryview(room.data)[shift : shift + len(self.raw)]
         stage: AnyArray = known
         return stage
 
@@ -329,7 +329,8 @@ class _Fast:
 
 def _plain(run: Run) -> bool:
     """Tell whether NumPy's cast gives the value, with no rounding, saturation or wrapping."""
-    assert run.target is not None and run.primitive is not None
+    assert run.target is not None
+    assert run.primitive is not None
     wire, state = np.dtype(run.primitive.dtype), run.flat.dtype
     if wire.kind == "b" or state.kind == "b":
         return False

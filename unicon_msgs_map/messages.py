@@ -7,7 +7,7 @@ definitions from `.msg` texts, files and folders, and those that ship in `unicon
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -267,7 +267,7 @@ def message_definition(name: str, messages: Messages | None = None) -> MessageDe
     return (messages or shared_messages()).definition(name)
 
 
-@lru_cache(maxsize=None)
+@cache
 def shared_messages(distro: str = DEFAULT_DISTRO) -> Messages:
     """Return the one store per distribution that callers share; register nothing into it."""
     return Messages(distro)

@@ -1,4 +1,4 @@
-"""A parsed mapping as plain values: what the loader makes and encoders, decoders and bridges read."""
+"""A parsed mapping as plain values: from the loader, for encoders, decoders and bridges."""
 
 from __future__ import annotations
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from unicon_msgs_map.binding import (
     AnyArray,
@@ -17,7 +17,7 @@ from unicon_msgs_map.binding import (
     quaternions,
 )
 from unicon_msgs_map.check import resolve
-from unicon_msgs_map.encoder import constant
+from unicon_msgs_map.constants import constant
 from unicon_msgs_map.errors import MapStateError
 from unicon_msgs_map.messages import (
     DURATION,
@@ -135,6 +135,7 @@ def _target(
             field.where,
         )
     elements = bound.elements
+    field = _close_ranges(field, message, kind, len(elements))
     fixed = _fixed_count(field, message, kind)
     if fixed is not None and fixed != len(elements):
         raise MapStateError(
@@ -182,6 +183,31 @@ def _by(
             field.where,
         )
     return next(iter(listed))
+
+
+def _close_ranges(field: FieldSpec, message: Struct, kind: TypeRef, count: int) -> FieldSpec:
+    """End an open range over a fixed array where the state ends; sequences stay open."""
+    steps = list(field.steps)
+    owner: TypeRef = message
+    for number, (name, selector) in enumerate(steps):
+        assert isinstance(owner, Struct)
+        member = owner.field(name)
+        assert member is not None
+        owner = member.type
+        if isinstance(owner, Array) and selector is not None:
+            if isinstance(selector, tuple) and selector[1] is None and owner.length is not None:
+                steps[number] = (name, (selector[0], selector[0] + 1))
+                each = _fixed_count(replace(field, steps=tuple(steps)), message, kind) or 1
+                stop = selector[0] + count // each
+                if stop > owner.length or stop == selector[0]:
+                    raise MapStateError(
+                        f"{field.path} has {(owner.length - selector[0]) * each} elements, "
+                        f"{field.source} has {count}; select fewer, as in {field.source.name}[:3]",
+                        field.where,
+                    )
+                steps[number] = (name, (selector[0], stop))
+            owner = owner.item
+    return replace(field, steps=tuple(steps))
 
 
 def _fixed_count(field: FieldSpec, message: Struct, kind: TypeRef) -> int | None:

@@ -8,7 +8,7 @@ aligned to its size, counted from the end of the 4-byte encapsulation header.
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 from unicon_msgs_map.errors import MapStateError, MessageTypeError, alternatives
@@ -152,8 +152,7 @@ def _expand(
         start, stop = selector[0], selector[1]
     else:
         start = selector[0]
-        stop = kind.length if kind.length is not None else _open_end(spec, kind, rest, available)
-        stop = start + stop if kind.length is None else stop
+        stop = start + _open_end(spec, kind, rest, available)
     if limit is not None and (stop > limit or start >= limit):
         raise MessageTypeError(
             f"{spec.path}: {name} of {owner.name} has at most {limit} elements", spec.where
@@ -239,7 +238,7 @@ def place(root: Node, leaf: Leaf, value: object, spec: FieldSpec) -> None:
     node.value, node.owner = value, spec.path
 
 
-def _owners(node: Node) -> Iterable[str]:
+def _owners(node: Node) -> Iterator[str]:
     if node.value is not None:
         yield node.owner
     for child in node.children.values():

@@ -279,7 +279,7 @@ def static_size(kind: TypeRef, phase: int) -> int | None:
     known = _SIZES.get(key)
     if known is not None and known[0] is kind:
         return known[1]
-    total: int | None = 0
+    total = 0
     members: list[TypeRef]
     if isinstance(kind, Struct):
         members = [member.type for member in kind.fields]
@@ -288,8 +288,8 @@ def static_size(kind: TypeRef, phase: int) -> int | None:
     for member in members:
         size = static_size(member, (phase + total) % 8)
         if size is None:
-            total = None
-            break
+            _SIZES[key] = (kind, None)
+            return None
         total += size
     _SIZES[key] = (kind, total)
     return total
