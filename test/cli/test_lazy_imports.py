@@ -15,8 +15,8 @@ HEAVY = ("rclpy", "mujoco", "onnxruntime", "rosbags", "torch")
     "code",
     [
         "import unicon_core",
-        "import unicon_core.workflow, unicon_core.runtime, unicon_core.policies, unicon_core.robots",
-        "from unicon_ros.cli.main import main\ntry:\n    main(['--help'])\nexcept SystemExit:\n    pass",
+        "import unicon_core.workflow, unicon_core.runtime, unicon_core.policies",
+        "from unicon_ros.cli.main import main\ntry: main(['--help'])\nexcept SystemExit: pass",
         "from unicon_ros.cli.main import main\nmain(['robots'])",
     ],
 )

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 
 import unicon_core
 from unicon_core.errors import UniconError
+from unicon_msgs_map.errors import MapError
 from unicon_ros.cli import bench, check, known, run, show
 
 __all__ = ["main"]
@@ -39,7 +40,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = _parser().parse_args(argv)
     try:
         return int(arguments.function(arguments))
-    except UniconError as error:
+    except (UniconError, MapError) as error:
         print(f"unicon: error: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:

@@ -1,0 +1,91 @@
+"""Networks and contracts of a given size with random weights, for the benchmarks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from unicon_core.errors import MissingDependencyError
+from unicon_core.policies import PolicyContract, load_policy
+from unicon_core.robots import Robot
+
+__all__ = ["CLIP", "TERMS", "random_policy"]
+
+TERMS = (
+    "{name: base_ang_vel, state: base_ang_vel, scale: 0.25",
+    "{name: projected_gravity, state: projected_gravity",
+    "{name: velocity_command, state: velocity_command, scale: 2.0",
+    "{name: joint_pos_rel, state: joint_pos, subtract: default_joint_pos",
+    "{name: joint_vel_rel, state: joint_vel, scale: 0.05",
+    "{name: last_action, state: action",
+)
+"""The 45 values of a quadruped's velocity policy: legged_gym's, without the base velocity."""
+
+CLIP = 100.0
+"""legged_gym's bound of an observation."""
+
+
+def random_policy(
+    folder: Path, robot: Robot, hidden: Sequence[int] = (512, 256, 128), history: int = 1
+) -> PolicyContract:
+    """Write and load a multilayer perceptron with ELU layers and a dynamic batch axis.
+
+    Args:
+        folder: where its two files go.
+        robot: its joints are the policy's, in their order.
+        hidden: sizes of the hidden layers.
+        history: frames of every term.
+
+    Raises:
+        MissingDependencyError: the package onnx, which writes the file, is absent.
+    """
+    try:
+        import onnx
+        from onnx import TensorProto, helper, numpy_helper
+    except ModuleNotFoundError as error:
+        raise MissingDependencyError("unicon bench", "onnx", "pip install onnx") from error
+    n = robot.num_joints
+    sizes = [(9 + 3 * n) * history, *hidden, n]
+    random = np.random.default_rng(0)
+    nodes, weights, last = [], [], "obs"
+    for i, (rows, columns) in enumerate(pairwise(sizes)):
+        matrix = random.normal(0.0, 0.5 / np.sqrt(rows), (rows, columns)).astype(np.float32)
+        weights.append(numpy_helper.from_array(matrix, f"w{i}"))
+        weights.append(numpy_helper.from_array(np.zeros(columns, np.float32), f"b{i}"))
+        out = f"h{i}" if i < len(hidden) else "actions"
+        nodes.append(helper.make_node("Gemm", [last, f"w{i}", f"b{i}"], [out]))
+        if i < len(hidden):
+            nodes.append(helper.make_node("Elu", [out], [f"e{i}"]))
+            last = f"e{i}"
+    graph = helper.make_graph(
+        nodes,
+        "mlp",
+        [helper.make_tensor_value_info("obs", TensorProto.FLOAT, ["batch", sizes[0]])],
+        [helper.make_tensor_value_info("actions", TensorProto.FLOAT, ["batch", n])],
+        weights,
+    )
+    opsets = [helper.make_opsetid("", 17)]
+    folder.mkdir(parents=True, exist_ok=True)
+    onnx.save(helper.make_model(graph, opset_imports=opsets, ir_version=8), folder / "policy.onnx")
+    frames = f", clip: [{-CLIP}, {CLIP}], history: {history}}}"
+    lines = [
+        "schema: unicon.policy/1",
+        "name: random",
+        "onnx: policy.onnx",
+        "period: 0.02",
+        f"joints: {list(robot.joint_names)}",
+        f"default_joint_pos: {[float(x) for x in robot.default_joint_pos]}",
+        "action: {scale: 0.25}",
+        f"stiffness: {[30.0] * n}",
+        f"damping: {[1.0] * n}",
+        "inputs: {observation: obs}",
+        "outputs: {action: actions}",
+        "observation:",
+        "  terms:",
+        *(f"    - {term}{frames}" for term in TERMS),
+    ]
+    (folder / "policy.yaml").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return load_policy(folder, robot=robot)

@@ -1,0 +1,204 @@
+"""`unicon bench policy`: the policy tick in a real 50 Hz loop, ours beside the usual way.
+
+The usual way is that of most deployment scripts: scaled terms, `np.concatenate`, `np.clip`,
+`session.run`, `time.sleep`. Network 45 → 512 → 256 → 128 → 12, one thread on both sides. Rounds are
+interleaved.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from unicon_ros.bench.report import Bench
+
+from unicon_core.policies import Observation, OnnxPolicy, PolicyContract, policy_states
+from unicon_core.robots import Robot, load_robot
+from unicon_core.runtime import Pacing, WallClock, prepare_process
+from unicon_core.states import States, standard_states
+from unicon_ros.bench.networks import CLIP, random_policy
+
+__all__ = ["run"]
+
+RATE = 50.0  # Hz
+SECONDS = 3.0  # of each loop in each round
+WARM_CALLS = 2000  # of each observation in each round
+DRY_NS = 1_000_000  # how long before the deadline the dry run starts
+HISTORY = 6
+
+
+def run(rounds: int | None = None) -> Bench:
+    """Run the comparison.
+
+    Args:
+        rounds: interleaved rounds, 5 unless told.
+    """
+    rounds = rounds or 5
+    bench = Bench("policy", seed=0, rounds=rounds)
+    robot = load_robot("go2")
+    with tempfile.TemporaryDirectory() as folder:
+        contract = random_policy(Path(folder) / "one", robot)
+        longer = random_policy(Path(folder) / "history", robot, history=HISTORY)
+        _observations(bench, rounds, robot, contract, longer)
+        _ticks(bench, rounds, robot, contract)
+    return bench
+
+
+def _states(contract: PolicyContract, robot: Robot) -> States:
+    states = States({**standard_states(robot.joint_names), **policy_states(contract, robot)})
+    random = np.random.default_rng(0)
+    for name in ("joint_pos", "joint_vel", "base_ang_vel", "velocity_command"):
+        states[name][...] = random.normal(size=states[name].shape)
+    return states
+
+
+def _concatenation(states: States, contract: PolicyContract) -> Callable[[], NDArray[np.float32]]:
+    """Return the usual observation: one expression for each term, `np.concatenate`, `np.clip`."""
+    default = contract.default_joint_pos.copy()
+    ang_vel, gravity = states["base_ang_vel"], states["projected_gravity"]
+    command, action = states["velocity_command"], states["action"]
+    pos, vel = states["joint_pos"], states["joint_vel"]
+    policy_from_robot = np.arange(len(default))
+
+    def assemble() -> NDArray[np.float32]:
+        observation = np.concatenate(
+            [
+                ang_vel * 0.25,
+                gravity,
+                command * 2.0,
+                (pos[policy_from_robot] - default) * 1.0,
+                vel[policy_from_robot] * 0.05,
+                action,
+            ]
+        )
+        return np.clip(observation, -CLIP, CLIP)
+
+    return assemble
+
+
+def _observations(
+    bench: Bench, rounds: int, robot: Robot, contract: PolicyContract, longer: PolicyContract
+) -> None:
+    states, states6 = _states(contract, robot), _states(longer, robot)
+    one = Observation(contract, states, robot.joint_names)
+    six = Observation(longer, states6, robot.joint_names)
+    out, out6 = (np.zeros((1, size), np.float32) for size in (one.size, six.size))
+    plain, frame = _concatenation(states, contract), _concatenation(states6, longer)
+    frames: deque[NDArray[np.float32]] = deque([frame()] * HISTORY, maxlen=HISTORY)
+
+    def plain6() -> NDArray[np.float32]:
+        frames.append(frame())
+        return np.concatenate(frames)
+
+    calls: dict[str, Callable[[], Any]] = {
+        "observation: fused": lambda: one(out),
+        "observation: concatenate": plain,
+        "observation, history 6: fused": lambda: six(out6),
+        "observation, history 6: concatenate": plain6,
+    }
+    times: dict[str, list[NDArray[np.float64]]] = {name: [] for name in calls}
+    for _ in range(rounds):
+        for name, call in calls.items():
+            times[name].append(_warm(call))
+    for name, parts in times.items():
+        bench.case(name, np.concatenate(parts))
+    for ratio, case in (
+        ("observation", "observation"),
+        ("observation_history6", "observation, history 6"),
+    ):
+        pairs = zip(times[f"{case}: fused"], times[f"{case}: concatenate"])
+        value = np.median([np.median(ours) / np.median(usual) for ours, usual in pairs])
+        bench.ratio(ratio, float(value), 0.35)
+
+
+def _warm(call: Callable[[], Any]) -> NDArray[np.float64]:
+    """Return the time of blocks of 20 calls each, per call in [µs]."""
+    block, now = 20, time.perf_counter_ns
+    times = np.zeros(WARM_CALLS // block)
+    for i in range(len(times)):
+        begin = now()
+        for _ in range(block):
+            call()
+        times[i] = (now() - begin) * 1e-3 / block
+    return times
+
+
+def _ticks(bench: Bench, rounds: int, robot: Robot, contract: PolicyContract) -> None:
+    loops = {"usual": _usual_loop(robot, contract), "unicon": _unicon_loop(robot, contract)}
+    times: dict[str, list[NDArray[np.float64]]] = {name: [] for name in loops}
+    shares: dict[str, list[float]] = {name: [] for name in loops}
+    for _ in range(rounds):
+        for name, loop in loops.items():
+            cpu, begin = time.process_time_ns(), time.perf_counter_ns()
+            times[name].append(loop(round(RATE * SECONDS)))
+            wall = time.perf_counter_ns() - begin
+            shares[name].append((time.process_time_ns() - cpu) / wall)
+    for name, parts in times.items():
+        bench.case(f"policy tick, {name}", np.concatenate(parts))
+        bench.case(f"policy tick, {name}: share of a core [%]", np.array(shares[name]) * 100.0)
+    for ratio, quantile, bar in (("policy_tick_p50", 50, 0.1), ("policy_tick_p99", 99, 0.2)):
+        values = [
+            np.percentile(ours, quantile) / np.percentile(usual, quantile)
+            for ours, usual in zip(times["unicon"], times["usual"])
+        ]
+        bench.ratio(ratio, float(np.median(values)), bar)
+
+
+def _usual_loop(robot: Robot, contract: PolicyContract) -> Callable[[int], NDArray[np.float64]]:
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1
+    session = onnxruntime.InferenceSession(
+        str(contract.model), options, providers=["CPUExecutionProvider"]
+    )
+    states = _states(contract, robot)
+    assemble = _concatenation(states, contract)
+    target, action = states["joint_pos_target"], states["action"]
+    default, scale = contract.default_joint_pos, np.float32(0.25)
+
+    def loop(ticks: int) -> NDArray[np.float64]:
+        times = np.zeros(ticks)
+        now, period = time.perf_counter_ns, round(1e9 / RATE)
+        due = now() + period
+        for i in range(ticks):
+            time.sleep(max(due - now(), 0) * 1e-9)
+            begin = now()
+            observation = assemble().astype(np.float32)[None]
+            action[...] = session.run(None, {"obs": observation})[0][0]
+            target[...] = default + scale * action
+            times[i] = (now() - begin) * 1e-3
+            due += period
+        return times
+
+    return loop
+
+
+def _unicon_loop(robot: Robot, contract: PolicyContract) -> Callable[[int], NDArray[np.float64]]:
+    policy = OnnxPolicy(contract, _states(contract, robot), robot)
+    policy.dry_run()
+
+    def loop(ticks: int) -> NDArray[np.float64]:
+        times = np.zeros(ticks)
+        now, period = time.perf_counter_ns, round(1e9 / RATE)
+        clock = WallClock()
+        restore = prepare_process(Pacing(), print)
+        due = now() + period
+        for i in range(ticks):
+            clock.until(due - DRY_NS)
+            policy.dry_run()
+            clock.until(due)
+            begin = now()
+            policy()
+            times[i] = (now() - begin) * 1e-3
+            due += period
+        restore()
+        return times
+
+    return loop
