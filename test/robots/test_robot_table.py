@@ -14,8 +14,8 @@ def test_overview_has_one_line_per_robot_and_tells_what_is_missing() -> None:
     assert [line.split()[0] for line in lines[1:]] == robot_names()
     at = lines[0].index("to drive it")
     line = {line.split()[0]: line for line in lines}
-    assert line["g1_29dof"][at:].startswith("complete ")
-    assert line["dex3_right"][at:].startswith("missing: joint_order ")
+    assert line["g1_29dof"][at:].startswith("complete")
+    assert line["dex3_right"][at:].startswith("missing: joint_order")
 
 
 def test_overview_survives_a_broken_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -30,17 +30,17 @@ _UNKNOWN = "unknown"
 
 def robots_table() -> str:
     """Return one line per robot: name, kind, joints, protocol, and whether it can be driven."""
-    rows = [("name", "kind", "joints", "protocol", "to drive it", "description")]
+    rows = [("name", "kind", "joints", "protocol", "description", "to drive it")]
     for name in robot_names():
         try:
             robot = load_robot(name)
         except RobotError as error:
-            rows.append((name, "-", "-", "-", "file is wrong", str(error)))
+            rows.append((name, "-", "-", "-", "-", f"file is wrong: {error}"))
             continue
         missing = robot.missing_facts()
         ready = f"missing: {', '.join(missing)}" if missing else "complete"
         protocol = str(robot.transport["protocol"] or _UNKNOWN)
-        rows.append((name, robot.kind, str(robot.num_joints), protocol, ready, robot.description))
+        rows.append((name, robot.kind, str(robot.num_joints), protocol, robot.description, ready))
     return _aligned(rows, right=(2,))
 
 
