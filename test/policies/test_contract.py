@@ -1,0 +1,323 @@
+"""A wrong policy.yaml gets one line: file and line, the culprit, the remedy."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from policy_helpers import JOINTS, robot, toy_values, write_toy
+
+from unicon_core.errors import PolicyError
+from unicon_core.policies import load_policy, load_policy_yaml, policy_names, write_policy_yaml
+
+GOOD = """\
+schema: unicon.policy/1
+name: toy
+onnx: policy.onnx
+period: 0.02
+joints: [a_hip, a_knee, b_hip, b_knee]
+default_joint_pos: [0.1, 0.2, 0.3, 0.4]
+action: {scale: 0.25}
+stiffness: [10, 20, 30, 40]
+damping: 1.0
+observation:
+  layout: term_major
+  newest: last
+  terms:
+    - {name: ang_vel, state: base_ang_vel, scale: 0.25}
+    - {name: joint_pos, state: joint_pos, subtract: default_joint_pos}
+"""
+
+
+def write(tmp_path: Path, *changes: tuple[str, str]) -> Path:
+    text = GOOD
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    path = tmp_path / "policy.yaml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def message(path: Path) -> str:
+    with pytest.raises(PolicyError) as caught:
+        load_policy_yaml(path)
+    text = str(caught.value)
+    assert "\n" not in text
+    assert text.startswith(str(path))
+    return text.removeprefix(str(path))
+
+
+def test_a_good_file_is_read(tmp_path: Path) -> None:
+    contract = load_policy_yaml(write(tmp_path))
+    assert contract.joints == JOINTS
+    assert contract.period == 0.02
+    assert contract.damping.tolist() == [1.0] * 4
+    assert contract.stiffness.dtype == np.float32
+    assert contract.action.scale.tolist() == [0.25] * 4
+    np.testing.assert_array_equal(contract.action.offset, contract.default_joint_pos)
+    assert [term.name for term in contract.terms] == ["ang_vel", "joint_pos"]
+    assert contract.terms[1].subtract == "default_joint_pos"
+    assert contract.model == tmp_path / "policy.onnx"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ("period: 0.02", "period: 0", ":4: period is 0; give the control period in [s], above 0"),
+        (
+            "period: 0.02",
+            "rate: 50",
+            ": the policy.yaml does not say period (the control period in [s]); "
+            "add it to policy.yaml",
+        ),
+        (
+            "stiffness: [10, 20, 30, 40]",
+            "stiffness: [10, 20, 30]",
+            ":8: stiffness has 3 values for 4 joints; give one for each joint in policy order",
+        ),
+        (
+            "stiffness: [10, 20, 30, 40]",
+            "stiffness: [10, 20, .nan, 40]",
+            ":8: stiffness[2] is nan; give a number",
+        ),
+        (
+            "stiffness: [10, 20, 30, 40]",
+            "stiffness: [10, -20, 30, 40]",
+            ":8: stiffness[1] is -20.0; it must be at least 0",
+        ),
+        (
+            "default_joint_pos: [0.1, 0.2, 0.3, 0.4]",
+            "default_joint_pos: [0.1, x, 0.3, 0.4]",
+            ":6: default_joint_pos[1] is 'x'; give a number",
+        ),
+        (
+            "[a_hip, a_knee, b_hip, b_knee]",
+            "[a_hip, a_knee, a_hip, b_knee]",
+            ":5: joint 'a_hip' stands twice in joints; name each joint once",
+        ),
+        (
+            "name: toy",
+            "nane: toy",
+            ":2: unknown key 'nane'; did you mean 'name'? known: ",
+        ),
+        (
+            "{scale: 0.25}",
+            "{scale: 0.25, clip: [1, -1]}",
+            ":7: action.clip is [1, -1]; the lowest must come first",
+        ),
+        (
+            "{scale: 0.25}",
+            "{scale: 0.25, joints: [c_hip]}",
+            ":7: action.joints names 'c_hip', which is not in joints; did you mean 'b_hip'? known: "
+            "a_hip, a_knee, b_hip, b_knee",
+        ),
+        (
+            "layout: term_major",
+            "layout: terms_first",
+            ":11: observation.layout is 'terms_first'; known: term_major, frame_major",
+        ),
+        (
+            "newest: last",
+            "newest: oldest",
+            ":12: observation.newest is 'oldest'; known: last, first",
+        ),
+        (
+            "layout: term_major\n  newest: last\n  terms:\n    - {name: ang_vel,",
+            "layout: frame_major\n  newest: last\n  terms:\n    - {name: ang_vel, history: 3,",
+            ":11: observation.layout is frame_major, but term 'ang_vel' has history 3 and term "
+            "'joint_pos' 1; give all terms one history, or use term_major",
+        ),
+        (
+            "state: base_ang_vel, scale: 0.25",
+            "state: base_ang_vel, scale: 0.25, history: 0",
+            ":14: observation.terms[0].history is 0; give a whole number from 1",
+        ),
+        (
+            "state: base_ang_vel, scale: 0.25",
+            "state: base_ang_vel, index: [-1]",
+            ":14: observation.terms[0].index has -1; give whole numbers from 0",
+        ),
+        (
+            "subtract: default_joint_pos",
+            "subtract: default_pose",
+            ":15: observation.terms[1].subtract is 'default_pose'; known: default_joint_pos, or "
+            "numbers",
+        ),
+        (
+            "schema: unicon.policy/1",
+            "schema: unicon.policy/9",
+            ":1: schema is 'unicon.policy/9'; this program reads 'unicon.policy/1'",
+        ),
+        (
+            "onnx: policy.onnx",
+            "onnx: policy.onnx\nsha256: abc",
+            ":4: sha256 is 'abc'; give the 64 digits of 'sha256sum'",
+        ),
+        (
+            "damping: 1.0",
+            "damping: 1.0\nphase: {period: -1}",
+            ":10: phase.period is -1; give the gait's period in [s], above 0",
+        ),
+        (
+            "damping: 1.0",
+            "damping: 1.0\nrecurrent: [{input: h}]",
+            ":10: recurrent[0] is {'input': 'h'}; give {input: …, output: …}",
+        ),
+        (
+            "damping: 1.0",
+            "damping: 1.0\ndamping: 2.0",
+            ":10: key 'damping' stands twice: 1.0 (line 9) and 2.0; remove one",
+        ),
+        ("damping: 1.0", "damping: [1.0", ":10: not valid YAML: "),
+    ],
+)
+def test_a_wrong_file_gets_one_line(tmp_path: Path, old: str, new: str, expected: str) -> None:
+    text = message(write(tmp_path, (old, new)))
+    if expected.endswith(": "):  # what follows is a list of names, or the parser's own words
+        assert text.startswith(expected)
+    else:
+        assert text == expected
+
+
+def test_all_missing_facts_are_named_at_once(tmp_path: Path) -> None:
+    path = tmp_path / "policy.yaml"
+    path.write_text("schema: unicon.policy/1\nonnx: policy.onnx\nperiod: 0.02\n", "utf-8")
+    assert message(path) == (
+        ": the policy.yaml does not say joints (the joint names in policy order); "
+        "default_joint_pos (the default pose in [rad], policy order); stiffness (in [N·m/rad], "
+        "policy order); damping (in [N·m·s/rad], policy order); action.scale (in [rad], one number "
+        "or one for each joint); observation.terms (the terms of the network's input, in order); "
+        "add it to policy.yaml"
+    )
+
+
+def test_a_term_without_a_state_is_asked_for_by_name(tmp_path: Path) -> None:
+    text = message(write(tmp_path, ("state: base_ang_vel, ", "")))
+    assert text == (
+        ": the policy.yaml does not say observation.terms.ang_vel.state (the state that it is "
+        "taken from); add it to policy.yaml"
+    )
+
+
+def test_what_is_written_reads_back_equal(tmp_path: Path) -> None:
+    values = toy_values(
+        action={
+            "joints": ["b_knee", "a_hip"],
+            "scale": [0.5, 0.1],
+            "offset": [0.3, 1 / 3],
+            "clip": [[-1.0, -2.0], 4.0],
+            "feedback": "clipped",
+        },
+        observation={
+            "layout": "frame_major",
+            "newest": "first",
+            "start": "zeros",
+            "terms": [
+                {"name": "g", "state": "projected_gravity", "history": 2, "clip": [[-1, -2, -3], 1]},
+                {"name": "a", "state": "action", "history": 2, "scale": [0.1, 0.7]},
+                {"name": "c", "state": "velocity_command", "history": 2, "index": [2],
+                 "subtract": 0.5},
+            ],
+        },
+        command_ranges={"lin_vel_x": [-0.5, 1.0]},
+        phase={"period": 0.8, "offsets": [0.0], "stand": None},
+        recurrent=[],
+        inputs={"observation": "obs"},
+        outputs={"action": "actions"},
+    )  # fmt: skip
+    first = load_policy_yaml(write_toy(tmp_path / "in", values))
+    second = load_policy_yaml(write_policy_yaml(first, tmp_path / "out"))
+    from unicon_core.policies.policy_yaml import contract_values
+
+    one, two = contract_values(first), contract_values(second)
+    assert len(two.pop("sha256")) == 64
+    assert one == two
+    assert first.action.clip is not None
+    assert second.action.clip is not None
+    np.testing.assert_array_equal(first.action.clip, second.action.clip)
+    assert (tmp_path / "out" / "policy.onnx").is_file()
+
+
+def test_another_network_than_the_one_written_for_is_refused(tmp_path: Path) -> None:
+    path = write_policy_yaml(load_policy(write_toy(tmp_path / "in")), tmp_path / "out")
+    load_policy(path)
+    with (tmp_path / "out" / "policy.onnx").open("ab") as file:
+        file.write(b"\x12\x00")  # an empty producer name: still the same network to read
+    with pytest.raises(
+        PolicyError,
+        match=r"policy\.yaml:\d+: policy\.onnx has sha256 \w{12}… and "
+        r"not \w{12}…; it is not the network that this contract was written for",
+    ):
+        load_policy(path)  # fmt: skip
+
+
+def test_a_missing_network_is_named(tmp_path: Path) -> None:
+    path = write(tmp_path)
+    with pytest.raises(PolicyError) as caught:
+        load_policy(path)
+    assert str(caught.value) == (
+        f"{tmp_path / 'policy.onnx'}: no such ONNX file; put it there or correct the path"
+    )
+
+
+def test_a_policy_is_found_by_folder_file_and_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "policies" / "toy_walk"
+    path = write_toy(folder, toy_values(name=None))
+    assert load_policy(folder).name == "toy_walk"
+    assert load_policy(path).name == "toy_walk"
+    assert load_policy(folder / "policy.onnx").source == "policy.yaml"
+    monkeypatch.setenv("UNICON_PATH", str(tmp_path))
+    assert "toy_walk" in policy_names()
+    assert load_policy("toy_walk").path == path
+
+
+def test_an_unknown_name_gets_the_alternatives(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_toy(tmp_path / "policies" / "toy_walk")
+    monkeypatch.setenv("UNICON_PATH", str(tmp_path))
+    with pytest.raises(PolicyError) as caught:
+        load_policy("toy_wakl")
+    text = str(caught.value)
+    assert text.startswith("unknown policy 'toy_wakl'; did you mean 'toy_walk'? known: ")
+    assert text.endswith("; or give a path to a folder or file")
+
+
+def test_an_empty_folder_is_told_what_belongs_there(tmp_path: Path) -> None:
+    with pytest.raises(PolicyError) as caught:
+        load_policy(tmp_path)
+    assert str(caught.value) == (
+        f"{tmp_path}: no policy in this folder; put policy.yaml, deploy.yaml, env.yaml or exactly "
+        "one .onnx there"
+    )
+
+
+def test_metadata_that_disagree_with_the_file_are_refused(tmp_path: Path) -> None:
+    from policy_helpers import write_linear
+
+    metadata = [
+        ("joint_names", "b_knee,a_hip,a_knee,b_hip"),
+        ("joint_stiffness", "40.000,10.000,25.000,30.000"),
+        ("joint_damping", "4.000,1.000,2.000,3.000"),
+        ("default_joint_pos", "0.400,0.100,0.200,0.300"),
+        ("action_scale", "0.25"),
+    ]
+    write_linear(tmp_path / "policy.onnx", 15, 4, metadata=metadata)
+    path = write_toy(tmp_path)
+    line = next(
+        i for i, text in enumerate(path.read_text("utf-8").splitlines(), 1) if "stiffness" in text
+    )
+    with pytest.raises(PolicyError) as caught:
+        load_policy(path, robot=robot())
+    assert str(caught.value) == (
+        f"{path}:{line}: stiffness of a_knee is 20 here and 25 in the metadata of policy.onnx; "
+        "correct one of them, or export both again"
+    )
+    values = toy_values(stiffness=[10.0, 25.0, 30.0, 40.0])
+    path.write_text(yaml.safe_dump(values), "utf-8")
+    assert load_policy(path).stiffness.tolist() == [10.0, 25.0, 30.0, 40.0]
