@@ -110,8 +110,14 @@ def test_hand_that_closes_its_own_loop_needs_no_gains() -> None:
     assert hand.missing_facts() == []
 
 
-def test_imu_frame_unknown_is_missing_for_a_robot_that_walks() -> None:
-    robot = load_robot("x2")
+def test_imu_whose_axes_are_unknown_is_missing_for_a_robot_that_walks(tmp_path: Path) -> None:
+    text = (ROBOTS / "go1.yaml").read_text("utf-8")
+    text = text.replace("quat: [1, 0, 0, 0]", "quat: null").replace(
+        "unknown: [joints.rest]", "unknown: [joints.rest, imu.quat]"
+    )
+    path = tmp_path / "go1.yaml"
+    path.write_text(text, "utf-8")
+    robot = load_robot(path)
     assert robot.imu is not None
     assert np.isnan(robot.imu.quat).all()
-    assert "imu.quat" in robot.missing_facts()
+    assert robot.missing_facts() == ["imu.quat"]
