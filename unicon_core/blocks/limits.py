@@ -37,9 +37,7 @@ def joint_limits(joint_pos_target: Amends, *, robot: Robot, margin: float = 0.0)
     upper = np.nan_to_num(robot.upper, nan=np.inf) - np.float32(margin)
     if (lower > upper).any():
         joint = robot.joint_names[int(np.argmax(lower > upper))]
-        raise WorkflowError(
-            f"margin {margin} rad leaves joint {joint} no range; give a smaller one"
-        )
+        raise WorkflowError(f"margin {margin} rad leaves joint {joint} no range; give less")
     return JointLimits(joint_pos_target, lower, upper)
 
 
