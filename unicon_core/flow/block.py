@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal, TypeAlias
 from numpy.typing import NDArray
 
 from unicon_core.errors import WorkflowError
-from unicon_core.flow.linear import LinearMap
+from unicon_core.flow.linear import LinearMap, linear_of
 
 __all__ = ["Access", "Amends", "Block", "Reads", "Role", "Tick", "Writes", "as_block"]
 
@@ -58,8 +58,8 @@ class Block:
         endless: True where the block can never be done; the graph check relies on it.
         linear: what it does where that is a copy or a linear index map, or None; neighbours are
             then fused into one operation.
-        inline: Python expression with names in `inline_names`, which the compiler may put in the
-            place of the call, or "".
+        inline: Python expression with names in `inline_names`, which the compiler puts in the
+            place of the call, or ""; of an endless block also statements, one a line.
     """
 
     name: str
@@ -104,7 +104,7 @@ def as_block(candidate: Any, *, name: str = "", where: str = "") -> Block:
         value: Sequence[str] | Iterable[str] = getattr(candidate, attribute, ())
         return (value,) if isinstance(value, str) else tuple(value)
 
-    linear = getattr(candidate, "linear", None)
+    linear = linear_of(candidate)
     label = name or getattr(candidate, "name", "") or getattr(candidate, "__name__", "")
     return Block(
         name=label or type(candidate).__name__,

@@ -175,7 +175,7 @@ class _Compiler:
         text = block.inline
         for name, value in block.inline_names.items():
             text = re.sub(rf"(?<![\w.]){re.escape(name)}\b", self.bind("i", value, name), text)
-        return f"({text})"
+        return text if block.endless else f"({text})"
 
     def outline(self, prefix: str, lines: Lines) -> str:
         name = f"{prefix}{len(self.functions)}"
@@ -220,6 +220,9 @@ class _Compiler:
         return self.defer(node, conditional)
 
     def block(self, block: Block, on_done: Lines) -> Lines:
+        if block.endless:
+            stamp = [f"T[{2 + self.column(block)}] = now()"] if self.trace else []
+            return [*self.call(block).splitlines(), *stamp]
         after = [*self.reset(block), *on_done]
         call = self.call(block)
         if not self.trace:

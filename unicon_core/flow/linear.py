@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from unicon_core.errors import StateError
 
-__all__ = ["LinearMap"]
+__all__ = ["LinearMap", "linear_of"]
 
 Array = NDArray[Any]
 
@@ -62,7 +62,8 @@ class LinearMap:
             if index.size and not (index.min() >= 0 and index.max() < last):
                 wrong = index[(index < 0) | (index >= last)][0]
                 raise StateError(f"{label}: index {wrong} outside a last axis of {last}")
-            object.__setattr__(self, "index", index.astype(np.intp))
+            whole = index.size == last and (index == np.arange(last)).all()
+            object.__setattr__(self, "index", None if whole else index.astype(np.intp))
         shape = source.shape if self.index is None else (*source.shape[:-1], self.index.size)
         if shape != target.shape:
             raise StateError(f"{label}: shape {shape} into {target.shape}; both must be the same")
@@ -83,45 +84,53 @@ class LinearMap:
         """True where the values arrive as they are, whatever their places."""
         return self.scale is None and self.offset is None
 
-    def operation(self) -> Callable[[], object]:
-        """Return the function that does it: nothing is allocated in a call, except by overlap."""
+    def operation(self) -> Callable[[], None]:
+        """Return the function that does it; nothing is allocated in a call."""
         source, target, index = self.source, self.target, self.index
         scale: Any = self.scale
         offset: Any = self.offset
+        copyto, multiply, add = np.copyto, np.multiply, np.add
         if index is None and self.is_copy:
-            return lambda: np.copyto(target, source)
-        if np.may_share_memory(source, target):
-            own, outer = LinearMap(source.copy(), target, index, scale, offset), source
-            inner = own.operation()
-
-            def through_scratch() -> None:
-                np.copyto(own.source, outer)
-                inner()
-
-            return through_scratch
-        steps: list[Callable[[], object]] = []
-        if index is None:
-            if scale is not None:
-                steps.append(lambda: np.multiply(source, scale, target))
-            else:
-                return lambda: np.add(source, offset, target)
-        elif target.flags.c_contiguous:
-            # mode 'clip' writes straight into the target; 'raise' goes through a buffer, 2x
-            steps.append(lambda: source.take(index, -1, target, "clip"))
-            if scale is not None:
-                steps.append(lambda: np.multiply(target, scale, target))
-        else:
-            scratch = np.empty(target.shape, target.dtype)
-            whole = LinearMap(source, scratch, index, scale, offset).operation()
-            steps += [whole, lambda: np.copyto(target, scratch)]
-            offset = None
-        if offset is not None:
-            steps.append(lambda: np.add(target, offset, target))
-        if len(steps) == 1:
-            return steps[0]
+            return lambda: copyto(target, source)  # NumPy sees an overlap and minds it
+        overlap = np.may_share_memory(source, target)
+        result = np.empty_like(target) if overlap or not target.flags.c_contiguous else target
 
         def run() -> None:
-            for step in steps:
-                step()
+            if index is not None:
+                # mode 'clip' writes straight into the result; 'raise' goes through a buffer, 2x
+                source.take(index, -1, result, "clip")
+                if scale is not None:
+                    multiply(result, scale, result)
+                if offset is not None:
+                    add(result, offset, result)
+            elif scale is None:
+                add(source, offset, result)
+            else:
+                multiply(source, scale, result)
+                if offset is not None:
+                    add(result, offset, result)
+            if result is not target:
+                copyto(target, result)
 
         return run
+
+
+def linear_of(candidate: object) -> LinearMap | None:
+    """Return what a callable says about itself: its attribute `linear`, or the same by its parts.
+
+    The parts are `source`, `target`, `index`, `scale` and `offset`, and `source_label` and
+    `target_label` where it has them. What is no linear map in one dtype gives None.
+    """
+    linear = getattr(candidate, "linear", None)
+    if linear is not None or isinstance(candidate, type):
+        return linear if isinstance(linear, LinearMap) else None
+    parts = [getattr(candidate, name, None) for name in ("source", "target", "index")]
+    if not (isinstance(parts[0], np.ndarray) and isinstance(parts[1], np.ndarray)):
+        return None
+    if not (hasattr(candidate, "scale") and hasattr(candidate, "offset")):
+        return None
+    labels = [getattr(candidate, name, "") for name in ("source_label", "target_label")]
+    try:
+        return LinearMap(parts[0], parts[1], parts[2], candidate.scale, candidate.offset, *labels)
+    except StateError:
+        return None

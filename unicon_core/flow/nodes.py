@@ -7,7 +7,8 @@ entered again starts anew. Equations: UniCon paper, section 3.2.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from copy import copy
 from operator import index as index_of
 from typing import TypeAlias
 
@@ -26,6 +27,7 @@ __all__ = [
     "as_node",
     "blocks_of",
     "children_of",
+    "with_children",
 ]
 
 
@@ -211,6 +213,29 @@ def children_of(node: Node) -> tuple[Node, ...]:
     if isinstance(node, (Every, Deferred)):
         return (node.child,)
     return ()
+
+
+def with_children(node: Node, children: Sequence[Node]) -> Node:
+    """Return a node of the same kind and options with other children, in `children_of` order."""
+    new: Node = copy(node)
+    if isinstance(new, (Zip, Chain)):
+        new.children = tuple(children)
+    elif isinstance(new, Switch):
+        selector, *cases = children
+        new.selector, new.children = _predicate(selector), tuple(cases)
+    elif isinstance(new, Loop):
+        new.child = children[0]
+        new.until = _predicate(children[1]) if len(children) > 1 else None
+    elif isinstance(new, When):
+        new.predicate, new.child = _predicate(children[0]), children[1]
+    elif isinstance(new, (Every, Deferred)):
+        (new.child,) = children
+    return new
+
+
+def _predicate(node: Node) -> Block:
+    assert isinstance(node, Block)
+    return node
 
 
 def blocks_of(node: Node) -> list[Block]:

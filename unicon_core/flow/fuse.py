@@ -1,0 +1,258 @@
+"""Fusion: neighbouring copies and linear index maps become one operation on the packed buffer.
+
+Measured with sixteen neighbouring copies of 20 floats: as blocks 16 · 135 ns, fused into one slice
+copy 80 ns. What is fused stays in its order wherever one map reads or writes what another writes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.flow.block import Block
+from unicon_core.flow.linear import LinearMap
+from unicon_core.flow.nodes import Node, Zip, children_of, with_children
+from unicon_core.states import States
+
+__all__ = ["fuse"]
+
+Indices = NDArray[np.intp]
+Array = NDArray[Any]
+
+MAX_COPIES = 4
+"""Up to so many separate slice copies (80 ns each) one gather and scatter (750 ns) loses."""
+
+
+def fuse(root: Node, states: States) -> Node:
+    """Return the tree with neighbouring linear blocks of each Zip fused.
+
+    Args:
+        root: the tree; it stays as it is, nodes without anything to fuse are shared with it.
+        states: the states that the maps read and write.
+    """
+    return _Fuser(states).node(root)
+
+
+@dataclass
+class _Fuser:
+    states: States
+    known: dict[int, Node] = field(default_factory=dict)
+
+    def node(self, node: Node) -> Node:
+        if id(node) not in self.known:
+            self.known[id(node)] = self.rewrite(node)
+        return self.known[id(node)]
+
+    def rewrite(self, node: Node) -> Node:
+        old = children_of(node)
+        if isinstance(node, Zip):
+            flat = [self.node(part) for child in old for part in _spliced(child)]
+            new = tuple(self.neighbours(flat))
+        else:
+            new = tuple(self.node(child) for child in old)
+        return node if _same(old, new) else with_children(node, new)
+
+    def neighbours(self, children: Sequence[Node]) -> Iterator[Node]:
+        group = _Group(self.states)
+        for child in children:
+            piece = self.piece(child)
+            if piece is None or not group.takes(piece):
+                yield from group.flush()
+            if piece is None:
+                yield child
+            else:
+                group.add(piece)
+        yield from group.flush()
+
+    def piece(self, node: Node) -> _Piece | None:
+        """Return the places of a map in the packed buffer; None where it must stay alone."""
+        if not isinstance(node, Block) or node.linear is None or node.reset or node.role:
+            return None
+        linear = node.linear
+        packed = self.states.buffer_of(linear.target.dtype)
+        read, write = _places(linear.source, packed), _places(linear.target, packed)
+        if read is None or write is None or linear.source.dtype != linear.target.dtype:
+            return None
+        if linear.index is not None:
+            read = read[..., linear.index]
+        read, write = read.ravel(), write.ravel()
+        if len(np.unique(write)) < len(write) or np.intersect1d(read, write).size:
+            return None
+        piece = _Piece(node, linear, packed.dtype, read, write)
+        for name, value in (("scale", linear.scale), ("offset", linear.offset)):
+            if value is not None:
+                full = np.broadcast_to(value, linear.target.shape).ravel()
+                setattr(piece, name, full.astype(packed.dtype))
+        return piece
+
+
+@dataclass
+class _Piece:
+    block: Block
+    linear: LinearMap
+    dtype: np.dtype[Any]
+    read: Indices
+    write: Indices
+    scale: Array | None = None
+    offset: Array | None = None
+
+
+@dataclass
+class _Group:
+    """Maps that may be done at once: none reads or writes what another one of them writes."""
+
+    states: States
+    pieces: list[_Piece] = field(default_factory=list)
+
+    def takes(self, piece: _Piece) -> bool:
+        return not any(
+            np.intersect1d(piece.read, other.write).size
+            or np.intersect1d(piece.write, other.write).size
+            or np.intersect1d(piece.write, other.read).size
+            for other in self.pieces
+            if other.dtype == piece.dtype
+        )
+
+    def add(self, piece: _Piece) -> None:
+        self.pieces.append(piece)
+
+    def flush(self) -> Iterator[Node]:
+        pieces, self.pieces = self.pieces, []
+        if len(pieces) == 1:
+            yield pieces[0].block
+        elif pieces:
+            yield self.fused(pieces)
+
+    def fused(self, pieces: list[_Piece]) -> Block:
+        code = _Code()
+        for dtype in dict.fromkeys(piece.dtype for piece in pieces):
+            same = [piece for piece in pieces if piece.dtype == dtype]
+            code.one_dtype(same, self.states.buffer_of(dtype))
+        blocks = [piece.block for piece in pieces]
+        text = "\n".join(code.lines)
+        scope = dict(code.names)
+        exec(compile("def tick():\n    " + "\n    ".join(code.lines), "<fused>", "exec"), scope)
+        return Block(
+            name=f"{blocks[0].name} … {blocks[-1].name} ({len(blocks)} fused)",
+            tick=scope["tick"],
+            reads=tuple(dict.fromkeys(name for block in blocks for name in block.reads)),
+            writes=tuple(dict.fromkeys(name for block in blocks for name in block.writes)),
+            where=blocks[0].where,
+            endless=True,
+            inline=text,
+            inline_names=code.names,
+        )
+
+
+@dataclass
+class _Code:
+    """The statements of one fused block and the arrays that they name."""
+
+    lines: list[str] = field(default_factory=list)
+    names: dict[str, Any] = field(default_factory=dict)
+
+    def name(self, prefix: str, value: Any) -> str:
+        name = f"{prefix}{len(self.names)}"
+        self.names[name] = value
+        return name
+
+    def one_dtype(self, pieces: list[_Piece], packed: Array) -> None:
+        order = np.argsort(np.concatenate([piece.write for piece in pieces]))
+        write = np.concatenate([piece.write for piece in pieces])[order]
+        read = np.concatenate([piece.read for piece in pieces])[order]
+        scale = _joined([(p.scale, len(p.write)) for p in pieces], 1.0, packed.dtype)
+        # x + (-0.0) is x for every x; adding 0.0 would turn -0.0 into 0.0
+        offset = _joined([(p.offset, len(p.write)) for p in pieces], -0.0, packed.dtype)
+        linear = np.concatenate([np.full(len(p.write), not p.linear.is_copy) for p in pieces])
+        scale = None if scale is None else scale[order]
+        offset = None if offset is None else offset[order]
+        linear = linear[order]
+
+        parts = np.flatnonzero((np.diff(write) != 1) | (np.diff(read) != 1) | np.diff(linear)) + 1
+        runs = np.split(np.arange(len(write)), parts)
+        copies = [run for run in runs if not linear[run[0]]]
+        if len(copies) > MAX_COPIES:
+            copies = []
+        for run in copies:
+            self.copy(packed, write[run[0]], read[run[0]], len(run))
+        rest = np.setdiff1d(np.arange(len(write)), np.concatenate([*copies, []]))
+        if rest.size:
+            self.gather(
+                packed,
+                write[rest],
+                read[rest],
+                None if scale is None else scale[rest],
+                None if offset is None else offset[rest],
+            )
+
+    def copy(self, packed: Array, write: int, read: int, length: int) -> None:
+        target: Any = packed[write : write + length].view(np.uint8)
+        source: Any = packed[read : read + length].view(np.uint8)
+        # memoryviews copy in 80 ns, arrays in 110 ns, np.copyto in 220 ns
+        into, out_of = self.name("into", memoryview(target)), self.name("from_", memoryview(source))
+        self.lines.append(f"{into}[:] = {out_of}")
+
+    def gather(
+        self,
+        packed: Array,
+        write: Indices,
+        read: Indices,
+        scale: Array | None,
+        offset: Array | None,
+    ) -> None:
+        together = write[-1] - write[0] + 1 == len(write)
+        result = (
+            packed[write[0] : write[-1] + 1] if together else np.empty(len(write), packed.dtype)
+        )
+        out = self.name("result", result)
+        take, index = self.name("take", packed.take), self.name("index", read)
+        self.lines.append(f'{take}({index}, 0, {out}, "clip")')
+        for word, operator, value in (("multiply", np.multiply, scale), ("add", np.add, offset)):
+            if value is not None:
+                call = self.name(word, operator)
+                self.lines.append(f"{call}({out}, {self.name(word + '_by', value)}, {out})")
+        if not together:
+            everything, places = self.name("packed", packed), self.name("places", write)
+            self.lines.append(f"{everything}[{places}] = {out}")
+
+
+def _joined(parts: list[tuple[Array | None, int]], default: float, dtype: Any) -> Array | None:
+    if all(value is None for value, _ in parts):
+        return None
+    return np.concatenate(
+        [np.full(n, default, dtype) if value is None else value for value, n in parts]
+    )
+
+
+def _places(view: Array, packed: Array) -> Indices | None:
+    """Return the place of each element of a view in the packed buffer, or None if outside."""
+    start = view.__array_interface__["data"][0] - packed.__array_interface__["data"][0]
+    if view.dtype != packed.dtype or start % packed.itemsize:
+        return None
+    places: Indices = np.array(start // packed.itemsize, dtype=np.intp)
+    for length, stride in zip(view.shape, view.strides):
+        if stride % packed.itemsize:
+            return None
+        places = places[..., None] + np.arange(length) * (stride // packed.itemsize)
+    inside = places.size and places.min() >= 0 and places.max() < packed.size
+    return places if inside else None
+
+
+def _spliced(node: Node) -> tuple[Node, ...]:
+    """Return the parts of a Zip of blocks that never end and have no reset; else the node."""
+    if isinstance(node, Zip):
+        parts = tuple(part for child in node.children for part in _spliced(child))
+        if all(isinstance(p, Block) and p.endless and p.reset is None for p in parts):
+            return parts
+    return (node,)
+
+
+_T = TypeVar("_T")
+
+
+def _same(old: Sequence[_T], new: Sequence[_T]) -> bool:
+    return len(old) == len(new) and all(a is b for a, b in zip(old, new))
