@@ -18,8 +18,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from numpy.typing import NDArray
-
 from unicon_core.errors import UniconError
 from unicon_core.flow import Block
 from unicon_core.resources import find_config
@@ -28,6 +26,7 @@ from unicon_core.workflow import Workflow
 from unicon_msgs_map import Decoder, Encoder, MapError, MapStateError, MessageMap, load_map
 from unicon_msgs_map.spec import PublishSpec, SubscribeSpec
 from unicon_ros import compat
+from unicon_ros.bridge.bindings import arrays_of, names_of, variables_of
 from unicon_ros.bridge.controls import SERVICES, Controls, add_services
 from unicon_ros.bridge.slack import SlackServer
 from unicon_ros.bridge.stamps import WallStamp
@@ -121,8 +120,8 @@ class RosSession:
 
     def inputs(self, workflow: Workflow) -> list[Block]:
         """Return the block that polls the subscriptions; a hook of `load_workflow`."""
-        arrays, names = _arrays(workflow), _names(workflow)
-        variables = _variables(workflow)
+        arrays, names = arrays_of(workflow), names_of(workflow)
+        variables = variables_of(workflow)
         written = {s for block in workflow.blocks for s in (*block.writes, *block.amends)}
         taken = set(workflow.platform.writes)
         for spec in self.map.subscribe:
@@ -158,8 +157,8 @@ class RosSession:
 
     def observers(self, workflow: Workflow) -> list[Block]:
         """Return the blocks that publish and serve; a hook of `load_workflow`."""
-        arrays, names = _arrays(workflow), _names(workflow)
-        variables = _variables(workflow)
+        arrays, names = arrays_of(workflow), names_of(workflow)
+        variables = variables_of(workflow)
         blocks: list[Block] = []
         platform = workflow.platform
         if not platform.simulated:
@@ -290,32 +289,6 @@ def _read_map(name: str | Path | None) -> MessageMap:
         return load_map(path)
     except MapError as error:
         raise UniconError(str(error)) from error
-
-
-def _arrays(workflow: Workflow) -> dict[str, NDArray[Any]]:
-    """Return the states' views by name; of the first robot where there are many."""
-    states = workflow.states
-    if states.num_robots is None:
-        return {name: states[name] for name in states}
-    return {name: states[name][0, ...] for name in states}
-
-
-def _names(workflow: Workflow) -> dict[str, tuple[str, ...]]:
-    specs = workflow.states.layout.specs
-    return {name: spec.names for name, spec in specs.items() if spec.names}
-
-
-def _variables(workflow: Workflow) -> dict[str, object]:
-    """Return what a map may call `$name`."""
-    robot = workflow.robot
-    return {
-        "joint_names": list(robot.joint_names),
-        "robot_name": robot.name,
-        "base_frame": robot.base_frame or "base_link",
-        "odom_frame": "odom",
-        "imu_frame": robot.imu.frame if robot.imu is not None else "imu_link",
-        "feet": list(robot.feet),
-    }
 
 
 def _one_line(error: Exception) -> str:
