@@ -215,7 +215,7 @@ class Runner:
                 self._status()
 
     def _triggered(self, limit: int, status_every: int, wait: Callable[[float], bool]) -> None:
-        """Tick when data arrive; without data at a slow pace, so that safety sees that they lack."""
+        """Tick when data arrive; without data at a slow pace, so that safety can see it."""
         statistics, now, period = self.statistics, time.perf_counter_ns, self.period_ns
         patience = 3e-9 * period
         while not self._stop and statistics.count < limit:

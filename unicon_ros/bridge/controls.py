@@ -1,4 +1,4 @@
-"""Controls: what the services start, stop, estop, reset, pause and step do to a running workflow."""
+"""Controls: what the services start, stop, estop, reset, pause and step do to a workflow."""
 
 from __future__ import annotations
 

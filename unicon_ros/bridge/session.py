@@ -28,6 +28,7 @@ from unicon_msgs_map.spec import PublishSpec, SubscribeSpec
 from unicon_ros import compat
 from unicon_ros.bridge.bindings import arrays_of, names_of, variables_of
 from unicon_ros.bridge.controls import SERVICES, Controls, add_services
+from unicon_ros.bridge.robot_frames import RobotFrames
 from unicon_ros.bridge.slack import SlackServer
 from unicon_ros.bridge.stamps import WallStamp
 from unicon_ros.bridge.topics_in import TopicIn
@@ -184,6 +185,11 @@ class RosSession:
                 raise self._refused(spec, error) from error
             self.outgoing.append(topic)
             blocks.append(topic.block)
+        frames = RobotFrames(self.node, workflow, arrays["stamp_ns"], self._group, self.warn)
+        self._others.append(frames.close)
+        if frames.out is not None:
+            self.outgoing.append(frames.out)
+            blocks.append(frames.block)
         blocks.append(Block(self.slack.name, self.slack))
         return blocks
 

@@ -27,6 +27,7 @@ class TopicOut:
         phase: number of the first tick of those, so that topics do not all fall on one tick.
         group: callback group of its events.
         warn: takes warnings.
+        prepare: called before each encoding: brings arrays up to date that are no states.
 
     Attributes:
         topic: full name, after namespace and remaps.
@@ -43,6 +44,7 @@ class TopicOut:
         phase: int,
         group: Any,
         warn: Callable[[str], None],
+        prepare: Callable[[], None] | None = None,
     ) -> None:
         spec = encoder.spec
         options: dict[str, Any] = {"callback_group": group}
@@ -56,7 +58,7 @@ class TopicOut:
         self.topic: str = self.publisher.topic_name
         self.published = 0
         self.failed = 0
-        self._encode = encoder.encode
+        self._encode = encoder.encode if prepare is None else _after(prepare, encoder.encode)
         self._publish, self._release = compat.raw_publish(self.publisher)
         self._every, self._wait = every, phase % every
         self._in_a_row = 0
@@ -90,3 +92,11 @@ class TopicOut:
         self._wait = 1 << 62
         self._release()
         self._node.destroy_publisher(self.publisher)
+
+
+def _after(prepare: Callable[[], None], encode: Callable[[], bytes]) -> Callable[[], bytes]:
+    def prepared() -> bytes:
+        prepare()
+        return encode()
+
+    return prepared

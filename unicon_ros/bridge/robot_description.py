@@ -1,0 +1,112 @@
+"""robot_description: a URDF of primitives made from the robot's MuJoCo model, for rviz and tf.
+
+Capsules become a cylinder and two spheres, meshes their bounding boxes; names of links and joints
+are the model's, limits of effort and speed the robot file's.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from xml.etree import ElementTree as Xml
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.robots import Robot
+from unicon_ros.bridge.kinematic_tree import Geom, Link
+
+__all__ = ["urdf"]
+
+Float = NDArray[np.float64]
+
+
+def urdf(links: Sequence[Link], robot: Robot) -> str:
+    """Return the URDF text of a tree of links.
+
+    Args:
+        links: root first, as `kinematic_tree.read_tree` gives them.
+        robot: gives the name and the limits of effort [N·m] and speed [rad/s].
+    """
+    root = Xml.Element("robot", name=robot.name)
+    for link in links:
+        element = Xml.SubElement(root, "link", name=link.name)
+        if link.mass > 0.0:
+            _inertial(element, link)
+        for geom in link.geoms:
+            for use in ("visual", "collision"):
+                _geom(Xml.SubElement(element, use), geom, use == "visual")
+    for link in links:
+        if link.parent >= 0:
+            _joint(root, link, links[link.parent].name, robot)
+    Xml.indent(root)
+    return '<?xml version="1.0"?>\n' + Xml.tostring(root, encoding="unicode") + "\n"
+
+
+def _joint(root: Xml.Element, link: Link, parent: str, robot: Robot) -> None:
+    limited = math.isfinite(link.lower) and math.isfinite(link.upper)
+    kind = "fixed"
+    if link.joint:
+        kind = "prismatic" if link.sliding else "revolute" if limited else "continuous"
+    element = Xml.SubElement(root, "joint", name=link.joint or f"{link.name}_fixed", type=kind)
+    Xml.SubElement(element, "parent", link=parent)
+    Xml.SubElement(element, "child", link=link.name)
+    _origin(element, link.position, link.quat)
+    if not link.joint:
+        return
+    Xml.SubElement(element, "axis", xyz=_numbers(link.axis))
+    effort, velocity = 0.0, 0.0
+    if link.index >= 0:
+        effort = float(np.nan_to_num(robot.effort_limit[link.index]))
+        velocity = float(np.nan_to_num(robot.velocity_limit[link.index]))
+    limits = {"effort": f"{effort:.6g}", "velocity": f"{velocity:.6g}"}
+    if limited:
+        limits |= {"lower": f"{link.lower:.9g}", "upper": f"{link.upper:.9g}"}
+    Xml.SubElement(element, "limit", limits)
+
+
+def _geom(element: Xml.Element, geom: Geom, visual: bool) -> None:
+    _origin(element, geom.position, geom.quat)
+    shape = Xml.SubElement(element, "geometry")
+    if geom.shape == "box":
+        Xml.SubElement(shape, "box", size=_numbers(geom.size))
+    elif geom.shape == "sphere":
+        Xml.SubElement(shape, "sphere", radius=f"{geom.size[0]:.6g}")
+    else:
+        radius, length = geom.size
+        Xml.SubElement(shape, "cylinder", radius=f"{radius:.6g}", length=f"{length:.6g}")
+    if visual:
+        material = Xml.SubElement(element, "material", name="c" + "_".join(map(str, geom.rgba)))
+        Xml.SubElement(material, "color", rgba=_numbers(geom.rgba))
+
+
+def _inertial(element: Xml.Element, link: Link) -> None:
+    inertial = Xml.SubElement(element, "inertial")
+    _origin(inertial, link.centre, link.inertia_quat)
+    Xml.SubElement(inertial, "mass", value=f"{link.mass:.6g}")
+    ixx, iyy, izz = (f"{value:.6g}" for value in link.inertia)
+    Xml.SubElement(inertial, "inertia", ixx=ixx, iyy=iyy, izz=izz, ixy="0", ixz="0", iyz="0")
+
+
+def _origin(element: Xml.Element, position: Float, quat: Float) -> None:
+    Xml.SubElement(element, "origin", xyz=_numbers(position), rpy=_numbers(_rpy(quat)))
+
+
+def _rpy(quat: Float) -> tuple[float, float, float]:
+    """Return fixed-axis roll, pitch, yaw [rad] of a unit quaternion wxyz, as URDF has them."""
+    w, x, y, z = (float(value) for value in quat)
+    sine = 2.0 * (w * y - x * z)
+    if abs(sine) > 1.0 - 1e-9:  # looking straight up or down: roll is free, let it be 0
+        # There R = Rz(yaw) Ry(±90°), so yaw alone is left in the first column's neighbours.
+        return (
+            0.0,
+            math.copysign(0.5 * math.pi, sine),
+            math.atan2(2.0 * (w * z - x * y), 1.0 - 2.0 * (x * x + z * z)),
+        )
+    roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+    yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    return roll, math.asin(sine), yaw
+
+
+def _numbers(values: Sequence[float] | Float) -> str:
+    return " ".join(f"{0.0 if abs(value) < 1e-12 else float(value):.9g}" for value in values)

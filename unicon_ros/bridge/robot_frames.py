@@ -1,0 +1,116 @@
+"""RobotFrames: what rviz shows a robot with: robot_description, /tf of the links, /tf_static."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.errors import UniconError
+from unicon_core.flow import Block
+from unicon_core.workflow import Workflow
+from unicon_msgs_map import Encoder, Messages, parse_map
+from unicon_msgs_map.spec import Qos
+from unicon_ros import compat
+from unicon_ros.bridge.kinematic_tree import Link, tree_of
+from unicon_ros.bridge.qos import qos_profile
+from unicon_ros.bridge.robot_description import urdf
+from unicon_ros.bridge.topics_out import TopicOut
+from unicon_ros.bridge.transforms import LinkTransforms, tf_map
+
+__all__ = ["RobotFrames"]
+
+RATE = 50.0
+"""Rate of the links' transforms in [Hz]: what a viewer needs, whatever the tick."""
+LATCHED = Qos(durability="transient_local", depth=1)
+
+
+class RobotFrames:
+    """Publishes `robot_description` and `/tf_static` once, latched for late joiners, and `/tf`.
+
+    A robot without a model, or a ROS without tf2_msgs, goes without, with one notice.
+
+    Args:
+        node: rclpy node.
+        workflow: whose robot it is.
+        stamp: `stamp_ns` as it is published, int64 scalar, read in place.
+        group: callback group of the publishers' events.
+        warn: takes notices.
+
+    Attributes:
+        description: the URDF; empty where there is none.
+        out: the topic /tf; None where there is none.
+        block: publishes /tf when it is due.
+    """
+
+    def __init__(
+        self,
+        node: Any,
+        workflow: Workflow,
+        stamp: NDArray[Any],
+        group: Any,
+        warn: Callable[[str], None],
+    ) -> None:
+        self.description = ""
+        self.out: TopicOut | None = None
+        self.block = Block("publish /tf", lambda: None)
+        self._node, self._group, self._warn = node, group, warn
+        self._latched: list[Any] = []
+        try:
+            with warnings.catch_warnings():  # the platform has told what its model lacks
+                warnings.simplefilter("ignore")
+                links = tree_of(workflow)
+        except UniconError as error:
+            warn(f"no robot_description and no frames of the links: {error}")
+            return
+        self.description = urdf(links, workflow.robot)
+        self._latch("robot_description", "std_msgs/msg/String", self.description)
+        if compat.message_class("tf2_msgs/msg/TFMessage") is not None:
+            self._publish_frames(workflow, links, stamp)
+
+    def _latch(self, topic: str, kind: str, content: str | bytes) -> None:
+        message = compat.message_class(kind)
+        if message is None:
+            self._warn(f"topic {topic} is left out: type {kind} is not installed")
+            return
+        publisher = self._node.create_publisher(message, topic, qos_profile(LATCHED))
+        publisher.publish(message(data=content) if isinstance(content, str) else content)
+        self._latched.append(publisher)
+
+    def _publish_frames(self, workflow: Workflow, links: list[Link], stamp: NDArray[Any]) -> None:
+        states = workflow.states
+        joint_pos = states["joint_pos"] if states.num_robots is None else states["joint_pos"][0]
+        poses = LinkTransforms(links, joint_pos)
+        names = [link.name for link in links]
+        messages = Messages()
+        if poses.fixed:
+            text = tf_map("/tf_static", poses.fixed, names, None)
+            arrays = {
+                "stamp_ns": np.zeros((), np.int64),
+                "positions": np.array([link.position for link in poses.fixed]),
+                "quats": np.array([link.quat for link in poses.fixed]),
+            }
+            spec = parse_map(text, messages, name="/tf_static").publish[0]
+            self._latch(spec.topic, spec.type, Encoder.build(spec, arrays).encode())
+        if not poses.moving:
+            return
+        spec = parse_map(tf_map("/tf", poses.moving, names, RATE), messages, name="/tf").publish[0]
+        encoder = Encoder.build(
+            spec, {"stamp_ns": stamp, "positions": poses.positions, "quats": poses.quats}
+        )
+        every = max(1, round(1.0 / (RATE * workflow.period)))
+        message = compat.message_class(spec.type)
+        out = TopicOut(
+            self._node, encoder, message, every, every - 1, self._group, self._warn, poses.update
+        )
+        self.out = out
+        self.block = Block("publish /tf (links)", out.tick, reads=("joint_pos", "stamp_ns"))
+
+    def close(self) -> None:
+        """Destroy the latched publishers; `out` is closed with the other topics."""
+        for publisher in self._latched:
+            self._node.destroy_publisher(publisher)
+        self._latched = []
