@@ -22,7 +22,7 @@ def projected_gravity(base_quat: Reads, projected_gravity: Writes) -> Callable[[
     if base_quat.ndim > 1:
         return BatchGravity(base_quat, projected_gravity)
 
-    def of_one_robot() -> None:  # 1.2 µs; the arrays' way takes 6.3, whatever their size
+    def of_one_robot() -> None:  # 0.6 µs; the arrays' way takes 6.3 for any N
         w, x, y, z = base_quat.tolist()
         projected_gravity[:] = (
             2.0 * (w * y - x * z),
