@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+import yaml
 from source_tree import ROOT, tracked_files
 
 DOCUMENTS = ("README.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "CHANGELOG.md")
@@ -79,6 +80,26 @@ def test_every_option_of_run_that_is_named_exists(tmp_path: Path) -> None:
     options = set(re.findall(r"--[a-z-]+", sentence.group(1)))
     help_text = unicon("run", "--help", cwd=tmp_path).stdout
     assert {option for option in options if option not in help_text} == set()
+
+
+def test_every_topic_of_the_default_map_is_in_the_table_with_its_type() -> None:
+    documents = yaml.safe_load(text_of("config/maps/default.yaml"))
+    topics = {
+        (entry["topic"], entry["type"].replace("/msg/", "/"))
+        for direction in ("publish", "subscribe")
+        for entry in documents[direction]
+    }
+    told = set(
+        re.findall(r"^\| `([a-z_/]+)`.*? \| (\w+/\w+) \|", text_of("README.md"), re.MULTILINE)
+    )
+    assert topics <= told
+
+
+def test_every_service_is_in_the_table() -> None:
+    from unicon_ros.bridge.controls import SERVICES
+
+    rows = re.findall(r"^\| `~/.*?\|", text_of("README.md"), re.MULTILINE)
+    assert set(re.findall(r"~/(\w+)", "".join(rows))) == set(SERVICES)
 
 
 def test_the_examples_of_the_readme_run(tmp_path: Path) -> None:
