@@ -216,7 +216,8 @@ def test_what_is_written_reads_back_equal(tmp_path: Path) -> None:
             "newest": "first",
             "start": "zeros",
             "terms": [
-                {"name": "g", "state": "projected_gravity", "history": 2, "clip": [[-1, -2, -3], 1]},
+                {"name": "g", "state": "projected_gravity", "history": 2,
+                 "clip": [[-1, -2, -3], 1]},
                 {"name": "a", "state": "action", "history": 2, "scale": [0.1, 0.7]},
                 {"name": "c", "state": "velocity_command", "history": 2, "index": [2],
                  "subtract": 0.5},

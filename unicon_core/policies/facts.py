@@ -65,7 +65,8 @@ class Facts:
         values: `policy.yaml`-shaped values, only those that were said.
         lines: line of a value in `path`, by its path of keys in `values`; empty without lines.
         keys: the source's own word for a value, by the same path.
-        asks: dotted names of facts that the source leaves out beyond those always needed.
+        asks: facts that the source leaves out beyond those always needed: dotted name -> what
+            there is to choose from, or "".
         notes: what to tell the user, such as rounding.
         tolerance: relative and absolute rounding of the source's numbers.
     """
@@ -75,7 +76,7 @@ class Facts:
     values: dict[str, Any] = field(default_factory=dict)
     lines: dict[Where, int] = field(default_factory=dict)
     keys: dict[Where, str] = field(default_factory=dict)
-    asks: list[str] = field(default_factory=list)
+    asks: dict[str, str] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
     tolerance: tuple[float, float] = (1e-6, 1e-9)
 
@@ -126,8 +127,9 @@ def missing_facts(facts: Facts) -> dict[str, str]:
     for term in terms if isinstance(terms, list) else []:
         if isinstance(term, Mapping) and "name" in term and term.get("state") is None:
             missing[f"observation.terms.{term['name']}.state"] = "the state that it is taken from"
-    for name in facts.asks:
-        missing.setdefault(name, _ASKED.get(name, ""))
+    for name, detail in facts.asks.items():
+        meaning = _ASKED.get(name, "")
+        missing.setdefault(name, f"{meaning}; {detail}" if detail else meaning)
     return missing
 
 
@@ -173,7 +175,9 @@ def merge_given(facts: Facts, given: Mapping[str, Any]) -> None:
         nested["observation"] = observation = dict(observation)
         _merge_terms(facts, observation)
     _merge(facts, facts.values, nested, ())
-    facts.asks = [name for name in facts.asks if not _answered(name, nested, facts.values)]
+    for name in list(facts.asks):
+        if _answered(name, nested, facts.values):
+            del facts.asks[name]
 
 
 def _answered(name: str, given: Mapping[str, Any], values: Mapping[str, Any]) -> bool:
@@ -225,7 +229,7 @@ def _merge_terms(facts: Facts, observation: dict[str, Any]) -> None:
         for term in terms or ():
             if isinstance(term, dict):
                 term.setdefault("scale", scale)
-        facts.asks = [name for name in facts.asks if name != "observation.scale"]
+        facts.asks.pop("observation.scale", None)
 
 
 def _merge(facts: Facts, said: dict[str, Any], given: Mapping[str, Any], where: Where) -> None:

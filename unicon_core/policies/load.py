@@ -233,7 +233,7 @@ def _add_model(facts: Facts) -> None:
             if len(models) == 1:
                 facts.values[key] = str(models[0])
                 return
-    facts.asks.append("onnx")
+    facts.asks["onnx"] = f"no single network is beside {facts.path.name}"
 
 
 def _name_of(path: Path) -> str:
@@ -261,9 +261,8 @@ def _name_tensors(facts: Facts, onnx: OnnxFile) -> None:
         if len(free) == 1:
             values[key] = {canonical: free[0].name}
         else:
-            facts.asks.append(key)
             listed = ", ".join(str(tensor) for tensor in free) or "none"
-            facts.notes.append(f"{onnx.path.name}: {key} to choose from: {listed}")
+            facts.asks[key] = f"it has {listed}"
 
 
 def _check_model(facts: Facts, contract: PolicyContract) -> None:

@@ -84,6 +84,7 @@ def _inputs(facts: Facts, onnx: OnnxFile, metadata: dict[str, Any], moved: list[
     recurrent = []
     outputs = {tensor.name for tensor in onnx.outputs}
     unknown = []
+    orders: dict[str, list[str]] = {}
     for tensor in onnx.inputs:
         state = _state(tensor.name)
         memory = _MEMORY.fullmatch(tensor.name)
@@ -96,14 +97,9 @@ def _inputs(facts: Facts, onnx: OnnxFile, metadata: dict[str, Any], moved: list[
         about = metadata.get(tensor.name)
         if state == "velocity_command" and isinstance(about, dict) and about.get("ranges"):
             facts.values["command_ranges"] = about["ranges"]
-        group = tensor.name.rsplit(".", 1)[0]
-        about = metadata.get(group)
+        about = metadata.get(tensor.name.rsplit(".", 1)[0])
         if state in ("joint_pos", "joint_vel") and isinstance(about, dict):
-            names = about.get("joint_names") or []
-            if set(names) != set(moved) and set(moved) <= set(names):
-                _widen(facts, names, moved)
-            elif names != moved:
-                _reorder(facts, names, moved)
+            orders[tensor.name] = list(about.get("joint_names") or [])
     if unknown:
         raise PolicyError(
             f"{onnx.path}: no state is known for the inputs {', '.join(unknown)}; write a "
@@ -112,6 +108,29 @@ def _inputs(facts: Facts, onnx: OnnxFile, metadata: dict[str, Any], moved: list[
     facts.values["inputs"] = inputs
     if recurrent:
         facts.values["recurrent"] = recurrent
+    if orders:
+        _take_order(facts, orders, moved)
+
+
+def _take_order(facts: Facts, orders: dict[str, list[str]], moved: list[str]) -> None:
+    """The joints are those that the network reads, in that order; it may move a part of them."""
+    name, order = next(iter(orders.items()))
+    for other, joints in orders.items():
+        if joints != order or not set(moved) <= set(joints):
+            raise PolicyError(
+                f"{facts.path}: input {name} has the joints {', '.join(order)}, {other} has "
+                f"{', '.join(joints)} and the targets are {', '.join(moved)}; the inputs must have "
+                "one order, and the targets among them"
+            )
+    if order == moved:
+        return
+    facts.values["joints"] = order
+    facts.values["action"]["joints"] = moved
+    for key in ("stiffness", "damping"):
+        known = facts.values.pop(key, None)
+        if isinstance(known, list) and set(order) == set(moved) and len(known) == len(moved):
+            by_name = dict(zip(moved, known))
+            facts.values[key] = [by_name[joint] for joint in order]
 
 
 def _state(name: str) -> str | None:
@@ -124,26 +143,3 @@ def _state(name: str) -> str | None:
     if re.fullmatch(rf"cmd\.se2_velocity\.{_WORD}", name):
         return "velocity_command"
     return "time_step" if name == "ctx.step_count" else None
-
-
-def _reorder(facts: Facts, names: list[str], moved: list[str]) -> None:
-    """The network reads its joints in another order than it commands them."""
-    if set(names) != set(moved):
-        raise PolicyError(
-            f"{facts.path}: joint inputs are {', '.join(names)} and joint targets "
-            f"{', '.join(moved)}; the targets must be among the inputs"
-        )
-    _widen(facts, names, moved)
-
-
-def _widen(facts: Facts, names: list[str], moved: list[str]) -> None:
-    values = facts.values
-    values["joints"] = list(names)
-    values["action"]["joints"] = list(moved)
-    for key in ("stiffness", "damping"):
-        known = values.get(key)
-        if isinstance(known, list) and len(known) == len(moved) and len(names) == len(moved):
-            by_name = dict(zip(moved, known))
-            values[key] = [by_name[name] for name in names]
-        elif isinstance(known, list) and len(names) != len(moved):
-            del values[key]

@@ -109,7 +109,7 @@ def _observation(reader: _Metadata, motion: bool) -> None:
             else:
                 term["scale"] = 1.0
     else:
-        facts.asks.append("observation.scale")
+        facts.asks["observation.scale"] = ""
     facts.values["observation"] = {"layout": "term_major", "newest": "last", "terms": terms}
 
 
@@ -122,7 +122,6 @@ def _tensors(facts: Facts, onnx: OnnxFile, motion: bool) -> None:
             "action": "actions",
             **{f"motion_{name}": name for name in _MOTION_OUTPUTS if name in outputs},
         }
-    facts.asks.append("period")
 
 
 def _rounding(reader: _Metadata) -> None:

@@ -1,0 +1,361 @@
+"""ONNX metadata of BeyondMimic, mjlab, holosoma and exploy: what they say, and what they do not."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from onnx import TensorProto, helper
+from policy_helpers import JOINTS, robot, save, write_linear
+
+from unicon_core.errors import PolicyError
+from unicon_core.policies import OnnxPolicy, import_policy, load_policy, policy_states
+from unicon_core.states import States, standard_states
+
+OLD = {
+    "run_path": "run-7",
+    "joint_names": "a_hip,a_knee,b_hip,b_knee",
+    "joint_stiffness": "40.179,99.098,40.179,99.098",
+    "joint_damping": "2.558,6.309,2.558,6.309",
+    "default_joint_pos": "-0.312,0.669,-0.312,0.669",
+    "command_names": "twist",
+    "observation_names": "base_ang_vel,projected_gravity,joint_pos,joint_vel,actions,command",
+    "action_scale": "0.5",
+}
+NEW = {
+    **OLD,
+    "observation_terms_scale": "0.250,1.000,1.000,0.050,1.000,2.000;2.000;0.250",
+    "observation_terms_clip": "-inf;inf,-inf;inf,-3.000;3.000,None,-100.000;100.000,-inf;inf",
+    "observation_terms_history_length": "5.000,5.000,5.000,5.000,5.000,0.000",
+    "observation_terms_flatten_history_dim": "1.000,1.000,1.000,1.000,1.000,1.000",
+}
+
+
+def write(tmp_path: Path, metadata: dict[str, str], inputs: int = 21, **options: Any) -> Path:
+    path = tmp_path / "walk.onnx"
+    write_linear(path, inputs, 4, metadata=list(metadata.items()), **options)
+    return path
+
+
+def test_old_mjlab_keys_leave_period_and_scales_to_be_given(tmp_path: Path) -> None:
+    path = write(tmp_path, OLD)
+    with pytest.raises(PolicyError) as caught:
+        load_policy(path)
+    assert str(caught.value) == (
+        f"{path}: the mjlab metadata does not say period (the control period in [s]); "
+        "observation.scale (one factor for every term, or scale of single terms); give it under "
+        "'given' in the workflow, with the keys of policy.yaml"
+    )
+    contract = load_policy(path, given={"period": 0.02, "observation.scale": 1.0})
+    assert contract.name == "walk"
+    assert contract.joints == JOINTS
+    assert contract.action.scale.tolist() == [0.5] * 4
+    np.testing.assert_array_equal(contract.action.offset, contract.default_joint_pos)
+    assert [(t.name, t.state) for t in contract.terms] == [
+        ("base_ang_vel", "base_ang_vel"),
+        ("projected_gravity", "projected_gravity"),
+        ("joint_pos", "joint_pos"),
+        ("joint_vel", "joint_vel"),
+        ("actions", "action"),
+        ("command", "velocity_command"),
+    ]
+    assert contract.terms[2].subtract == "default_joint_pos"
+    assert any("rounded to 3 decimals" in note for note in contract.notes)
+
+
+def test_scales_may_be_given_term_by_term(tmp_path: Path) -> None:
+    names = OLD["observation_names"].split(",")
+    terms = {name: {"scale": 1.0} for name in names}
+    terms["base_ang_vel"]["scale"] = 0.25
+    given: dict[str, Any] = {"period": 0.02, "observation": {"terms": terms}}
+    contract = load_policy(write(tmp_path, OLD), given=given)
+    assert contract.terms[0].scale.tolist() == [0.25]
+    del terms["actions"]
+    with pytest.raises(PolicyError, match=r"does not say observation\.scale"):
+        load_policy(tmp_path / "walk.onnx", given=given)
+
+
+def test_new_mjlab_keys_say_scales_clips_and_histories(tmp_path: Path) -> None:
+    contract = load_policy(write(tmp_path, NEW, 93), given={"period": 0.02})
+    assert [term.history for term in contract.terms] == [5, 5, 5, 5, 5, 1]
+    assert contract.terms[0].scale.tolist() == [0.25]
+    assert contract.terms[5].scale.tolist() == [2.0, 2.0, 0.25]
+    assert contract.terms[0].clip is None
+    assert contract.terms[2].clip is not None
+    assert contract.terms[2].clip.tolist() == [[-3.0], [3.0]]
+    assert contract.terms[3].clip is None
+    assert contract.observation.layout == "term_major"
+    states = States({**standard_states(JOINTS), **policy_states(contract, robot())})
+    assert states.observation.size == 93
+
+
+def test_beyondmimic_names_its_motion_inputs_and_asks_for_the_anchor(tmp_path: Path) -> None:
+    metadata = {
+        **OLD,
+        "command_names": "motion",
+        "observation_names": "command,motion_anchor_ori_b,base_ang_vel,joint_pos,joint_vel,actions",
+        "observation_history_lengths": "1.000,1.000,1.000,1.000,1.000,1.000",
+        "anchor_body_name": "torso_link",
+        "body_names": "pelvis,torso_link",
+    }
+    f = TensorProto.FLOAT
+    graph = helper.make_graph(
+        [
+            helper.make_node("Slice", ["obs", "zero", "four", "one"], ["actions"]),
+            helper.make_node("Add", ["time_step", "time_step"], ["joint_pos"]),
+        ],
+        "motion",
+        [
+            helper.make_tensor_value_info("obs", f, [1, 29]),
+            helper.make_tensor_value_info("time_step", f, [1, 1]),
+        ],
+        [
+            helper.make_tensor_value_info("actions", f, [1, 4]),
+            helper.make_tensor_value_info("joint_pos", f, [1, 1]),
+        ],
+        [
+            helper.make_tensor("zero", TensorProto.INT64, [1], [0]),
+            helper.make_tensor("four", TensorProto.INT64, [1], [4]),
+            helper.make_tensor("one", TensorProto.INT64, [1], [1]),
+        ],
+    )
+    path = tmp_path / "dance.onnx"
+    save(path, graph, list(metadata.items()))
+    with pytest.raises(PolicyError, match=r"observation\.terms\.motion_anchor_ori_b\.state"):
+        load_policy(path)
+    contract = load_policy(
+        path,
+        given={
+            "period": 0.02,
+            "observation": {"scale": 1.0, "terms": {"motion_anchor_ori_b": {"state": "anchor"}}},
+        },
+    )
+    assert contract.source == "BeyondMimic metadata"
+    assert contract.terms[0].state == "motion_command"
+    assert dict(contract.inputs) == {"observation": "obs", "time_step": "time_step"}
+    assert dict(contract.outputs) == {"action": "actions", "motion_joint_pos": "joint_pos"}
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("joint_damping", "1.0,2.0", "joint_damping has 2 numbers for 4 joint_names"),
+        ("joint_damping", "1,2,x,4", "joint_damping has 'x' where a number belongs"),
+        ("action_scale", "0.5,0.5", "action_scale has 2 numbers for 4 joint_names"),
+        (
+            "observation_terms_scale",
+            "1.0,1.0",
+            "observation_terms_scale has 2 entries for 6 observation_names",
+        ),
+        (
+            "observation_terms_history_length",
+            "1.5,1,1,1,1,1",
+            "observation_terms_history_length has 1.5; give whole numbers",
+        ),
+        (
+            "observation_terms_flatten_history_dim",
+            "0.000,1.000,1.000,1.000,1.000,1.000",
+            "observation_terms_flatten_history_dim is off for 'base_ang_vel' with history 5; only "
+            "flattened histories can be run",
+        ),
+        (
+            "observation_terms_clip",
+            "1;2;3,-inf;inf,-inf;inf,-inf;inf,-inf;inf,-inf;inf",
+            "observation_terms_clip has [1.0, 2.0, 3.0]; give lowest;highest",
+        ),
+    ],
+)
+def test_metadata_against_the_format_get_one_line(
+    tmp_path: Path, key: str, value: str, message: str
+) -> None:
+    path = write(tmp_path, {**NEW, key: value})
+    with pytest.raises(PolicyError) as caught:
+        load_policy(path)
+    assert str(caught.value) == f"{path}: metadata {message}; export the policy again"
+
+
+def test_a_key_twice_is_refused_while_importing(tmp_path: Path) -> None:
+    path = tmp_path / "walk.onnx"
+    metadata = [*OLD.items(), ("observation_names", "joint_pos,joint_vel")]
+    write_linear(path, 21, 4, metadata=metadata)
+    with pytest.raises(PolicyError, match="metadata key 'observation_names' stands twice, as "):
+        load_policy(path, given={"period": 0.02})
+
+
+def test_given_facts_must_not_contradict_the_source(tmp_path: Path) -> None:
+    path = write(tmp_path, OLD)
+    given = {"period": 0.02, "observation.scale": 1.0, "stiffness": [40.0, 99.1, 40.2, 99.1]}
+    with pytest.raises(PolicyError) as caught:
+        load_policy(path, given=given)
+    assert str(caught.value) == (
+        f"{path}: mjlab metadata says stiffness is [40.179, 99.098, 40.179, 99.098] "
+        "(joint_stiffness) and given says [40.0, 99.1, 40.2, 99.1]; remove it from 'given', or "
+        "correct the file"
+    )
+
+
+def test_exact_values_may_replace_rounded_ones(tmp_path: Path) -> None:
+    exact = [40.179238, 99.098428, 40.179238, 99.098428]
+    given = {"period": 0.02, "observation.scale": 1.0, "stiffness": exact}
+    contract = load_policy(write(tmp_path, OLD), given=given)
+    np.testing.assert_array_equal(contract.stiffness, np.float32(exact))
+
+
+def test_given_terms_must_be_those_of_the_source(tmp_path: Path) -> None:
+    path = write(tmp_path, OLD)
+    with pytest.raises(PolicyError) as caught:
+        load_policy(path, given={"observation": {"terms": {"joint_poss": {"scale": 1.0}}}})
+    assert str(caught.value).startswith(
+        f"{path}: given observation.terms has no term 'joint_poss' to change; did you mean "
+        "'joint_pos'? known: "
+    )
+    with pytest.raises(PolicyError, match="name the same terms in the same order"):
+        load_policy(path, given={"observation": {"terms": [{"name": "joint_pos"}]}})
+
+
+HOLOSOMA = {
+    "dof_names": json.dumps(list(JOINTS)),
+    "kp": json.dumps([40.0, 99.0, 40.0, 99.0]),
+    "kd": json.dumps([2.5, 6.3, 2.5, 6.3]),
+    "command_ranges": json.dumps({"lin_vel_x": [-1.0, 1.0], "ang_vel_yaw": [-0.5, 0.5]}),
+}
+
+
+def test_holosoma_says_joints_gains_and_ranges_only(tmp_path: Path) -> None:
+    path = write(tmp_path, HOLOSOMA)
+    with pytest.raises(PolicyError) as caught:
+        load_policy(path)
+    assert str(caught.value) == (
+        f"{path}: the holosoma metadata does not say period (the control period in [s]); "
+        "default_joint_pos (the default pose in [rad], policy order); action.scale (in [rad], one "
+        "number or one for each joint); observation.terms (the terms of the network's input, in "
+        "order); give it under 'given' in the workflow, with the keys of policy.yaml"
+    )
+    report = import_policy(path, tmp_path / "out")
+    assert list(report.missing) == [
+        "period",
+        "default_joint_pos",
+        "action.scale",
+        "observation.terms",
+    ]
+    text = report.path.read_text("utf-8")
+    assert "#   period: the control period in [s]" in text
+    assert "stiffness: [40.0, 99.0, 40.0, 99.0]" in text
+    assert "ang_vel_z: [-0.5, 0.5]" in text
+    assert (tmp_path / "out" / "walk.onnx").is_file()
+    with pytest.raises(PolicyError, match=r"the policy\.yaml does not say period"):
+        load_policy(report.path)
+
+
+def test_holosoma_gains_of_another_length_are_refused(tmp_path: Path) -> None:
+    path = write(tmp_path, {**HOLOSOMA, "kd": "[1.0]"})
+    with pytest.raises(PolicyError) as caught:
+        load_policy(path)
+    assert str(caught.value) == (
+        f"{path}: metadata kd has 1 values for 4 dof_names; export the policy again"
+    )
+
+
+def exploy(tmp_path: Path, *, extra: str | None = None, names: list[str] | None = None) -> Path:
+    """Targets in the order b_knee … a_hip; memory counts the calls."""
+    f = TensorProto.FLOAT
+    moved = list(reversed(JOINTS)) if names is None else names
+    n = len(moved)
+    tensors = {
+        "obj.robot1.joints.pos": 4,
+        "obj.robot1.joints.vel": 4,
+        "obj.robot1.trunk.w_Q_b": 4,
+        "cmd.se2_velocity.vel": 3,
+        "memory.count.in": 1,
+    }
+    if extra:
+        tensors[extra] = 3
+    nodes = [
+        helper.make_node("Slice", ["obj.robot1.joints.pos", "zero", "n", "axes"], ["head"]),
+        helper.make_node("Add", ["head", "memory.count.in"], ["output.joint_targets.jt.pos"]),
+        helper.make_node("Add", ["memory.count.in", "unit"], ["memory.count.out"]),
+    ]
+    graph = helper.make_graph(
+        nodes,
+        "exploy",
+        [helper.make_tensor_value_info(k, f, [1, size]) for k, size in tensors.items()],
+        [
+            helper.make_tensor_value_info("output.joint_targets.jt.pos", f, [1, n]),
+            helper.make_tensor_value_info("memory.count.out", f, [1, 1]),
+        ],
+        [
+            helper.make_tensor("zero", TensorProto.INT64, [2], [0, 0]),
+            helper.make_tensor("n", TensorProto.INT64, [2], [1, n]),
+            helper.make_tensor("axes", TensorProto.INT64, [2], [0, 1]),
+            helper.make_tensor("unit", f, [1, 1], [1.0]),
+        ],
+    )
+    ranges = {"lin_vel_x": [-1.5, 1.5], "lin_vel_y": [-0.75, 0.75], "ang_vel_z": [-2.5, 2.5]}
+    gains = {"names": moved, "stiffness": [1.0, 2.0, 3.0, 4.0][:n], "damping": [0.1] * n}
+    metadata = {
+        "exploy_version": "0.1.0",
+        "update_rate": 50.0,
+        "output.joint_targets.jt": gains,
+        "obj.robot1.joints": {"joint_names": list(JOINTS)},
+        "cmd.se2_velocity.vel": {"ranges": ranges},
+    }
+    path = tmp_path / "exploy.onnx"
+    save(path, graph, [(k, json.dumps(v)) for k, v in metadata.items()])
+    return path
+
+
+def test_exploy_networks_take_states_by_name_and_remember(tmp_path: Path) -> None:
+    pytest.importorskip("onnxruntime")
+    path = exploy(tmp_path)
+    with pytest.raises(PolicyError, match="does not say default_joint_pos"):
+        load_policy(path)
+    contract = load_policy(path, given={"default_joint_pos": [0.0] * 4})
+    assert contract.period == pytest.approx(0.02)
+    assert contract.joints == JOINTS
+    assert contract.action.joints == tuple(reversed(JOINTS))
+    assert contract.stiffness.tolist() == [4.0, 3.0, 2.0, 1.0]
+    assert dict(contract.inputs) == {
+        "joint_pos": "obj.robot1.joints.pos",
+        "joint_vel": "obj.robot1.joints.vel",
+        "base_quat": "obj.robot1.trunk.w_Q_b",
+        "velocity_command": "cmd.se2_velocity.vel",
+    }
+    assert contract.command_ranges["ang_vel_z"] == (-2.5, 2.5)
+    order = ("b_hip", "a_hip", "b_knee", "a_knee")
+    toy = robot(order)
+    states = States({**standard_states(order), **policy_states(contract, toy)})
+    policy = OnnxPolicy(contract, states, toy)
+    states.joint_pos = [3.0, 1.0, 4.0, 2.0]  # a_hip 1, a_knee 2, b_hip 3, b_knee 4
+    policy()
+    # The network adds its memory to the joints in its own order and calls them b_knee … a_hip.
+    targets = dict(zip(order, states.joint_pos_target.tolist()))
+    assert targets == {"b_knee": 1.0, "b_hip": 2.0, "a_knee": 3.0, "a_hip": 4.0}
+    policy()
+    assert states.action.tolist() == [2.0, 3.0, 4.0, 5.0]
+    policy.dry_run()
+    policy.dry_run()
+    policy()
+    assert states.action.tolist() == [3.0, 4.0, 5.0, 6.0]
+    policy.reset()
+    policy()
+    assert states.action.tolist() == [1.0, 2.0, 3.0, 4.0]
+
+
+def test_exploy_inputs_without_a_state_are_named(tmp_path: Path) -> None:
+    path = exploy(tmp_path, extra="sensor.ray_caster.one.height")
+    with pytest.raises(PolicyError) as caught:
+        load_policy(path)
+    assert str(caught.value) == (
+        f"{path}: no state is known for the inputs sensor.ray_caster.one.height; write a "
+        "policy.yaml with 'inputs: {STATE: INPUT}'"
+    )
+
+
+def test_the_assets_say_what_their_table_says(assets: Path) -> None:
+    with pytest.raises(PolicyError, match="holosoma metadata does not say period"):
+        load_policy(assets / "policies" / "g1_holosoma_ppo")
+    with pytest.raises(PolicyError, match=r"ONNX file \(no metadata\) does not say period"):
+        load_policy(assets / "policies" / "go1_playground")
