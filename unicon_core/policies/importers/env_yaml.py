@@ -93,8 +93,9 @@ def _robot(facts: Facts, document: Mapping[str, Any], joints: list[str]) -> None
                 for joint in joints
                 if values_by_pattern(dict.fromkeys(patterns, 1.0), [joint]) is not None
             ]
-            gains = values_by_pattern(_dig(actuator, key), own)
-            found |= dict(zip(own, gains)) if gains is not None else {}
+            for joint in own:
+                gain = values_by_pattern(_dig(actuator, key), [joint])
+                found |= {} if gain is None else {joint: gain[0]}
         if all(joint in found for joint in joints):
             facts.values[key] = [found[joint] for joint in joints]
 

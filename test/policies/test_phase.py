@@ -1,0 +1,132 @@
+"""The gait clock follows holosoma's and Unitree's programs, tick by tick."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from policy_helpers import JOINTS, robot, toy_values, write_linear, write_toy
+
+from unicon_core.errors import PolicyError
+from unicon_core.policies import GaitPhase, OnnxPolicy, PhaseSpec, load_policy, policy_states
+from unicon_core.states import States, StateSpec, standard_states
+
+
+def states_of(count: int, num_robots: int | None = None) -> States:
+    return States(
+        {
+            "velocity_command": StateSpec((3,)),
+            "gait_phase_sin": StateSpec((count,)),
+            "gait_phase_cos": StateSpec((count,)),
+            "gait_phase": StateSpec((2 * count,)),
+        },
+        num_robots,
+    )
+
+
+class HolosomaPhase:
+    """The rule of holosoma's program, for one robot."""
+
+    def __init__(self, period: float, dt: float) -> None:
+        self.phase = np.array([0.0, np.pi])
+        self.step = 2 * np.pi * dt / period
+        self.standing = False
+
+    def __call__(self, command: np.ndarray) -> None:
+        self.phase = np.fmod(self.phase + self.step + np.pi, 2 * np.pi) - np.pi
+        if np.hypot(command[0], command[1]) < 0.01 and abs(command[2]) < 0.01:
+            self.phase = np.array([np.pi, np.pi])
+            self.standing = True
+        elif self.standing:
+            self.phase = np.array([0.0, np.pi])
+            self.standing = False
+
+
+def test_two_legs_follow_holosoma_through_walking_standing_and_walking_again() -> None:
+    states = states_of(2, 3)
+    spec = PhaseSpec(1.0, (0.0, np.pi), stand=np.pi)
+    clock = GaitPhase(spec, states, 0.02)
+    twins = [HolosomaPhase(1.0, 0.02) for _ in range(3)]
+    rng = np.random.default_rng(3)
+    for tick in range(400):
+        if tick % 37 == 0:
+            states.velocity_command = rng.choice([0.0, 0.005, 0.5], size=(3, 3))
+        clock()
+        for k, twin in enumerate(twins):
+            twin(states.velocity_command[k])
+            np.testing.assert_allclose(states.gait_phase_sin[k], np.sin(twin.phase), atol=1e-6)
+            np.testing.assert_allclose(states.gait_phase_cos[k], np.cos(twin.phase), atol=1e-6)
+    assert clock.reads == ("velocity_command",)
+
+
+def test_one_phase_follows_unitree() -> None:
+    states = states_of(1)
+    clock = GaitPhase(PhaseSpec(0.8, (0.0,)), states, 0.02)
+    phase = 0.0
+    for _ in range(200):
+        clock()
+        phase = (phase + 0.02 / 0.8) % 1.0
+        expected = [np.sin(2 * np.pi * phase), np.cos(2 * np.pi * phase)]
+        np.testing.assert_allclose(states.gait_phase, expected, atol=1e-5)
+    assert clock.reads == ()
+
+
+def test_a_long_run_does_not_drift() -> None:
+    states = states_of(1)
+    clock = GaitPhase(PhaseSpec(0.8, (0.0,)), states, 0.02)
+    for _ in range(40 * 2500):  # 40 ticks are one period
+        clock()
+    np.testing.assert_allclose(states.gait_phase, [0.0, 1.0], atol=1e-6)
+
+
+def test_reset_starts_over() -> None:
+    states = states_of(2)
+    clock = GaitPhase(PhaseSpec(1.0), states, 0.02)
+    clock()
+    first = states.gait_phase.copy()
+    clock()
+    clock.reset()
+    clock()
+    np.testing.assert_array_equal(states.gait_phase, first)
+
+
+def test_undeclared_states_are_told() -> None:
+    states = States({"gait_phase_sin": StateSpec((2,))})
+    with pytest.raises(PolicyError) as caught:
+        GaitPhase(PhaseSpec(1.0), states, 0.02)
+    assert str(caught.value) == (
+        "gait phase: state 'gait_phase_cos' must be declared with 2 elements; policy_states gives "
+        "it"
+    )
+
+
+def test_a_missing_command_is_told() -> None:
+    spec = PhaseSpec(1.0, stand=np.pi, command="twist")
+    with pytest.raises(PolicyError) as caught:
+        GaitPhase(spec, states_of(2), 0.02)
+    assert str(caught.value) == (
+        "gait phase: it stands still while state 'twist' (vx, vy, wz) is zero, and there is no "
+        "such state of 3 elements; correct phase.command"
+    )
+
+
+def test_the_policy_block_runs_its_own_clock(tmp_path: Path) -> None:
+    pytest.importorskip("onnxruntime")
+    write_linear(tmp_path / "policy.onnx", 16, 4)
+    values = toy_values(phase={"period": 1.0, "stand": 3.0})
+    terms = values["observation"]["terms"]
+    terms[0] = {"name": "sin", "state": "gait_phase_sin"}
+    terms.append({"name": "cos", "state": "gait_phase_cos"})
+    contract = load_policy(write_toy(tmp_path, values))
+    states = States({**standard_states(JOINTS), **policy_states(contract, robot())})
+    policy = OnnxPolicy(contract, states, robot())
+    states.velocity_command = [1.0, 0.0, 0.0]
+    policy()
+    assert states.observation[0] == pytest.approx(np.sin(2 * np.pi * 0.02))
+    assert {"gait_phase_sin", "gait_phase_cos"} <= set(policy.writes)
+    assert "velocity_command" in policy.reads
+    assert "gait_phase_sin" not in policy.reads
+    policy.reset()
+    policy()
+    assert states.observation[0] == pytest.approx(np.sin(2 * np.pi * 0.02))

@@ -1,0 +1,181 @@
+"""Isaac Lab's env.yaml and legged_gym's configuration, as far as they say what a policy needs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from policy_helpers import JOINTS, write_linear
+
+from unicon_core.errors import PolicyError
+from unicon_core.policies import load_policy
+
+ENV = """\
+viewer:
+  eye: !!python/tuple [7.5, 7.5, 7.5]
+sim: {dt: 0.005, device: 'cuda:0'}
+decimation: 4
+scene:
+  robot:
+    class_type: isaaclab.assets.articulation.articulation:Articulation
+    init_state:
+      joint_pos:
+        .*_hip: 0.1
+        .*_knee: -1.5
+    actuators:
+      legs:
+        joint_names_expr: [.*_hip, a_knee]
+        stiffness: 25.0
+        damping: {.*_hip: 0.5, .*_knee: 0.8}
+      rest:
+        joint_names_expr: ['b_k.*']
+        stiffness: {b_knee: 35.0}
+        damping: 0.9
+observations:
+  policy:
+    concatenate_terms: true
+    history_length: null
+    flatten_history_dim: true
+    base_ang_vel:
+      func: isaaclab.envs.mdp.observations:base_ang_vel
+      params: {}
+      clip: !!python/tuple [-100.0, 100.0]
+      scale: 0.2
+      history_length: 3
+    projected_gravity:
+      func: isaaclab.envs.mdp.observations:projected_gravity
+      scale: null
+      clip: null
+      history_length: 0
+    velocity_commands:
+      func: isaaclab.envs.mdp.observations:generated_commands
+      params: {command_name: base_velocity}
+    joint_angles:
+      func: isaaclab.envs.mdp.observations:joint_pos_rel
+      params:
+        asset_cfg:
+          joint_ids: !!python/object/apply:builtins.slice [null, null, null]
+    joint_vel:
+      func: isaaclab.envs.mdp.observations:joint_vel_rel
+      scale: 0.05
+    actions:
+      func: isaaclab.envs.mdp.observations:last_action
+actions:
+  joint_pos:
+    class_type: isaaclab.envs.mdp.actions.joint_actions:JointPositionAction
+    joint_names: ['.*']
+    scale: {.*_hip: 0.125, '^(?!.*_hip).*': 0.25}
+    offset: 0.0
+    use_default_offset: true
+commands:
+  base_velocity:
+    ranges:
+      lin_vel_x: !!python/tuple [-1.0, 1.0]
+      heading: null
+"""
+
+GYM = """\
+init_state:
+  default_joint_angles: {a_hip: 0.1, a_knee: -1.5, b_hip: 0.1, b_knee: -1.5}
+control:
+  stiffness: {hip: 20.0, knee: 30.0}
+  damping: {hip: 0.5, knee: 0.6}
+  action_scale: 0.25
+  decimation: 4
+sim: {dt: 0.005}
+normalization:
+  obs_scales: {ang_vel: 0.25, dof_vel: 0.05}
+  clip_actions: 100.0
+commands:
+  ranges: {lin_vel_x: [-1.0, 1.0], ang_vel_yaw: [-2.0, 2.0]}
+"""
+
+
+def write(tmp_path: Path, text: str, *changes: tuple[str, str]) -> Path:
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    path = tmp_path / "run" / "params" / "env.yaml"
+    path.parent.mkdir(parents=True)
+    path.write_text(text, "utf-8")
+    write_linear(tmp_path / "run" / "exported" / "policy.onnx", 27, 4)
+    return path
+
+
+def test_isaac_lab_patterns_are_resolved_once_the_joints_are_given(tmp_path: Path) -> None:
+    path = write(tmp_path, ENV)
+    with pytest.raises(PolicyError) as caught:
+        load_policy(path)
+    text = str(caught.value)
+    assert text.startswith(
+        f"{path}: the Isaac Lab env.yaml does not say joints (the joint names in policy order); "
+    )
+    contract = load_policy(path, given={"joints": list(JOINTS)})
+    assert contract.name == "run"
+    assert contract.period == pytest.approx(0.02)
+    assert contract.default_joint_pos == pytest.approx([0.1, -1.5, 0.1, -1.5])
+    assert contract.stiffness.tolist() == [25.0, 25.0, 25.0, 35.0]
+    assert contract.damping == pytest.approx([0.5, 0.8, 0.5, 0.9])
+    assert contract.action.scale.tolist() == [0.125, 0.25, 0.125, 0.25]
+    assert contract.action.offset == pytest.approx([0.1, -1.5, 0.1, -1.5])
+    assert [(t.name, t.state, t.history) for t in contract.terms] == [
+        ("base_ang_vel", "base_ang_vel", 3),
+        ("projected_gravity", "projected_gravity", 1),
+        ("velocity_commands", "velocity_command", 1),
+        ("joint_angles", "joint_pos", 1),
+        ("joint_vel", "joint_vel", 1),
+        ("actions", "action", 1),
+    ]
+    assert contract.terms[3].subtract == "default_joint_pos"
+    assert contract.terms[0].clip is not None
+    assert contract.command_ranges == {"lin_vel_x": (-1.0, 1.0)}
+
+
+def test_other_actions_than_position_targets_are_refused(tmp_path: Path) -> None:
+    path = write(tmp_path, ENV, (":JointPositionAction", ":JointEffortAction"))
+    with pytest.raises(PolicyError) as caught:
+        load_policy(path)
+    assert str(caught.value) == (
+        f"{path}:51: action 'joint_pos' is isaaclab.envs.mdp.actions.joint_actions:"
+        "JointEffortAction; only joint position targets can be run"
+    )
+
+
+def test_a_group_that_is_not_concatenated_is_refused(tmp_path: Path) -> None:
+    path = write(tmp_path, ENV, ("concatenate_terms: true", "concatenate_terms: false"))
+    with pytest.raises(PolicyError) as caught:
+        load_policy(path)
+    assert str(caught.value) == (
+        f"{path}:22: observations.policy is not concatenated; only one input vector can be run"
+    )
+
+
+def test_legged_gym_leaves_joints_and_terms_to_be_given(tmp_path: Path) -> None:
+    path = write(tmp_path, GYM)
+    with pytest.raises(PolicyError, match="the legged_gym configuration does not say joints"):
+        load_policy(path)
+    given = {
+        "joints": list(JOINTS),
+        "observation.terms": [
+            {"name": "ang_vel", "state": "base_ang_vel", "scale": 0.25},
+            {"name": "last_action", "state": "action"},
+        ],
+    }
+    contract = load_policy(path, given=given)
+    assert contract.period == pytest.approx(0.02)
+    assert contract.stiffness.tolist() == [20.0, 30.0, 20.0, 30.0]
+    assert contract.damping == pytest.approx([0.5, 0.6, 0.5, 0.6])
+    assert contract.action.feedback == "clipped"
+    assert contract.action.clip is not None
+    assert contract.action.clip[:, 0].tolist() == [-100.0, 100.0]
+    assert contract.observation.start == "zeros"
+    assert contract.command_ranges["ang_vel_z"] == (-2.0, 2.0)
+    assert any("ang_vel 0.25, dof_vel 0.05" in note for note in contract.notes)
+
+
+def test_a_joint_without_a_pattern_leaves_its_fact_to_be_given(tmp_path: Path) -> None:
+    path = write(tmp_path, GYM, ("knee: 0.6", "ankle: 0.6"))
+    given = {"joints": list(JOINTS), "observation.terms": [{"name": "a", "state": "action"}]}
+    with pytest.raises(PolicyError) as caught:
+        load_policy(path, given=given)
+    assert "does not say damping (in [N·m·s/rad], policy order); give it" in str(caught.value)
