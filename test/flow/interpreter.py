@@ -31,6 +31,7 @@ class Interpreter:
         self.due: list[Deferred] = []
         self.in_tail = False
         self.ending = False
+        self.anew: set[int] = set()  # Deferred with `ends`: to be made fresh at the tick's end
 
     def step(self) -> bool:
         self.due.clear()
@@ -44,11 +45,13 @@ class Interpreter:
         self.in_tail = False
         if self.ending:
             self.fresh(self.root)
+        self.fresh_late(self.root, set())
         return self.ending
 
     def reset(self) -> None:
         self.due.clear()
         self.fresh(self.root)
+        self.fresh_late(self.root, set())
 
     # -- one tick -----------------------------------------------------------------------------
 
@@ -150,10 +153,23 @@ class Interpreter:
             if node.reset is not None:
                 node.reset()
             return
+        if isinstance(node, Deferred) and node.ends:
+            self.anew.add(id(node))  # it may still run in this tick
+            return
         for child in children_of(node):
             self.fresh(child)
         for memory in (self.now_child, self.waited, self.case, self.blended):
             memory.pop(id(node), None)
+
+    def fresh_late(self, node: Node, met: set[int]) -> None:
+        if id(node) in met:
+            return
+        met.add(id(node))
+        if id(node) in self.anew:
+            self.anew.remove(id(node))
+            self.fresh(node.child)
+        for child in children_of(node):
+            self.fresh_late(child, met)
 
     def dry(self) -> None:
         self.run_dry(self.root)

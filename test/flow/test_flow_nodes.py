@@ -161,7 +161,7 @@ def test_deferred_in_a_chain_is_due_only_where_the_chain_stands(r: Recorder) -> 
 
 def test_deferred_that_ends_ends_the_graph_in_the_same_tick(r: Recorder) -> None:
     root = Zip(Deferred(r.block("d", 2), ends=True), r.block("a"))
-    assert r.ticks(root, 3) == "ad ad(d)(d)(a)! ad"
+    assert r.ticks(root, 3) == "ad ad(d)(a)(d)! ad"
 
 
 def test_trace_stamps_rise_and_are_zero_where_nothing_ran() -> None:

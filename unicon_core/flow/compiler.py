@@ -101,8 +101,10 @@ class _Compiler:
     def compile(self, root: Node) -> CompiledGraph:
         body = self.node(root, ["done = True"], conditional=False, idempotent=True)
         dry = self.dry(root)
-        after = (name for name in self.state if name.startswith(("due", "ending")))
-        reset = [*self.reset(root), *(f"{name} = 0" for name in after)]
+        fresh = self.reset(root)
+        after = [f"{name} = 0" for name in self.state if name.startswith(("due", "ending"))]
+        late = self.late_resets(root)
+        reset = [*fresh, *after, *late]
         stamps = np.zeros(2 + len(self.blocks) if self.trace else 0, dtype=np.int64)
         begin: Lines = []
         tail = self.tail
@@ -111,8 +113,8 @@ class _Compiler:
             self.names |= {"now": time.perf_counter_ns, "T": memoryview(stamps.data), "Z": zeros}
             begin = ["T[:] = Z", "T[0] = now()"]  # 60 ns, once a tick, whatever the blocks
             tail = ["T[1] = now()", *tail]
-        if "ending" in self.state:
-            tail = [*tail, "if ending:", *_indent([*reset, "return True"])]
+        ending = ["if ending:", *_indent([*reset, "return True"])] if "ending" in self.state else []
+        tail = [*tail, *ending, *late]
         functions = [
             *self.functions,
             ("step", [*begin, "done = False", *body, "return done"]),
@@ -375,6 +377,8 @@ class _Compiler:
     def reset_lines(self, node: Node) -> Lines:
         if isinstance(node, Block):
             return [f"{self.bind('reset', node.reset, node.name)}()"] if node.reset else []
+        if isinstance(node, Deferred) and node.ends:
+            return [f"{self.counter('anew', node)} = 1"]
         lines = [line for child in children_of(node) for line in self.reset(child)]
         if isinstance(node, Chain) and len(node.children) > 1:
             lines.append(f"{self.counter('chain', node)} = 0")
@@ -384,6 +388,15 @@ class _Compiler:
             lines.append(f"{self.counter('case', node, -1)} = -1")
             if node.blend:
                 lines.append(f"{self.counter('blend', node)} = 0")
+        return lines
+
+    def late_resets(self, root: Node) -> Lines:
+        """Return the lines that make fresh what was put off, after it has run in the last tick."""
+        lines = []
+        for node in _ending(root):
+            if ("anew", id(node)) in self.counters:
+                flag = self.counter("anew", node)
+                lines += [f"if {flag}:", f"    {flag} = 0", *_indent(self.reset(node.child))]
         return lines
 
     def dry(self, node: Node, depth: int = 0) -> Lines:
@@ -407,6 +420,12 @@ class _Compiler:
                 lines = [f"if not {self.counter('every', node)}:", *_indent(lines)]
         outlined = lines and depth and depth % OUTLINE_DEPTH == 0
         return [self.outline("dry", lines)] if outlined else lines
+
+
+def _ending(root: Node) -> list[Deferred]:
+    """Return the `Deferred(…, ends=True)` of a tree in order, each once."""
+    own = [root] if isinstance(root, Deferred) and root.ends else []
+    return list(dict.fromkeys([*own, *(n for c in children_of(root) for n in _ending(c))]))
 
 
 def _indent(lines: Lines, levels: int = 1) -> Lines:

@@ -151,8 +151,9 @@ class Deferred:
 
     Args:
         block: what is stepped.
-        ends: the whole graph is done when the child is done. The compiler sets it on what it puts
-            off itself, so that a block that may end the graph can be moved behind `send`.
+        ends: the whole graph is done when the child is done, and where the parent ends the child
+            is made fresh only after it has run. `critical_path` sets it on what it puts off, so
+            that a block that may end the graph can move behind `send` and nothing else changes.
     """
 
     def __init__(self, block: Node | Tick, *, ends: bool = False, where: str = "") -> None:
