@@ -1,0 +1,99 @@
+"""Process of a robot that speaks ROS 2 in bytes: message map out, one wait set in; no executor.
+
+The peer of our own controllers, and, for comparison, of plain ones: its share of the latency is as
+small as rclpy allows, so that what remains is the controller's.
+"""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import rclpy
+from rclpy.node import Node
+from sensor_msgs.msg import Imu, JointState
+
+from unicon_msgs_map import Decoder, Encoder, parse_map
+from unicon_ros import compat
+from unicon_ros.bench.pipelines.log import COMMAND, IMU, STATE, Log, Stop, arguments
+from unicon_ros.bench.pipelines.plain_nodes import qos
+
+MAP = f"""
+publish:
+  - topic: {STATE}
+    type: sensor_msgs/msg/JointState
+    fields: {{header.stamp: stamp_ns, name: $joint_names, position: joint_pos,
+             velocity: joint_vel, effort: joint_effort}}
+  - topic: {IMU}
+    type: sensor_msgs/msg/Imu
+    fields: {{header.stamp: stamp_ns, orientation: base_quat, angular_velocity: base_ang_vel,
+             linear_acceleration: base_lin_acc}}
+subscribe:
+  - topic: {COMMAND}
+    type: sensor_msgs/msg/JointState
+    fields: {{header.stamp: command_stamp_ns, name: $joint_names, position: joint_pos_target}}
+"""
+
+
+def main() -> None:
+    """Publish at `--state-rate` and note commands, until `--seconds` have been measured."""
+    options = arguments()
+    n = options.joints
+    names = [f"joint_{i}" for i in range(n)]
+    arrays = {
+        name: np.zeros(n, np.float32)
+        for name in ("joint_pos", "joint_vel", "joint_effort", "joint_pos_target")
+    }
+    arrays |= {name: np.zeros((), np.int64) for name in ("stamp_ns", "command_stamp_ns")}
+    arrays |= {name: np.zeros(3, np.float32) for name in ("base_ang_vel", "base_lin_acc")}
+    arrays["base_quat"] = np.array([1, 0, 0, 0], np.float32)
+    spec = parse_map(MAP)
+    labels = {name: tuple(names) for name in arrays if name.startswith("joint_")}
+    variables = {"joint_names": names}
+    states, imu = (Encoder.build(s, arrays, labels, variables) for s in spec.publish)
+    command = Decoder.build(spec.subscribe[0], arrays, labels, variables)
+
+    rclpy.init(signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
+    stop, log = Stop(), Log("stamp", "received")
+    node = Node("robot")
+    profile = qos(options.best_effort)
+    publish_state, _ = compat.raw_publish(node.create_publisher(JointState, STATE, profile))
+    publish_imu, _ = compat.raw_publish(node.create_publisher(Imu, IMU, profile))
+    subscription = node.create_subscription(
+        JointState, COMMAND, lambda message: None, profile, raw=True
+    )
+    take, _ = compat.raw_take(subscription)
+    assert take is not None
+    waiter = compat.ReusedWaitSet([subscription], node.context)
+    now, period = time.monotonic_ns, round(1e9 / options.state_rate)
+    stamp, position = arrays["stamp_ns"], arrays["joint_pos"]
+    due, end = now() + period, 0
+    while not stop:
+        remaining = due - now()
+        if remaining > 0 and not waiter.wait(remaining * 1e-9):
+            continue
+        raw = take()
+        if raw is not None:
+            received = now()
+            if command.decode(raw):
+                log.add(int(arrays["command_stamp_ns"]), received)
+                if not end:
+                    end = received + 500_000_000 + round(options.seconds * 1e9)
+                    log.start_cpu()
+        present = now()
+        if present >= due:
+            due += period
+            stamp[...] = present
+            position[0] = present * 1e-9 % 1.0
+            publish_imu(imu.encode())
+            publish_state(states.encode())
+        if end and present > end:
+            break
+    log.save(options.out)
+    waiter.close()
+    node.destroy_node()
+    rclpy.try_shutdown()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,96 @@
+"""What every pipeline shares: arguments, time stamps of monotonic time, and logs without I/O.
+
+All processes run on one host, whose CLOCK_MONOTONIC they share: a message carries the time when its
+state was made, and whoever gets it subtracts.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import time
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import numpy as np
+
+__all__ = ["COMMAND", "IMU", "STATE", "Log", "Stop", "arguments", "nanoseconds", "set_stamp"]
+
+STATE, IMU, COMMAND, MIRROR = "joint_states", "imu/data", "joint_command", "mirror"
+
+
+def arguments() -> argparse.Namespace:
+    """Return the command line of a pipeline."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--rate", type=float, default=50.0, help="commands per second")
+    parser.add_argument("--state-rate", type=float, default=500.0)
+    parser.add_argument("--joints", type=int, default=20)
+    parser.add_argument("--seconds", type=float, default=3.0, help="measured time (robot)")
+    parser.add_argument("--best-effort", action="store_true")
+    parser.add_argument("--variant", default="")
+    parser.add_argument("--out", type=Path, required=True, help="log file, .npz")
+    return parser.parse_args()
+
+
+def set_stamp(stamp: Any, time_ns: int) -> None:
+    """Write a time in [ns] into a builtin_interfaces/Time."""
+    stamp.sec, stamp.nanosec = divmod(time_ns, 1_000_000_000)
+
+
+def nanoseconds(stamp: Any) -> int:
+    """Return a builtin_interfaces/Time in [ns]."""
+    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+
+
+class Log:
+    """Rows of int64 in preallocated memory, written to a file at the end.
+
+    Args:
+        columns: their names.
+        capacity: how many rows; later ones are dropped.
+    """
+
+    def __init__(self, *columns: str, capacity: int = 100_000) -> None:
+        self.columns = columns
+        self.rows = np.zeros((capacity, len(columns)), dtype=np.int64)
+        self.count = 0
+        self._cpu = time.process_time_ns()
+        self._wall = time.monotonic_ns()
+
+    def add(self, *values: int) -> None:
+        """Add a row."""
+        if self.count < len(self.rows):
+            self.rows[self.count] = values
+            self.count += 1
+
+    def start_cpu(self) -> None:
+        """Count the process's CPU time from now on."""
+        self._cpu, self._wall = time.process_time_ns(), time.monotonic_ns()
+
+    def save(self, path: Path, **facts: float) -> None:
+        """Write columns, CPU share and further facts; the file appears whole."""
+        wall = max(time.monotonic_ns() - self._wall, 1)
+        facts["cpu_share"] = (time.process_time_ns() - self._cpu) / wall
+        partial = path.with_suffix(".partial.npz")
+        rows = self.rows[: self.count]
+        values: dict[str, Any] = {name: rows[:, i] for i, name in enumerate(self.columns)}
+        values |= {name: np.float64(value) for name, value in facts.items()}
+        np.savez(partial, **values)
+        os.replace(partial, path)
+
+
+class Stop:
+    """Turns true at SIGTERM or SIGINT, so that a pipeline can save its log."""
+
+    def __init__(self) -> None:
+        self.asked = False
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, self._ask)
+
+    def _ask(self, number: int, frame: FrameType | None) -> None:
+        self.asked = True
+
+    def __bool__(self) -> bool:
+        return self.asked

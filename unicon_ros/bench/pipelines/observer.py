@@ -1,0 +1,43 @@
+"""Process of a plain rclpy node that watches a mirrored topic and notes when each message comes."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+
+from unicon_ros.bench.pipelines.log import MIRROR, Log, Stop, arguments, nanoseconds
+from unicon_ros.bench.pipelines.plain_nodes import qos
+
+
+def main() -> None:
+    """Run until `--seconds` have been measured, or until SIGTERM."""
+    options = arguments()
+    rclpy.init(signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
+    stop, log = Stop(), Log("stamp", "received")
+    node = Node("observer")
+
+    def on_message(message: Any) -> None:
+        log.add(nanoseconds(message.header.stamp), time.monotonic_ns())
+
+    node.create_subscription(JointState, MIRROR, on_message, qos(options.best_effort))
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    end = 0
+    while not stop:
+        executor.spin_once(timeout_sec=0.1)
+        if log.count and not end:
+            end = time.monotonic_ns() + 500_000_000 + round(options.seconds * 1e9)
+        if end and time.monotonic_ns() > end:
+            break
+    log.save(options.out)
+    node.destroy_node()
+    rclpy.try_shutdown()
+
+
+if __name__ == "__main__":
+    main()

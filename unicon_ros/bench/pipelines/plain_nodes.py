@@ -1,0 +1,99 @@
+"""Plain rclpy nodes, written as a good ROS 2 engineer would: reused messages, no logging, lean QoS.
+
+The robot publishes 500 states a second and notes when commands come; the controller sends the
+latest measured positions back as targets, 50 times a second (identity control q_d = q).
+"""
+
+from __future__ import annotations
+
+import time
+from array import array
+from typing import Any
+
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import Imu, JointState
+
+from unicon_ros.bench.pipelines.log import COMMAND, IMU, STATE, Log, nanoseconds, set_stamp
+
+__all__ = ["PlainController", "PlainRobot", "qos"]
+
+
+def qos(best_effort: bool, depth: int = 1) -> QoSProfile:
+    """Return the profile of all topics: only the latest value matters."""
+    reliability = ReliabilityPolicy.BEST_EFFORT if best_effort else ReliabilityPolicy.RELIABLE
+    return QoSProfile(depth=depth, reliability=reliability)
+
+
+class PlainRobot(Node):
+    """Publishes JointState and Imu by a timer and receives commands in a callback."""
+
+    def __init__(self, joints: int, state_rate: float, best_effort: bool, log: Log) -> None:
+        super().__init__("robot")
+        self.log = log
+        profile = qos(best_effort)
+        self.state_out = self.create_publisher(JointState, STATE, profile)
+        self.imu_out = self.create_publisher(Imu, IMU, profile)
+        names = [f"joint_{i}" for i in range(joints)]
+        zeros = array("d", [0.0] * joints)
+        self.state = JointState(name=names, position=zeros, velocity=zeros, effort=zeros)
+        self.imu = Imu()
+        self.create_subscription(JointState, COMMAND, self.on_command, profile)
+        self.create_timer(1.0 / state_rate, self.on_timer)
+
+    def on_timer(self) -> None:
+        now = time.monotonic_ns()
+        self.state.position[0] = now * 1e-9 % 1.0
+        set_stamp(self.state.header.stamp, now)
+        set_stamp(self.imu.header.stamp, now)
+        self.imu_out.publish(self.imu)
+        self.state_out.publish(self.state)
+
+    def on_command(self, command: Any) -> None:
+        now = time.monotonic_ns()
+        self.log.add(nanoseconds(command.header.stamp), now)
+
+
+class PlainController(Node):
+    """Keeps the latest state and answers by a timer, or with every n-th state.
+
+    Args:
+        every: answer every n-th state in its callback; 0: by a timer.
+    """
+
+    def __init__(self, joints: int, rate: float, every: int, best_effort: bool, log: Log) -> None:
+        super().__init__("controller")
+        self.log = log
+        profile = qos(best_effort)
+        self.command_out = self.create_publisher(JointState, COMMAND, profile)
+        self.command = JointState(name=[f"joint_{i}" for i in range(joints)])
+        self.state: Any = None
+        self.imu: Any = None
+        self.seen_ns = 0
+        self.every, self.states = every, 0
+        self.create_subscription(JointState, STATE, self.on_state, profile)
+        self.create_subscription(Imu, IMU, self.on_imu, profile)
+        if not every:
+            self.create_timer(1.0 / rate, self.on_timer)
+
+    def on_imu(self, imu: Any) -> None:
+        self.imu = imu
+
+    def on_state(self, state: Any) -> None:
+        self.seen_ns = time.monotonic_ns()
+        self.state = state
+        self.states += 1
+        if self.every and self.states % self.every == 0:
+            self.send()
+
+    def on_timer(self) -> None:
+        if self.state is not None:
+            self.send()
+
+    def send(self) -> None:
+        begin = time.monotonic_ns()
+        self.command.header.stamp = self.state.header.stamp
+        self.command.position = self.state.position
+        self.command_out.publish(self.command)
+        stamp = nanoseconds(self.state.header.stamp)
+        self.log.add(stamp, self.seen_ns, begin, time.monotonic_ns())

@@ -1,0 +1,52 @@
+"""Process of our controller on a robot behind ROS topics: `--variant deadline` or `state`."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from pathlib import Path
+
+from unicon_core.flow import Block
+from unicon_core.runtime import Runner
+from unicon_core.workflow import Workflow, load_workflow
+from unicon_ros.bench.pipelines.log import Log, arguments
+from unicon_ros.bench.pipelines.workflows import write_bridged
+
+
+def main() -> None:
+    """Run until SIGTERM."""
+    options = arguments()
+    log = Log("stamp", "seen", "begin", "end")
+
+    def seen(workflow: Workflow) -> list[Block]:
+        def note() -> None:
+            nonlocal seen_ns
+            seen_ns = time.monotonic_ns()
+
+        return [Block("seen", note)]
+
+    def sent(workflow: Workflow) -> list[Block]:
+        stamp = workflow.states["stamp_ns"]
+
+        def note() -> None:
+            now = time.monotonic_ns()
+            if stamp[()]:
+                if not log.count:
+                    log.start_cpu()
+                # What lies between is the identity copy: Send begins where Recv has ended.
+                log.add(int(stamp), seen_ns, seen_ns, now)
+
+        return [Block("sent", note, reads=("stamp_ns",))]
+
+    seen_ns = 0
+    with tempfile.TemporaryDirectory() as folder:
+        path, _ = write_bridged(
+            Path(folder), options.joints, options.rate, options.best_effort, options.variant
+        )
+        runner = Runner(load_workflow(path, inputs=[seen], observers=[sent]))
+        runner.run()
+        log.save(options.out)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,44 @@
+"""Process of control on local state, ROS only a mirror: the whole core, on the fake platform."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from pathlib import Path
+
+from unicon_core.flow import Block
+from unicon_core.runtime import Runner
+from unicon_core.workflow import Workflow, load_workflow
+from unicon_ros.bench.pipelines.log import Log, arguments
+from unicon_ros.bench.pipelines.workflows import write_local
+from unicon_ros.bridge import RosSession
+
+
+def main() -> None:
+    """Run until SIGTERM."""
+    options = arguments()
+    log = Log("stamp", "end")
+
+    def note(workflow: Workflow) -> list[Block]:
+        # The first block after `send`: the command of this tick has just been handed over.
+        stamp, now = workflow.states["stamp_ns"], time.monotonic_ns
+        return [Block("note", lambda: log.add(int(stamp), now()), reads=("stamp_ns",))]
+
+    with tempfile.TemporaryDirectory() as folder:
+        workflow_file, map_file = write_local(
+            Path(folder), options.joints, options.rate, options.best_effort
+        )
+        session = RosSession(map=map_file, node_name="controller")
+        workflow = load_workflow(
+            workflow_file, inputs=[session.inputs], observers=[note, session.observers]
+        )
+        runner = Runner(workflow)
+        session.attach(runner)
+        log.start_cpu()
+        runner.run()
+        log.save(options.out)
+        session.close()
+
+
+if __name__ == "__main__":
+    main()

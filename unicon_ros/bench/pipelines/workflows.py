@@ -1,0 +1,113 @@
+"""Workflows and a robot of any number of joints, written for the benchmark's own controllers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from unicon_ros.bench.pipelines.log import COMMAND, IMU, MIRROR, STATE
+
+__all__ = ["write_bridged", "write_local"]
+
+_JOINT = (
+    "{{name: joint_{i}, lower: -3.0, upper: 3.0, velocity: 20.0, effort: 50.0, default: 0.0, "
+    "rest: 0.0, stiffness: 50.0, damping: 1.0}}"
+)
+
+_ROBOT = """\
+schema: unicon.robot/1
+name: bench_robot
+description: A robot of the benchmark
+manufacturer: none
+kind: humanoid
+model: null
+base_frame: base_link
+joints:
+{joints}
+imu: {{frame: imu_link, position: [0, 0, 0], quat: [1, 0, 0, 0]}}
+feet: []
+transport: {{protocol: none}}
+sources: {{joints: made up, gains: made up, default: made up, rest: made up, imu: made up,
+          transport: made up}}
+unknown: [feet]
+"""
+
+
+def write_local(folder: Path, joints: int, rate: float, best_effort: bool) -> tuple[Path, Path]:
+    """Write workflow and map of control on local state with ROS as a mirror.
+
+    Returns:
+        The workflow file and the map file.
+    """
+    _write_robot(folder, joints)
+    workflow = _workflow("fake", "fake: {clock: monotonic}", rate, "deadline")
+    reliability = "best_effort" if best_effort else "reliable"
+    mirror = f"""\
+publish:
+  - topic: {MIRROR}
+    type: sensor_msgs/msg/JointState
+    qos: {{reliability: {reliability}, depth: 1}}
+    fields: {{header.stamp: stamp_ns, name: $joint_names, position: joint_pos,
+             velocity: joint_vel, effort: joint_effort}}
+"""
+    return _written(folder, workflow, mirror)
+
+
+def write_bridged(
+    folder: Path, joints: int, rate: float, best_effort: bool, trigger: str
+) -> tuple[Path, Path]:
+    """Write workflow and map of control over topics: the robot is platform `ros`.
+
+    Args:
+        trigger: `deadline` ticks freely, `state` ticks when a state arrives.
+
+    Returns:
+        The workflow file and the platform's map file.
+    """
+    _write_robot(folder, joints)
+    workflow = _workflow("ros", "ros: {map: ./robot.yaml}", rate, trigger)
+    reliability = "best_effort" if best_effort else "reliable"
+    qos = f"{{reliability: {reliability}, depth: 1}}"
+    topics = f"""\
+subscribe:
+  - topic: {IMU}
+    type: sensor_msgs/msg/Imu
+    qos: {qos}
+    fields: {{orientation: base_quat, angular_velocity: base_ang_vel,
+             linear_acceleration: base_lin_acc}}
+  - topic: {STATE}
+    type: sensor_msgs/msg/JointState
+    qos: {qos}
+    fields: {{header.stamp: stamp_ns, name: $joint_names, position: joint_pos,
+             velocity: joint_vel, effort: joint_effort}}
+publish:
+  - topic: {COMMAND}
+    type: sensor_msgs/msg/JointState
+    qos: {qos}
+    fields: {{header.stamp: stamp_ns, name: $joint_names, position: joint_pos_target}}
+"""
+    return _written(folder, workflow, topics)
+
+
+def _workflow(platform: str, options: str, rate: float, trigger: str) -> str:
+    lines = [
+        "robot: ./bench_robot.yaml",
+        f"platform: {platform}",
+        f"platforms: {{{options}}}",
+        f"rate: {rate}",
+        f"pacing: {{trigger: {trigger}}}",
+        "flow: {copy: {source: joint_pos, target: joint_pos_target}}",
+        "safety: []",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _write_robot(folder: Path, joints: int) -> None:
+    rows = "\n".join(f"  - {_JOINT.format(i=i)}" for i in range(joints))
+    (folder / "bench_robot.yaml").write_text(_ROBOT.format(joints=rows), encoding="utf-8")
+
+
+def _written(folder: Path, workflow: str, topics: str) -> tuple[Path, Path]:
+    paths = folder / "workflow.yaml", folder / "robot.yaml"
+    for path, text in zip(paths, (workflow, topics)):
+        path.write_text(text, encoding="utf-8")
+    return paths
