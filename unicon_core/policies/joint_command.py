@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -69,28 +71,49 @@ class JointCommand:
         index[robot_from_action] = np.arange(m)
         scale = np.zeros(n, np.float32)
         scale[robot_from_action] = action.scale
-        self._index = index[None, :] + np.arange(rows)[:, None] * m
-        self._scale, self._offset = scale, offset
+        self._index = (index[None, :] + np.arange(rows)[:, None] * m).reshape(-1)
+        self._scale, self._offset = np.tile(scale, rows), np.tile(offset, rows)
         self._feed_clipped = action.feedback == "clipped"
-        self._clip = action.clip
-        self._clip_all: Floats | None = None
-        if action.clip is not None and not self._feed_clipped:
-            self._clip_all = np.ascontiguousarray(action.clip[:, index])
+        self._clip: Floats | None = None
+        if action.clip is not None:
+            sides = action.clip if self._feed_clipped else action.clip[:, index]
+            self._clip = np.tile(sides, rows)
 
-    def __call__(self, action: Floats, target: Floats) -> None:
-        """Write the targets of this tick.
+    def bind(self, action: Floats, target: Floats) -> Callable[[], None]:
+        """Return a function that writes the targets of a tick.
 
         Args:
-            action: the network's finite output, shape (rows, m); clipped in place where the policy
-                was trained with the clipped action fed back.
+            action: the network's output, shape (rows, m), to be finite when called; clipped in
+                place where the policy was trained with the clipped action fed back.
             target: joint position targets in the robot's order in [rad], shape (rows, n).
         """
-        if self._feed_clipped and self._clip is not None:
-            np.maximum(action, self._clip[0], out=action)
-            np.minimum(action, self._clip[1], out=action)
-        action.take(self._index, None, target, "clip")
-        if self._clip_all is not None:
-            np.maximum(target, self._clip_all[0], out=target)
-            np.minimum(target, self._clip_all[1], out=target)
-        np.multiply(target, self._scale, target)
-        np.add(target, self._offset, target)
+        source, out = action.reshape(-1), target.reshape(-1)
+        take, index = source.take, self._index
+        scale, offset, clip = self._scale, self._offset, self._clip
+        multiply, add = np.multiply, np.add
+
+        def plain() -> None:
+            take(index, None, out, "clip")
+            multiply(out, scale, out)
+            add(out, offset, out)
+
+        if clip is None:
+            return plain
+        low, high = clip
+        if self._feed_clipped:
+
+            def clip_action() -> None:
+                np.maximum(source, low, out=source)
+                np.minimum(source, high, out=source)
+                plain()
+
+            return clip_action
+
+        def clip_target() -> None:
+            take(index, None, out, "clip")
+            np.maximum(out, low, out=out)
+            np.minimum(out, high, out=out)
+            multiply(out, scale, out)
+            add(out, offset, out)
+
+        return clip_target

@@ -7,7 +7,7 @@ lays out the window. Nothing is looped over terms.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -210,12 +210,13 @@ class Observation:
         last = int(index.max()) + 1 if index.size else 0
         self._buffer = states.buffer_of(np.float32)[first:last]
         self._index = index - first
-        subtract = _joined(part.subtract for part in self.slices)
-        scale = _joined(part.scale for part in self.slices)
+        # Every operand has the flat shape of the frame: broadcasting costs 1.1 µs against 0.2 µs.
+        subtract = _joined((part.subtract for part in self.slices), rows)
+        scale = _joined((part.scale for part in self.slices), rows)
+        low = _joined((part.low for part in self.slices), rows)
+        high = _joined((part.high for part in self.slices), rows)
         self._subtract = subtract if subtract.any() else None
         self._scale = scale if (scale != 1.0).any() else None
-        low = _joined(part.low for part in self.slices)
-        high = _joined(part.high for part in self.slices)
         clipped = np.flatnonzero(np.isfinite(low) | np.isfinite(high))
         self._clip: tuple[slice, Floats, Floats] | None = None
         if clipped.size:
@@ -225,19 +226,17 @@ class Observation:
         self._zeros = spec.start == "zeros"
         self._fresh = True
         if self._history > 1:
-            self._frame = np.zeros((rows, self.frame_size), np.float32)
             self._make_ring(spec, rows)
 
     def _make_ring(self, spec: ObservationSpec, rows: int) -> None:
         """Lay out a ring of 2·H frames; the last H frames always stand in one piece in it."""
         h, d = self._history, self.frame_size
-        self._ring = np.zeros((2 * h, rows, d), np.float32)
+        self._ring = np.zeros((2 * h, rows * d), np.float32)
         self._head = 0
         frames: list[tuple[int, int, TermSlice]] = []  # (age of the frame, order, term)
         for order, part in enumerate(self.slices):
             frames += [(age, order, part) for age in range(part.term.history)]
-        oldest_first = spec.newest == "last"
-        sign = -1 if oldest_first else 1
+        sign = -1 if spec.newest == "last" else 1
         if spec.layout == "term_major":
             frames.sort(key=lambda f: (f[1], sign * f[0]))
         else:
@@ -253,47 +252,75 @@ class Observation:
         )
         flat = self._ring.reshape(-1)
         size = h * rows * d
-        # After writing frame k (and its copy k + H) the window starts at frame k + 1.
-        self._windows = [flat[(k + 1) * rows * d :][:size] for k in range(h)]
-        self._slots = [(self._ring[k], self._ring[k + h]) for k in range(h)]
+        # Frame k is written twice, at k and k + H; after that the window starts at frame k + 1.
+        self._slots = [
+            (self._ring[k], self._ring[k + h], flat[(k + 1) * rows * d :][:size]) for k in range(h)
+        ]
 
     def reset(self) -> None:
         """Forget the history: the next call fills it with its own frame, or leaves zeros."""
         self._fresh = True
 
-    def __call__(self, out: Floats) -> None:
-        """Write the observation of this tick.
+    def bind(self, out: Floats) -> Callable[[], None]:
+        """Return a function that writes the observation of a tick to `out`.
 
         Args:
             out: contiguous, shape (num_robots or 1, size).
         """
+        flat = out.reshape(-1)
+        assemble = self._assembler()
         if self._history == 1:
-            self._assemble(out)
-            return
-        frame = self._frame
-        self._assemble(frame)
-        if self._fresh:
-            self._ring[...] = 0.0 if self._zeros else frame
-            self._fresh = False
-        head = self._head
-        first, second = self._slots[head]
-        first[...] = frame
-        second[...] = frame
-        self._windows[head].take(self._window_index, None, out, "clip")
-        self._head = head + 1 if head + 1 < self._history else 0
+            return lambda: assemble(flat)
+        index = self._window_index.reshape(-1)
 
-    def _assemble(self, out: Floats) -> None:
+        def write() -> None:
+            head = self._head
+            slot, twin, window = self._slots[head]
+            assemble(slot)
+            if self._fresh:
+                self._ring[...] = 0.0 if self._zeros else slot.copy()
+                if self._zeros:
+                    assemble(slot)
+                self._fresh = False
+            twin[...] = slot
+            window.take(index, None, flat, "clip")
+            self._head = head + 1 if head + 1 < self._history else 0
+
+        return write
+
+    def __call__(self, out: Floats) -> None:
+        """Write the observation of this tick once; a tick loop keeps what `bind` returns."""
+        self.bind(out)()
+
+    def _assembler(self) -> Callable[[Floats], None]:
+        """Return the straight-line function that writes one frame to a flat array."""
         # mode "clip": the indices are known to fit, and "raise" would go through a buffer.
-        self._buffer.take(self._index, None, out, "clip")
-        if self._subtract is not None:
-            np.subtract(out, self._subtract, out)
-        if self._clip is not None:
-            span, low, high = self._clip
-            part = out[:, span]
-            np.maximum(part, low, out=part)  # unlike np.clip's fast path, both pass NaN on
-            np.minimum(part, high, out=part)
-        if self._scale is not None:
-            np.multiply(out, self._scale, out)
+        take, index = self._buffer.take, self._index.reshape(-1)
+        minus, scale, clip = self._subtract, self._scale, self._clip
+        subtract, multiply = np.subtract, np.multiply
+
+        if clip is None and minus is not None and scale is not None:
+
+            def usual(out: Floats) -> None:
+                take(index, None, out, "clip")
+                subtract(out, minus, out)
+                multiply(out, scale, out)
+
+            return usual
+
+        def general(out: Floats) -> None:
+            take(index, None, out, "clip")
+            if minus is not None:
+                subtract(out, minus, out)
+            if clip is not None:
+                span, low, high = clip
+                part = out[span]
+                np.maximum(part, low, out=part)  # both pass NaN on
+                np.minimum(part, high, out=part)
+            if scale is not None:
+                multiply(out, scale, out)
+
+        return general
 
     def place_of(self, position: int) -> str:
         """Return what stands at a place of the observation, for messages.
@@ -319,6 +346,6 @@ class Observation:
         return {p.term.name: (p.elements.size, p.term.history) for p in self.slices}
 
 
-def _joined(parts: Any) -> Floats:
+def _joined(parts: Iterable[Floats], rows: int) -> Floats:
     listed = list(parts)
-    return np.concatenate(listed) if listed else np.zeros(0, np.float32)
+    return np.tile(np.concatenate(listed), rows) if listed else np.zeros(0, np.float32)

@@ -5,6 +5,7 @@ Observation → network → check → targets; a NaN or infinity is a Fault befo
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -74,11 +75,15 @@ class OnnxPolicy:
                     f"policy {contract.name}: state {name!r} must hold {n} joints of robot "
                     f"{robot.name}; declare the standard states of this robot"
                 )
-        self._target, self._stiffness, self._damping = (
-            states[name].reshape(rows, n) for name in _TARGETS
+        target, stiffness, damping = (states[name].reshape(rows, n) for name in _TARGETS)
+        self._command = self.command.bind(self.lane.action, target)
+        self._gains = (
+            (stiffness.reshape(-1), np.tile(self.command.stiffness, rows)),
+            (damping.reshape(-1), np.tile(self.command.damping, rows)),
         )
-        self._command_scratch: JointCommand | None = None
         self._scratch: Lane | None = None
+        self._scratch_command: Callable[[], None] | None = None
+        self._scratch_target = np.zeros_like(target)
         self.phase: GaitPhase | None = None
         if contract.phase is not None and "gait_phase" in states:
             self.phase = GaitPhase(contract.phase, states, contract.period)
@@ -97,14 +102,11 @@ class OnnxPolicy:
         if not lane.finite():
             raise Fault(self._blame_observation())
         lane.infer()
-        action = lane.action
-        flat = action.reshape(-1)
-        total = float(flat.dot(flat))
-        if total - total != 0.0 and not np.isfinite(flat).all():
+        if not lane.action_finite():
             raise Fault(self._blame_action())
-        self.command(action, self._target)
-        self._stiffness[...] = self.command.stiffness
-        self._damping[...] = self.command.damping
+        self._command()
+        for state, gains in self._gains:
+            state[...] = gains
 
     def reset(self) -> None:
         """Forget history, memory and last action, as at the start of training episodes."""
@@ -118,24 +120,20 @@ class OnnxPolicy:
         self._scratch = build_lane(
             self.contract, self._states, self._robot.joint_names, self.network, scratch=True
         )
-        self._command_scratch = JointCommand(self.contract, self._robot, self._target.shape[0])
-        self._target_scratch = np.zeros_like(self._target)
+        self._scratch_command = self.command.bind(self._scratch.action, self._scratch_target)
 
     def dry_run(self) -> None:
         """Run the same code on scratch arrays: caches get warm and nothing observable changes."""
-        if self._scratch is None or self._command_scratch is None:
+        if self._scratch is None or self._scratch_command is None:
             self.prepare_dry_run()
-            assert self._scratch is not None
-            assert self._command_scratch is not None
-        lane = self._scratch
+        lane, command = self._scratch, self._scratch_command
+        assert lane is not None
+        assert command is not None
         lane.assemble()
-        if not lane.finite():
-            return
-        lane.infer()
-        flat = lane.action.reshape(-1)
-        total = float(flat.dot(flat))
-        if total - total == 0.0:
-            self._command_scratch(lane.action, self._target_scratch)
+        if lane.finite():
+            lane.infer()
+            if lane.action_finite():
+                command()
 
     def _blame_observation(self) -> str:
         lane = self.lane
