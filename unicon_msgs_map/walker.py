@@ -55,9 +55,11 @@ class Want:
             below.add(number, rest, member.type)
             return
         assert isinstance(member.type, Array)
-        inner = Want()
+        inner = next((want for known, want in below.items if known == selector), None)
+        if inner is None:
+            inner = Want()
+            below.items.append((selector, inner))
         inner.add(number, rest, member.type.item)
-        below.items.append((selector, inner))
 
     def _end(self, number: int, kind: TypeRef) -> None:
         if isinstance(kind, Struct) and kind.name not in (TIME, DURATION):
@@ -115,7 +117,6 @@ class _Walker:
         self.raw = raw
         self.size = len(raw)
         self.found = Found(order, hard=[(0, 4)])
-        self.matched: dict[int, set[Key]] = {}
         self.word = struct.Struct(order + "I").unpack_from
 
     def any(self, kind: TypeRef, at: int, want: Want | None) -> int:
@@ -194,8 +195,9 @@ class _Walker:
             return self.primitives(item, at, count, want)
         if want is None:
             return self.skip(item, at, count)
+        matched: set[int] = set()
         for index in range(count):
-            at = self.item(item, at, self.below(want, item, at, index))
+            at = self.item(item, at, self.below(want, item, at, index, matched))
         return at
 
     def primitives(self, item: Primitive, at: int, count: int, want: Want | None) -> int:
@@ -215,14 +217,16 @@ class _Walker:
         # Several selectors may meet in one element: it is walked for each.
         return [self.any(kind, at, want) for want in wants][-1]
 
-    def below(self, want: Want, item: TypeRef, at: int, index: int) -> list[Want]:
+    def below(
+        self, want: Want, item: TypeRef, at: int, index: int, matched: set[int]
+    ) -> list[Want]:
         wants = [Want(ends=want.ends)] if want.ends else []
         for selector, inner in want.items:
             if isinstance(selector, Key):
                 if self.key(item, at, selector):
-                    if selector in self.matched.setdefault(id(want), set()):
+                    if id(inner) in matched:
                         raise Malformed(f"two elements have {selector.field} {selector.value!r}")
-                    self.matched[id(want)].add(selector)
+                    matched.add(id(inner))
                     wants.append(inner)
             elif isinstance(selector, int):
                 if selector == index:
