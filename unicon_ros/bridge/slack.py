@@ -30,7 +30,7 @@ class SlackServer:
     """Serves an executor in the slack.
 
     Args:
-        executor: rclpy executor with the node in it.
+        executor: rclpy executor with the node in it; None for none yet.
         warn: takes warnings.
 
     Attributes:
@@ -46,11 +46,16 @@ class SlackServer:
         self.runner: Runner | None = None
         self.served = self.forced = 0
         self.always = False
-        self._executor, self._warn = executor, warn
-        self._serve = compat.serve_one(executor)
+        self._warn = warn
+        self.use(executor)
         self._last_ns = time.perf_counter_ns()
         self._cost_ns = 300_000.0
         self._dead = False
+
+    def use(self, executor: Any) -> None:
+        """Serve this executor from now on; None for none."""
+        self._executor = executor
+        self._serve = _nothing if executor is None else compat.serve_one(executor)
 
     def __call__(self) -> None:
         now = time.perf_counter_ns()
@@ -101,7 +106,14 @@ class SlackServer:
     def spin(self, timeout: float) -> None:
         """Serve one callback, waiting up to `timeout` in [s]: while ticks are paused."""
         try:
-            self._executor.spin_once(timeout)
+            if self._executor is None:
+                time.sleep(timeout)
+            else:
+                self._executor.spin_once(timeout)
         except Exception as error:
             self._failed(error)
             time.sleep(timeout if self._dead else 0.0)
+
+
+def _nothing() -> bool:
+    return False

@@ -1,0 +1,126 @@
+"""Diagnostics: what /diagnostics says about a run, once a second."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+
+from unicon_core.runtime import Runner, TickStatistics, percentiles
+from unicon_ros.bridge.topics_in import TopicIn
+from unicon_ros.bridge.topics_out import TopicOut
+
+__all__ = ["Diagnostics"]
+
+OK, WARN, ERROR = b"\x00", b"\x01", b"\x02"
+TEMPERATURES = ("joint_temperature", "motor_temperature", "temperature")
+TOPIC = "/diagnostics"
+
+
+class Diagnostics:
+    """Publishes diagnostic_msgs/DiagnosticArray with a status of ours.
+
+    Args:
+        node: rclpy node.
+
+    Attributes:
+        runner: what is told about; None while nothing runs.
+        outgoing, incoming: topics whose rates are told.
+        fault: why the last run ended, "" if it ended well.
+    """
+
+    def __init__(self, node: Any) -> None:
+        from diagnostic_msgs.msg import DiagnosticArray
+
+        self._node = node
+        self._publisher = node.create_publisher(DiagnosticArray, TOPIC, 10)
+        self.runner: Runner | None = None
+        self.outgoing: list[TopicOut] = []
+        self.incoming: list[TopicIn] = []
+        self.fault = ""
+        self._at = time.monotonic()
+        self._ticks = self._overruns = 0
+        self._counts: dict[str, int] = {}
+
+    def publish(self) -> None:
+        """Send the present status; a timer's callback."""
+        from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+
+        level, message, values = self.status()
+        status = DiagnosticStatus(level=level, name=f"{self._node.get_name()}: tick")
+        status.message = message
+        if self.runner is not None:
+            status.hardware_id = self.runner.workflow.robot.name
+        status.values = [KeyValue(key=key, value=value) for key, value in values.items()]
+        array = DiagnosticArray(status=[status])
+        array.header.stamp = self._node.get_clock().now().to_msg()
+        self._publisher.publish(array)
+
+    def status(self) -> tuple[bytes, str, dict[str, str]]:
+        """Return level, message and values since the last call."""
+        now = time.monotonic()
+        seconds, self._at = max(now - self._at, 1e-6), now
+        runner = self.runner
+        if runner is None:
+            if self.fault:
+                return ERROR, self.fault, {"fault": self.fault}
+            return OK, "inactive", {}
+        statistics = runner.statistics
+        ticks, overruns = statistics.count - self._ticks, statistics.overruns - self._overruns
+        if ticks < 0:  # another run
+            ticks, overruns = statistics.count, statistics.overruns
+        self._ticks, self._overruns = statistics.count, statistics.overruns
+        values = {
+            "workflow": runner.workflow.name,
+            "platform": runner.workflow.platform.name,
+            "rate_hz": f"{ticks / seconds:.2f}",
+            "ticks": str(statistics.count),
+            "overruns": str(statistics.overruns),
+        }
+        for name, value in _recent_us(statistics, ticks).items():
+            values[f"tick_{name}_us"] = f"{value:.1f}"
+        level, message = OK, "running"
+        if overruns > 0.01 * max(ticks, 1):
+            level, message = WARN, f"{overruns} overruns in {seconds:.1f} s"
+        level, message = self._topics(values, seconds, level, message)
+        for name in TEMPERATURES:
+            if name in runner.workflow.states:
+                values[f"{name}_max"] = f"{float(runner.workflow.states[name].max()):.1f}"
+        return level, message, values
+
+    def _topics(
+        self, values: dict[str, str], seconds: float, level: bytes, message: str
+    ) -> tuple[bytes, str]:
+        for out in self.outgoing:
+            values[f"{out.topic} hz"] = self._rate(f"> {out.topic}", out.published, seconds)
+            if out.failed:
+                values[f"{out.topic} failed"] = str(out.failed)
+        for topic in self.incoming:
+            values[f"{topic.topic} hz"] = self._rate(f"< {topic.topic}", topic.received, seconds)
+            if topic.rejected:
+                values[f"{topic.topic} rejected"] = f"{topic.rejected}; {topic.last_error}"
+                level, message = WARN, f"{topic.topic}: messages were refused"
+            if topic.stale:
+                level, message = WARN, f"{topic.topic}: no messages any more"
+        return level, message
+
+    def _rate(self, key: str, count: int, seconds: float) -> str:
+        before = self._counts.get(key, 0)
+        self._counts[key] = count
+        return f"{max(count - before, 0) / seconds:.2f}"
+
+    def close(self) -> None:
+        """Destroy the publisher."""
+        self._node.destroy_publisher(self._publisher)
+
+
+def _recent_us(statistics: TickStatistics, ticks: int) -> dict[str, float]:
+    """Return p50, p99, max in [µs] from `recv` to the end of `send` of the last ticks."""
+    rows = statistics.rows
+    count = min(ticks, len(rows), statistics.count)
+    ends = [4 + i for i in range(len(statistics.names)) if i not in statistics.deferred]
+    if count < 1 or not ends:
+        return percentiles(np.empty(0))
+    recent = rows[np.arange(statistics.count - count, statistics.count) % len(rows)]
+    return percentiles((recent[:, ends].max(axis=1) - recent[:, 2]) * 1e-3)

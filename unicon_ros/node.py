@@ -1,0 +1,280 @@
+"""unicon_node: a lifecycle node that hosts a workflow, for robots and launch files.
+
+unconfigured → configure (builds the workflow) → inactive → activate (ticks) → active. When the flow
+is done, `~/stop` is called or a block trips, the platform damps and closes and the node is inactive
+again; `~/start` or activate builds the workflow anew and runs it.
+
+Ticks run in the thread that calls `spin`. While active, the executor is served in the slack between
+ticks only; otherwise as usual. To share a process and an executor with nodes of your own:
+
+    executor = SingleThreadedExecutor(); executor.add_node(mine)
+    node = UniconNode(); executor.add_node(node)
+    node.spin(executor)                         # in place of executor.spin()
+"""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.clock import Clock, ClockType
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+
+from unicon_core.errors import UniconError
+from unicon_core.runtime import Runner, RunOptions
+from unicon_core.workflow import Hook, load_workflow
+from unicon_ros.bridge import RosSession
+from unicon_ros.bridge.controls import SERVICES, Answer, add_services
+from unicon_ros.bridge.diagnostics import Diagnostics
+from unicon_ros.bridge.tuning import Tuning
+from unicon_ros.parameters import Parameters
+
+__all__ = ["UniconNode"]
+
+SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
+
+
+class UniconNode(LifecycleNode):
+    """Hosts one workflow at a time.
+
+    Args:
+        name: node name.
+        options: of `rclpy.node.Node`, such as `namespace`, `context`, `parameter_overrides`.
+
+    Attributes:
+        runner: the present or last run; None before the first.
+        session: its bridge; None before the first.
+        error: why the last transition failed, one line; "" if it did not.
+        fault: why the last run was cut off, one line; "" if it was not.
+    """
+
+    def __init__(self, name: str = "unicon", **options: Any) -> None:
+        super().__init__(name, **options)
+        self.tuning = Tuning()
+        self.settings = Parameters(self, self.tuning)
+        self.runner: Runner | None = None
+        self.session: RosSession | None = None
+        self.error = self.fault = ""
+        self._executor: Any = None
+        self._fresh = False  # the runner was built and has not run
+        self._running = self._wanted = self._ending = self._starting = False
+        self._activations = 0
+        handlers: dict[str, Callable[[], Answer]] = {
+            word: getattr(self, f"_{word}", None) or self._delegate(word) for word in SERVICES
+        }
+        self._own_services = add_services(self, handlers)
+        self.diagnostics = Diagnostics(self)
+        # The steady clock, so that diagnostics come even where nobody publishes /clock.
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._timer = self.create_timer(1.0, self.diagnostics.publish, clock=steady)
+
+    # -- the host's loop ------------------------------------------------------------------------
+
+    def spin(self, executor: Any) -> int:
+        """Run until SIGINT, SIGTERM or a shutdown; return the exit status: 0, 1 bad input, 3 fault.
+
+        Args:
+            executor: that this node (and others) was added to.
+        """
+        self._executor = executor
+        with _Signals(self._end):
+            try:
+                if self.settings.autostart and not self._autostart():
+                    return 1
+                while not self._ending and self.context.ok():
+                    if self._wanted:
+                        self._run()
+                        if self.fault and self.settings.exit_on_fault:
+                            return 3
+                    else:
+                        executor.spin_once(0.1)
+            finally:
+                self._release()
+        return 0
+
+    def _autostart(self) -> bool:
+        """Start; what is wrong is the caller's to tell, not the log's."""
+        self._starting = True
+        started, _ = self._start()
+        self._starting = False
+        return started
+
+    def _end(self) -> None:
+        self._ending = True
+
+    def _run(self) -> None:
+        """Tick until something ends the run, then let the lifecycle follow."""
+        activation = self._activations
+        if not self._fresh and not self._build():
+            self._wanted = False
+            self._change(self.trigger_deactivate)
+            return
+        runner, session = self.runner, self.session
+        assert runner is not None
+        assert session is not None
+        session.slack.use(self._executor)
+        self._running, self._fresh, self.fault = True, False, ""
+        self.diagnostics.fault = ""
+        self.diagnostics.runner = runner
+        self.get_logger().info(
+            f"running {runner.workflow.name} on {runner.workflow.robot.name} "
+            f"({runner.workflow.platform.name}) at {1.0 / runner.workflow.period:g} Hz"
+        )
+        try:
+            report = runner.run()
+        finally:
+            self._running = False
+            self.diagnostics.runner = None
+            session.controls.runner = None
+        self._ending |= runner.interrupted
+        if report.faults:
+            self.fault = self.diagnostics.fault = report.faults[0]
+            self.get_logger().error(f"fault: {self.fault}")
+        counts = session.counts()
+        self.get_logger().info(
+            f"ended after {report.ticks} ticks, {report.overruns} overruns; "
+            f"published {counts['published']}, received {counts['received']}"
+        )
+        if self._activations == activation:  # nobody activated it again meanwhile
+            self._wanted = False
+            if self._label() == "active":
+                self._change(self.trigger_deactivate)
+        if self._label() in ("unconfigured", "finalized"):
+            self._release()
+
+    # -- lifecycle ------------------------------------------------------------------------------
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Build the workflow; a wrong one is told and leaves the node unconfigured."""
+        return SUCCESS if self._build() else FAILURE
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Begin to tick; after a run the workflow is built anew."""
+        if not self._running and not self._fresh and not self._build():
+            return FAILURE
+        self._activations += 1
+        self._wanted = True
+        return SUCCESS
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """End the run after the present tick; the platform damps and closes."""
+        self._halt()
+        return SUCCESS
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Let workflow and topics go."""
+        if not self._running:
+            self._release()
+        return SUCCESS
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """End the run and the node's `spin`."""
+        self._halt()
+        self._ending = True
+        return SUCCESS
+
+    def _halt(self) -> None:
+        self._wanted = False
+        if self.runner is not None and self._running:
+            self.runner.stop()
+
+    def _build(self) -> bool:
+        """Build workflow, bridge and runner; on bad input tell it and return False."""
+        self._release()
+        self.error = ""
+        try:
+            self._build_or_raise()
+        except UniconError as error:
+            self._release()
+            self.error = str(error)
+            if not self._starting:
+                self.get_logger().error(self.error)
+            return False
+        self._fresh = True
+        return True
+
+    def _build_or_raise(self) -> None:
+        settings = self.settings
+        warn = self.get_logger().warning
+        document = settings.document()
+        map_name = settings.map or document.get("map", str)
+        session = self.session = RosSession(map_name, warn=warn, node=self, executor=self._executor)
+        observers: list[Hook] = [session.observers]
+        if settings.record:
+            from unicon_ros.recorder import recorder_hook
+
+            observers.append(recorder_hook(settings.record, map_name))
+        workflow = load_workflow(
+            settings.workflow,
+            settings.overrides,
+            inputs=[session.inputs, self.tuning.inputs],
+            observers=observers,
+        )
+        try:
+            self.tuning.insert(workflow)
+            self.runner = Runner(workflow, RunOptions(speed=settings.speed, warn=warn))
+        except BaseException:
+            workflow.close()
+            raise
+        session.attach(self.runner)
+        self.diagnostics.outgoing, self.diagnostics.incoming = session.outgoing, session.incoming
+
+    def _release(self) -> None:
+        """Close what was built; the platform damps first."""
+        if self.runner is not None:
+            self.runner.close()
+        if self.session is not None:
+            self.session.close()
+        self.runner, self.session, self._fresh = None, None, False
+        self.diagnostics.outgoing, self.diagnostics.incoming = [], []
+
+    def _label(self) -> str:
+        return str(self._state_machine.current_state[1])
+
+    def _change(self, transition: Callable[[], TransitionCallbackReturn]) -> bool:
+        try:
+            return bool(transition() == SUCCESS)
+        except Exception as error:  # rclpy's RCLError: not allowed in this state
+            self.get_logger().warning(f"transition refused: {' '.join(str(error).split())}")
+            return False
+
+    # -- services -------------------------------------------------------------------------------
+
+    def _start(self) -> Answer:
+        """Configure and activate as needed; after a pause go on."""
+        if self._label() == "active":
+            return self._delegate("start")()
+        if self._label() == "unconfigured" and not self._change(self.trigger_configure):
+            return False, self.error or "not configured"
+        if not self._change(self.trigger_activate):
+            return False, self.error or "not activated"
+        return True, "started"
+
+    def _delegate(self, word: str) -> Callable[[], Answer]:
+        def act() -> Answer:
+            if self.session is None or not self._running:
+                return False, "nothing runs; call ~/start"
+            answer: Answer = getattr(self.session.controls, word)()
+            return answer
+
+        return act
+
+
+class _Signals:
+    """Calls a function on SIGINT and SIGTERM, where handlers may be set."""
+
+    def __init__(self, action: Callable[[], None]) -> None:
+        self._action = action
+        self._before: dict[int, Any] = {}
+
+    def __enter__(self) -> None:
+        try:
+            for number in (signal.SIGINT, signal.SIGTERM):
+                self._before[number] = signal.signal(number, lambda *_: self._action())
+        except ValueError:  # not the main thread: the process handles signals
+            pass
+
+    def __exit__(self, *_: object) -> None:
+        for number, before in self._before.items():
+            signal.signal(number, before)

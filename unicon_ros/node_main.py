@@ -1,0 +1,82 @@
+"""`unicon_node`: the executable of the lifecycle node.
+
+Exit status: 0 ended by SIGINT, SIGTERM or a shutdown, 1 bad input at start, 3 a fault with the
+parameter `exit_on_fault`.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+from unicon_core.errors import UniconError
+from unicon_ros import compat
+
+__all__ = ["main"]
+
+USAGE = """\
+usage: unicon_node --ros-args -p workflow:=NAME [-p name:=value …] [-r from:=to …]
+
+Runs a workflow as a ROS 2 lifecycle node. Parameters, with descriptions and ranges:
+  ros2 param describe /unicon PARAMETER, or unicon_ros/parameters.py.
+"""
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node.
+
+    Args:
+        args: command line without the program's name; that of the process if None.
+    """
+    arguments = list(sys.argv[1:] if args is None else args)
+    try:
+        rclpy = compat.import_rclpy("unicon_node")
+        own = _without_ros(rclpy, arguments)
+        if own:
+            if own[0] in ("-h", "--help"):
+                print(USAGE, end="")
+                return 0
+            print(f"unicon_node: unknown argument {own[0]!r}\n{USAGE}", end="", file=sys.stderr)
+            return 2
+        return _spin(rclpy, arguments)
+    except UniconError as error:
+        print(f"unicon_node: error: {error}", file=sys.stderr)
+        return 1
+
+
+def _without_ros(rclpy: Any, arguments: list[str]) -> list[str]:
+    try:
+        return list(rclpy.utilities.remove_ros_args(["unicon_node", *arguments]))[1:]
+    except Exception as error:
+        raise _refused(error) from error
+
+
+def _refused(error: Exception) -> UniconError:
+    text = " ".join(str(error).split()).split(", at /")[0]
+    return UniconError(f"{text}; correct the arguments after --ros-args")
+
+
+def _spin(rclpy: Any, arguments: list[str]) -> int:
+    from unicon_ros.node import UniconNode
+
+    context = rclpy.context.Context()
+    try:
+        # Signals are the node's: SIGINT has to damp before ROS goes away.
+        no_signals = rclpy.signals.SignalHandlerOptions.NO
+        rclpy.init(args=arguments, context=context, signal_handler_options=no_signals)
+        node = UniconNode(context=context)
+    except Exception as error:
+        rclpy.try_shutdown(context=context)
+        raise _refused(error) from error
+    executor = rclpy.executors.SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    try:
+        status = node.spin(executor)
+        if status == 1:
+            print(f"unicon_node: error: {node.error}", file=sys.stderr)
+        return status
+    finally:
+        executor.shutdown()
+        node.destroy_node()
+        rclpy.try_shutdown(context=context)
