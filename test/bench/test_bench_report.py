@@ -1,0 +1,95 @@
+"""The benchmarks' report: JSON as the command line promises it, and a table."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from unicon_core.flow import Zip, compile_graph
+from unicon_core.flow.fuse import fuse
+from unicon_ros.bench import tick
+from unicon_ros.bench.report import Bench
+
+
+def example() -> Bench:
+    bench = Bench("tick", seed=7, rounds=3)
+    bench.case("ours", np.array([1.0, 2.0, 3.0]))
+    bench.case("theirs", [[10.0, 20.0], [30.0, 40.0]])
+    bench.ratio("speed", 0.1, 0.5)
+    return bench
+
+
+def test_json_has_the_promised_keys() -> None:
+    value = json.loads(example().to_json())
+    assert {"bench", "machine", "versions", "seed", "rounds", "cases", "ratios"} <= set(value)
+    assert (value["bench"], value["seed"], value["rounds"]) == ("tick", 7, 3)
+    assert value["cases"]["ours"]["p50"] == 2.0
+    assert value["cases"]["ours"]["p99"] == pytest.approx(2.98)
+    assert value["cases"]["theirs"]["samples"] == 4
+    assert value["cases"]["ours"]["std"] == pytest.approx(np.sqrt(2.0 / 3.0))
+    assert value["ratios"]["speed"] == {
+        "value": 0.1,
+        "bar": 0.5,
+        "holds": True,
+        "claim": "at most",
+    }
+    assert value["versions"]["numpy"] == np.__version__
+    assert value["machine"]["cores"] >= 1
+
+
+def test_a_missed_ratio_is_told() -> None:
+    bench = example()
+    assert bench.holds
+    assert not bench.ratio("late", 0.51, 0.5)
+    assert not bench.holds
+    assert bench.table().splitlines()[-1].split() == ["late", "0.51", "≤", "0.5", "MISSED"]
+
+
+def test_a_ratio_may_ask_for_at_least() -> None:
+    bench = example()
+    assert bench.ratio("gain", 4.0, 3.0, at_least=True)
+    assert not bench.ratio("small gain", 2.0, 3.0, at_least=True)
+
+
+def test_what_is_not_finite_never_holds_and_stays_valid_json() -> None:
+    bench = example()
+    assert not bench.ratio("broken", float("nan"), 1.0)
+    assert not bench.ratio("endless", float("inf"), 1.0, at_least=True)
+    assert json.loads(bench.to_json())["ratios"]["broken"]["value"] is None
+
+
+def test_a_case_needs_samples_and_a_name_of_its_own() -> None:
+    bench = example()
+    with pytest.raises(ValueError, match=r"^case 'none' has no samples$"):
+        bench.case("none", [])
+    with pytest.raises(ValueError, match=r"^case 'ours' was added before$"):
+        bench.case("ours", [1.0])
+
+
+def test_tick_measures_both_ratios(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tick, "REPEATS", 5)
+    monkeypatch.setattr(tick, "SAMPLES", 3)
+    bench = tick.run(rounds=2)
+    assert {name: ratio["bar"] for name, ratio in bench.ratios.items()} == {
+        "dispatch": 0.6,
+        "fused_copy": 0.15,
+    }
+    assert all(case["samples"] == 6 and case["min"] > 0 for case in bench.cases.values())
+
+
+def test_tick_compares_things_that_do_the_same() -> None:
+    states, maps = tick._copies()
+    blocks = [tick._copy(each) for each in maps]
+    for step in (
+        tick.closure_zip(*[block.tick for block in blocks]),
+        compile_graph(Zip(*blocks)).step,
+        compile_graph(fuse(Zip(*blocks), states)).step,
+    ):
+        states.reset()
+        states.buffer_of("float32")[: 16 * 20] = np.arange(320)
+        step()
+        assert states.buffer_of("float32")[320:].tolist() == list(range(320))
+    assert tick.closure_zip(lambda: False, lambda: True)()
+    assert not tick.closure_zip(lambda: False, lambda: None)()

@@ -1,0 +1,198 @@
+"""Bench: what every `unicon bench` writes, as JSON for tools and as a table for people."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import platform
+from collections.abc import Iterable, Mapping
+from importlib import metadata
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+__all__ = ["Bench", "machine_facts", "package_versions"]
+
+PACKAGES = ("numpy", "mujoco", "onnxruntime", "rosbags", "rclpy", "pyzmq", "numba")
+"""Packages whose version may move a number."""
+
+
+class Bench:
+    """The cases and ratios of one benchmark run.
+
+    Args:
+        name: the benchmark's name on the command line.
+        seed: seed of everything random in it.
+        rounds: how many times the cases were run in turns.
+
+    Attributes:
+        cases: case to its statistics.
+        ratios: name to value, bar, and whether it holds.
+        facts: anything else worth telling, name to value.
+    """
+
+    def __init__(self, name: str, seed: int, rounds: int) -> None:
+        self.name = name
+        self.seed = seed
+        self.rounds = rounds
+        self.cases: dict[str, dict[str, float]] = {}
+        self.ratios: dict[str, dict[str, float | bool | str]] = {}
+        self.facts: dict[str, Any] = {}
+
+    def case(self, name: str, samples_us: ArrayLike) -> dict[str, float]:
+        """Add the samples of one case and return their statistics.
+
+        Args:
+            name: the case; with its unit in brackets where that is not µs.
+            samples_us: one value for each repetition in [µs], any shape.
+
+        Raises:
+            ValueError: no samples, or a second case of that name.
+        """
+        samples = np.asarray(samples_us, dtype=np.float64).ravel()
+        if not samples.size:
+            raise ValueError(f"case {name!r} has no samples")
+        if name in self.cases:
+            raise ValueError(f"case {name!r} was added before")
+        self.cases[name] = {
+            "p50": float(np.percentile(samples, 50)),
+            "p99": float(np.percentile(samples, 99)),
+            "mean": float(samples.mean()),
+            "std": float(samples.std()),
+            "min": float(samples.min()),
+            "max": float(samples.max()),
+            "samples": int(samples.size),
+        }
+        return self.cases[name]
+
+    def ratio(self, name: str, value: float, bar: float, *, at_least: bool = False) -> bool:
+        """Add a ratio and return whether it holds.
+
+        Args:
+            name: name of the ratio.
+            value: what was measured in this run.
+            bar: the claim: `value` at most this.
+            at_least: the claim is `value` at least `bar`.
+        """
+        value = float(value)
+        holds = math.isfinite(value) and (value >= bar if at_least else value <= bar)
+        claim = "at least" if at_least else "at most"
+        self.ratios[name] = {"value": value, "bar": float(bar), "holds": holds, "claim": claim}
+        return holds
+
+    def fact(self, name: str, value: Any) -> None:
+        """Add a fact that is no time and no claim."""
+        self.facts[name] = value
+
+    @property
+    def holds(self) -> bool:
+        """True where every ratio holds."""
+        return all(bool(ratio["holds"]) for ratio in self.ratios.values())
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything as plain values."""
+        return {
+            "bench": self.name,
+            "machine": machine_facts(),
+            "versions": package_versions(),
+            "seed": self.seed,
+            "rounds": self.rounds,
+            "cases": self.cases,
+            "ratios": self.ratios,
+            "facts": self.facts,
+        }
+
+    def to_json(self) -> str:
+        """Return everything as JSON; numbers that are not finite become null."""
+        return json.dumps(_finite(self.to_dict()), indent=2, ensure_ascii=False)
+
+    def table(self) -> str:
+        """Return cases and ratios as aligned text."""
+        machine = machine_facts()
+        lines = [
+            f"bench {self.name}: {self.rounds} rounds, {machine['cpu']}, {machine['cores']} cores"
+        ]
+        rows = [("case [µs]", "p50", "p99", "mean ± std", "samples")]
+        for name, case in self.cases.items():
+            spread = f"{_number(case['mean'])} ± {_number(case['std'])}"
+            count = str(int(case["samples"]))
+            rows.append((name, _number(case["p50"]), _number(case["p99"]), spread, count))
+        lines += ["", *_aligned(rows)]
+        if self.facts:
+            lines += ["", *_aligned([(k, str(v)) for k, v in self.facts.items()])]
+        if self.ratios:
+            rows_of_ratios = [("ratio", "value", "bar", "")]
+            for name, ratio in self.ratios.items():
+                sign = "≥" if ratio["claim"] == "at least" else "≤"
+                verdict = "holds" if ratio["holds"] else "MISSED"
+                bar = f"{sign} {_number(float(ratio['bar']))}"
+                rows_of_ratios.append((name, _number(float(ratio["value"])), bar, verdict))
+            lines += ["", *_aligned(rows_of_ratios)]
+        return "\n".join(lines)
+
+
+def machine_facts() -> dict[str, Any]:
+    """Return what the numbers depend on: CPU, cores, system, load at this moment."""
+    return {
+        "cpu": _cpu(),
+        "cores": _cores(),
+        "system": f"{platform.system()} {platform.release()}",
+        "load_1min": os.getloadavg()[0] if hasattr(os, "getloadavg") else None,
+    }
+
+
+def package_versions() -> dict[str, str]:
+    """Return the versions of Python and of those PACKAGES that are installed."""
+    versions = {"python": platform.python_version()}
+    for package in PACKAGES:
+        try:
+            versions[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            continue
+    return versions
+
+
+def _cpu() -> str:
+    try:
+        with open("/proc/cpuinfo", encoding="utf-8") as file:
+            for line in file:
+                if line.lower().startswith(("model name", "hardware")):
+                    return line.partition(":")[2].strip()
+    except OSError:
+        pass
+    return platform.processor() or platform.machine()
+
+
+def _cores() -> int:
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def _number(value: float) -> str:
+    if not math.isfinite(value):
+        return str(value)
+    return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.3g}"
+
+
+def _aligned(rows: Iterable[tuple[str, ...]]) -> list[str]:
+    table = list(rows)
+    widths = [max(map(len, column)) for column in zip(*table)]
+    lines = []
+    for row in table:
+        cells = [row[0].ljust(widths[0])]
+        cells += [cell.rjust(width) for cell, width in zip(row[1:], widths[1:])]
+        lines.append("  ".join(cells).rstrip())
+    return lines
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(item) for item in value]
+    if isinstance(value, (float, np.floating)):
+        return float(value) if math.isfinite(value) else None
+    return value
