@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from unicon_msgs_map.errors import MapFileError, MessageTypeError, alternatives
 from unicon_msgs_map.messages import Array, String, Struct, TypeRef
-from unicon_msgs_map.paths import Key
+from unicon_msgs_map.paths import Key, Selector
 from unicon_msgs_map.spec import FieldSpec, PublishSpec, SubscribeSpec
 
 __all__ = ["check_publish", "check_subscribe", "resolve"]
@@ -90,7 +90,7 @@ def resolve(field: FieldSpec, message: Struct, *, receive: bool) -> TypeRef:
                     field.where,
                 )
             if selector is not None:
-                _check_selector(field, owner, name, kind, receive=receive)
+                _check_selector(field, owner, name, selector, kind, receive=receive)
                 kind = kind.item
         elif selector is not None:
             raise MessageTypeError(
@@ -101,9 +101,8 @@ def resolve(field: FieldSpec, message: Struct, *, receive: bool) -> TypeRef:
 
 
 def _check_selector(
-    field: FieldSpec, owner: Struct, name: str, kind: Array, *, receive: bool
+    field: FieldSpec, owner: Struct, name: str, selector: Selector, kind: Array, *, receive: bool
 ) -> None:
-    selector = next(s for n, s in field.steps if n == name and s is not None)
     if isinstance(selector, Key):
         if not receive:
             raise MessageTypeError(
