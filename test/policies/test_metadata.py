@@ -139,6 +139,55 @@ def test_beyondmimic_names_its_motion_inputs_and_asks_for_the_anchor(tmp_path: P
     assert dict(contract.outputs) == {"action": "actions", "motion_joint_pos": "joint_pos"}
 
 
+def test_a_motion_policy_reads_the_reference_of_the_step_before(tmp_path: Path) -> None:
+    pytest.importorskip("onnxruntime")
+    f = TensorProto.FLOAT
+    shapes = {"actions": [1, 4], "joint_pos": [1, 4], "joint_vel": [1, 4], "body_pos_w": [1, 2, 3]}
+    graph = helper.make_graph(
+        [
+            helper.make_node("Slice", ["obs", "zero", "four", "one"], ["actions"]),
+            helper.make_node("Add", ["time_step", "tens"], ["joint_pos"]),
+            helper.make_node("Mul", ["time_step", "tens"], ["joint_vel"]),
+            helper.make_node("Add", ["time_step", "body"], ["body_pos_w"]),
+        ],
+        "motion",
+        [
+            helper.make_tensor_value_info("obs", f, [1, 12]),
+            helper.make_tensor_value_info("time_step", f, [1, 1]),
+        ],
+        [helper.make_tensor_value_info(name, f, shape) for name, shape in shapes.items()],
+        [
+            helper.make_tensor("zero", TensorProto.INT64, [1], [0]),
+            helper.make_tensor("four", TensorProto.INT64, [1], [4]),
+            helper.make_tensor("one", TensorProto.INT64, [1], [1]),
+            helper.make_tensor("tens", f, [1, 4], [10.0, 20.0, 30.0, 40.0]),
+            helper.make_tensor("body", f, [1, 2, 3], [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]),
+        ],
+    )
+    path = tmp_path / "dance.onnx"
+    metadata = {
+        **OLD, "command_names": "motion", "observation_names": "command,actions",
+        "anchor_body_name": "torso_link", "body_names": "pelvis,torso_link",
+    }  # fmt: skip
+    save(path, graph, list(metadata.items()))
+    contract = load_policy(path, given={"period": 0.02, "observation.scale": 1.0})
+    states = States({**standard_states(JOINTS), **policy_states(contract, robot())})
+    policy = OnnxPolicy(contract, states, robot())
+    assert "motion_command" in policy.writes
+    assert "motion_command" not in policy.reads
+    for _ in range(2):
+        for step in range(3):
+            policy.dry_run()
+            policy()
+            # The observation has the reference of the step before, the states that of this one.
+            reference = [10.0 + step, 20.0 + step, 30.0 + step, 40.0 + step]
+            assert states.observation[:4].tolist() == reference
+            assert states.observation[4:8].tolist() == [10.0 * step * k for k in (1, 2, 3, 4)]
+            assert states.action.tolist() == reference
+            assert states.motion_body_pos_w.tolist() == [step + 1.0 + k for k in range(6)]
+        policy.reset()
+
+
 @pytest.mark.parametrize(
     ("key", "value", "message"),
     [

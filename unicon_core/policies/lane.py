@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from math import isfinite
+from math import isfinite, prod
 from typing import Any
 
 import numpy as np
@@ -89,6 +89,14 @@ class Lane:
         for source, target in self._memory:
             target[...] = source
         self._steps += 1.0
+
+    def prime(self) -> None:
+        """Run the network on a zero observation, as step 0 of its motion; its action is dropped."""
+        self.obs[...] = 0.0
+        for item in self._inputs:
+            item.values[...] = 0.0
+        self.infer()
+        self.action[...] = 0.0
 
     def reset(self) -> None:
         """Forget history, memory and the number of calls."""
@@ -268,18 +276,18 @@ def _bind_outputs(
             if not scratch and "action" in states:
                 action = _rows(states["action"], rows, count, "action", label)
             fetches[name] = action
-        elif canonical in states and isinstance(size, int):
+        elif canonical in states and not scratch:
             width = states[canonical].size // rows
-            if width != size:
+            if (
+                any(not isinstance(axis, int) for axis in tensor.shape[1:])
+                or prod(axis for axis in tensor.shape[1:] if isinstance(axis, int)) != width
+            ):
                 raise PolicyError(
-                    f"{label}: output {tensor} has {size} values and state {canonical!r} {width}; "
-                    "correct 'outputs'"
+                    f"{label}: output {tensor} does not fill state {canonical!r} of {width} "
+                    "elements; correct 'outputs'"
                 )
-            fetches[name] = (
-                np.zeros((rows, size), np.float32)
-                if scratch
-                else _rows(states[canonical], rows, size, canonical, label)
-            )
+            view = _rows(states[canonical], rows, width, canonical, label)
+            fetches[name] = view.reshape(rows, *(int(axis) for axis in tensor.shape[1:]))
     return action
 
 

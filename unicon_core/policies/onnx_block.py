@@ -87,6 +87,8 @@ class OnnxPolicy:
         self.phase: GaitPhase | None = None
         if contract.phase is not None and "gait_phase" in states:
             self.phase = GaitPhase(contract.phase, states, contract.period)
+        self._motion = _motion(states) if "motion_command" in states else ()
+        self._primed = False
         self.reads, self.writes = _reads_writes(contract, states, declared, prefix, self.phase)
 
     def __call__(self) -> None:
@@ -98,12 +100,19 @@ class OnnxPolicy:
         lane = self.lane
         if self.phase is not None:
             self.phase()
+        if self._motion and not self._primed:
+            # The reference of step 0 is an output of the network: it is run once before it is read.
+            lane.prime()
+            self._reference()
+            self._primed = True
         lane.assemble()
         if not lane.finite():
             raise Fault(self._blame_observation())
         lane.infer()
         if not lane.action_finite():
             raise Fault(self._blame_action())
+        if self._motion:
+            self._reference()
         self._command()
         for state, gains in self._gains:
             state[...] = gains
@@ -112,8 +121,13 @@ class OnnxPolicy:
         """Forget history, memory and last action, as at the start of training episodes."""
         self.lane.reset()
         self.lane.action[...] = 0.0
+        self._primed = False
         if self.phase is not None:
             self.phase.reset()
+
+    def _reference(self) -> None:
+        for part, source in self._motion:
+            part[...] = source
 
     def prepare_dry_run(self) -> None:
         """Build the scratch lane now, so that the first `dry_run` costs no more than the next."""
@@ -159,6 +173,18 @@ class OnnxPolicy:
         return f" of robot {row}" if self._states.num_robots else ""
 
 
+def _motion(states: PackedStates) -> tuple[tuple[Any, Any], ...]:
+    """The command of a motion policy is its own reference: positions, then velocities.
+
+    From HybridRobotics/motion_tracking_controller, `src/MotionCommand.cpp` (getValue) and
+    `src/MotionOnnxPolicy.cpp` (reset runs step 0 on a zero observation; the step then counts on).
+    """
+    command = states["motion_command"]
+    position, velocity = states["motion_joint_pos"], states["motion_joint_vel"]
+    n = position.shape[-1]
+    return ((command[..., :n], position), (command[..., n:], velocity))
+
+
 def _reads_writes(
     contract: PolicyContract,
     states: PackedStates,
@@ -170,6 +196,7 @@ def _reads_writes(
     own = [name for name in ("observation", "action") if name in states]
     own += [] if phase is None else phase.writes
     own += [name for name in contract.outputs if name in states and name != "action"]
+    own += ["motion_command"] if "motion_command" in states else []
     read = [] if phase is None else list(phase.reads)
     read += [term.state for term in contract.terms if "observation" in contract.inputs]
     read += [name for name in contract.inputs if name != "observation" and name in states]

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from math import prod
 
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.load import NamedJoints
 from unicon_core.policies.observation import Observation
+from unicon_core.policies.onnx_file import read_onnx
 from unicon_core.states import States, StateSpec, standard_states
 
 __all__ = ["policy_states"]
@@ -39,6 +41,27 @@ def policy_states(
     return {f"{prefix}{name}": spec for name, spec in own.items()}
 
 
+def _motion_states(contract: PolicyContract) -> dict[str, StateSpec]:
+    """States for outputs beside the action, and the reference that a BeyondMimic policy reads."""
+    states = {}
+    more = {name: out for name, out in contract.outputs.items() if name != "action"}
+    if more and not contract.is_torchscript:
+        tensors = {tensor.name: tensor for tensor in read_onnx(contract.model).outputs}
+        for name, output in more.items():
+            tensor = tensors.get(output)
+            axes = () if tensor is None else tensor.shape[1:]
+            size = prod(axis if isinstance(axis, int) else 1 for axis in axes)
+            joints = contract.joints if name.startswith("motion_joint_") else ()
+            names = joints if len(joints) == size else ()
+            states[name] = StateSpec((size,), names=names, description=f"output {output}")
+    if {"motion_joint_pos", "motion_joint_vel"} <= set(states):
+        size = states["motion_joint_pos"].size + states["motion_joint_vel"].size
+        states["motion_command"] = StateSpec(
+            (size,), description="reference joint positions [rad], then velocities [rad/s]"
+        )
+    return states
+
+
 def _own_states(contract: PolicyContract) -> dict[str, StateSpec]:
     joints = contract.action.joints
     states = {
@@ -51,4 +74,4 @@ def _own_states(contract: PolicyContract) -> dict[str, StateSpec]:
         states["gait_phase_sin"] = StateSpec((count,), description="sine of the gait phases")
         states["gait_phase_cos"] = StateSpec((count,), description="cosine of the gait phases")
         states["gait_phase"] = StateSpec((2 * count,), description="all sines, then all cosines")
-    return states
+    return {**states, **_motion_states(contract)}
