@@ -102,6 +102,16 @@ def test_every_service_is_in_the_table() -> None:
     assert set(re.findall(r"~/(\w+)", "".join(rows))) == set(SERVICES)
 
 
+def test_every_parameter_of_the_node_is_in_the_table() -> None:
+    pytest.importorskip("rcl_interfaces", reason="no ROS: pip install -e '.[ros]'")
+    from unicon_ros.parameters import DECLARED, RANGED
+
+    _, table = text_of("README.md").split("| parameter | default | means |")
+    rows = re.findall(r"^\| (`.*?`) \|", table, re.MULTILINE)
+    told = {name for row in rows for name in re.findall(r"`(\w+)`", row)}
+    assert told == {"use_sim_time", *(name for name, *_ in (*DECLARED, *RANGED))}
+
+
 def test_the_examples_of_the_readme_run(tmp_path: Path) -> None:
     pytest.importorskip("mujoco")
     (tmp_path / "my_blocks.py").write_text(code_block("python", "# my_blocks.py"), "utf-8")
