@@ -11,12 +11,12 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from unicon_ros.bench.report import Bench
 
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import load_workflow
 from unicon_ros.bench.networks import random_policy
+from unicon_ros.bench.report import Bench
 
 __all__ = ["run"]
 

@@ -16,13 +16,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from unicon_ros.bench.report import Bench
 
 from unicon_core.policies import Observation, OnnxPolicy, PolicyContract, policy_states
 from unicon_core.robots import Robot, load_robot
 from unicon_core.runtime import Pacing, WallClock, prepare_process
 from unicon_core.states import States, standard_states
 from unicon_ros.bench.networks import CLIP, random_policy
+from unicon_ros.bench.report import Bench
 
 __all__ = ["run"]
 
@@ -77,7 +77,8 @@ def _concatenation(states: States, contract: PolicyContract) -> Callable[[], NDA
                 action,
             ]
         )
-        return np.clip(observation, -CLIP, CLIP)
+        clipped: NDArray[np.float32] = np.clip(observation, -CLIP, CLIP)
+        return clipped
 
     return assemble
 

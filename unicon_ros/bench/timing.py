@@ -12,9 +12,9 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
-from unicon_ros.bench.report import Bench
 
 from unicon_core.runtime import Pacing, WallClock, prepare_process
+from unicon_ros.bench.report import Bench
 
 __all__ = ["run"]
 

@@ -12,29 +12,56 @@ from unicon_core.errors import UniconError
 __all__ = ["BENCHES", "add", "bench"]
 
 BENCHES = {
+    "batch": "unicon_ros.bench.batch",
+    "latency": "unicon_ros.bench.latency",
+    "policy": "unicon_ros.bench.policy",
     "tick": "unicon_ros.bench.tick",
+    "timing": "unicon_ros.bench.timing",
 }
+
+_OPTIONS = {
+    "latency": {
+        "rate": (float, "commands per second"),
+        "state_rate": (float, "states per second"),
+        "joints": (int, "number of joints"),
+        "seconds": (float, "measured time of a variant in a round"),
+    },
+}
+"""Bench to its own options: name to type and meaning."""
 
 
 def add(commands: Any) -> None:
     """Add the command to the parser."""
     parser = commands.add_parser("bench", help="compare side by side", description=__doc__)
-    parser.add_argument("bench", choices=sorted(BENCHES), metavar="NAME", help=", ".join(BENCHES))
-    parser.add_argument("--rounds", type=int, help="interleaved rounds")
-    parser.add_argument("--json", metavar="FILE", help="write the result as JSON")
-    parser.add_argument(
-        "--assert", action="store_true", dest="strict", help="exit 1 where a ratio misses its bar"
-    )
     parser.set_defaults(function=bench)
+    benches = parser.add_subparsers(dest="bench", metavar="NAME", required=True)
+    for name in BENCHES:
+        each = benches.add_parser(name, help=f"see {BENCHES[name]}")
+        each.add_argument("--rounds", type=int, metavar="N", help="interleaved rounds")
+        each.add_argument("--json", metavar="FILE", help="write the result as JSON")
+        each.add_argument("--plot", metavar="FILE.png", help="plot the cases (needs matplotlib)")
+        each.add_argument(
+            "--assert", action="store_true", dest="strict", help="exit 1 where a ratio misses"
+        )
+        for option, (kind, meaning) in _OPTIONS.get(name, {}).items():
+            each.add_argument(f"--{option.replace('_', '-')}", type=kind, help=meaning)
 
 
 def bench(arguments: argparse.Namespace) -> int:
-    """Run the command."""
-    result = import_module(BENCHES[arguments.bench]).run(rounds=arguments.rounds)
+    """Run the command; exit status 0 when it ran, with `--assert` 1 where a ratio misses."""
+    if arguments.rounds is not None and arguments.rounds < 1:
+        raise UniconError(f"--rounds {arguments.rounds}: give a number >= 1")
+    given = {name: getattr(arguments, name) for name in _OPTIONS.get(arguments.bench, {})}
+    options = {name: value for name, value in given.items() if value is not None}
+    result = import_module(BENCHES[arguments.bench]).run(rounds=arguments.rounds, **options)
     print(result.table())
-    if arguments.json:
-        try:
+    try:
+        if arguments.json:
             Path(arguments.json).write_text(result.to_json() + "\n", encoding="utf-8")
-        except OSError as error:
-            raise UniconError(f"cannot write {arguments.json}: {error.strerror}") from error
+        if arguments.plot:
+            from unicon_ros.bench.plot import plot
+
+            plot(result, Path(arguments.plot))
+    except OSError as error:
+        raise UniconError(f"cannot write {error.filename}: {error.strerror}") from error
     return 1 if arguments.strict and not result.holds else 0

@@ -65,7 +65,7 @@ def main() -> None:
     take, _ = compat.raw_take(subscription)
     assert take is not None
     waiter = compat.ReusedWaitSet([subscription], node.context)
-    now, period = time.monotonic_ns, round(1e9 / options.state_rate)
+    now, period = time.time_ns, round(1e9 / options.state_rate)
     stamp, position = arrays["stamp_ns"], arrays["joint_pos"]
     due, end = now() + period, 0
     while not stop:

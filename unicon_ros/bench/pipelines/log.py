@@ -1,6 +1,6 @@
-"""What every pipeline shares: arguments, time stamps of monotonic time, and logs without I/O.
+"""What every pipeline shares: arguments, time stamps of wall-clock time, and logs without I/O.
 
-All processes run on one host, whose CLOCK_MONOTONIC they share: a message carries the time when its
+All processes run on one host, whose clock they share: a message carries the time when its
 state was made, and whoever gets it subtracts.
 """
 
@@ -57,7 +57,7 @@ class Log:
         self.rows = np.zeros((capacity, len(columns)), dtype=np.int64)
         self.count = 0
         self._cpu = time.process_time_ns()
-        self._wall = time.monotonic_ns()
+        self._wall = time.time_ns()
 
     def add(self, *values: int) -> None:
         """Add a row."""
@@ -67,11 +67,11 @@ class Log:
 
     def start_cpu(self) -> None:
         """Count the process's CPU time from now on."""
-        self._cpu, self._wall = time.process_time_ns(), time.monotonic_ns()
+        self._cpu, self._wall = time.process_time_ns(), time.time_ns()
 
     def save(self, path: Path, **facts: float) -> None:
         """Write columns, CPU share and further facts; the file appears whole."""
-        wall = max(time.monotonic_ns() - self._wall, 1)
+        wall = max(time.time_ns() - self._wall, 1)
         facts["cpu_share"] = (time.process_time_ns() - self._cpu) / wall
         partial = path.with_suffix(".partial.npz")
         rows = self.rows[: self.count]

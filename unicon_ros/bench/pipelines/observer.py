@@ -22,7 +22,7 @@ def main() -> None:
     node = Node("observer")
 
     def on_message(message: Any) -> None:
-        log.add(nanoseconds(message.header.stamp), time.monotonic_ns())
+        log.add(nanoseconds(message.header.stamp), time.time_ns())
 
     node.create_subscription(JointState, MIRROR, on_message, qos(options.best_effort))
     executor = SingleThreadedExecutor()
@@ -31,8 +31,8 @@ def main() -> None:
     while not stop:
         executor.spin_once(timeout_sec=0.1)
         if log.count and not end:
-            end = time.monotonic_ns() + 500_000_000 + round(options.seconds * 1e9)
-        if end and time.monotonic_ns() > end:
+            end = time.time_ns() + 500_000_000 + round(options.seconds * 1e9)
+        if end and time.time_ns() > end:
             break
     log.save(options.out)
     node.destroy_node()

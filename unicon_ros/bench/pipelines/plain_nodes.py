@@ -42,7 +42,7 @@ class PlainRobot(Node):
         self.create_timer(1.0 / state_rate, self.on_timer)
 
     def on_timer(self) -> None:
-        now = time.monotonic_ns()
+        now = time.time_ns()
         self.state.position[0] = now * 1e-9 % 1.0
         set_stamp(self.state.header.stamp, now)
         set_stamp(self.imu.header.stamp, now)
@@ -50,7 +50,7 @@ class PlainRobot(Node):
         self.state_out.publish(self.state)
 
     def on_command(self, command: Any) -> None:
-        now = time.monotonic_ns()
+        now = time.time_ns()
         self.log.add(nanoseconds(command.header.stamp), now)
 
 
@@ -80,7 +80,7 @@ class PlainController(Node):
         self.imu = imu
 
     def on_state(self, state: Any) -> None:
-        self.seen_ns = time.monotonic_ns()
+        self.seen_ns = time.time_ns()
         self.state = state
         self.states += 1
         if self.every and self.states % self.every == 0:
@@ -91,9 +91,9 @@ class PlainController(Node):
             self.send()
 
     def send(self) -> None:
-        begin = time.monotonic_ns()
+        begin = time.time_ns()
         self.command.header.stamp = self.state.header.stamp
         self.command.position = self.state.position
         self.command_out.publish(self.command)
         stamp = nanoseconds(self.state.header.stamp)
-        self.log.add(stamp, self.seen_ns, begin, time.monotonic_ns())
+        self.log.add(stamp, self.seen_ns, begin, time.time_ns())

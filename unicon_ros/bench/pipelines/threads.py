@@ -32,7 +32,7 @@ def main() -> None:
     latest: dict[str, Any] = {}
 
     def on_state(state: Any) -> None:
-        latest["seen"] = time.monotonic_ns()
+        latest["seen"] = time.time_ns()
         latest["state"] = state
 
     def on_imu(imu: Any) -> None:
@@ -59,14 +59,14 @@ def main() -> None:
         state = latest.get("state")
         if state is None:
             continue
-        begin = time.monotonic_ns()
+        begin = time.time_ns()
         command.header.stamp = state.header.stamp
         command.position = state.position
         out.publish(command)
         stamp = nanoseconds(state.header.stamp)
         if not log.count:
             log.start_cpu()
-        log.add(stamp, latest["seen"], begin, time.monotonic_ns())
+        log.add(stamp, latest["seen"], begin, time.time_ns())
     thread.join()
     log.save(options.out)
     node.destroy_node()

@@ -17,11 +17,12 @@ def main() -> None:
     """Run until SIGTERM."""
     options = arguments()
     log = Log("stamp", "seen", "begin", "end")
+    seen_ns = 0
 
     def seen(workflow: Workflow) -> list[Block]:
         def note() -> None:
             nonlocal seen_ns
-            seen_ns = time.monotonic_ns()
+            seen_ns = time.time_ns()
 
         return [Block("seen", note)]
 
@@ -29,7 +30,7 @@ def main() -> None:
         stamp = workflow.states["stamp_ns"]
 
         def note() -> None:
-            now = time.monotonic_ns()
+            now = time.time_ns()
             if stamp[()]:
                 if not log.count:
                     log.start_cpu()
@@ -38,7 +39,6 @@ def main() -> None:
 
         return [Block("sent", note, reads=("stamp_ns",))]
 
-    seen_ns = 0
     with tempfile.TemporaryDirectory() as folder:
         path, _ = write_bridged(
             Path(folder), options.joints, options.rate, options.best_effort, options.variant

@@ -1,4 +1,4 @@
-"""Process of control on local state, ROS only a mirror: the whole core, on the fake platform."""
+"""Process of control on local state, ROS only a mirror: the whole core, on memory."""
 
 from __future__ import annotations
 

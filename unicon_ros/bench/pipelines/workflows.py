@@ -39,7 +39,7 @@ def write_local(folder: Path, joints: int, rate: float, best_effort: bool) -> tu
         The workflow file and the map file.
     """
     _write_robot(folder, joints)
-    workflow = _workflow("fake", "fake: {clock: monotonic}", rate, "deadline")
+    workflow = _workflow("unicon_ros.bench.pipelines.local_platform:make", "", rate, "deadline")
     reliability = "best_effort" if best_effort else "reliable"
     mirror = f"""\
 publish:

@@ -1,0 +1,54 @@
+"""A platform whose robot is memory of this process, as a vendor's driver fills and reads it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from unicon_core.robots import Robot
+from unicon_core.states import States
+
+__all__ = ["LocalPlatform", "make"]
+
+
+class LocalPlatform:
+    """Copies a driver's arrays into the states and the targets back."""
+
+    name = "local"
+    simulated = False
+    writes = ("joint_pos", "joint_vel", "joint_effort", "stamp_ns")
+    reads = ("joint_pos_target",)
+
+    def __init__(self, states: States, robot: Robot) -> None:
+        self._stamp = states["stamp_ns"]
+        # One copy in and one out: the joint states stand back to back in the buffer.
+        n = robot.num_joints
+        first = states.offset("joint_pos")
+        self._measured = states.buffer_of(np.float32)[first : first + 3 * n]
+        self._driver_in = np.zeros(3 * n, np.float32)
+        self._target = states["joint_pos_target"]
+        self._driver_out = np.zeros(n, np.float32)
+
+    def recv(self) -> None:
+        self._stamp[...] = time.monotonic_ns()
+        self._measured[...] = self._driver_in
+
+    def send(self) -> None:
+        self._driver_out[...] = self._target
+
+    def close(self) -> None:
+        self._driver_out[...] = 0.0
+
+    def reset(self) -> None:
+        pass
+
+    def info(self) -> Mapping[str, Any]:
+        return {}
+
+
+def make(states: States, robot: Robot, period: float) -> LocalPlatform:
+    """Build the platform."""
+    return LocalPlatform(states, robot)

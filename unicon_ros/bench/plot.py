@@ -1,0 +1,47 @@
+"""A picture of a benchmark: p50 of each case as a bar, p99 as a whisker, for the documentation."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from unicon_core.errors import MissingDependencyError
+from unicon_ros.bench.report import Bench
+
+__all__ = ["plot"]
+
+
+def plot(bench: Bench, path: Path) -> None:
+    """Write the picture.
+
+    Args:
+        bench: what was measured; cases in other units than [µs] are left out.
+        path: of the PNG.
+
+    Raises:
+        MissingDependencyError: matplotlib is not installed.
+    """
+    try:
+        from matplotlib.figure import Figure
+    except ModuleNotFoundError as error:
+        raise MissingDependencyError("--plot", "matplotlib", "pip install matplotlib") from error
+    rows = {name: case for name, case in bench.cases.items() if "[" not in name}
+    if bench.name == "latency":
+        rows = {
+            name: case for name, case in rows.items() if name.endswith(("end_to_end", "mirror"))
+        }
+    figure = Figure(figsize=(9.0, 0.42 * len(rows) + 1.2), layout="constrained")
+    axes = figure.add_subplot()
+    labels = list(rows)[::-1]
+    p50 = [rows[label]["p50"] for label in labels]
+    p99 = [rows[label]["p99"] for label in labels]
+    colours = ["tab:blue" if "unicon" in label or "fused" in label else "0.65" for label in labels]
+    axes.barh(labels, p50, color=colours)
+    axes.hlines(labels, p50, p99, color="black", linewidth=1.0)
+    axes.plot(p99, labels, "|", color="black")
+    for place, value in enumerate(p50):
+        axes.annotate(f" {value:.3g}", (value, place), va="bottom", fontsize=7)
+    axes.set_xscale("log")
+    axes.set_xlabel("µs (bar: p50, whisker: p99), log scale")
+    axes.set_title(f"unicon bench {bench.name}, {bench.rounds} rounds")
+    axes.grid(axis="x", alpha=0.3)
+    figure.savefig(path, dpi=110)
