@@ -10,6 +10,8 @@ from typing import Any
 
 from unicon_core.errors import PlatformError, RobotError, UniconError, WorkflowError, alternatives
 from unicon_core.flow import Blender, Block, Deferred, Every, Node, Switch, Zip
+from unicon_core.flow.critical_path import critical_path
+from unicon_core.flow.fuse import fuse
 from unicon_core.platforms.platform import Platform
 from unicon_core.robots import Robot, load_robot, robot_names
 from unicon_core.states import Layout, States, StateSpec, standard_states
@@ -45,7 +47,9 @@ class Workflow:
         states: all states.
         period: tick period in [s].
         policies: name to policy contract.
-        root: the whole tree: recv, commands, inputs, flow, safety, send, deferred.
+        root: the whole tree: recv, commands, inputs, flow, safety, send, deferred; what the
+            command does not depend on is put off, and neighbouring copies are fused.
+        critical: the blocks that the command depends on.
         blocks: all blocks in order of building, for closing.
     """
 
@@ -57,6 +61,7 @@ class Workflow:
     policies: Mapping[str, Any]
     context: BuildContext
     root: Node = field(init=False)
+    critical: frozenset[Block] = frozenset()
     blocks: list[Block] = field(default_factory=list)
 
     @property
@@ -151,7 +156,10 @@ def _assemble(workflow: Workflow, inputs: Sequence[Hook], observers: Sequence[Ho
     platform = workflow.platform
     recv = Block("recv", platform.recv, writes=tuple(platform.writes), role="recv")
     send = Block("send", platform.send, reads=tuple(platform.reads), role="send")
-    workflow.root = Zip(recv, *commands, *before, flow, *safety, send, *after, *observed)
+    root = Zip(recv, *commands, *before, flow, *safety, send, *after, *observed)
+    path = critical_path(root)
+    workflow.critical = path.critical
+    workflow.root = fuse(path.root, workflow.states)
 
 
 def load_robot_of(document: WorkflowDocument) -> Robot:
