@@ -79,7 +79,7 @@ def test_an_unknown_workflow_is_named_with_the_known_ones(
             ["policies.walk=policies/good"],
             "policy policy.onnx needs onnxruntime: pip install 'unicon_ros[sim]'",
         ),
-        ("rclpy", "go2_stand", None, "--ros needs rclpy: "),
+        ("rclpy", "go2_stand", None, "the ROS 2 bridge needs rclpy: "),
     ],
 )
 def test_a_missing_package_is_told_with_its_install_command(

@@ -132,9 +132,10 @@ def test_deadlines_do_not_drift(path: Path) -> None:
         starts.append(time.perf_counter_ns())
         time.sleep(0.002)  # a loop that sleeps a period after its work would lose 20 %
 
-    workflow = load_workflow(path, ["flow.chain.1.hold.duration=0.4"], observers=[observer(note)])
-    Runner(workflow).run()
-    assert (starts[-1] - starts[0]) / 1e7 == pytest.approx(len(starts) - 1, rel=0.05)
+    # catch_up: where another process holds the core for a while, no tick is left out.
+    overrides = ["flow.chain.1.hold.duration=0.6", "pacing.overrun=catch_up"]
+    Runner(load_workflow(path, overrides, observers=[observer(note)])).run()
+    assert (starts[-1] - starts[0]) / 1e7 == pytest.approx(len(starts) - 1, rel=0.1)
 
 
 def test_the_trace_opens_as_chrome_trace_events(path: Path, tmp_path: Path) -> None:
