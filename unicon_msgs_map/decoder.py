@@ -123,10 +123,14 @@ class Decoder:
             Whether the message was accepted. If not, nothing was written, `rejected` counts it
             and `last_error` describes it. Never raises on any bytes.
         """
-        if self._fast(raw):
-            self.received += 1
-            return True
-        return self._decode(raw)
+        try:
+            if self._fast(raw):
+                self.received += 1
+                return True
+        except FloatingPointError:  # somebody's np.seterr: a subnormal in a cast, nothing wrong
+            pass
+        with np.errstate(all="ignore"):
+            return self._decode(raw)
 
     def zero(self) -> None:
         """Set every element that this decoder writes to zero, time stamps excepted."""

@@ -5,8 +5,8 @@ True when it wrote the states, None when the structure differs (walk again), and
 value needs the careful path. It never writes before every check has passed.
 
 Measured (NumPy 2.4, Python 3.11, one warm core): one `take` of all joints of a JointState 160 ns,
-the finiteness test by a dot product of them with themselves 150 ns (`isfinite().all()`: 1000 ns),
-one strided cast-copy into three adjacent states 130 ns.
+the finiteness test on their bits 250 ns (`isfinite().all()`: 1000 ns), one strided cast-copy into
+three adjacent states 130 ns.
 """
 
 from __future__ import annotations
@@ -236,12 +236,7 @@ class _Fast:
             self.space[f"flat{number}"] = flat
             self.work.append(f"read{number}[...] = flat{number}[index{number}]")
         if wire.kind == "f":
-            limit = self._square_limit(runs, wire)
-            if limit is not None:
-                self.space |= {f"square{number}": read.dot, f"limit{number}": limit}
-                self.work.append(
-                    f"if not square{number}(read{number}) < limit{number}: return False"
-                )
+            self._bounded(number, read, self._bound(runs, wire))
         result, name = read, f"read{number}"
         if any(run.target and run.target.conversion for run in runs):
             result = self._convert(number, runs)
@@ -307,24 +302,45 @@ class _Fast:
         stage: AnyArray = known
         return stage
 
-    def _square_limit(self, runs: list[Run], wire: np.dtype[Any]) -> float | None:
-        """Return a bound on the sum of squares below which every value is acceptable.
+    def _bounded(self, number: int, read: AnyArray, bound: float | None) -> None:
+        """Send a payload to the careful path if any number read is larger, infinite or NaN.
 
-        None where any value is. Sums beyond the bound go to the careful path, which decides.
+        Compared as integers without their sign bit, which order like the floats do: exact, and
+        no floating point flag can be raised (a dot product would warn of overflows).
         """
+        if bound is None:
+            return
+        integer = np.dtype(f"i{read.dtype.itemsize}")
+        bits = read.view(integer)
+        sizes = np.zeros_like(bits)
+        self.space |= {
+            "bitwise_and": np.bitwise_and,
+            f"bits{number}": bits,
+            f"sizes{number}": sizes,
+            f"size_of{number}": sizes.item,
+            f"largest{number}": sizes.argmax,
+            f"unsigned{number}": np.full_like(bits, np.iinfo(integer).max),
+            f"limit{number}": int(np.array(bound, read.dtype).view(integer)),
+        }
+        self.work += [
+            f"bitwise_and(bits{number}, unsigned{number}, sizes{number})",
+            f"if size_of{number}(largest{number}()) > limit{number}: return False",
+        ]
+
+    def _bound(self, runs: list[Run], wire: np.dtype[Any]) -> float | None:
+        """Return the size up to which every number is acceptable; None where any is."""
         bound = math.inf
         for run in runs:
             assert run.target is not None
             pair, single = run.target.conversion, run.flat.dtype == np.float32
             if not self.reject and pair is None and not (single and wire.itemsize == 8):
                 continue
-            scale = max(float(np.abs(pair[0]).max()), 1e-300) if pair else 1.0
-            summand = float(np.abs(pair[1]).max()) if pair else 0.0
-            largest = (SINGLE_MAX if single else 1e150) / 2
-            bound = min(bound, max(largest - summand, 0.0) / scale)
-        if bound == math.inf:
-            return None
-        return min(bound, 1e15 if wire.itemsize == 4 else 1e150) ** 2
+            largest = SINGLE_MAX if single or wire.itemsize == 4 else DOUBLE_MAX
+            if pair is not None:  # with room for rounding; beyond it the careful path decides
+                scale = max(float(np.abs(pair[0]).max()), 1.0)
+                largest = max(largest / 2 - float(np.abs(pair[1]).max()), 0.0) / scale
+            bound = min(bound, largest)
+        return None if bound == math.inf else bound
 
 
 def _plain(run: Run) -> bool:

@@ -171,8 +171,8 @@ class _Walker:
             for number in want.ends:
                 self.found.texts.setdefault(number, []).append(text)
             self.found.hard.append((at, end))
-        else:
-            self.found.hard.append((at, at + 4))
+        else:  # nobody reads the text; its length and its terminator must stay
+            self.found.hard += [(at, start), (max(start, end - 1), end)]
         return end
 
     def array(self, kind: Array, at: int, want: Want | None) -> int:
