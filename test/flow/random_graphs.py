@@ -102,6 +102,7 @@ class World:
             tick,
             reset=reset if resets else None,
             dry_run=(lambda: log.append(("dry", i))) if dry else None,
+            endless=not any(script),
             inline="run() is True" if inline else "",
             inline_names={"run": tick} if inline else {},
         )

@@ -1,7 +1,11 @@
 """Flow: blocks composed by zip, chain and loop, checked and compiled, for workflow authors."""
 
 from unicon_core.flow.block import Access, Amends, Block, Reads, Tick, Writes, as_block
+from unicon_core.flow.checks import Finding, check_graph, raise_first
 from unicon_core.flow.compiler import CompiledGraph, compile_graph
+from unicon_core.flow.critical_path import CriticalPath, critical_path
+from unicon_core.flow.fuse import fuse
+from unicon_core.flow.linear import LinearMap
 from unicon_core.flow.nodes import (
     Blender,
     Chain,
@@ -24,8 +28,11 @@ __all__ = [
     "Block",
     "Chain",
     "CompiledGraph",
+    "CriticalPath",
     "Deferred",
     "Every",
+    "Finding",
+    "LinearMap",
     "Loop",
     "Node",
     "Reads",
@@ -37,6 +44,10 @@ __all__ = [
     "as_block",
     "as_node",
     "blocks_of",
+    "check_graph",
     "children_of",
     "compile_graph",
+    "critical_path",
+    "fuse",
+    "raise_first",
 ]

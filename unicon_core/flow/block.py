@@ -55,7 +55,8 @@ class Block:
         close: called once at the end, in reverse order of building, or None.
         role: what the graph check needs to know: `recv`, `send`, `safety` or nothing.
         where: `file:line` of its declaration, for messages.
-        endless: True where the block can never be done; the graph check relies on it.
+        endless: True where the block can never be done; what it returns is not even looked at.
+        expects: what it needs states to be: name to `shape`, `dtype`, `unit` or `frame`.
         linear: what it does where that is a copy or a linear index map, or None; neighbours are
             then fused into one operation.
         inline: Python expression with names in `inline_names`, which the compiler puts in the
@@ -73,6 +74,7 @@ class Block:
     role: Role = ""
     where: str = ""
     endless: bool = False
+    expects: dict[str, dict[str, Any]] = field(default_factory=dict)
     linear: LinearMap | None = None
     inline: str = ""
     inline_names: dict[str, Any] = field(default_factory=dict)
@@ -85,7 +87,8 @@ def as_block(candidate: Any, *, name: str = "", where: str = "") -> Block:
     """Wrap what a factory returned, or any callable, as a Block.
 
     Attributes `reads`, `writes`, `amends`, `reset`, `close`, `dry_run`, `role`, `endless`,
-    `linear` and `name` of the callable are taken over where it has them.
+    `expects`, `linear` and `name` of the callable are taken over where it has them. A callable
+    annotated to return None is endless.
 
     Raises:
         WorkflowError: it cannot be called without arguments.
@@ -117,6 +120,17 @@ def as_block(candidate: Any, *, name: str = "", where: str = "") -> Block:
         dry_run=getattr(candidate, "dry_run", None),
         role=getattr(candidate, "role", ""),
         where=where,
-        endless=bool(getattr(candidate, "endless", False)) or linear is not None,
+        endless=bool(getattr(candidate, "endless", linear is not None or _never_done(candidate))),
+        expects=dict(getattr(candidate, "expects", None) or {}),
         linear=linear,
     )
+
+
+def _never_done(candidate: Any) -> bool:
+    """Return True where a callable is annotated to return None."""
+    missing = object()
+    for function in (candidate, type(candidate).__call__):
+        told = getattr(function, "__annotations__", {}).get("return", missing)
+        if told is not missing:
+            return told is None or told == "None"
+    return False

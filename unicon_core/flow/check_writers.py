@@ -1,0 +1,64 @@
+"""Two writers: a state that two blocks write in the same tick, where the last one wins unseen."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from unicon_core.flow.block import Block
+from unicon_core.flow.finding import Finding
+from unicon_core.flow.nodes import Chain, Node, Switch, When, children_of
+
+__all__ = ["two_writers"]
+
+
+class _Writer(NamedTuple):
+    block: Block
+    conditional: bool  # below a When: it may be meant to exclude another When
+
+
+def two_writers(root: Node) -> list[Finding]:
+    """Find states with two writers in one tick.
+
+    Children of a chain and cases of a switch exclude each other. Of two blocks below two `when`
+    nobody can tell. A block that amends is no writer, and a block is no second writer to itself.
+    """
+    found: dict[tuple[str, str, str], Finding] = {}
+
+    def clash(one: dict[str, list[_Writer]], other: dict[str, list[_Writer]]) -> None:
+        for name in one.keys() & other.keys():
+            for first in one[name]:
+                for second in other[name]:
+                    if first.block is second.block or (first.conditional and second.conditional):
+                        continue
+                    key = (name, first.block.name, second.block.name)
+                    found[key] = Finding(
+                        f"block {second.block.name!r}",
+                        f"writes {name!r} in the same tick as {first.block.name!r}",
+                        "a state has one writer: remove one, declare the second as one that "
+                        "amends, or let a chain or switch choose",
+                        second.block.where,
+                    )
+
+    def walk(node: Node, conditional: bool) -> dict[str, list[_Writer]]:
+        if isinstance(node, Block):
+            return {name: [_Writer(node, conditional)] for name in node.writes}
+        together: dict[str, list[_Writer]] = {}
+        for child in children_of(node):
+            below = isinstance(node, When) and child is node.child
+            here = walk(child, conditional or below)
+            if isinstance(node, Switch):
+                clash(
+                    {name: _of(node.selector, writers) for name, writers in together.items()}, here
+                )
+            elif not isinstance(node, Chain):
+                clash(together, here)
+            for name, writers in here.items():
+                together.setdefault(name, []).extend(writers)
+        return together
+
+    walk(root, False)
+    return [found[key] for key in sorted(found)]
+
+
+def _of(block: Block, writers: list[_Writer]) -> list[_Writer]:
+    return [writer for writer in writers if writer.block is block]

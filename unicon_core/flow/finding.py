@@ -1,0 +1,32 @@
+"""Finding: one thing that is wrong with a graph, in the order in which a reader needs it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+__all__ = ["Finding"]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One finding.
+
+    Attributes:
+        culprit: what is wrong (`block 'policy'`, `loop`).
+        evidence: what shows it.
+        remedy: what to do.
+        where: `file:line` of the culprit, or "".
+    """
+
+    culprit: str
+    evidence: str
+    remedy: str
+    where: str = ""
+
+    @property
+    def text(self) -> str:
+        """The line to print, without the place."""
+        return f"{self.culprit} {self.evidence}; {self.remedy}"
+
+    def __str__(self) -> str:
+        return f"{self.where}: {self.text}" if self.where else self.text
