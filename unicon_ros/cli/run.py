@@ -39,6 +39,7 @@ def add(commands: Any) -> None:
     parser.add_argument("--record", metavar="FILE.mcap", help="record the states' messages")
     parser.add_argument("--trace", metavar="FILE.json", help="write every block of every tick")
     parser.add_argument("--report", metavar="FILE.json", help="write the report")
+    parser.add_argument("--picture", metavar="FILE.png", help="draw path, velocities and joints")
     parser.add_argument("--view", action="store_true", help="open the simulator's viewer")
     parser.add_argument("--quiet", action="store_true", help="no status line and no block table")
     parser.add_argument(
@@ -61,6 +62,7 @@ def run(arguments: argparse.Namespace) -> int:
     observers: list[Hook] = []
     with_ros = document.get("ros", bool, False) if arguments.ros is None else arguments.ros
     session: Any = None
+    picture: Any = None
     if with_ros:
         from unicon_ros.bridge import RosSession
 
@@ -80,6 +82,11 @@ def run(arguments: argparse.Namespace) -> int:
             observers.append(
                 recorder_hook(arguments.record, arguments.map or document.get("map", str))
             )
+        if arguments.picture:
+            from unicon_ros.picture import Picture
+
+            picture = Picture(arguments.picture)
+            observers.append(picture.hook)
         if arguments.view:
             observers.append(_viewer)
         workflow = build_workflow(document, inputs=inputs, observers=observers)
@@ -102,7 +109,11 @@ def run(arguments: argparse.Namespace) -> int:
     finally:
         if session is not None:
             session.close()
-    return _tell(arguments, report, runner)
+    status = _tell(arguments, report, runner)
+    if picture is not None:
+        picture.draw(f"{report.workflow} on {report.robot} ({report.platform})")
+        print(f"picture       {arguments.picture}")
+    return status
 
 
 def _viewer(workflow: Workflow) -> list[Block]:

@@ -1,0 +1,63 @@
+"""`unicon run --picture` and `--record`: files that others can open."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from unicon_ros.cli.main import main
+
+RUN = ["run", "go2_stand", "--no-ros", "--speed", "max", "--duration", "1.0", "--quiet"]
+FAKE = ["--set", "platform=fake"]
+
+
+def test_the_picture_is_a_png(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    picture = tmp_path / "new" / "run.png"
+    assert main([*RUN, *FAKE, "--picture", str(picture)]) == 0
+    assert picture.read_bytes().startswith(b"\x89PNG\r\n")
+    assert picture.stat().st_size > 20_000
+
+
+def test_without_matplotlib_the_run_does_not_begin(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    assert main([*RUN, *FAKE, "--picture", str(tmp_path / "run.png")]) == 1
+    assert "--picture needs matplotlib: pip install matplotlib" in capsys.readouterr().err
+
+
+def test_a_recording_holds_what_the_map_publishes(tmp_path: Path) -> None:
+    pytest.importorskip("rosbags")
+    from rosbags.highlevel import AnyReader
+
+    file = tmp_path / "run.mcap"
+    assert main([*RUN, "--record", str(file)]) == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["run.mcap"]
+    with AnyReader([file]) as reader:
+        counts = {connection.topic: connection.msgcount for connection in reader.connections}
+        assert counts["/joint_states"] == 50
+        assert counts["/clock"] == 50
+        connections = [c for c in reader.connections if c.topic == "/joint_states"]
+        stamps, names = [], set()
+        for connection, stamp, raw in reader.messages(connections):
+            message = reader.deserialize(raw, connection.msgtype)
+            assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == stamp
+            stamps.append(stamp)
+            names.add(tuple(message.name))
+    assert stamps == [20_000_000 * i for i in range(50)]
+    assert len(names) == 1
+    assert names.pop()[0] == "FR_hip_joint"
+
+
+def test_a_recording_is_never_overwritten(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("rosbags")
+    file = tmp_path / "run.mcap"
+    file.write_bytes(b"precious")
+    assert main([*RUN, *FAKE, "--record", str(file)]) == 1
+    assert f"recording {file} exists; move it away" in capsys.readouterr().err
+    assert file.read_bytes() == b"precious"
