@@ -9,12 +9,14 @@ from __future__ import annotations
 import importlib
 import os
 import platform
+import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
 from unicon_core.errors import MissingDependencyError, UniconError
 
 __all__ = [
+    "Responses",
     "ReusedWaitSet",
     "event_callbacks",
     "import_rclpy",
@@ -176,6 +178,71 @@ def serve_one(executor: Any) -> Callable[[], bool]:
 
 def _never() -> bool:
     return False
+
+
+class Responses:
+    """Keeps a service's response back until its client can hear it.
+
+    rmw_fastrtps blocks `send_response` for up to 100 ms while the client's reader is not matched
+    yet (`failed to send response (timeout)`): a client that calls too early would delay a tick.
+    Every service has as many readers of replies as writers of requests once all clients are known;
+    a middleware with other topic names shows none of both, and nothing is kept back.
+    """
+
+    PATIENCE_NS = 500_000_000
+
+    def __init__(self) -> None:
+        self._wrapped: dict[int, Any] = {}
+        self._kept: list[tuple[int, Callable[[], bool], Callable[[], object]]] = []
+
+    def watch(self, node: Any) -> None:
+        """Wrap the services of a node that are not wrapped yet."""
+        for service in node.services:
+            if id(service) not in self._wrapped:
+                self._wrapped[id(service)] = service
+                self._wrap(node, service)
+
+    def _wrap(self, node: Any, service: Any) -> None:
+        send = service.send_response
+        name = _service_name(node, service)
+
+        def all_known() -> bool:
+            try:
+                replies = node.get_subscriptions_info_by_topic(f"rr{name}Reply", no_mangle=True)
+                requests = node.get_publishers_info_by_topic(f"rq{name}Request", no_mangle=True)
+            except Exception:  # a middleware without these names
+                return True
+            return len(replies) >= len(requests)
+
+        def send_response(response: Any, header: Any) -> None:
+            if all_known():
+                send(response, header)
+            else:
+                late = time.perf_counter_ns() + self.PATIENCE_NS
+                self._kept.append((late, all_known, lambda: send(response, header)))
+
+        service.send_response = send_response
+
+    def release(self) -> None:
+        """Let services answer by themselves again: no ticks are in the way any more."""
+        self.retry()
+        for service in self._wrapped.values():
+            service.__dict__.pop("send_response", None)
+        self._wrapped = {}
+
+    def retry(self) -> None:
+        """Send what can be heard by now; what is kept for too long goes nowhere and is dropped."""
+        kept, self._kept = self._kept, []
+        for late, all_known, send in kept:
+            if all_known():
+                send()
+            elif time.perf_counter_ns() < late:
+                self._kept.append((late, all_known, send))
+
+
+def _service_name(node: Any, service: Any) -> str:
+    name = getattr(service, "service_name", None) or service.srv_name
+    return name if name.startswith("/") else str(node.resolve_service_name(name))
 
 
 class ReusedWaitSet:

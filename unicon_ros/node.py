@@ -127,6 +127,7 @@ class UniconNode(LifecycleNode):
             self._running = False
             self.diagnostics.runner = None
             session.controls.runner = None
+            session.slack.rest()
         self._ending |= runner.interrupted
         if report.faults:
             self.fault = self.diagnostics.fault = report.faults[0]

@@ -56,6 +56,7 @@ class SlackServer:
         """Serve this executor from now on; None for none."""
         self._executor = executor
         self._serve = _nothing if executor is None else compat.serve_one(executor)
+        self.responses = compat.Responses()
 
     def __call__(self) -> None:
         now = time.perf_counter_ns()
@@ -66,7 +67,8 @@ class SlackServer:
         due = 0 if runner is None else runner.next_due_ns
         until = 1 << 62
         if due and runner is not None:
-            until = due - round(self._cost_ns)
+            period = runner.period_ns
+            until = due - round(min(self._cost_ns, 0.25 * period))
             if waited < PATIENCE_NS:
                 until -= round(1e3 * (runner.pacing.dry_run_us + runner.pacing.spin_us))
             if now >= until:
@@ -77,8 +79,11 @@ class SlackServer:
 
     def _look(self, now: int, until: int) -> None:
         self._last_ns = now
-        if self._dead:
+        if self._dead or self._executor is None:
             return
+        for node in self._executor.get_nodes():
+            self.responses.watch(node)
+        self.responses.retry()
         for _ in range(ROUNDS):
             began = now
             try:
@@ -102,6 +107,10 @@ class SlackServer:
             self._warn("the ROS context was shut down; services and parameters are served no more")
         else:
             self._warn(f"a ROS callback failed: {type(error).__name__}: {error}")
+
+    def rest(self) -> None:
+        """Ticks have ended: what answers from now on may block."""
+        self.responses.release()
 
     def spin(self, timeout: float) -> None:
         """Serve one callback, waiting up to `timeout` in [s]: while ticks are paused."""

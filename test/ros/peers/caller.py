@@ -1,0 +1,79 @@
+"""A plain rclpy process: calls services and sets parameters of a node, one after the other.
+
+Nothing of unicon is imported. Usage: caller.py NODE WORD...   where WORD is a Trigger service
+(estop), a lifecycle transition (+configure), a parameter (max_vx=0.5), `wait=SECONDS`, or
+`flood=SERVICE,SECONDS`. Prints one JSON line for each.
+"""
+
+import json
+import sys
+import time
+
+import rclpy
+from lifecycle_msgs.srv import ChangeState, GetState
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
+from std_srvs.srv import Trigger
+
+
+def main() -> None:
+    rclpy.init()
+    node = rclpy.create_node("caller")
+    target = sys.argv[1]
+
+    def call(kind: type, name: str, request: object) -> object:
+        client = node.create_client(kind, f"{target}/{name}")
+        if not client.wait_for_service(timeout_sec=10.0):
+            raise SystemExit(f"no service {target}/{name}")
+        future = client.call_async(request)
+        rclpy.spin_until_future_complete(node, future, timeout_sec=10.0)
+        node.destroy_client(client)
+        if future.result() is None:
+            raise SystemExit(f"{target}/{name} did not answer")
+        return future.result()
+
+    def flood(name: str, seconds: float) -> None:
+        client = node.create_client(Trigger, f"{target}/{name}")
+        client.wait_for_service(timeout_sec=10.0)
+        end, sent = time.monotonic() + seconds, 0
+        while time.monotonic() < end:
+            client.call_async(Trigger.Request())
+            sent += 1
+            time.sleep(0.0005)
+        print(json.dumps({"word": "flood", "sent": sent}), flush=True)
+
+    for word in sys.argv[2:]:
+        if word.startswith("wait="):
+            time.sleep(float(word.partition("=")[2]))
+            continue
+        if word.startswith("flood="):
+            name, seconds = word.partition("=")[2].split(",")
+            flood(name, float(seconds))
+            continue
+        begin = time.monotonic()
+        if word.startswith("+"):
+            request = ChangeState.Request()
+            request.transition.label = word[1:]
+            answer = {"success": call(ChangeState, "change_state", request).success}
+            state = call(GetState, "get_state", GetState.Request()).current_state.label
+            answer["state"] = state
+        elif word == "?":
+            state = call(GetState, "get_state", GetState.Request()).current_state.label
+            answer = {"state": state}
+        elif "=" in word:
+            name, value = word.split("=")
+            request = SetParameters.Request()
+            parsed = float(value) if value.replace(".", "").lstrip("-").isdigit() else value
+            request.parameters = [Parameter(name, value=parsed).to_parameter_msg()]
+            result = call(SetParameters, "set_parameters", request).results[0]
+            answer = {"success": result.successful, "message": result.reason}
+        else:
+            done = call(Trigger, word, Trigger.Request())
+            answer = {"success": done.success, "message": done.message}
+        answer |= {"word": word, "seconds": time.monotonic() - begin}
+        print(json.dumps(answer), flush=True)
+    node.destroy_node()
+    rclpy.try_shutdown()
+
+
+main()

@@ -1,0 +1,320 @@
+"""The bridge's session: names, latched topics, time-outs, fall-backs, diagnostics, services."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import rclpy
+from geometry_msgs.msg import Twist
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+from ros_helpers import wait_for
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+
+from unicon_core.errors import MissingDependencyError, UniconError
+from unicon_core.workflow import load_workflow
+from unicon_ros import compat
+from unicon_ros.bridge import RosSession
+
+pytestmark = [pytest.mark.ros, pytest.mark.timeout(60)]
+
+
+@pytest.fixture
+def plain() -> Any:
+    """A plain rclpy node of another context, in namespace /peer."""
+    context = Context()
+    rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
+    node = Node("plain", context=context)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    node.spin_until = lambda ready, what="": _spin_until(executor, ready, what)  # type: ignore[attr-defined]
+    yield node
+    executor.shutdown()
+    node.destroy_node()
+    rclpy.try_shutdown(context=context)
+
+
+def _spin_until(executor: Any, ready: Callable[[], bool], what: str) -> None:
+    def spun() -> bool:
+        executor.spin_once(0.02)
+        return ready()
+
+    wait_for(spun, what)
+
+
+def test_namespace_and_remaps_apply_to_relative_names_only(
+    runs: Callable[..., Any], react: Path, plain: Any
+) -> None:
+    run = runs(react, namespace="robot1", ros_args=["-r", "joint_states:=js", "-r", "__node:=two"])
+    topics = set(run.session.counts()["topics"])
+    assert topics == {"/robot1/js", "/robot1/imu/data", "/robot1/odom", "/clock", "/robot1/cmd_vel"}
+    assert run.session.node.get_fully_qualified_name() == "/robot1/two"
+    heard: list[Any] = []
+    plain.create_subscription(JointState, "/robot1/js", heard.append, 10)
+    plain.spin_until(lambda: heard, "/robot1/js")
+
+
+def test_a_topic_rules_from_its_first_message_and_is_zero_after_its_time_out(
+    runs: Callable[..., Any], react: Path, plain: Any
+) -> None:
+    run = runs(react)
+    seen: list[tuple[float, ...]] = []
+    command = run.workflow.states.velocity_command
+    publisher = plain.create_publisher(Twist, "cmd_vel", 10)
+    plain.spin_until(lambda: publisher.get_subscription_count() == 1, "the bridge's subscription")
+    script = (float(np.float32(0.1)), 0.0, 0.0)
+    assert tuple(command.tolist()) == script  # nothing was heard yet
+    message = Twist()
+    message.linear.y = -0.25
+    publisher.publish(message)
+    hips = run.workflow.states.joint_pos_target
+
+    def note() -> bool:
+        seen.append(tuple(command.tolist()))
+        return run.session.incoming[0].stale
+
+    plain.spin_until(note, "the time-out")
+    assert (0.0, -0.25, 0.0) in seen
+    first = seen.index((0.0, -0.25, 0.0))
+    # The script writes 0.1 in every tick; a reader between two blocks may see it, the flow may not.
+    default = run.workflow.robot.default_joint_pos
+    assert run.session.incoming[0].received == 1
+    plain.spin_until(lambda: np.allclose(hips, default, atol=1e-6), "the flow to see zeros")
+    allowed = {(0.0, -0.25, 0.0), (0.0, 0.0, 0.0), script}
+    assert set(seen[first:]) <= allowed
+
+
+def test_the_queue_is_drained_to_the_latest_message(react: Path, plain: Any) -> None:
+    session = RosSession()
+    workflow = load_workflow(react, inputs=[session.inputs], observers=[session.observers])
+    (block,) = [b for b in workflow.blocks if b.name == "ros inputs"]
+    publisher = plain.create_publisher(Twist, "cmd_vel", 10)
+    plain.spin_until(lambda: publisher.get_subscription_count() == 1, "the bridge's subscription")
+    topic = session.incoming[0]
+    plain.spin_until(lambda: topic.subscription.get_publisher_count() == 1, "the other way")
+    for i in range(5):
+        message = Twist()
+        message.linear.x = float(i)
+        publisher.publish(message)
+
+    def latest() -> bool:
+        block.tick()
+        return bool(workflow.states.velocity_command[0] == 4.0)
+
+    plain.spin_until(latest, "the latest message")
+    assert topic.received == 5
+    assert topic.dropped > 0
+    workflow.close()
+    session.close()
+
+
+def test_a_late_joiner_gets_the_robot_description(
+    runs: Callable[..., Any], sway: Path, plain: Any
+) -> None:
+    run = runs(sway)
+    heard: list[String] = []
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    plain.create_subscription(String, "robot_description", heard.append, latched)
+    plain.spin_until(lambda: heard, "robot_description")
+    assert heard[0].data.startswith("<?xml")
+    for name in run.workflow.robot.joint_names:
+        assert f'<joint name="{name}" type="revolute">' in heard[0].data
+
+
+@pytest.mark.parametrize("missing", ["take", "publish", "executor"])
+def test_without_rclpys_private_names_the_public_ones_do(
+    runs: Callable[..., Any],
+    react: Path,
+    plain: Any,
+    missing: str,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    if missing == "take":
+        monkeypatch.setattr(compat, "raw_take", lambda s: (None, lambda: None))
+    elif missing == "publish":
+        monkeypatch.setattr(compat, "raw_publish", lambda p: (p.publish, lambda: None))
+    else:
+        real = compat.serve_one
+
+        class Hidden:
+            def __init__(self, executor: Any) -> None:
+                self.spin_once = executor.spin_once
+
+        monkeypatch.setattr(compat, "serve_one", lambda executor: real(Hidden(executor)))
+    run = runs(react)
+    heard: list[JointState] = []
+    plain.create_subscription(JointState, "joint_states", heard.append, 10)
+    publisher = plain.create_publisher(Twist, "cmd_vel", 10)
+    message = Twist()
+    message.linear.x = 0.5
+
+    def answered() -> bool:
+        publisher.publish(message)
+        hip = run.workflow.robot.joint_names.index("FL_hip_joint")
+        return any(abs(m.position[hip] - 0.6) < 1e-6 for m in heard)
+
+    plain.spin_until(answered, "the command to come back as a joint position")
+    assert run.session.incoming[0].polled is (missing != "take")
+
+
+def test_the_guards_find_no_private_names_on_other_objects() -> None:
+    class Other:
+        def publish(self, data: bytes) -> None:
+            self.data = data
+
+    publisher = Other()
+    publish, release = compat.raw_publish(publisher)
+    publish(b"x")
+    release()
+    assert publisher.data == b"x"
+    assert compat.raw_take(Other())[0] is None
+
+
+def test_an_incompatible_peer_is_named_once(
+    runs: Callable[..., Any], react: Path, tmp_path: Path, plain: Any
+) -> None:
+    path = tmp_path / "best.yaml"
+    path.write_text(
+        "publish:\n"
+        "  - {topic: joint_states, type: sensor_msgs/msg/JointState,\n"
+        "     qos: {reliability: best_effort}, fields: {position: joint_pos}}\n"
+    )
+    run = runs(react, map=path)
+    wants = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
+    plain.create_subscription(JointState, "joint_states", lambda m: None, wants)
+    plain.spin_until(lambda: any("incompatible" in w for w in run.warnings), "the diagnostic")
+    told = [w for w in run.warnings if "incompatible" in w]
+    assert told == [
+        "topic joint_states: a subscription has an incompatible reliability (ours: best_effort), "
+        "so nothing passes between us; set qos.reliability of the topic in the message map, "
+        "or the peer's"
+    ]
+
+
+def test_malformed_bytes_are_refused_and_told_once(
+    runs: Callable[..., Any], react: Path, plain: Any
+) -> None:
+    run = runs(react)
+    publisher = plain.create_publisher(Twist, "cmd_vel", 10)
+    plain.spin_until(lambda: publisher.get_subscription_count() == 1, "the bridge's subscription")
+    topic = run.session.incoming[0]
+
+    def refused() -> bool:
+        publisher.publish(b"\x00\x01\x00\x00garbage")
+        return topic.rejected > 2
+
+    plain.spin_until(refused, "refused messages")
+    assert len([w for w in run.warnings if "refused" in w]) == 1
+    assert not topic.heard
+    assert run.alive
+
+
+def test_services_pause_step_reset_go_on_and_stop_a_simulator(
+    runs: Callable[..., Any], peers: Callable[..., Any], sway: Path
+) -> None:
+    run = runs(sway)
+    words = ["pause", "step", "step", "start", "start", "reset", "stop"]
+    peer = peers("caller", "unicon", *words)
+    status, errors = peer.end()
+    assert status == 0, errors
+    answers = {(i, line["word"]): line["success"] for i, line in enumerate(peer.lines)}
+    expected = [True, True, True, True, False, True, True]
+    assert list(answers.values()) == expected, peer.lines
+    peer.wait_for(lambda: not run.alive, "the end of the run")
+    assert run.report.faults == []
+
+
+def test_an_emergency_stop_is_a_fault_before_anything_else_is_sent(
+    runs: Callable[..., Any], peers: Callable[..., Any], react: Path
+) -> None:
+    run = runs(react)
+    assert peers("caller", "unicon", "estop").end()[0] == 0
+    peers("caller").wait_for(lambda: not run.alive, "the end of the run")
+    assert run.report.faults == ["emergency stop by the service ~/estop"]
+
+
+def test_an_emergency_stop_gets_through_a_flood_of_other_services(
+    runs: Callable[..., Any], peers: Callable[..., Any], react: Path
+) -> None:
+    run = runs(react)
+    flood = peers("caller", "unicon", "flood=reset,4")
+    flood.wait_for(lambda: run.session.slack.served > 20, "the flood")
+    assert peers("caller", "unicon", "estop").end()[0] == 0
+    flood.wait_for(lambda: not run.alive, "the end of the run")
+    assert run.report.faults == ["emergency stop by the service ~/estop"]
+
+
+BAD_MAPS = {
+    "publish: [{topic: x, type: no_msgs/msg/None, fields: {a: joint_pos}}]": "no_msgs/msg/None",
+    "publish: [{topic: x, type: std_msgs/msg/Float32, fields: {data: nonsense}}]": "'nonsense'",
+    "publish: [{topic: 'a//b', type: std_msgs/msg/Int64, fields: {data: tick}}]": "refused by ROS",
+    "subscribe: [{topic: x, type: sensor_msgs/msg/JointState, "
+    "fields: {name: $joint_names, position: joint_pos}}]": "which platform 'fake' writes",
+}
+
+
+@pytest.mark.parametrize("text", BAD_MAPS)
+def test_a_wrong_map_is_one_line_that_names_the_culprit(
+    react: Path, tmp_path: Path, text: str
+) -> None:
+    path = tmp_path / "bad.yaml"
+    path.write_text(text)
+
+    def load() -> None:
+        session = RosSession(map=path)
+        try:
+            load_workflow(react, inputs=[session.inputs], observers=[session.observers])
+        finally:
+            session.close()
+
+    with pytest.raises(UniconError) as caught:
+        load()
+    assert BAD_MAPS[text] in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_an_unknown_map_lists_the_known_ones() -> None:
+    with pytest.raises(UniconError, match=r"unknown map 'nope'.*default"):
+        RosSession(map="nope")
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"namespace": "1 2"}, {"node_name": "a b"}, {"ros_args": ["-r", "x"]}],
+    ids=["namespace", "node", "argument"],
+)
+def test_wrong_names_and_arguments_are_one_line(wrong: dict[str, Any]) -> None:
+    with pytest.raises(
+        UniconError, match="correct the name, the namespace or --ros-args"
+    ) as caught:
+        RosSession(**wrong)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_missing_rclpy_names_the_command_that_installs_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def absent(name: str) -> Any:
+        raise ImportError(name)
+
+    monkeypatch.setattr(compat.importlib, "import_module", absent)
+    with pytest.raises(MissingDependencyError, match=r"needs rclpy: source /opt/ros/<distro>"):
+        RosSession()
+
+
+def test_counts_can_be_written_as_json(react: Path) -> None:
+    session = RosSession()
+    workflow = load_workflow(react, inputs=[session.inputs], observers=[session.observers])
+    assert json.loads(json.dumps(session.counts()))["published"] == 0
+    workflow.close()
+    session.close()
+    session.close()
