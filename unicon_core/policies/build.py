@@ -353,7 +353,7 @@ class _Check:
         for name, value in self.mapping(where, self.values.get("command_ranges") or {}).items():
             pair = self.clip((*where, name), value, 1)
             if pair is not None:
-                result[str(name)] = (float(value[0]), float(value[1]))
+                result[str(name)] = (float(pair[0, 0]), float(pair[1, 0]))
         return result
 
     def phase(self) -> PhaseSpec | None:

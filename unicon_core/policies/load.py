@@ -248,9 +248,11 @@ def _name_of(path: Path) -> str:
 def _name_tensors(facts: Facts, onnx: OnnxFile) -> None:
     """Fill in the names of inputs and outputs where there is no choice; else they are asked for."""
     values = facts.values
-    recurrent = [pair for pair in values.get("recurrent") or [] if isinstance(pair, Mapping)]
-    fed_back = {pair.get("input") for pair in recurrent}
-    kept = {pair.get("output") for pair in recurrent}
+    pairs = values.get("recurrent")
+    listed = pairs if isinstance(pairs, (list, tuple)) else []
+    recurrent = [pair for pair in listed if isinstance(pair, Mapping)]
+    fed_back = {str(pair.get("input")) for pair in recurrent}
+    kept = {str(pair.get("output")) for pair in recurrent}
     for key, canonical, tensors, skip in (
         ("inputs", "observation", onnx.inputs, fed_back),
         ("outputs", "action", onnx.outputs, kept),
@@ -261,8 +263,8 @@ def _name_tensors(facts: Facts, onnx: OnnxFile) -> None:
         if len(free) == 1:
             values[key] = {canonical: free[0].name}
         else:
-            listed = ", ".join(str(tensor) for tensor in free) or "none"
-            facts.asks[key] = f"it has {listed}"
+            choice = ", ".join(str(tensor) for tensor in free) or "none"
+            facts.asks[key] = f"it has {choice}"
 
 
 def _check_model(facts: Facts, contract: PolicyContract) -> None:

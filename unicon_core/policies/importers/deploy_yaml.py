@@ -147,6 +147,8 @@ class _Deploy:
             )
         where: Where = ("actions", "JointPositionAction")
         action = actions["JointPositionAction"]
+        if not isinstance(action, Mapping):
+            raise self.fail(where, f"JointPositionAction is {action!r}; give scale and offset")
         ids = action.get("joint_ids")
         size = self.count
         if isinstance(ids, list):

@@ -14,7 +14,7 @@ from typing import Any
 
 from unicon_core.errors import PolicyError
 from unicon_core.policies.facts import Facts, term_state
-from unicon_core.policies.importers.regex import values_by_pattern
+from unicon_core.policies.importers.regex import matching, values_by_pattern
 from unicon_core.policies.tolerant_yaml import Where, read_yaml
 
 __all__ = ["env_yaml_facts", "is_env_yaml"]
@@ -87,12 +87,7 @@ def _robot(facts: Facts, document: Mapping[str, Any], joints: list[str]) -> None
         found: dict[str, float] = {}
         for actuator in (actuators or {}).values() if isinstance(actuators, Mapping) else ():
             patterns = _dig(actuator, "joint_names_expr") or []
-            patterns = patterns if isinstance(patterns, list) else [patterns]
-            own = [
-                joint
-                for joint in joints
-                if values_by_pattern(dict.fromkeys(patterns, 1.0), [joint]) is not None
-            ]
+            own = matching(patterns if isinstance(patterns, list) else [patterns], joints)
             for joint in own:
                 gain = values_by_pattern(_dig(actuator, key), [joint])
                 found |= {} if gain is None else {joint: gain[0]}
@@ -133,7 +128,7 @@ def _action(
     moved = joints
     patterns = term.get("joint_names")
     if joints is not None and isinstance(patterns, list):
-        moved = [j for j in joints if values_by_pattern(dict.fromkeys(patterns, 1.0), [j])]
+        moved = matching(patterns, joints)
         if moved and moved != joints:
             action["joints"] = moved
     scale = term.get("scale")
@@ -180,9 +175,9 @@ def _observation(facts: Facts, document: Mapping[str, Any], lines: Mapping[Where
         term["scale"] = 1.0 if scale is None else scale
         clip = value.get("clip")
         if clip is not None:
-            term["clip"] = list(clip)
-        length = shared if shared is not None else value.get("history_length", 0)
-        term["history"] = max(int(length or 0), 1)
+            term["clip"] = clip
+        length = shared if shared is not None else value.get("history_length")
+        term["history"] = 1 if length in (None, 0) else length
         facts.lines[("observation", "terms", len(terms))] = lines[("observations", name, key)]
         terms.append(term)
     facts.values["observation"] = {"layout": "term_major", "newest": "last", "terms": terms}

@@ -3,10 +3,25 @@
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-__all__ = ["values_by_pattern"]
+__all__ = ["matching", "values_by_pattern"]
+
+
+def _matches(pattern: object, joint: str) -> bool:
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", FutureWarning)  # about brackets; the result is the same
+            return re.fullmatch(str(pattern), joint) is not None
+    except re.error:
+        return False
+
+
+def matching(patterns: Sequence[object], joints: Sequence[str]) -> list[str]:
+    """Return the joints whose whole name matches one of the patterns, in joint order."""
+    return [joint for joint in joints if any(_matches(p, joint) for p in patterns)]
 
 
 def values_by_pattern(
@@ -23,14 +38,15 @@ def values_by_pattern(
     if isinstance(value, (int, float)) and not isinstance(value, bool):
         return [float(value)] * len(joints)
     if isinstance(value, list) and len(value) == len(joints):
-        return [float(v) for v in value]
+        numbers = [float(v) for v in value if isinstance(v, (int, float))]
+        return numbers if len(numbers) == len(joints) else None
     if not isinstance(value, Mapping):
         return None
     result: list[float] = []
     for joint in joints:
         found = default
         for pattern, number in value.items():
-            matches = re.fullmatch(str(pattern), joint) if whole else str(pattern) in joint
+            matches = _matches(pattern, joint) if whole else str(pattern) in joint
             if matches and isinstance(number, (int, float)):
                 found = float(number)
                 break
