@@ -50,6 +50,7 @@ class Hold:
         self, command: JointCommand, robot: Robot, ticks: int | None, keep_gains: bool
     ) -> None:
         self._command, self._ticks = command, ticks
+        self.endless = ticks is None
         self._gains = None if keep_gains else robot_gains(robot, "hold")
         self._held = np.zeros_like(command.target)
         self._tick = 0
@@ -114,6 +115,7 @@ class Damp:
         self, command: JointCommand, gain: np.typing.NDArray[np.float32], ticks: int | None
     ) -> None:
         self._command, self._gain, self._ticks = command, gain, ticks
+        self.endless = ticks is None
         self._tick = 0
 
     def __call__(self) -> bool:

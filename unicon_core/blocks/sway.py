@@ -108,6 +108,7 @@ class Sway:
         self._upper = np.nan_to_num(robot.upper, nan=np.inf)
         self._gains = robot_gains(robot, "sway")
         self._ticks, self._tick = ticks, 0
+        self.endless = ticks is None
         self._filtered, self._wanted = (np.zeros_like(command.target) for _ in range(2))
         self._twist = np.zeros_like(velocity_command)
 

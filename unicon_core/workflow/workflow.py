@@ -10,6 +10,7 @@ from typing import Any
 
 from unicon_core.errors import PlatformError, RobotError, UniconError, WorkflowError, alternatives
 from unicon_core.flow import Blender, Block, Deferred, Every, Node, Switch, Zip
+from unicon_core.flow.checks import check_graph, raise_first
 from unicon_core.flow.critical_path import critical_path
 from unicon_core.flow.fuse import fuse
 from unicon_core.platforms.platform import Platform
@@ -32,6 +33,9 @@ __all__ = ["Hook", "Workflow", "build_workflow", "load_workflow"]
 
 Hook = Callable[["Workflow"], Sequence[Block]]
 """Builds blocks once states and platform exist: a bridge, a recorder, a viewer."""
+
+GIVEN = ("tick", "velocity_command", "joint_vel_target", "joint_effort_ff")
+"""States that may be read though no block writes them: the runner does, or zero is meant."""
 
 DEFAULT_SAFETY: tuple[Any, ...] = ("finite", "joint_limits")
 
@@ -156,8 +160,10 @@ def _assemble(workflow: Workflow, inputs: Sequence[Hook], observers: Sequence[Ho
     platform = workflow.platform
     recv = Block("recv", platform.recv, writes=tuple(platform.writes), role="recv")
     send = Block("send", platform.send, reads=tuple(platform.reads), role="send")
-    root = Zip(recv, *commands, *before, flow, *safety, send, *after, *observed)
-    path = critical_path(root)
+    acting = (recv, *commands, *before, flow, *safety, send, *after)
+    # Observers only look: what they would find missing is no reason not to run.
+    raise_first(check_graph(Zip(*acting), workflow.states, given=GIVEN))
+    path = critical_path(Zip(*acting, *observed))
     workflow.critical = path.critical
     workflow.root = fuse(path.root, workflow.states)
 
