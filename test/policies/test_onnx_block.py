@@ -311,6 +311,12 @@ def test_missing_weights_beside_the_network_are_named(tmp_path: Path) -> None:
         f"{path}: its weights are in policy.onnx.data, which is not beside it; copy "
         f"policy.onnx.data to {tmp_path}"
     )
+    with pytest.raises(PolicyError) as caught:
+        load_policy(tmp_path / "policy.yaml")
+    assert str(caught.value).endswith(
+        ": the weights of policy.onnx are in policy.onnx.data, which is not beside it; copy "
+        f"policy.onnx.data to {tmp_path}"
+    )
 
 
 def without(monkeypatch: pytest.MonkeyPatch, package: str) -> None:

@@ -183,6 +183,13 @@ def _read(reference: str | Path, robot: NamedJoints | None, given: Mapping[str, 
         model = model if model.is_absolute() else facts.path.parent / model
         if onnx is None or onnx.path != model:
             onnx = read_onnx(model)
+        lost = onnx.missing_external()
+        if lost:
+            raise facts.error(
+                ("onnx",),
+                f"the weights of {onnx.path.name} are in {lost[0].name}, which is not beside it; "
+                f"copy {lost[0].name} to {onnx.path.parent}",
+            )
         _name_tensors(facts, onnx)
         if facts.path != onnx.path and has_metadata(onnx):
             check_agreement(facts, metadata_facts(onnx))
