@@ -120,8 +120,10 @@ def _place_state(root: Node, message: Struct, number: int, field: FieldSpec, bou
     if len(leaves) == 1 and isinstance(leaves[0].type, Array) and leaves[0].type.length is None:
         kind = leaves[0].type
         _check_sequence(field, kind, len(elements))
+        if field.quat == "xyzw_from_wxyz":
+            elements = quaternions(elements, field)
         place(root, leaves[0], Place("number", number, elements, 0), field)
-        return bound
+        return Bound(field, bound.flat, elements, bound.names)
     if any(_is_quaternion(leaf.type) for leaf in leaves) and field.quat is None:
         if not all(_is_quaternion(leaf.type) for leaf in leaves):  # pragma: no cover - one type
             raise MapStateError(f"{field.path}: mixes quaternions and others", field.where)

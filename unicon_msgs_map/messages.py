@@ -211,8 +211,9 @@ class Messages:
             try:
                 found.update(get_types_from_msg(text, name))
             except Exception as error:
+                reason = " ".join(str(error).split())
                 raise MessageTypeError(
-                    f"definition of {name!r} cannot be parsed: {error}"
+                    f"definition of {name!r} cannot be parsed: {reason}"
                 ) from None
         try:
             self.store.register(found)
@@ -255,6 +256,8 @@ class Messages:
         if kind == 1:  # base type
             return _base(owner, field, rest)
         if kind == 2:  # another message
+            if rest.split("/")[-1] in ("wstring", "wchar", "float128"):  # so .msg texts are read
+                return _base(owner, field, (rest.split("/")[-1], 0))
             return self.struct(rest)
         item = self._type(owner, field, rest[0])
         if isinstance(item, Array):
