@@ -1,0 +1,92 @@
+"""The graph as text: a tree with the critical path marked, then the tables."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping
+from typing import TYPE_CHECKING
+
+from unicon_core.flow import Block, Node
+from unicon_core.show.state_table import state_table
+from unicon_core.show.tree import LEGEND, branches, shortened, title
+from unicon_core.states import States
+
+if TYPE_CHECKING:
+    from unicon_core.policies import PolicyContract
+    from unicon_core.robots import Robot
+
+__all__ = ["show_text"]
+
+MARK = "●"
+
+
+def show_text(
+    root: Node,
+    states: States,
+    critical: Collection[Block] = (),
+    *,
+    robot: Robot | None = None,
+    policy: PolicyContract | None = None,
+    policies: Mapping[str, PolicyContract] | None = None,
+) -> str:
+    """Return graph, states, and the joint and observation tables of the policies.
+
+    Args:
+        root: the graph.
+        states: all states.
+        critical: blocks on the critical path (`critical_path(root).critical`).
+        robot: adds the place of each policy joint in the robot's order.
+        policy: one policy to tell about.
+        policies: several, by name.
+
+    Raises:
+        PolicyError: a policy's observation does not fit the states.
+    """
+    layout = states.layout
+    batch = "" if layout.num_robots is None else f" × {layout.num_robots} robots"
+    parts = [
+        "\n".join(_head(_tree(root, critical, "", ""))),
+        f"{MARK} {LEGEND}",
+        f"{len(states)} states{batch}, {layout.nbytes} bytes, layout {layout.hash[:12]}",
+        state_table(root, states),
+    ]
+    told = dict(policies or {})
+    if policy is not None:
+        told.setdefault(policy.name, policy)
+    if told:
+        from unicon_core.policies import joint_table, observation_table
+
+        for name, contract in told.items():
+            parts += [f"joints of policy {name}", joint_table(contract, robot)]
+            table = observation_table(contract, robot, states)
+            parts += [f"observation of policy {name}", table]
+    return "\n\n".join(parts)
+
+
+def _head(rows: Iterator[tuple[str, str]]) -> list[str]:
+    """Return lines with the second column aligned."""
+    table = list(rows)
+    width = max(len(first) for first, _ in table)
+    return [f"{first.ljust(width)}  {second}".rstrip() for first, second in table]
+
+
+def _tree(
+    node: Node, critical: Collection[Block], lead: str, below: str, label: str = ""
+) -> Iterator[tuple[str, str]]:
+    """Yield (tree part, data part) for each line below a node."""
+    mark = f"{MARK} " if isinstance(node, Block) and node in critical else ""
+    yield f"{lead}{label}{mark}{title(node)}", _data(node) if isinstance(node, Block) else ""
+    children = branches(node)
+    for i, (name, child) in enumerate(children):
+        last = i == len(children) - 1
+        yield from _tree(
+            child,
+            critical,
+            below + ("└─ " if last else "├─ "),
+            below + ("   " if last else "│  "),
+            f"{name}: " if name else "",
+        )
+
+
+def _data(block: Block) -> str:
+    words = (("reads", block.reads), ("writes", block.writes), ("amends", block.amends))
+    return "  ".join(f"{word} {shortened(names, 4)}" for word, names in words if names)
