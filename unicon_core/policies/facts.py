@@ -128,8 +128,8 @@ def missing_facts(facts: Facts) -> dict[str, str]:
         if isinstance(term, Mapping) and "name" in term and term.get("state") is None:
             missing[f"observation.terms.{term['name']}.state"] = "the state that it is taken from"
     for name, detail in facts.asks.items():
-        meaning = _ASKED.get(name, "")
-        missing.setdefault(name, f"{meaning}; {detail}" if detail else meaning)
+        meaning = _ASKED.get(name) or _NEEDED.get(name, "")
+        missing[name] = f"{meaning}; {detail}" if detail else meaning
     return missing
 
 

@@ -213,9 +213,9 @@ def _facts_of(
     if path.suffix in _TORCHSCRIPT:
         return Facts(path, "TorchScript file", {"torchscript": path.name}), None
     values, _ = read_yaml(path)
-    names = None if robot is None else robot.joint_names
     if is_deploy_yaml(values):
-        facts = deploy_yaml_facts(path, names, "" if robot is None else robot.name)
+        motors = None if robot is None else _motors(robot)
+        facts = deploy_yaml_facts(path, motors, "" if robot is None else robot.name)
     elif is_env_yaml(values):
         facts = env_yaml_facts(path, given)
     elif is_legged_gym(values):
@@ -224,6 +224,15 @@ def _facts_of(
         return policy_yaml_facts(path), None
     _add_model(facts)
     return facts, None
+
+
+def _motors(robot: NamedJoints) -> dict[int, str]:
+    """Motor numbers of the vendor's SDK; they are the joints' places unless the robot says more."""
+    transport = getattr(robot, "transport", {})
+    numbers = transport.get("motors") if isinstance(transport, Mapping) else None
+    if not isinstance(numbers, (list, tuple)) or len(numbers) != len(robot.joint_names):
+        numbers = range(len(robot.joint_names))
+    return {int(number): name for number, name in zip(numbers, robot.joint_names)}
 
 
 def _names_model(facts: Facts, model: Path) -> bool:

@@ -12,7 +12,7 @@ one is fed back (`envs/mdp/actions/joint_actions.h`). A term is clipped, then sc
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -30,14 +30,12 @@ def is_deploy_yaml(values: Any) -> bool:
     return isinstance(values, Mapping) and "joint_ids_map" in values and "step_dt" in values
 
 
-def deploy_yaml_facts(
-    path: Path, robot_joints: Sequence[str] | None, robot_name: str = ""
-) -> Facts:
+def deploy_yaml_facts(path: Path, motors: Mapping[int, str] | None, robot_name: str = "") -> Facts:
     """Read a `deploy.yaml`.
 
     Args:
         path: the file.
-        robot_joints: joint names in the robot's vendor order, which `joint_ids_map` counts; None
+        motors: motor number of the robot's SDK, which `joint_ids_map` has, to joint name; None
             leaves the joints to be given.
         robot_name: for messages.
 
@@ -49,7 +47,7 @@ def deploy_yaml_facts(
         raise PolicyError(f"{path}: no deploy.yaml: it has no joint_ids_map and step_dt")
     facts = Facts(path, "deploy.yaml", tolerance=(6e-3, 1e-6))
     reader = _Deploy(facts, document, lines)
-    reader.joints(robot_joints, robot_name)
+    reader.joints(motors, robot_name)
     reader.action()
     reader.observation()
     reader.ranges()
@@ -87,7 +85,7 @@ class _Deploy:
             raise self.fail(where, f"{'.'.join(map(str, where))} is {value!r}; give numbers")
         return [float(v) for v in value]
 
-    def joints(self, robot_joints: Sequence[str] | None, robot_name: str) -> None:
+    def joints(self, motors: Mapping[int, str] | None, robot_name: str) -> None:
         order = self.document["joint_ids_map"]
         if not isinstance(order, list) or not order or not all(isinstance(i, int) for i in order):
             raise self.fail(("joint_ids_map",), f"joint_ids_map is {order!r}; give motor numbers")
@@ -99,14 +97,16 @@ class _Deploy:
                 )
         self.count = len(order)
         self.say(("period",), self.document["step_dt"], ("step_dt",))
-        if robot_joints is not None:
-            if max(order) >= len(robot_joints):
+        if motors is not None:
+            unknown = [i for i in order if i not in motors]
+            if unknown:
                 raise self.fail(
                     ("joint_ids_map",),
-                    f"joint_ids_map names motor {max(order)}, but robot {robot_name!r} has "
-                    f"{len(robot_joints)} joints; choose the robot whose motors it counts",
+                    f"joint_ids_map names motor {unknown[0]}, but robot {robot_name!r} has "
+                    f"{len(motors)} motors up to number {max(motors)}; choose the robot whose "
+                    "motors it counts",
                 )
-            self.say(("joints",), [robot_joints[i] for i in order], ("joint_ids_map",))
+            self.say(("joints",), [motors[i] for i in order], ("joint_ids_map",))
             self.facts.values["robot"] = robot_name
         else:
             self.facts.notes.append(
@@ -116,11 +116,13 @@ class _Deploy:
         for target in ("stiffness", "damping"):
             values = self.floats((target,), self.need(target))
             if max(order) >= len(values):
-                raise self.fail(
-                    (target,),
-                    f"{target} has {len(values)} values in motor order, but joint_ids_map names "
-                    f"motor {max(order)}; give one value for each motor",
+                # Unitree's own G1 file with 23 joints does so, and its program gives value i to
+                # motor i whatever the map says.
+                self.facts.asks[target] = (
+                    f"the file has {len(values)} values in motor order, but joint_ids_map names "
+                    f"motor {max(order)}"
                 )
+                continue
             self.say((target,), [values[i] for i in order], (target,))
         default = self.floats(("default_joint_pos",), self.need("default_joint_pos"))
         if len(default) != self.count:
