@@ -1,0 +1,6 @@
+"""Preflight checks: every mismatch of workflow, policy, robot and platform found before it runs."""
+
+from unicon_core.check.check import check_workflow
+from unicon_core.check.result import CODES, CheckResult, Finding, Section
+
+__all__ = ["CODES", "CheckResult", "Finding", "Section", "check_workflow"]

@@ -1,0 +1,124 @@
+"""`check_workflow`: all checks of a workflow before a motor moves, for `unicon check` and CI."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from unicon_core.check.action import check_action, check_timing
+from unicon_core.check.files import check_files, check_robot
+from unicon_core.check.gains import check_gains, check_limits
+from unicon_core.check.graph import check_blocks
+from unicon_core.check.joints import check_joints
+from unicon_core.check.observation import check_frames, check_observation
+from unicon_core.check.pose import check_pose
+from unicon_core.check.result import CheckResult
+from unicon_core.check.subject import build_subject
+from unicon_core.errors import (
+    MissingDependencyError,
+    ModelError,
+    PlatformError,
+    PolicyError,
+    RobotError,
+    UniconError,
+    alternatives,
+)
+from unicon_core.workflow.document import WorkflowDocument, load_document
+
+__all__ = ["check_workflow"]
+
+SETTINGS = {
+    "accept": "codes of findings that shall be notes",
+    "duration": "simulated time of a run of the twin [s]",
+    "command": "velocity command of the twin [m/s, m/s, rad/s]",
+}
+"""Keys of a workflow's `check:` section."""
+
+_CULPRITS: tuple[tuple[type[UniconError], str], ...] = (
+    (RobotError, "robot"),
+    (ModelError, "model"),
+    (PolicyError, "policy"),
+    (PlatformError, "platform"),
+    (MissingDependencyError, "installation"),
+    (UniconError, "workflow"),
+)
+
+
+def check_workflow(
+    name_or_path: str | Path, overrides: Iterable[str] = (), *, twin: bool = False
+) -> CheckResult:
+    """Check a workflow without moving anything.
+
+    Hardware is never opened: its platform is exchanged for `fake`. A workflow that cannot be built
+    gives its error as a finding.
+
+    Args:
+        name_or_path: a name in `config/workflows/`, or a path.
+        overrides: `path=value` texts as of `--set`.
+        twin: also run it in MuJoCo, and broken contracts beside it.
+
+    Returns:
+        Tables, findings and notes; `findings` is empty where all is well.
+    """
+    result = CheckResult(Path(str(name_or_path)).stem)
+    try:
+        document = load_document(name_or_path, overrides)
+        result.workflow = document.name
+        settings = _settings(document, result)
+        subject = build_subject(document)
+    except UniconError as error:
+        _cannot(result, error)
+        return result
+    try:
+        platform = subject.platform
+        kind = "simulated" if platform.simulated else "hardware, not opened"
+        result.subject = (
+            f"robot {subject.robot.name}, platform {platform.name} ({kind}), {document.path}"
+        )
+        check_joints(subject, result)
+        check_gains(subject, result)
+        check_limits(subject, result)
+        check_observation(subject, result)
+        check_action(subject, result)
+        check_timing(subject, result)
+        check_pose(subject, result)
+        check_frames(subject, result)
+        check_files(subject, result)
+        check_robot(subject, result)
+        check_blocks(subject, result)
+    finally:
+        subject.workflow.close()
+    if twin:
+        from unicon_core.check.twin import check_twin
+
+        check_twin(document, settings, result)
+    return result
+
+
+def _cannot(result: CheckResult, error: UniconError) -> None:
+    """Add the one-line error: its last part is the remedy."""
+    culprit = next(name for kind, name in _CULPRITS if isinstance(error, kind))
+    evidence, _, remedy = str(error).rpartition("; ")
+    result.find("build", culprit, evidence or remedy, remedy if evidence else "")
+
+
+def _settings(document: WorkflowDocument, result: CheckResult) -> dict[str, Any]:
+    settings: dict[str, Any] = document.get("check", dict, {})
+    for key in settings:
+        if key not in SETTINGS:
+            known = alternatives(str(key), SETTINGS)
+            raise document.error(f"check: unknown key {key!r}; {known}", "check", key)
+    if "accept" in settings:
+        result.accept(settings["accept"], document.where("check", "accept"))
+    duration = settings.get("duration", 5.0)
+    if isinstance(duration, bool) or not isinstance(duration, (int, float)) or duration < 1.0:
+        raise document.error(
+            f"check: duration is {duration!r}; give [s] from 1", "check", "duration"
+        )
+    command = settings.get("command")
+    if command is not None and not (isinstance(command, list) and len(command) == 3):
+        raise document.error(
+            f"check: command is {command!r}; give [vx, vy, wz]", "check", "command"
+        )
+    return settings

@@ -1,0 +1,70 @@
+"""The files that a workflow consists of, with their hashes, and what the robot file lacks."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+from unicon_core.check.result import CheckResult
+from unicon_core.check.subject import Subject, listed
+from unicon_core.policies.onnx_file import read_onnx
+
+__all__ = ["check_files", "check_robot"]
+
+
+def check_files(subject: Subject, result: CheckResult) -> None:
+    """Add the table of files; a network that is not the contract's is a finding."""
+    files = [("workflow", subject.document.path), ("robot", subject.robot.path)]
+    if subject.model_path is not None:
+        files.append(("model", subject.model_path))
+    expected = {}
+    for key, contract in subject.policies.items():
+        files.append((f"policy {key}", contract.path))
+        if contract.model != contract.path:
+            files.append((f"network {key}", contract.model))
+        if contract.sha256 is not None:
+            expected[contract.model] = (key, contract.sha256)
+        if not contract.is_torchscript:
+            external = read_onnx(contract.model).external
+            files += [(f"weights {key}", contract.model.parent / name) for name in external]
+    rows = []
+    for role, path in files:
+        digest = _sha256(path)
+        said = ""
+        if path in expected:
+            key, wanted = expected[path]
+            said = "as the contract says" if digest == wanted else "not the contract's"
+            if digest != wanted:  # loading the policy refuses it too
+                result.find(
+                    "files.sha256",
+                    f"policy {key!r}, {path.name}",
+                    f"sha256 is {digest[:12]}… and the contract says {wanted[:12]}…",
+                    "import the policy again",
+                    path,
+                )
+        rows.append([role, str(path), f"{path.stat().st_size / 1024:.0f}", digest[:16], said])
+    result.table("Files", ["what", "file", "KiB", "sha256", ""], rows)
+
+
+def _sha256(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def check_robot(subject: Subject, result: CheckResult) -> None:
+    """Missing facts of the robot file: findings on hardware, notes in simulation."""
+    robot = subject.robot
+    missing = robot.missing_facts()
+    if not missing:
+        return
+    culprit = f"robot {robot.name}"
+    evidence = f"the file does not say {listed(missing, 8)}"
+    if subject.platform.simulated:
+        result.note("robot.facts", culprit, f"{evidence}: the real robot cannot be driven")
+    else:
+        result.find(
+            "robot.facts",
+            culprit,
+            evidence,
+            "find them (the vendor's URDF, SDK or a measurement) and add them with their source",
+            robot.path,
+        )

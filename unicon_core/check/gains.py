@@ -1,0 +1,187 @@
+"""Gains and limits of policy, robot and model side by side, and what cannot be right in them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.check.mirror import mirror_pairs
+from unicon_core.check.model_facts import ModelJoints, model_joints
+from unicon_core.check.result import CheckResult
+from unicon_core.check.subject import Subject, listed
+from unicon_core.policies import PolicyContract
+
+__all__ = ["check_gains", "check_limits", "number"]
+
+ROUNDING = 0.02
+"""Relative difference by which mirrored figures may differ (exports round to 3 decimals)."""
+EFFORT_FACTOR = 3.0
+"""Robot file and model may differ by variants of a motor (35 and 50 N·m), not by this."""
+
+
+def number(value: float) -> str:
+    """Return a figure for a table, `?` where it is not known."""
+    return "?" if np.isnan(value) else f"{value:.4g}"
+
+
+def check_gains(subject: Subject, result: CheckResult) -> None:
+    """Add one table of gains for each policy, and its findings."""
+    model = model_joints(subject)
+    for key, contract in subject.policies.items():
+        _table(subject, result, key, contract, model)
+        _plausible(result, key, contract)
+        _symmetry(result, key, contract, "stiffness", contract.stiffness)
+        _symmetry(result, key, contract, "damping", contract.damping)
+
+
+def _table(
+    subject: Subject,
+    result: CheckResult,
+    key: str,
+    contract: PolicyContract,
+    model: ModelJoints | None,
+) -> None:
+    robot = subject.robot
+    rows = []
+    different = []
+    passive = []
+    for i, name in enumerate(contract.joints):
+        j = robot.joint_names.index(name)
+        kp, kd = float(contract.stiffness[i]), float(contract.damping[i])
+        own = float(robot.joint_stiffness[j]), float(robot.joint_damping[j])
+        row = [name, number(kp), number(own[0]), number(kd), number(own[1])]
+        same = np.isclose([kp, kd], own, rtol=0.02).all() or np.isnan(own).any()
+        if model is not None:
+            row[3:3] = [number(model.stiffness[j])]
+            row += [number(model.damping[j]), number(model.passive[j])]
+            if kd > 0.0 and model.passive[j] >= 0.5 * kd:
+                passive.append(j)
+        if not same:
+            different.append(name)
+        rows.append([*row, "" if same else "≠"])
+    head = ["kp policy", "kp robot", "kd policy", "kd robot"]
+    if model is not None:
+        head[2:2] = ["kp model"]
+        head += ["kd model", "passive"]
+    result.table(f"Gains of policy {key} [N·m/rad, N·m·s/rad]", ["joint", *head, ""], rows)
+    if different:
+        result.note(
+            "gains.differ",
+            f"policy {key!r}",
+            f"gains differ from robot {robot.name}'s at {listed(different)}; the policy's are used",
+        )
+    if passive and model is not None:
+        j = passive[0]
+        result.note(
+            "gains.damping",
+            f"model {subject.model_path}",
+            f"joint {robot.joint_names[j]} has a passive damping of {model.passive[j]:g} N·m·s/rad "
+            "in the model beside the policy's own: damping may count twice in simulation",
+        )
+
+
+def _plausible(result: CheckResult, key: str, contract: PolicyContract) -> None:
+    kp, kd = contract.stiffness, contract.damping
+    bare = np.flatnonzero((kp > 0.0) & (kd <= 0.0))
+    if bare.size:
+        names = listed(contract.joints[i] for i in bare)
+        result.find(
+            "gains.damping",
+            f"policy {key!r}, damping",
+            f"{names}: stiffness {kp[bare[0]]:g} and damping {kd[bare[0]]:g}",
+            "give the damping that it was trained with (some exporters write 0 for built-in "
+            "servos)",
+            contract.path,
+        )
+    stiffer = np.flatnonzero(kd > kp)
+    if stiffer.size > len(kp) // 2:
+        i = int(stiffer[0])
+        result.find(
+            "gains.swapped",
+            f"policy {key!r}, stiffness and damping",
+            f"damping is greater than stiffness at {stiffer.size} of {len(kp)} joints "
+            f"({contract.joints[i]}: kp {kp[i]:g}, kd {kd[i]:g})",
+            "exchange stiffness and damping",
+            contract.path,
+        )
+
+
+def _symmetry(
+    result: CheckResult, key: str, contract: PolicyContract, what: str, values: NDArray[np.float32]
+) -> None:
+    """Motors on both sides are the same, so permuted gains show as a difference of sides."""
+    place = {name: i for i, name in enumerate(contract.joints)}
+    odd = []
+    for left, right in mirror_pairs(contract.joints):
+        a, b = float(values[place[left]]), float(values[place[right]])
+        if not np.isclose(a, b, rtol=ROUNDING, atol=1e-6):
+            odd.append((left, right, a, b))
+    if odd:
+        left, right, a, b = odd[0]
+        more = f" (and {len(odd) - 1} more pairs)" if len(odd) > 1 else ""
+        result.find(
+            "gains.symmetry",
+            f"policy {key!r}, {what}",
+            f"{left} has {a:g} and {right} has {b:g}{more}",
+            f"bring {what} into the order of joints: {listed(contract.joints, 3)}",
+            contract.path,
+        )
+
+
+def check_limits(subject: Subject, result: CheckResult) -> None:
+    """Add the table of limits of robot and model, with differences."""
+    robot, model = subject.robot, model_joints(subject)
+    columns = ["joint", "position [rad]", "velocity [rad/s]", "effort [N·m]"]
+    if model is not None:
+        columns += ["position, model", "effort, model", ""]
+    rows, ranges, efforts = [], [], []
+    for j, name in enumerate(robot.joint_names):
+        lower, upper = float(robot.lower[j]), float(robot.upper[j])
+        effort = float(robot.effort_limit[j])
+        row = [name, f"{number(lower)} … {number(upper)}", number(float(robot.velocity_limit[j]))]
+        row.append(number(effort))
+        if model is not None:
+            low, high, torque = model.lower[j], model.upper[j], model.effort[j]
+            row += [f"{number(low)} … {number(high)}", number(torque)]
+            sides = (
+                abs(low - lower) > 0.02 or abs(high - upper) > 0.02
+            )  # false where one is unknown
+            other = bool(np.isfinite(torque) and abs(torque - effort) > 0.02 * effort)
+            ranges += [name] if sides else []
+            efforts += [j] if other else []
+            row.append("≠" if sides or other else "")
+        rows.append(row)
+    result.table(f"Limits of robot {robot.name}", columns, rows)
+    if model is None:
+        return
+    if ranges:
+        result.note(
+            "limits.differ",
+            f"model {subject.model_path}",
+            f"position limits differ from robot {robot.name}'s at {listed(ranges)}; targets are "
+            "kept within the robot's",
+        )
+    far = [
+        j
+        for j in efforts
+        if not 1.0 / EFFORT_FACTOR < robot.effort_limit[j] / model.effort[j] < EFFORT_FACTOR
+    ]
+    if efforts:
+        names = listed(
+            f"{robot.joint_names[j]} {robot.effort_limit[j]:g}/{model.effort[j]:g}" for j in efforts
+        )
+        result.note(
+            "limits.differ",
+            f"model {subject.model_path}",
+            f"effort limits robot/model [N·m] differ: {names}; the smaller ones are simulated",
+        )
+    if far:
+        j = far[0]
+        result.find(
+            "limits.effort",
+            f"robot {robot.name}, effort of {robot.joint_names[j]}",
+            f"the robot file says {robot.effort_limit[j]:g} N·m and the model {model.effort[j]:g} "
+            f"({len(far)} joints differ by more than {EFFORT_FACTOR:g} times)",
+            "correct joints.effort, or choose the model of this robot",
+            robot.path,
+        )

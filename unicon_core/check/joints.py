@@ -1,0 +1,61 @@
+"""Joint coverage and order: one table of policy, robot and platform."""
+
+from __future__ import annotations
+
+from unicon_core.check.model_facts import joint_ids
+from unicon_core.check.result import CheckResult
+from unicon_core.check.subject import Subject, listed
+
+__all__ = ["check_joints"]
+
+
+def check_joints(subject: Subject, result: CheckResult) -> None:
+    """Add the table of joints; motor slots that do not fit are findings."""
+    robot = subject.robot
+    names = robot.joint_names
+    model = subject.model
+    ids = None if model is None else joint_ids(model, names, subject.model_path)
+    motors = robot.transport.get("motors")
+    columns = ["robot", "joint", *(f"policy {name}" for name in subject.policies)]
+    columns += [subject.platform.name]
+    rows = []
+    for i, name in enumerate(names):
+        row = [str(i), name]
+        for contract in subject.policies.values():
+            if name not in contract.joints:
+                row.append("held")
+            else:
+                place = str(contract.joints.index(name))
+                row.append(place if name in contract.action.joints else f"{place}, held")
+        if ids is not None:
+            row.append(f"joint {ids[i]} {model.joint(ids[i]).name}")
+        elif isinstance(motors, list) and i < len(motors) and not subject.platform.simulated:
+            row.append(f"motor {motors[i]}")
+        else:
+            row.append(str(i))
+        rows.append(row)
+    lines = []
+    for key, contract in subject.policies.items():
+        moved = [name for name in contract.joints if name in contract.action.joints]
+        same = [name for name in names if name in contract.joints] == list(contract.joints)
+        order = "in the robot's order" if same else "in another order, aligned by name"
+        lines.append(f"policy {key} moves {len(moved)} of {len(names)} joints, {order}")
+        held = [name for name in names if name not in contract.action.joints]
+        if held:
+            result.note(
+                "joints.held",
+                f"policy {key!r}",
+                f"does not move {listed(held)}; they are held at their default",
+            )
+    result.table("Joints", columns, rows, lines)
+    if subject.platform.simulated or not isinstance(motors, list):
+        return
+    if len(motors) != len(names) or len(set(motors)) != len(motors):
+        result.find(
+            "joints.motors",
+            f"robot {robot.name}, transport.motors",
+            f"{len(motors)} motor slots, {len(set(motors))} of them different, for "
+            f"{len(names)} joints",
+            "give one slot for each joint, in the order of joints",
+            robot.path,
+        )

@@ -1,0 +1,180 @@
+"""The observation: table of terms, sizes against the network, what cannot be measured, frames."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.check.result import CheckResult
+from unicon_core.check.subject import NOT_ON_HARDWARE, Subject
+from unicon_core.policies import PolicyContract, TermSlice, term_slices
+from unicon_core.policies.onnx_file import read_onnx
+
+__all__ = ["check_frames", "check_observation"]
+
+
+def check_observation(subject: Subject, result: CheckResult) -> None:
+    """Add a table of terms and one of the network's input for each policy, and findings."""
+    for key, contract in subject.policies.items():
+        if not contract.terms:
+            continue
+        slices = term_slices(contract, subject.workflow.states, subject.robot.joint_names)
+        columns = ["term", "state", "slice", "offset", "scale", "clip", "history", "unit", "frame"]
+        rows = [_row(subject, part) for part in slices]
+        result.table(
+            f"Observation of policy {key}",
+            columns,
+            rows,
+            [f"term = scale · clip(state − offset); {_layout(contract)}"],
+        )
+        _sizes(result, key, contract, slices)
+        for part in slices:
+            _term(subject, result, key, contract, part)
+
+
+def _row(subject: Subject, part: TermSlice) -> list[str]:
+    term, spec = part.term, subject.workflow.states.spec(part.term.state)
+    index = "" if term.index is None else f"[{','.join(map(str, term.index))}]"
+    offset = term.subtract if isinstance(term.subtract, str) else _values(part.subtract, 0.0, "-")
+    clip = "-" if term.clip is None else f"{part.low.min():g} … {part.high.max():g}"
+    return [
+        term.name,
+        term.state + index,
+        f"[{part.start}:{part.stop}]",
+        str(offset),
+        _values(part.scale, 1.0, "1"),
+        clip,
+        str(term.history),
+        part.unit or "-",
+        spec.frame or "-",
+    ]
+
+
+def _values(values: NDArray[np.float32], neutral: float, same: str) -> str:
+    if (values == neutral).all():
+        return same
+    low, high = float(values.min()), float(values.max())
+    return f"{low:g}" if low == high else f"{low:g} … {high:g}"
+
+
+def _layout(contract: PolicyContract) -> str:
+    spec = contract.observation
+    if all(term.history == 1 for term in contract.terms):
+        return "one frame, no history"
+    return f"{spec.layout}, newest {spec.newest}, begins with {spec.start}"
+
+
+def _sizes(
+    result: CheckResult, key: str, contract: PolicyContract, slices: tuple[TermSlice, ...]
+) -> None:
+    """Input size term by term against the network's own."""
+    start, rows = 0, []
+    for part in slices:
+        width = part.elements.size
+        total = width * part.term.history
+        rows.append(
+            [
+                part.term.name,
+                f"{width} × {part.term.history}",
+                f"[{start}:{start + total}]",
+            ]
+        )
+        start += total
+    name = contract.inputs.get("observation", "")
+    tensor = None
+    if not contract.is_torchscript:
+        tensors = {tensor.name: tensor for tensor in read_onnx(contract.model).inputs}
+        tensor = tensors.get(name)
+    size = tensor.shape[-1] if tensor is not None and tensor.shape else None
+    said = f"{contract.model.name} takes {tensor}" if tensor else "the network says no size"
+    result.table(
+        f"Network input of policy {key}",
+        ["term", "size", "input"],
+        rows,
+        [f"{start} values; {said}"],
+    )
+    if isinstance(size, int) and size != start:  # the build refuses it too, with one policy
+        result.find(
+            "input.size",
+            f"policy {key!r}, observation.terms",
+            f"the terms have {start} values and input {name!r} of {contract.model.name} takes "
+            f"{size}",
+            "correct the terms or their history",
+            contract.path,
+        )
+
+
+def _term(
+    subject: Subject, result: CheckResult, key: str, contract: PolicyContract, part: TermSlice
+) -> None:
+    term = part.term
+    culprit = f"policy {key!r}, term {term.name!r}"
+    if (part.scale == 0.0).any():
+        result.find(
+            "observation.scale",
+            culprit,
+            "scale is 0: the network would not see it",
+            "give the scale that it was trained with, or leave the term out",
+            contract.path,
+        )
+    if (part.low >= part.high).any():
+        result.find(
+            "observation.clip",
+            culprit,
+            f"it is clipped to {part.low.max():g} … {part.high.min():g}",
+            "give the lowest value first and a greater one second",
+            contract.path,
+        )
+    if term.state == "base_quat" and term.index is None:
+        result.note(
+            "observation.frame",
+            culprit,
+            "base_quat is w, x, y, z; for a policy trained with x, y, z, w give "
+            "index: [1, 2, 3, 0]",
+        )
+    if term.state in NOT_ON_HARDWARE and term.state not in subject.written:
+        text = f"reads {term.state}, which no sensor of the robot measures"
+        remedy = (
+            "add a block that estimates it, or take a policy that was trained without it "
+            "(it may stay in the critic)"
+        )
+        if term.state in subject.platform.unmeasured:
+            text += f" and platform {subject.platform.name!r} does not deliver"
+            result.find("observation.measured", culprit, text, remedy, contract.path)
+        else:
+            result.note("observation.measured", culprit, f"{text}; on the robot: {remedy}")
+
+
+def check_frames(subject: Subject, result: CheckResult) -> None:
+    """Add the table of conventions; on a simulator compare orientation with gravity."""
+    states = subject.workflow.states
+    robot = subject.robot
+    sources = subject.workflow.platform.info().get("imu") or {}
+    of = {"base_quat": "quat", "base_ang_vel": "gyro", "base_lin_acc": "accelerometer"}
+    rows = []
+    for name in ("base_quat", "base_ang_vel", "base_lin_acc", "projected_gravity", "base_lin_vel"):
+        spec = states.spec(name)
+        source = str(sources.get(of.get(name, ""), "")) if subject.platform.simulated else ""
+        rows.append([name, ", ".join(spec.names), spec.frame, spec.unit or "-", source or "-"])
+    lines = ["quaternions are w, x, y, z and turn base into world; ROS messages are x, y, z, w"]
+    if robot.imu is not None and np.isfinite(robot.imu.quat).all():
+        turned = not np.allclose(np.abs(robot.imu.quat), (1, 0, 0, 0), atol=1e-6)
+        how = f"turned by {np.round(robot.imu.quat, 4).tolist()}" if turned else "aligned"
+        lines.append(f"IMU {robot.imu.frame}: {how} with {robot.base_frame}")
+    result.table("Conventions", ["state", "elements", "frame", "unit", "source"], rows, lines)
+    if not subject.platform.simulated:
+        return
+    subject.workflow.platform.recv()
+    w, x, y, z = (float(v) for v in states["base_quat"].reshape(-1, 4)[0])
+    down = np.array([2 * (w * y - x * z), -2 * (y * z + w * x), -(w * w - x * x - y * y + z * z)])
+    gravity = states["projected_gravity"].reshape(-1, 3)[0]
+    length = w * w + x * x + y * y + z * z
+    if abs(length - 1.0) > 1e-3 or not np.allclose(down, gravity, atol=5e-3):
+        result.find(
+            "observation.frame",
+            f"platform {subject.platform.name!r}",
+            f"base_quat {[round(v, 3) for v in (w, x, y, z)]} puts gravity at "
+            f"{np.round(down, 3).tolist()} and projected_gravity says "
+            f"{np.round(gravity, 3).tolist()}",
+            "deliver base_quat as w, x, y, z of length 1, base to world",
+        )

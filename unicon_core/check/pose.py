@@ -1,0 +1,236 @@
+"""The default pose: within limits, the same on both sides, feet on the ground."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from unicon_core.check.mirror import mirror_pairs
+from unicon_core.check.model_facts import joint_ids
+from unicon_core.check.result import CheckResult
+from unicon_core.check.subject import Subject, listed
+from unicon_core.policies import PolicyContract
+
+__all__ = ["check_pose"]
+
+BELOW_FEET = 0.01
+"""How far another part may be below the feet in [m]."""
+INSIDE_FLOOR = 0.02
+"""How far a simulation may begin inside the floor in [m]."""
+ABOVE_FLOOR = 0.3
+"""How far above it."""
+_FAR = 10.0
+_ENDINGS = ("_foot", "_link", "_sphere", "_toe")
+
+
+def check_pose(subject: Subject, result: CheckResult) -> None:
+    """Add the table of poses for each policy, and findings."""
+    for key, contract in subject.policies.items():
+        _limits(subject, result, key, contract)
+        _symmetry(result, key, contract)
+        if subject.model is not None and subject.robot.kind in ("quadruped", "humanoid"):
+            _feet(subject, result, key, contract)
+    if subject.model is not None:
+        _start(subject, result)
+
+
+def _limits(subject: Subject, result: CheckResult, key: str, contract: PolicyContract) -> None:
+    robot = subject.robot
+    rows, outside, far = [], [], []
+    for i, name in enumerate(contract.joints):
+        j = robot.joint_names.index(name)
+        value, own = float(contract.default_joint_pos[i]), float(robot.default_joint_pos[j])
+        lower, upper = float(robot.lower[j]), float(robot.upper[j])
+        wrong = value < lower - 1e-4 or value > upper + 1e-4
+        rows.append(
+            [
+                name,
+                f"{value:g}",
+                "?" if np.isnan(own) else f"{own:g}",
+                f"{lower:.4g} … {upper:.4g}",
+                "outside" if wrong else "≠" if abs(value - own) > 0.3 else "",
+            ]
+        )
+        outside += [(name, value, lower, upper)] if wrong else []
+        far += [name] if abs(value - own) > 0.3 else []
+    columns = ["joint", "policy [rad]", "robot [rad]", "limits [rad]", ""]
+    result.table(f"Default pose of policy {key}", columns, rows)
+    if outside:
+        name, value, lower, upper = outside[0]
+        result.find(
+            "pose.limits",
+            f"policy {key!r}, default_joint_pos",
+            f"{name} is {value:g} rad, its limits are [{lower:.4g}, {upper:.4g}] "
+            f"({len(outside)} joints)",
+            "correct the pose, its order or its unit (degrees?)",
+            contract.path,
+        )
+    if far:
+        result.note(
+            "pose.differ",
+            f"policy {key!r}",
+            f"its default pose is more than 0.3 rad from robot {robot.name}'s at {listed(far)}",
+        )
+
+
+def _symmetry(result: CheckResult, key: str, contract: PolicyContract) -> None:
+    place = {name: i for i, name in enumerate(contract.joints)}
+    size = np.abs(contract.default_joint_pos)
+    odd = [
+        (left, right)
+        for left, right in mirror_pairs(contract.joints)
+        if abs(size[place[left]] - size[place[right]]) > 0.02
+    ]
+    if odd:
+        left, right = odd[0]
+        values = [f"{contract.default_joint_pos[place[name]]:g}" for name in (left, right)]
+        result.find(
+            "pose.symmetry",
+            f"policy {key!r}, default_joint_pos",
+            f"{left} is {values[0]} and {right} is {values[1]} rad ({len(odd)} pairs)",
+            f"bring default_joint_pos into the order of joints: {listed(contract.joints, 3)}",
+            contract.path,
+        )
+
+
+def _feet(subject: Subject, result: CheckResult, key: str, contract: PolicyContract) -> None:
+    """Put the default pose into the model, base upright, and look what is lowest."""
+    import mujoco
+
+    model, robot = subject.model, subject.robot
+    feet = _foot_geoms(mujoco, model, robot.feet)
+    if not feet:
+        result.note(
+            "pose.feet",
+            f"model {subject.model_path}",
+            f"none of the robot's feet ({listed(robot.feet) or 'none named'}) is in the model, so "
+            "their height is not checked",
+        )
+        return
+    data = mujoco.MjData(model)
+    names = robot.joint_names
+    ids = joint_ids(model, names, subject.model_path)
+    pose = np.nan_to_num(robot.default_joint_pos.astype(np.float64))
+    for i, name in enumerate(contract.joints):
+        pose[names.index(name)] = contract.default_joint_pos[i]
+    data.qpos[[int(model.jnt_qposadr[j]) for j in ids]] = pose
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    heights = _heights(mujoco, model, data, int(model.body_rootid[model.jnt_bodyid[ids[0]]]))
+    if not heights:
+        return
+    geoms = {geom for group in feet.values() for geom in group}
+    lowest_foot = {
+        foot: min(heights[geom] for geom in group if geom in heights)
+        for foot, group in feet.items()
+        if any(geom in heights for geom in group)
+    }
+    others = {geom: height for geom, height in heights.items() if geom not in geoms}
+    if not lowest_foot:
+        return
+    ground = min(lowest_foot.values())
+    rows = [[foot, f"{1e3 * (height - ground):.0f}"] for foot, height in lowest_foot.items()]
+    result.table(f"Feet in the default pose of policy {key}", ["foot", "height [mm]"], rows)
+    if others:
+        geom = min(others, key=lambda g: others[g])
+        if others[geom] < ground - BELOW_FEET:
+            body = model.body(int(model.geom_bodyid[geom])).name
+            result.find(
+                "pose.feet",
+                f"policy {key!r}, default_joint_pos",
+                f"{body} is {1e2 * (ground - others[geom]):.1f} cm below the lowest foot "
+                f"({min(lowest_foot, key=lambda f: lowest_foot[f])})",
+                "correct the pose, its order, signs or unit",
+                contract.path,
+            )
+    for left, right in mirror_pairs(list(lowest_foot)):
+        apart = abs(lowest_foot[left] - lowest_foot[right])
+        if apart > 0.03:
+            result.find(
+                "pose.feet",
+                f"policy {key!r}, default_joint_pos",
+                f"{left} and {right} are {1e2 * apart:.1f} cm apart in height",
+                "correct the pose, its order, signs or unit",
+                contract.path,
+            )
+
+
+def _start(subject: Subject, result: CheckResult) -> None:
+    """How far the simulation begins above the floor or in it."""
+    import mujoco
+
+    model, data = subject.model, subject.workflow.platform.data  # type: ignore[attr-defined]
+    ids = joint_ids(model, subject.robot.joint_names, subject.model_path)
+    heights = _heights(mujoco, model, data, int(model.body_rootid[model.jnt_bodyid[ids[0]]]))
+    if not heights or subject.robot.kind not in ("quadruped", "humanoid"):
+        return
+    geom = min(heights, key=lambda g: heights[g])
+    lowest, body = heights[geom], model.body(int(model.geom_bodyid[geom])).name
+    where = subject.document.where("platforms", subject.platform.name)
+    if lowest < -INSIDE_FLOOR:
+        result.find(
+            "pose.floor",
+            "initial state of the simulation",
+            f"{body} is {-1e2 * lowest:.1f} cm inside the floor",
+            "raise initial_height, or leave it out and give initial_pose",
+            where,
+        )
+    elif lowest > ABOVE_FLOOR:
+        result.find(
+            "pose.floor",
+            "initial state of the simulation",
+            f"the lowest part, {body}, is {lowest:.2f} m above the floor",
+            "lower initial_height, or leave it out and give initial_pose",
+            where,
+        )
+
+
+def _heights(mujoco: Any, model: Any, data: Any, root: int) -> dict[int, float]:
+    """Return the distance of each geom of the robot that can touch the floor from it in [m]."""
+    floors = [
+        i
+        for i in range(model.ngeom)
+        if model.geom_type[i] == int(mujoco.mjtGeom.mjGEOM_PLANE) and model.geom_bodyid[i] == 0
+    ]
+    if not floors:
+        return {}
+    floor = floors[0]
+    found = {}
+    for geom in range(model.ngeom):
+        if model.body_rootid[model.geom_bodyid[geom]] != root or geom == floor:
+            continue
+        touches = (
+            model.geom_contype[floor] & model.geom_conaffinity[geom]
+            or model.geom_contype[geom] & model.geom_conaffinity[floor]
+        )
+        if touches:
+            found[geom] = float(mujoco.mj_geomDistance(model, data, floor, geom, _FAR, None))
+    return found
+
+
+def _foot_geoms(mujoco: Any, model: Any, feet: tuple[str, ...]) -> dict[str, list[int]]:
+    """Return the geoms of each foot: of the body, site or geom of its name, or of its stem."""
+    found = {}
+    for foot in feet:
+        stem = foot
+        for ending in _ENDINGS:
+            stem = stem.removesuffix(ending)
+        for name in dict.fromkeys((foot, stem)):
+            geoms = _geoms_of(mujoco, model, name)
+            if geoms:
+                found[foot] = geoms
+                break
+    return found
+
+
+def _geoms_of(mujoco: Any, model: Any, name: str) -> list[int]:
+    kinds = mujoco.mjtObj
+    geom = mujoco.mj_name2id(model, kinds.mjOBJ_GEOM, name)
+    if geom >= 0:
+        return [geom]
+    body = mujoco.mj_name2id(model, kinds.mjOBJ_BODY, name)
+    if body < 0:
+        site = mujoco.mj_name2id(model, kinds.mjOBJ_SITE, name)
+        body = int(model.site_bodyid[site]) if site >= 0 else -1
+    return [] if body < 0 else [g for g in range(model.ngeom) if model.geom_bodyid[g] == body]

@@ -1,0 +1,207 @@
+"""CheckResult: tables, findings and notes of a preflight check, for people and as JSON."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from unicon_core.errors import alternatives
+
+__all__ = ["CODES", "CheckResult", "Finding", "Section"]
+
+CODES = {
+    "build": "the workflow cannot be built",
+    "graph": "the graph of blocks is wrong",
+    "joints.held": "joints that no policy moves (a note)",
+    "joints.motors": "motor slots do not fit the joints",
+    "gains.differ": "the policy's gains are not the robot file's (a note)",
+    "gains.symmetry": "left and right joints have different gains",
+    "gains.damping": "a joint has stiffness but no damping",
+    "gains.swapped": "damping is greater than stiffness",
+    "limits.differ": "robot file and model have other limits (a note)",
+    "limits.effort": "effort limits of robot file and model are far apart",
+    "action.scale": "one unit of action is more than a joint's range, or nothing",
+    "action.symmetry": "left and right joints have different action scales",
+    "action.offset": "action 0 means a target outside the limits",
+    "action.reach": "clipped actions reach far outside the limits, and nothing limits targets",
+    "action.torque": "one unit of action asks for more torque than there is",
+    "observation.scale": "a term is multiplied by 0",
+    "observation.clip": "a term is clipped to a single value",
+    "observation.measured": "a term cannot be measured on this platform",
+    "observation.frame": "the platform's orientation and gravity contradict each other",
+    "input.size": "terms and the network's input differ in size",
+    "timing.period": "the control period is not plausible",
+    "command.range": "the workflow commands more than the policy was trained for",
+    "pose.differ": "the policy's default pose is not the robot file's (a note)",
+    "pose.limits": "the default pose is outside the limits",
+    "pose.symmetry": "the default pose is not the same on both sides",
+    "pose.feet": "in the default pose the robot does not stand on its feet",
+    "pose.floor": "the simulation begins inside the floor or far above it",
+    "files.sha256": "a file is not the one that the contract was written for",
+    "robot.facts": "the robot file lacks what is needed to drive the robot",
+    "check.settings": "the workflow's check: section is wrong",
+    "twin.run": "the twin could not be run",
+    "twin.fall": "the policy falls in the twin",
+    "twin.command": "the policy does not follow its command in the twin",
+    "twin.suspect": "a broken contract does as well as the given one",
+}
+"""What can be found. A workflow accepts one with `check: {accept: [CODE]}`: it is then a note."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that is wrong, or worth knowing.
+
+    Attributes:
+        code: one of `CODES`.
+        culprit: who is to blame: a policy, joint, term or file.
+        evidence: what was seen, with numbers.
+        remedy: what to do about it.
+        where: `file:line` or a file, "" where there is none.
+        severity: `error` fails the check, `note` does not.
+    """
+
+    code: str
+    culprit: str
+    evidence: str
+    remedy: str
+    where: str = ""
+    severity: Literal["error", "note"] = "error"
+
+    def __str__(self) -> str:
+        """The finding in one line."""
+        text = f"{self.culprit}: {self.evidence}"
+        text += f"; {self.remedy}" if self.remedy else ""
+        return f"{text}  [{self.code}{f', {self.where}' if self.where else ''}]"
+
+
+@dataclass(frozen=True)
+class Section:
+    """One table.
+
+    Attributes:
+        title: its heading.
+        columns: names of the columns.
+        rows: cells as text.
+        lines: what stands below the table.
+    """
+
+    title: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    lines: tuple[str, ...] = ()
+
+    def text(self) -> str:
+        """Return the table with its heading."""
+        parts = [self.title]
+        if self.rows:
+            table = [self.columns, *self.rows]
+            widths = [max(len(row[i]) for row in table) for i in range(len(self.columns))]
+            lines = [
+                "  " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths)).rstrip()
+                for row in table
+            ]
+            lines.insert(1, "  " + "  ".join("─" * width for width in widths))
+            parts += lines
+        return "\n".join([*parts, *(f"  {line}" for line in self.lines)])
+
+
+@dataclass
+class CheckResult:
+    """All that a check found.
+
+    Attributes:
+        workflow: its name.
+        subject: robot, platform and file, one line.
+        findings: what fails the check.
+        notes: what does not.
+        sections: tables.
+        accepted: codes that the workflow accepts.
+    """
+
+    workflow: str
+    subject: str = ""
+    findings: list[Finding] = field(default_factory=list)
+    notes: list[Finding] = field(default_factory=list)
+    sections: list[Section] = field(default_factory=list)
+    accepted: frozenset[str] = frozenset()
+
+    def accept(self, codes: Any, where: str) -> None:
+        """Take over the workflow's `check: {accept: [...]}`; an unknown code is a finding."""
+        listed = codes if isinstance(codes, list) else [codes]
+        for code in listed:
+            if code not in CODES:
+                remedy = f"{alternatives(str(code), CODES)}"
+                self.find("check.settings", "check.accept", f"no finding {code!r}", remedy, where)
+        self.accepted = frozenset(str(code) for code in listed)
+
+    def find(self, code: str, culprit: str, evidence: str, remedy: str, where: Any = "") -> None:
+        """Add what fails the check, or a note where the workflow accepts it."""
+        if code in self.accepted:
+            self.note(code, culprit, f"{evidence} (accepted by the workflow)", "", where)
+        else:
+            self.findings.append(Finding(code, culprit, evidence, remedy, str(where)))
+
+    def note(
+        self, code: str, culprit: str, evidence: str, remedy: str = "", where: Any = ""
+    ) -> None:
+        """Add what is worth knowing and does not fail the check."""
+        self.notes.append(Finding(code, culprit, evidence, remedy, str(where), "note"))
+
+    def table(
+        self,
+        title: str,
+        columns: Sequence[str],
+        rows: Iterable[Sequence[str]],
+        lines: Iterable[str] = (),
+    ) -> None:
+        """Add a table."""
+        listed = tuple(tuple(row) for row in rows)
+        self.sections.append(Section(title, tuple(columns), listed, tuple(lines)))
+
+    @property
+    def clean(self) -> bool:
+        """Whether nothing fails the check."""
+        return not self.findings
+
+    def text(self) -> str:
+        """Return tables, notes, findings and the verdict, for a terminal."""
+        parts = [f"check {self.workflow}" + (f": {self.subject}" if self.subject else "")]
+        parts += [section.text() for section in self.sections]
+        if self.notes:
+            parts.append("\n".join(["Notes", *(f"  · {note}" for note in self.notes)]))
+        if self.findings:
+            numbered = [f"  {i}. {finding}" for i, finding in enumerate(self.findings, 1)]
+            parts.append("\n".join(["Findings", *numbered]))
+        count = len(self.findings)
+        parts.append("clean" if self.clean else f"{count} finding{'s' if count > 1 else ''}")
+        return "\n\n".join(parts)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return all as plain values."""
+        return {
+            "workflow": self.workflow,
+            "subject": self.subject,
+            "clean": self.clean,
+            "findings": [vars(finding) for finding in self.findings],
+            "notes": [vars(note) for note in self.notes],
+            "sections": [
+                {
+                    "title": section.title,
+                    "columns": list(section.columns),
+                    "rows": [list(row) for row in section.rows],
+                    "lines": list(section.lines),
+                }
+                for section in self.sections
+            ],
+        }
+
+    def write(self, path: str | Path) -> None:
+        """Write `to_json` to a file, folders made as needed."""
+        target = Path(path)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        text = json.dumps(self.to_json(), indent=2, ensure_ascii=False)
+        target.write_text(text + "\n", encoding="utf-8")

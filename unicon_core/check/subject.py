@@ -1,0 +1,170 @@
+"""What is checked: a workflow built without touching a motor, and what its platform can do."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from copy import deepcopy
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from unicon_core.errors import PlatformError, alternatives
+from unicon_core.flow import Block, blocks_of
+from unicon_core.policies import OnnxPolicy, PolicyContract
+from unicon_core.robots import Robot
+from unicon_core.workflow import Workflow
+from unicon_core.workflow.autowire import option_names
+from unicon_core.workflow.document import WorkflowDocument
+from unicon_core.workflow.registry import find_factory
+from unicon_core.workflow.workflow import build_workflow
+
+__all__ = ["NOT_ON_HARDWARE", "PlatformFacts", "Subject", "build_subject", "platform_facts"]
+
+NOT_ON_HARDWARE = ("base_lin_vel", "base_pos_w")
+"""What no sensor of a legged robot measures: it takes an estimator or a tracking system."""
+
+_SIMULATORS = ("mujoco", "fake")
+
+
+@dataclass(frozen=True)
+class PlatformFacts:
+    """What is known of a platform before it is built.
+
+    Attributes:
+        name: word that the workflow uses.
+        simulated: whether it is a simulator. A factory says so by an attribute `simulated`.
+        unmeasured: states that it does not write; a factory may say what it does write by an
+            attribute `writes`.
+    """
+
+    name: str
+    simulated: bool
+    unmeasured: tuple[str, ...]
+
+
+@dataclass
+class Subject:
+    """A built workflow and its parts, as the checks see them.
+
+    Attributes:
+        document: the workflow file.
+        workflow: built; on hardware the platform is exchanged for `fake`, so nothing moves.
+        platform: of the document, not the exchanged one.
+    """
+
+    document: WorkflowDocument
+    workflow: Workflow
+    platform: PlatformFacts
+
+    @property
+    def robot(self) -> Robot:
+        """The robot."""
+        return self.workflow.robot
+
+    @cached_property
+    def policies(self) -> dict[str, PolicyContract]:
+        """Key under `policies:` to contract, those that the flow uses."""
+        used = {
+            block.tick.contract.path: block.tick.contract
+            for block in self.workflow.blocks
+            if isinstance(block.tick, OnnxPolicy)
+        }
+        named = self.workflow.policies.items()
+        return {key: contract for key, contract in named if contract.path in used}
+
+    @cached_property
+    def blocks(self) -> list[Block]:
+        """All blocks of the flow, without recv and send."""
+        return [b for b in blocks_of(self.workflow.root) if b.role not in ("recv", "send")]
+
+    @cached_property
+    def written(self) -> frozenset[str]:
+        """States that some block of the workflow writes."""
+        return frozenset(name for block in self.blocks for name in block.writes)
+
+    @property
+    def model(self) -> Any:
+        """The `MjModel` where the platform is MuJoCo, else None."""
+        return getattr(self.workflow.platform, "model", None)
+
+    @property
+    def model_path(self) -> Path | None:
+        """File of the model."""
+        path = self.workflow.platform.info().get("model")
+        return None if path is None else Path(str(path))
+
+    def has_block(self, *names: str) -> bool:
+        """Whether a block of one of these names is in the workflow."""
+        return any(block.name in names for block in self.blocks)
+
+
+def platform_facts(document: WorkflowDocument) -> PlatformFacts:
+    """Return what is known of the workflow's platform, and check its options without building it.
+
+    Raises:
+        PlatformError: no such platform.
+        MissingDependencyError: it needs a package that is not installed.
+        WorkflowError: it has no such option.
+    """
+    name = str(document.get("platform", str))
+    try:
+        factory = find_factory("platforms", name, PlatformError)
+    except PlatformError as error:
+        raise document.error(str(error), "platform") from error
+    simulated = bool(getattr(factory, "simulated", name in _SIMULATORS))
+    writes = getattr(factory, "writes", None)
+    if simulated:
+        return PlatformFacts(name, True, ())
+    options = document.get("platforms", dict, {}).get(name) or {}
+    free = option_names(factory)
+    for option in options:
+        if option not in free:
+            raise document.error(
+                f"platform {name!r} has no option {option!r}; {alternatives(option, free)}",
+                "platforms",
+                name,
+                option,
+            )
+    unmeasured: tuple[str, ...] = NOT_ON_HARDWARE
+    if writes is not None:
+        unmeasured = tuple(state for state in NOT_ON_HARDWARE if state not in writes)
+    return PlatformFacts(name, False, unmeasured)
+
+
+def build_subject(document: WorkflowDocument) -> Subject:
+    """Build what is to be checked; hardware is never opened.
+
+    Raises:
+        UniconError: the workflow cannot be built.
+    """
+    facts = platform_facts(document)
+    built = document if facts.simulated else on_platform(document, "fake")
+    return Subject(document, build_workflow(built), facts)
+
+
+def on_platform(
+    document: WorkflowDocument, name: str, options: Mapping[str, Any] | None = None
+) -> WorkflowDocument:
+    """Return the same workflow on another platform.
+
+    Args:
+        document: stays as it is.
+        name: of the platform.
+        options: used where the document has none for that platform.
+    """
+    values = deepcopy(document.values)
+    values["platform"] = name
+    values.pop("num_robots", None)
+    if options is not None:
+        platforms = values.setdefault("platforms", {})
+        given = dict(platforms.get(name) or {})
+        platforms[name] = given or dict(options)
+    return replace(document, values=values)
+
+
+def listed(names: Iterable[str], limit: int = 4) -> str:
+    """Return names for a message, cut off after a few."""
+    names = list(names)
+    more = f" and {len(names) - limit} more" if len(names) > limit else ""
+    return ", ".join(names[:limit]) + more

@@ -1,0 +1,189 @@
+"""The preflight twin: the deploy graph in MuJoCo, broken contracts beside it, and a verdict."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from typing import Any
+
+from unicon_core.check.result import CheckResult
+from unicon_core.check.subject import on_platform
+from unicon_core.check.twin.measures import Measures
+from unicon_core.check.twin.perturb import perturbations
+from unicon_core.check.twin.repair import Repair, repairs
+from unicon_core.check.twin.session import TwinSession
+from unicon_core.errors import UniconError
+from unicon_core.policies import PolicyContract
+from unicon_core.workflow.document import WorkflowDocument
+
+__all__ = ["check_twin"]
+
+MARGIN = 0.1
+"""By how much the given contract's score must exceed that of a broken one."""
+POOR = 0.5
+"""Tracking below this makes the search for a better contract worth its time."""
+FOLLOWS = 0.3
+"""Tracking below this is a finding even where nothing mends it."""
+MENDED = 0.15
+"""By how much a mended contract must do better to be believed."""
+_PATIENCE = 40.0  # [s] of wall time for the search
+
+
+def check_twin(
+    document: WorkflowDocument, settings: Mapping[str, Any], result: CheckResult
+) -> None:
+    """Run the workflow in MuJoCo and add tables and findings.
+
+    Args:
+        document: the workflow, on whatever platform.
+        settings: its `check:` section.
+        result: is added to.
+    """
+    policies = list(document.get("policies", dict, {}))
+    pose = {"initial_pose": f"policy:{policies[0]}"} if len(policies) == 1 else {}
+    try:
+        session = TwinSession(on_platform(document, "mujoco", pose), settings.get("command"))
+    except UniconError as error:
+        evidence, _, remedy = str(error).rpartition("; ")
+        result.find("twin.run", "twin on platform 'mujoco'", evidence or remedy, remedy)
+        return
+    try:
+        _Twin(session, float(settings.get("duration", 5.0)), result, document).check()
+    finally:
+        session.close()
+
+
+class _Twin:
+    def __init__(
+        self, session: TwinSession, seconds: float, result: CheckResult, document: WorkflowDocument
+    ) -> None:
+        self.session, self.seconds, self.result = session, seconds, result
+        self.where = document.path
+        self.rows: list[list[str]] = []
+
+    def check(self) -> None:
+        session, result = self.session, self.result
+        given = session.run(self.seconds)
+        self.add("as given", given)
+        suspects = []
+        for contract in session.contracts:
+            for broken in perturbations(contract, session.depths(contract.joints)):
+                if broken.contract is None:
+                    self.rows.append([broken.name, f"not tried: {broken.reason}", *[""] * 4])
+                    continue
+                measures = session.run(self.seconds, broken.contract)
+                self.add(broken.name, measures)
+                if measures.score >= given.score - MARGIN:
+                    suspects.append((contract, broken, measures))
+        self.verdict(given, bool(suspects))
+        if given.stands and (not given.tracks or given.tracking >= POOR):
+            for contract, broken, measures in suspects:
+                result.find(
+                    "twin.suspect",
+                    f"policy {contract.name!r}, {broken.culprit}",
+                    f"with {broken.name} it does as well (score {measures.score:.2f}) as with the "
+                    f"given contract ({given.score:.2f}): yours is suspect",
+                    f"compare {broken.culprit} with the training side",
+                    contract.path,
+                )
+        self.tables(given)
+
+    def add(self, name: str, measures: Measures) -> None:
+        self.rows.append(
+            [
+                name,
+                measures.outcome(),
+                f"{measures.score:.2f}",
+                f"{measures.tracking:.2f}" if measures.tracks else "-",
+                f"{measures.velocity_error:.2f}" if measures.tracks else "-",
+                f"{measures.target_rate:.1f}",
+            ]
+        )
+
+    def verdict(self, given: Measures, suspicious: bool) -> None:
+        """Findings of the given contract: a fall, or a command that is not followed."""
+        contracts = self.session.contracts
+        poor = bool(contracts) and given.tracks and given.tracking < POOR
+        if given.stands and not poor:
+            return
+        code = "twin.command" if given.stands else "twin.fall"
+        what = given.outcome()
+        if given.fault:
+            what += f" ({given.fault})"
+        if given.stands:
+            what = (
+                f"it stays up, but moves at {_velocity(given.velocity)} where "
+                f"{_velocity(given.command)} is commanded"
+            )
+        found = self.mend(given)
+        if found is not None:
+            contract, repair, mended, tried = found
+            self.add(f"mended: {repair.name}", mended)
+            self.result.find(
+                code,
+                f"policy {contract.name!r}, {repair.culprit}",
+                f"{what} (score {given.score:.2f}); with {repair.name} it {mended.outcome()} "
+                f"(score {mended.score:.2f}), the best of {tried} changes",
+                f"compare {repair.culprit} with the training side",
+                contract.path,
+            )
+        elif not contracts:
+            self.result.find(code, "flow", what, "change the flow, or its gains", self.where)
+        elif not given.stands or given.tracking < FOLLOWS:
+            name = contracts[0].name
+            self.result.find(
+                code,
+                f"policy {name!r}",
+                f"{what} (score {given.score:.2f}), and none of the usual mistakes explains it",
+                "compare default pose, gains, action scale, terms and the model with the training "
+                "side",
+                contracts[0].path,
+            )
+        else:
+            self.result.note(code, f"policy {contracts[0].name!r}", what)
+
+    def mend(self, given: Measures) -> tuple[PolicyContract, Repair, Measures, int] | None:
+        """Return the change under which the policy does best, if it does clearly better."""
+        best: tuple[PolicyContract, Repair, Measures] | None = None
+        tried, until = 0, time.monotonic() + _PATIENCE
+        robot = self.session.workflow.robot
+        for contract in self.session.contracts:
+            for repair in repairs(contract, robot, self.session.depths(contract.joints)):
+                if time.monotonic() > until:
+                    break
+                measures = self.session.run(
+                    self.seconds, repair.contract, unlimited=repair.unlimited
+                )
+                tried += 1
+                if best is None or measures.score > best[2].score + 0.01:
+                    best = contract, repair, measures
+        if best is None or not best[2].stands or best[2].score < given.score + MENDED:
+            return None
+        if best[2].tracks and best[2].tracking < FOLLOWS:
+            return None
+        return (*best, tried)
+
+    def tables(self, given: Measures) -> None:
+        title = f"Twin in MuJoCo, {self.seconds:g} s of the policy"
+        columns = ["contract", "outcome", "score", "tracking", "error", "rate [rad/s]"]
+        lines = ["score = survival · (0.7 · tracking + 0.3 · smoothness), from 0 to 1"]
+        lines.append("a walk does not validate the rate: half the rate walks as well")
+        contracts = self.session.contracts
+        self.result.table(title, columns, self.rows, lines if contracts else ())
+        rows = [
+            ["outcome", given.outcome() + (f": {given.fault}" if given.fault else "")],
+            ["torque", f"{given.torque_use:.0%} of the limit at {given.torque_joint} (rms)"],
+            ["saturated", f"{given.saturated:.2%} of all torques"],
+            ["change of targets", f"{given.target_rate:.2f} rad/s (rms)"],
+        ]
+        if given.tracks and contracts:
+            rows.insert(1, ["command", _velocity(given.command)])
+            rows.insert(2, ["velocity", _velocity(given.velocity)])
+        hits = list(given.limit_hits.items())[:4]
+        text = ", ".join(f"{name} {share:.0%}" for name, share in hits)
+        rows.append(["at position limits", text or "never"])
+        self.result.table("Twin, as given", ["what", "value"], rows)
+
+
+def _velocity(values: tuple[float, float, float]) -> str:
+    return f"vx {values[0]:.2f}, vy {values[1]:.2f} m/s, wz {values[2]:.2f} rad/s"
