@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from unicon_core.blocks.maps import copy, linear_map
 from unicon_core.errors import StateError
 from unicon_core.flow import Block, Chain, Deferred, Every, Loop, When, Zip, as_block, compile_graph
 from unicon_core.flow.fuse import fuse
@@ -205,6 +206,26 @@ def test_a_callable_with_the_parts_of_a_map_is_one() -> None:
     assert block.linear.is_copy
     assert block.linear.index is None
     assert block.endless
+
+
+def test_the_built_in_maps_of_a_workflow_are_fused() -> None:
+    states = many(3)
+    blocks = [
+        as_block(copy(states=states, source="a0", target="b0")),
+        as_block(linear_map(states=states, source="a1", target="b1", scale=2.0)),
+        as_block(copy(states=states, source="a2", target="b2", index=list(range(19, -1, -1)))),
+    ]
+    states.buffer_of("float32")[:60] = np.arange(60)
+    fused = fuse(Zip(*blocks), states)
+    assert isinstance(fused, Zip)
+    assert len(fused.children) == 1
+    compile_graph(fused).step()
+    once = states.buffer.tobytes()
+    for block in blocks:
+        block()
+    assert states.buffer.tobytes() == once
+    assert states.b1[3] == 46.0
+    assert states.b2[0] == 59.0
 
 
 S = make_states(None)

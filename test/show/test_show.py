@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import re
 import xml.etree.ElementTree as ET
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from unicon_core.flow import (
@@ -21,6 +23,7 @@ from unicon_core.flow import (
     Zip,
     critical_path,
 )
+from unicon_core.policies import ActionSpec, ObservationSpec, ObservationTerm, PolicyContract
 from unicon_core.show import show_mermaid, show_svg, show_text, state_rows
 from unicon_core.show.svg import CHAR
 from unicon_core.show.tree import data_flow, shortened
@@ -206,12 +209,29 @@ def test_long_lists_are_shortened(names: tuple[str, ...], short: str) -> None:
 
 
 def test_the_tables_of_a_policy_are_part_of_the_text() -> None:
-    from unicon_core.workflow import load_workflow
-
-    workflow = load_workflow("go2_stand")
-    try:
-        text = show_text(workflow.root, workflow.states, robot=workflow.robot, policies={})
-    finally:
-        workflow.close()
-    assert "joints of policy" not in text
-    assert "● " not in text.split("\n\n")[0]
+    joints = ("hip", "thigh", "calf")
+    ones = np.ones(3, np.float32)
+    contract = PolicyContract(
+        name="walk",
+        path=Path("walk.yaml"),
+        model=Path("walk.onnx"),
+        period=0.02,
+        joints=joints,
+        default_joint_pos=0.5 * ones,
+        action=ActionSpec(joints, 0.25 * ones, 0.5 * ones),
+        stiffness=20.0 * ones,
+        damping=ones,
+        observation=ObservationSpec((ObservationTerm("qpos", "joint_pos"),)),
+        inputs={"observation": "obs"},
+        outputs={"action": "actions"},
+    )
+    parts = show_text(FOUND.root, STATES, policies={"fast walk": contract}).split("\n\n")
+    assert parts[-4] == "joints of policy fast walk"
+    assert all(joint in parts[-3] for joint in joints)
+    assert parts[-2] == "observation of policy fast walk"
+    assert "qpos" in parts[-1]
+    assert "[0:3]" in parts[-1]
+    assert show_text(FOUND.root, STATES, policy=contract).split("\n\n")[-4] == (
+        "joints of policy walk"
+    )
+    assert "of policy" not in show_text(FOUND.root, STATES)
