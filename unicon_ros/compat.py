@@ -6,6 +6,7 @@ Tried on Jazzy (rclpy 7.1); Humble's (3.3) and Kilted's (9.1) names are taken fr
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import os
 import platform
@@ -26,6 +27,7 @@ __all__ = [
     "raw_publish",
     "raw_take",
     "serve_one",
+    "wait_for_readers",
 ]
 
 _WHEELS = "pip install 'ros-rclpy[fastrtps]==7.1.6' ros-jazzy-common-interfaces"
@@ -121,6 +123,18 @@ def raw_publish(publisher: Any) -> tuple[Callable[[bytes], object], Callable[[],
         return publisher.publish, lambda: None
     enter()
     return fast, lambda: leave(None, None, None)
+
+
+def wait_for_readers(publisher: Any, timeout: float) -> None:
+    """Wait until reliable readers have what was published, at most `timeout` in [s]."""
+    wait = getattr(publisher, "wait_for_all_acked", None)
+    if wait is None:
+        return
+    from rclpy.duration import Duration
+
+    # A middleware without acknowledgements refuses: there is nothing to wait for.
+    with contextlib.suppress(Exception):
+        wait(Duration(nanoseconds=round(timeout * 1e9)))
 
 
 def raw_take(subscription: Any) -> tuple[Callable[[], bytes | None] | None, Callable[[], None]]:

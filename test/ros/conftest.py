@@ -13,7 +13,7 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from ros_helpers import REACT, SWAY, Peer, Run  # noqa: E402
+from ros_helpers import REACT, SWAY, Peer, Run
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent.parent

@@ -28,6 +28,7 @@ from unicon_msgs_map.spec import PublishSpec, SubscribeSpec
 from unicon_ros import compat
 from unicon_ros.bridge.bindings import arrays_of, names_of, variables_of
 from unicon_ros.bridge.controls import SERVICES, Controls, add_services
+from unicon_ros.bridge.own_node import OwnNode, one_line
 from unicon_ros.bridge.robot_frames import RobotFrames
 from unicon_ros.bridge.slack import SlackServer
 from unicon_ros.bridge.stamps import WallStamp
@@ -67,14 +68,13 @@ class RosSession:
         node: Any = None,
         executor: Any = None,
     ) -> None:
-        self._rclpy = compat.import_rclpy()
+        compat.import_rclpy()
         self.map = _read_map(map)
         self.warn = warn
-        self._owns = node is None
-        self._context: Any = None
-        if node is None:
-            node, executor = self._make_node(node_name, namespace, ros_args)
-        self.node, self._executor = node, executor
+        self._own = OwnNode(node_name, namespace, ros_args) if node is None else None
+        if self._own is not None:
+            node, executor = self._own.node, self._own.executor
+        self.node = node
         self.slack = SlackServer(executor, warn)
         self.controls = Controls(self.slack.spin)
         self.outgoing: list[TopicOut] = []
@@ -87,35 +87,9 @@ class RosSession:
         self._stamp: WallStamp | None = None
         self._closed = False
         self._started_ns = time.perf_counter_ns()
-        if self._owns:
+        if self._own is not None:
             handlers = {name: getattr(self.controls, name) for name in SERVICES}
             self._services = add_services(node, handlers)
-
-    def _make_node(
-        self, name: str, namespace: str | None, ros_args: Sequence[str]
-    ) -> tuple[Any, Any]:
-        rclpy = self._rclpy
-        arguments = list(ros_args)
-        if arguments and "--ros-args" not in arguments:
-            arguments.insert(0, "--ros-args")
-        context = self._context = rclpy.context.Context()
-        try:
-            # Signals stay with the runner: SIGINT has to damp before ROS goes away.
-            rclpy.init(
-                args=arguments,
-                context=context,
-                signal_handler_options=rclpy.signals.SignalHandlerOptions.NO,
-            )
-            node = rclpy.node.Node(name, namespace=namespace, context=context)
-        except Exception as error:
-            rclpy.try_shutdown(context=context)
-            raise UniconError(
-                f"ROS 2 node {name!r} in namespace {namespace or '/'!r} with arguments "
-                f"{arguments}: {_one_line(error)}; correct the name, the namespace or --ros-args"
-            ) from error
-        executor = rclpy.executors.SingleThreadedExecutor(context=context)
-        executor.add_node(node)
-        return node, executor
 
     # -- hooks ----------------------------------------------------------------------------------
 
@@ -171,6 +145,9 @@ class RosSession:
         for spec in self.map.publish:
             if spec.topic == CLOCK and not platform.simulated:
                 continue  # only a simulator makes the time of others
+            if self.node.resolve_topic_name(spec.topic) in getattr(platform, "topics", ()):
+                self._skip(spec, f"platform {platform.name!r} has it already")
+                continue
             message = self._message(spec, "publish")
             if message is None:
                 continue
@@ -228,10 +205,8 @@ class RosSession:
         closers += [topic.close for topic in self.outgoing]
         for close in (*closers, *self._others):
             close()
-        if self._owns:
-            self._executor.shutdown()
-            self.node.destroy_node()
-            self._rclpy.try_shutdown(context=self._context)
+        if self._own is not None:
+            self._own.close()
 
     # -- helpers --------------------------------------------------------------------------------
 
@@ -268,7 +243,7 @@ class RosSession:
     def _refused(self, spec: PublishSpec | SubscribeSpec, error: Exception) -> UniconError:
         return UniconError(
             f"{spec.where or spec.topic}: topic {spec.topic!r} was refused by ROS "
-            f"({_one_line(error)}); correct its name or qos"
+            f"({one_line(error)}); correct its name or qos"
         )
 
 
@@ -283,7 +258,7 @@ def _poll_all(
                 topic.poll()
             except Exception as error:  # the middleware is gone: the tick goes on
                 topics.remove(topic)
-                warn(f"topic {topic.topic}: given up ({_one_line(error)})")
+                warn(f"topic {topic.topic}: given up ({one_line(error)})")
                 return
 
     return poll
@@ -295,7 +270,3 @@ def _read_map(name: str | Path | None) -> MessageMap:
         return load_map(path)
     except MapError as error:
         raise UniconError(str(error)) from error
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split()) or type(error).__name__

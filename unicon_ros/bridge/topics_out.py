@@ -78,6 +78,12 @@ class TopicOut:
             self.published += 1
             self._in_a_row = 0
 
+    def flush(self, timeout: float = 0.1) -> None:
+        """Publish at once, due or not, and wait until readers have it; never raises."""
+        self._wait = 0
+        self.tick()
+        compat.wait_for_readers(self.publisher, timeout)
+
     def _refused(self, error: Exception) -> None:
         self.failed += 1
         self._in_a_row += 1

@@ -55,8 +55,9 @@ def main() -> None:
             request = ChangeState.Request()
             request.transition.label = word[1:]
             answer = {"success": call(ChangeState, "change_state", request).success}
-            state = call(GetState, "get_state", GetState.Request()).current_state.label
-            answer["state"] = state
+            if word != "+shutdown":  # which ends the process that would answer
+                state = call(GetState, "get_state", GetState.Request()).current_state.label
+                answer["state"] = state
         elif word == "?":
             state = call(GetState, "get_state", GetState.Request()).current_state.label
             answer = {"state": state}

@@ -1,0 +1,166 @@
+"""unicon_node as a process: exit statuses, lifecycle orders, parameters, services, diagnostics."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]
+
+Start = Callable[..., Any]
+
+
+def ros_args(*parameters: str) -> list[str]:
+    return ["--ros-args", *(part for text in parameters for part in ("-p", text))]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_damps_closes_and_exits_0(
+    nodes: Start, peers: Start, sway: Path, number: signal.Signals
+) -> None:
+    node = nodes(*ros_args(f"workflow:={sway}"))
+    watcher = peers("robot_watcher")
+    watcher.wait_for(lambda: len(watcher.of("joints")) > 5, "joint_states")
+    node.process.send_signal(number)
+    status, errors = node.end()
+    assert status == 0, errors
+    assert "Traceback" not in errors
+    assert "ended after" in errors
+
+
+def test_a_signal_ends_an_inactive_node_too(nodes: Start, peers: Start, react: Path) -> None:
+    node = nodes(*ros_args(f"workflow:={react}", "autostart:=false"))
+    caller = peers("caller", "unicon", "?")
+    assert caller.end()[0] == 0
+    assert caller.lines[0]["state"] == "unconfigured"
+    node.process.send_signal(signal.SIGINT)
+    assert node.end() == (0, node.end()[1])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (ros_args("workflow:=nope"), "unknown workflow 'nope'; known: "),
+        (ros_args("workflow:=go2_stand", "map:=nope"), "unknown map 'nope'"),
+        (ros_args("workflow:=go2_stand", "overrides:=['rate=x']"), "rate: 'x' is not a number"),
+        (["--ros-args", "-p", "foo"], "Couldn't parse parameter override rule: '-p foo'"),
+        (ros_args("max_vx:=-1.0"), "max_vx"),
+    ],
+)
+def test_bad_input_at_start_is_one_line_and_exit_status_1(
+    nodes: Start, arguments: list[str], said: str
+) -> None:
+    status, errors = nodes(*arguments).end()
+    lines = [
+        line for line in errors.splitlines() if "[INFO]" not in line and "left out" not in line
+    ]
+    assert status == 1, errors
+    assert len(lines) == 1, errors
+    assert lines[0].startswith("unicon_node: error: ")
+    assert said in lines[0]
+
+
+def test_lifecycle_is_clean_in_every_order(nodes: Start, peers: Start, react: Path) -> None:
+    node = nodes(*ros_args(f"workflow:={react}", "autostart:=false"))
+    words = [
+        "+configure",
+        "+cleanup",
+        "+configure",
+        "+activate",
+        "+deactivate",
+        "+activate",
+        "wait=0.3",
+        "+deactivate",
+        "+cleanup",
+        "start",  # configures and activates
+        "wait=0.3",
+        "stop",
+        "wait=0.3",
+        "?",
+        "start",
+        "estop",
+        "wait=0.3",
+        "?",
+        "start",
+        "+shutdown",
+    ]
+    caller = peers("caller", "unicon", *words)
+    status, errors = caller.end(60)
+    assert status == 0, errors
+    states = [line["state"] for line in caller.lines if "state" in line]
+    assert states == [
+        "inactive",
+        "unconfigured",
+        "inactive",
+        "active",
+        "inactive",
+        "active",
+        "inactive",
+        "unconfigured",
+        "inactive",  # after stop
+        "inactive",  # after estop
+    ]
+    assert all(line.get("success", True) for line in caller.lines), caller.lines
+    status, errors = node.end()
+    assert status == 0, errors
+    assert "Traceback" not in errors
+    assert "fault: emergency stop by the service ~/estop" in errors
+
+
+def test_a_workflow_that_cannot_be_built_leaves_the_node_unconfigured(
+    nodes: Start, peers: Start
+) -> None:
+    node = nodes(*ros_args("workflow:=nope", "autostart:=false"))
+    caller = peers("caller", "unicon", "+configure", "start")
+    assert caller.end()[0] == 0
+    assert caller.lines[0] | {"seconds": 0} == {
+        "success": False,
+        "state": "unconfigured",
+        "word": "+configure",
+        "seconds": 0,
+    }
+    assert "unknown workflow 'nope'" in caller.lines[1]["message"]
+    node.process.send_signal(signal.SIGINT)
+    assert node.end()[0] == 0
+
+
+def test_a_fault_is_exit_status_3_where_it_is_asked_for(
+    nodes: Start, peers: Start, react: Path
+) -> None:
+    node = nodes(*ros_args(f"workflow:={react}", "exit_on_fault:=true"))
+    assert peers("caller", "unicon", "estop").end()[0] == 0
+    status, errors = node.end()
+    assert status == 3, errors
+
+
+def test_command_limits_and_gain_scales_may_be_set_while_it_runs(
+    nodes: Start, peers: Start, react: Path
+) -> None:
+    nodes(*ros_args(f"workflow:={react}"))
+    watcher = peers("robot_watcher", "--command", "0.5", "0", "0")
+    names = "FL_hip_joint"
+
+    def hip() -> float:
+        line = watcher.of("joints")[-1]
+        return float(line["position"][line["names"].index(names)])
+
+    watcher.wait_for(lambda: watcher.of("joints") and abs(hip() - 0.6) < 1e-5, "0.1 + 0.5")
+    caller = peers("caller", "unicon", "max_vx=0.2", "max_vx=-3.0", "stiffness_scale=0.0")
+    assert caller.end()[0] == 0
+    assert [line["success"] for line in caller.lines] == [True, False, True]
+    # Without stiffness the fake robot's joints stay where they are: at the limited command.
+    watcher.wait_for(lambda: abs(hip() - 0.3) < 1e-5, "0.1 + 0.2")
+
+
+def test_two_nodes_run_in_two_namespaces(nodes: Start, peers: Start, react: Path) -> None:
+    for space in ("a", "b"):
+        nodes(*ros_args(f"workflow:={react}"), "-r", f"__ns:=/{space}")
+    for space in ("a", "b"):
+        caller = peers("caller", f"/{space}/unicon", "wait=0.5", "?", "stop")
+        status, errors = caller.end()
+        assert status == 0, errors
+        assert caller.lines[0]["state"] == "active"

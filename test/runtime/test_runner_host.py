@@ -1,0 +1,116 @@
+"""What a host needs of the runner: actions between ticks, reset, deadlines, ticks on arrival."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from unicon_core.errors import PlatformError
+from unicon_core.runtime import Runner, RunOptions
+from unicon_core.workflow import Workflow, load_workflow
+
+WORKFLOW = """\
+schema: unicon.workflow/1
+robot: go2
+platform: fake
+rate: 500
+flow: {sway: {gains: {"*_hip_joint": [1.0, 0, 0]}}}
+safety: [finite]
+"""
+
+
+@pytest.fixture
+def workflow(tmp_path: Path) -> Callable[..., Workflow]:
+    def load(*overrides: str) -> Workflow:
+        path = tmp_path / "host.yaml"
+        path.write_text(WORKFLOW)
+        return load_workflow(path, overrides)
+
+    return load
+
+
+@pytest.mark.parametrize("speed", ["real", "max"])
+def test_actions_run_between_two_ticks_in_their_order(
+    workflow: Callable[..., Workflow], speed: Any
+) -> None:
+    runner = Runner(workflow(), RunOptions(speed=speed, duration=0.2))
+    seen: list[tuple[str, int]] = []
+
+    def first() -> None:
+        seen.append(("first", runner.statistics.count))
+        runner.call_soon(lambda: seen.append(("later", runner.statistics.count)))
+
+    runner.call_soon(first)
+    runner.call_soon(lambda: seen.append(("second", runner.statistics.count)))
+    report = runner.run()
+    assert seen == [("first", 0), ("second", 0), ("later", 1)]
+    assert report.ticks == 100
+
+
+def test_a_long_action_is_no_overrun(workflow: Callable[..., Workflow]) -> None:
+    loaded = workflow()
+    runner = Runner(loaded, RunOptions(duration=0.1))
+    overruns: list[int] = []
+
+    def pause() -> None:
+        overruns.append(runner.statistics.overruns)
+        time.sleep(0.1)  # 50 periods
+
+    runner.call_soon(pause)
+    report = runner.run()
+    assert overruns == [0]
+    assert report.overruns < 50
+
+
+def test_reset_brings_a_simulator_back_to_time_0(workflow: Callable[..., Workflow]) -> None:
+    loaded = workflow()
+    runner = Runner(loaded)
+    for _ in range(10):
+        runner.tick(0)
+    assert int(loaded.states.stamp_ns) == 9 * 2_000_000
+    runner.reset()
+    runner.tick(0)
+    assert int(loaded.states.stamp_ns) == 0
+    runner.close()
+
+
+def test_the_next_deadline_is_a_period_after_the_present_one(
+    workflow: Callable[..., Workflow],
+) -> None:
+    runner = Runner(workflow(), RunOptions(duration=0.05))
+    assert runner.next_due_ns == 0
+    runner.run()
+    last = runner.statistics.kept()[-1]
+    assert runner.next_due_ns == last[0] + runner.period_ns
+
+
+def test_a_platform_that_cannot_wait_cannot_trigger(workflow: Callable[..., Workflow]) -> None:
+    loaded = workflow("pacing={trigger: state}")
+    with pytest.raises(PlatformError) as caught:
+        Runner(loaded)
+    loaded.close()
+    assert str(caught.value) == (
+        "platform 'fake' cannot tell when its data arrive; set pacing.trigger: deadline"
+    )
+
+
+def test_ticks_come_with_the_data_and_without_them_as_overruns(
+    workflow: Callable[..., Workflow],
+) -> None:
+    loaded = workflow("pacing={trigger: state}")
+    answers = [True] * 20 + [False] * 5 + [True] * 75
+    waited: list[float] = []
+
+    def wait(timeout: float) -> bool:
+        waited.append(timeout)
+        return answers[len(waited) - 1]
+
+    loaded.platform.wait = wait  # type: ignore[attr-defined]
+    report = Runner(loaded, RunOptions(duration=0.2)).run()
+    assert report.ticks == 100
+    assert report.overruns == 5
+    assert set(waited) == {3e-9 * 2_000_000}
