@@ -197,6 +197,21 @@ def test_inline_names_of_two_blocks_do_not_collide() -> None:
     assert seen == [1, 2]
 
 
+def test_inline_code_keeps_strings_and_attributes() -> None:
+    class Mode:
+        walk = "walk"
+
+    seen: list[bool] = []
+    block = Block(
+        "is_walking",
+        bool,
+        inline="""note(mode.walk == "walk" and mode.walk == 'walk' and walk)""",
+        inline_names={"note": seen.append, "mode": Mode, "walk": True},
+    )
+    compile_graph(block).step()
+    assert seen == [True]
+
+
 def test_the_source_is_flat_code() -> None:
     def recv() -> None: ...
     def policy() -> None: ...

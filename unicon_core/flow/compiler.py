@@ -7,11 +7,9 @@ meaning of each node is said in `nodes.py`; an interpreter of the tree in `test/
 
 from __future__ import annotations
 
-import re
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +26,7 @@ from unicon_core.flow.nodes import (
     Zip,
     children_of,
 )
+from unicon_core.flow.scope import Lines, Scope, indent
 
 __all__ = ["CompiledGraph", "compile_graph"]
 
@@ -70,8 +69,6 @@ def compile_graph(root: Node, *, trace: bool = False) -> CompiledGraph:
     return _Compiler(trace).compile(root)
 
 
-Lines = list[str]
-
 OUTLINE_DEPTH = 12
 """Every so many levels of nesting the code goes on in a function of its own: Python refuses more
 than 100 levels of indentation, and a level of nodes takes up to two."""
@@ -84,25 +81,21 @@ linearly with the tree and not with its square."""
 @dataclass
 class _Compiler:
     trace: bool
-    names: dict[str, Any] = field(default_factory=dict)
-    bound: dict[tuple[str, int], str] = field(default_factory=dict)
-    state: dict[str, int] = field(default_factory=dict)
+    scope: Scope = field(default_factory=Scope)
     blocks: list[Block] = field(default_factory=list)
-    counters: dict[tuple[str, int], str] = field(default_factory=dict)
     columns: dict[tuple[int, bool], int] = field(default_factory=dict)
-    functions: list[tuple[str, Lines]] = field(default_factory=list)
     resets: dict[int, Lines] = field(default_factory=dict)
     tail: Lines = field(default_factory=list)
     deferred_blocks: set[int] = field(default_factory=set)
     in_tail: bool = False
     depth: int = 0
-    temporaries: int = 0
 
     def compile(self, root: Node) -> CompiledGraph:
+        scope = self.scope
         body = self.node(root, ["done = True"], conditional=False, idempotent=True)
         dry = self.dry(root)
         fresh = self.reset(root)
-        after = [f"{name} = 0" for name in self.state if name.startswith(("due", "ending"))]
+        after = [f"{name} = 0" for name in scope.state if name.startswith(("due", "ending"))]
         late = self.late_resets(root)
         reset = [*fresh, *after, *late]
         stamps = np.zeros(2 + len(self.blocks) if self.trace else 0, dtype=np.int64)
@@ -110,35 +103,20 @@ class _Compiler:
         tail = self.tail
         if self.trace:
             zeros = memoryview(np.zeros_like(stamps).data)
-            self.names |= {"now": time.perf_counter_ns, "T": memoryview(stamps.data), "Z": zeros}
+            scope.names |= {"now": time.perf_counter_ns, "T": memoryview(stamps.data), "Z": zeros}
             begin = ["T[:] = Z", "T[0] = now()"]  # 60 ns, once a tick, whatever the blocks
             tail = ["T[1] = now()", *tail]
-        ending = ["if ending:", *_indent([*reset, "return True"])] if "ending" in self.state else []
-        tail = [*tail, *ending, *late]
-        functions = [
-            *self.functions,
+        if "ending" in scope.state:
+            tail = [*tail, "if ending:", *indent([*reset, "return True"])]
+        scope.functions += [
             ("step", [*begin, "done = False", *body, "return done"]),
-            ("deferred", [*tail, "return False"]),
-            ("dry", dry or ["pass"]),
-            ("reset", reset or ["pass"]),
+            ("deferred", [*tail, *late, "return False"]),
+            ("dry", dry),
+            ("reset", reset),
         ]
-        nonlocals = [f"nonlocal {', '.join(self.state)}"] if self.state else []
-        source = "\n".join(
-            [
-                f"def build({', '.join(self.names)}):",
-                *(f"    {name} = {value}" for name, value in self.state.items()),
-                *(
-                    line
-                    for name, text in functions
-                    for line in (f"    def {name}():", *_indent([*nonlocals, *text], 2))
-                ),
-                "    return step, deferred, dry, reset",
-                "",
-            ]
+        source, (step, deferred, dry_run, reset_all) = scope.build(
+            "step", "deferred", "dry", "reset"
         )
-        namespace: dict[str, Any] = {}
-        exec(compile(source, "<unicon graph>", "exec"), namespace)
-        step, deferred, dry_run, reset_all = namespace["build"](**self.names)
         return CompiledGraph(
             step,
             deferred,
@@ -150,39 +128,11 @@ class _Compiler:
             stamps,
         )
 
-    # -- names ------------------------------------------------------------------------------
-
-    def bind(self, prefix: str, value: Any, label: str = "") -> str:
-        key = (prefix, id(value))
-        if key not in self.bound:
-            clean = "".join(c if c.isalnum() and c.isascii() else "_" for c in label)
-            self.bound[key] = f"{prefix}{len(self.names)}" + (f"_{clean}" if clean else "")
-            self.names[self.bound[key]] = value  # held here, so its id is not given away again
-        return self.bound[key]
-
-    def counter(self, prefix: str, node: Node, initial: int = 0) -> str:
-        key = (prefix, id(node))
-        if key not in self.counters:
-            self.counters[key] = f"{prefix}{len(self.state)}"
-            self.state[self.counters[key]] = initial
-        return self.counters[key]
-
-    def temporary(self, prefix: str) -> str:
-        self.temporaries += 1
-        return f"{prefix}{self.temporaries}"
-
     def call(self, block: Block) -> str:
         if not block.inline:
-            return f"{self.bind('b', block.tick, block.name)}()"
-        text = block.inline
-        for name, value in block.inline_names.items():
-            text = re.sub(rf"(?<![\w.]){re.escape(name)}\b", self.bind("i", value, name), text)
+            return f"{self.scope.bind('b', block.tick, block.name)}()"
+        text = self.scope.renamed(block.inline, block.inline_names)
         return text if block.endless else f"({text})"
-
-    def outline(self, prefix: str, lines: Lines) -> str:
-        name = f"{prefix}{len(self.functions)}"
-        self.functions.append((name, lines))
-        return f"{name}()"
 
     # -- one tick -----------------------------------------------------------------------------
 
@@ -198,8 +148,8 @@ class _Compiler:
             lines = self.composite(node, on_done, conditional=conditional, idempotent=idempotent)
         else:
             body = self.composite(node, ["end = True"], conditional=conditional, idempotent=True)
-            call = self.outline("part", ["end = False", *body, "return end"])
-            lines = [f"if {call}:", *_indent(on_done)] if on_done else [call]
+            call = self.scope.outline("part", ["end = False", *body, "return end"])
+            lines = [f"if {call}:", *indent(on_done)] if on_done else [call]
         self.depth -= 1
         return lines
 
@@ -228,10 +178,10 @@ class _Compiler:
         after = [*self.reset(block), *on_done]
         call = self.call(block)
         if not self.trace:
-            return [f"if {call}:", *_indent(after)] if after else [call]
+            return [f"if {call}:", *indent(after)] if after else [call]
         column = 2 + self.column(block)
         lines = [f"r = {call}" if after else call, f"T[{column}] = now()"]
-        return [*lines, "if r:", *_indent(after)] if after else lines
+        return [*lines, "if r:", *indent(after)] if after else lines
 
     def column(self, block: Block) -> int:
         key = (id(block), self.in_tail)
@@ -250,7 +200,7 @@ class _Compiler:
                 for child in node.children
                 for line in self.node(child, on_done, conditional=conditional, idempotent=True)
             ]
-        mask = self.temporary("m")
+        mask = self.scope.temporary("m")
         lines = [f"{mask} = 0"]
         for i, child in enumerate(node.children):
             mark = [f"{mask} |= {1 << i}"]
@@ -258,28 +208,28 @@ class _Compiler:
         lines.append(f"if {mask}:")
         for i, reset in enumerate(resets):
             if reset:
-                lines += [f"    if not {mask} & {1 << i}:", *_indent(reset, 2)]
-        return [*lines, *_indent(on_done)]
+                lines += [f"    if not {mask} & {1 << i}:", *indent(reset, 2)]
+        return [*lines, *indent(on_done)]
 
     def chain(self, node: Chain, on_done: Lines, conditional: bool, idempotent: bool) -> Lines:
         last = len(node.children) - 1
         if not last:
             child = node.children[0]
             return self.node(child, on_done, conditional=conditional, idempotent=idempotent)
-        index = self.counter("chain", node)
+        index = self.scope.counter("chain", node)
         lines: Lines = []
         for i, child in enumerate(node.children):
             after = [f"{index} = {i + 1}"] if i < last else [f"{index} = 0", *on_done]
             safe_twice = i < last or idempotent
             body = self.node(child, after, conditional=True, idempotent=safe_twice)
             branch = "else:" if i == last else f"{'elif' if i else 'if'} {index} == {i}:"
-            lines += [branch, *_indent(body)]
+            lines += [branch, *indent(body)]
         return lines
 
     def loop(self, node: Loop, on_done: Lines, conditional: bool) -> Lines:
         if node.until is None:
             return self.node(node.child, on_done, conditional=conditional, idempotent=False)
-        ended = self.temporary("d")
+        ended = self.scope.temporary("d")
         child = self.node(node.child, [f"{ended} = True"], conditional=conditional, idempotent=True)
         until, reset = self.call(node.until), self.reset(node.until)
         on_until = [*self.reset(node.child), *reset, *on_done]
@@ -287,13 +237,13 @@ class _Compiler:
             f"{ended} = False",
             *child,
             f"if {ended}:",
-            *_indent([*reset, *on_done] or ["pass"]),
+            *indent([*reset, *on_done] or ["pass"]),
             f"elif {until}:",
-            *_indent(on_until or ["pass"]),
+            *indent(on_until or ["pass"]),
         ]
 
     def every(self, node: Every, on_done: Lines) -> Lines:
-        wait = self.counter("every", node)
+        wait = self.scope.counter("every", node)
         after = [f"{wait} = 0", *on_done]
         child = self.node(node.child, after, conditional=True, idempotent=False)
         return [
@@ -301,54 +251,57 @@ class _Compiler:
             f"    {wait} -= 1",
             "else:",
             f"    {wait} = {node.n - 1}",
-            *_indent(child),
+            *indent(child),
         ]
 
     def when(self, node: When, on_done: Lines) -> Lines:
         after = [*self.reset(node.predicate), *on_done]
         child = self.node(node.child, after, conditional=True, idempotent=False)
-        return [f"if {self.call(node.predicate)}:", *_indent(child)]
+        return [f"if {self.call(node.predicate)}:", *indent(child)]
 
     def switch(self, node: Switch, on_done: Lines) -> Lines:
-        current = self.counter("case", node, -1)
-        blend = self.counter("blend", node) if node.blend else ""
-        index = self.bind("index", node.index)
-        new, ended = self.temporary("s"), self.temporary("d")
+        current = self.scope.counter("case", node, -1)
+        blend = self.scope.counter("blend", node) if node.blend else ""
+        index = self.scope.bind("index", node.index)
+        new, ended = self.scope.temporary("s"), self.scope.temporary("d")
         capture = []
         if node.blender is not None and blend:
-            capture = [f"{self.bind('capture', node.blender.capture)}()", f"{blend} = {node.blend}"]
+            capture = [
+                f"{self.scope.bind('capture', node.blender.capture)}()",
+                f"{blend} = {node.blend}",
+            ]
         lines = [
             f"{new} = {index}({self.call(node.selector)})",
             f"if {new} != {current}:",
-            *_indent(self.reset_case(node, current)),
+            *indent(self.reset_case(node, current)),
             f"    if {current} >= 0:" if capture else "",
-            *_indent(capture, 2),
+            *indent(capture, 2),
             f"    {current} = {new}",
             f"{ended} = False",
         ]
         for i, child in enumerate(node.children):
             body = self.node(child, [f"{ended} = True"], conditional=True, idempotent=True)
-            lines += [f"{'if' if i == 0 else 'elif'} {new} == {i}:", *_indent(body)]
+            lines += [f"{'if' if i == 0 else 'elif'} {new} == {i}:", *indent(body)]
         if node.blender is not None and blend:
             weight = f"({node.blend + 1} - {blend}) / {node.blend + 1}"
-            mix = self.bind("mix", node.blender.mix)
+            mix = self.scope.bind("mix", node.blender.mix)
             lines += [f"if {blend}:", f"    {mix}({weight})", f"    {blend} -= 1"]
         fresh = [f"{current} = -1", *([f"{blend} = 0"] if blend else [])]
         after = [*fresh, *self.reset(node.selector), *on_done]
-        return [line for line in lines if line] + [f"if {ended}:", *_indent(after)]
+        return [line for line in lines if line] + [f"if {ended}:", *indent(after)]
 
     def reset_case(self, node: Switch, current: str) -> Lines:
         lines: Lines = []
         for i, child in enumerate(node.children):
             reset = self.reset(child)
             if reset:
-                lines += [f"if {current} == {i}:", *_indent(reset)]
+                lines += [f"if {current} == {i}:", *indent(reset)]
         return lines
 
     def defer(self, node: Deferred, conditional: bool) -> Lines:
         ends = []
         if node.ends:
-            self.state["ending"] = 0
+            self.scope.state["ending"] = 0
             ends = ["ending = 1"]
         if self.in_tail:
             return self.node(node.child, ends, conditional=conditional, idempotent=True)
@@ -358,9 +311,8 @@ class _Compiler:
         if not conditional:
             self.tail += body
             return []
-        flag = f"due{len(self.state)}"  # one for each place, even of a shared node
-        self.state[flag] = 0
-        self.tail += [f"if {flag}:", f"    {flag} = 0", *_indent(body)]
+        flag = self.scope.variable("due")  # one for each place, even of a shared node
+        self.tail += [f"if {flag}:", f"    {flag} = 0", *indent(body)]
         return [f"{flag} = 1"]
 
     # -- making fresh, running dry -------------------------------------------------------------
@@ -370,33 +322,33 @@ class _Compiler:
         if id(node) not in self.resets:
             lines = self.reset_lines(node)
             if len(lines) > OUTLINE_RESETS:
-                lines = [self.outline("fresh", lines)]
+                lines = [self.scope.outline("fresh", lines)]
             self.resets[id(node)] = lines
         return self.resets[id(node)]
 
     def reset_lines(self, node: Node) -> Lines:
         if isinstance(node, Block):
-            return [f"{self.bind('reset', node.reset, node.name)}()"] if node.reset else []
+            return [f"{self.scope.bind('reset', node.reset, node.name)}()"] if node.reset else []
         if isinstance(node, Deferred) and node.ends:
-            return [f"{self.counter('anew', node)} = 1"]
+            return [f"{self.scope.counter('anew', node)} = 1"]
         lines = [line for child in children_of(node) for line in self.reset(child)]
         if isinstance(node, Chain) and len(node.children) > 1:
-            lines.append(f"{self.counter('chain', node)} = 0")
+            lines.append(f"{self.scope.counter('chain', node)} = 0")
         elif isinstance(node, Every):
-            lines.append(f"{self.counter('every', node)} = 0")
+            lines.append(f"{self.scope.counter('every', node)} = 0")
         elif isinstance(node, Switch):
-            lines.append(f"{self.counter('case', node, -1)} = -1")
+            lines.append(f"{self.scope.counter('case', node, -1)} = -1")
             if node.blend:
-                lines.append(f"{self.counter('blend', node)} = 0")
+                lines.append(f"{self.scope.counter('blend', node)} = 0")
         return lines
 
     def late_resets(self, root: Node) -> Lines:
         """Return the lines that make fresh what was put off, after it has run in the last tick."""
         lines = []
         for node in _ending(root):
-            if ("anew", id(node)) in self.counters:
-                flag = self.counter("anew", node)
-                lines += [f"if {flag}:", f"    {flag} = 0", *_indent(self.reset(node.child))]
+            if self.scope.has_counter("anew", node):
+                flag = self.scope.counter("anew", node)
+                lines += [f"if {flag}:", f"    {flag} = 0", *indent(self.reset(node.child))]
         return lines
 
     def dry(self, node: Node, depth: int = 0) -> Lines:
@@ -404,29 +356,25 @@ class _Compiler:
         if isinstance(node, Deferred):
             return []
         if isinstance(node, Block):
-            return [f"{self.bind('dry', node.dry_run, node.name)}()"] if node.dry_run else []
+            return [f"{self.scope.bind('dry', node.dry_run, node.name)}()"] if node.dry_run else []
         if isinstance(node, Switch) or (isinstance(node, Chain) and len(node.children) > 1):
             kind, initial = ("chain", 0) if isinstance(node, Chain) else ("case", -1)
-            index = self.counter(kind, node, initial)
+            index = self.scope.counter(kind, node, initial)
             lines = [
                 line
                 for i, child in enumerate(node.children)
                 if (body := self.dry(child, depth + 1))
-                for line in (f"if {index} == {i}:", *_indent(body))
+                for line in (f"if {index} == {i}:", *indent(body))
             ]
         else:
             lines = [line for child in children_of(node) for line in self.dry(child, depth + 1)]
             if isinstance(node, Every) and lines:
-                lines = [f"if not {self.counter('every', node)}:", *_indent(lines)]
+                lines = [f"if not {self.scope.counter('every', node)}:", *indent(lines)]
         outlined = lines and depth and depth % OUTLINE_DEPTH == 0
-        return [self.outline("dry", lines)] if outlined else lines
+        return [self.scope.outline("dry", lines)] if outlined else lines
 
 
 def _ending(root: Node) -> list[Deferred]:
     """Return the `Deferred(…, ends=True)` of a tree in order, each once."""
     own = [root] if isinstance(root, Deferred) and root.ends else []
     return list(dict.fromkeys([*own, *(n for c in children_of(root) for n in _ending(c))]))
-
-
-def _indent(lines: Lines, levels: int = 1) -> Lines:
-    return ["    " * levels + line for line in lines]

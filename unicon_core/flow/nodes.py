@@ -16,6 +16,7 @@ from unicon_core.errors import WorkflowError
 from unicon_core.flow.block import Block, Tick, as_block
 
 __all__ = [
+    "Blender",
     "Chain",
     "Deferred",
     "Every",
