@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -125,6 +126,7 @@ class RosSession:
             Block(
                 "ros inputs",
                 _poll_all(self.incoming, self.controls, self.warn),
+                dry_run=_prefetch_all(self.incoming),
                 writes=tuple(sorted(states - written)),
                 amends=tuple(sorted(states & written)),
             )
@@ -262,6 +264,16 @@ def _poll_all(
                 return
 
     return poll
+
+
+def _prefetch_all(topics: list[TopicIn]) -> Callable[[], None]:
+    def prefetch() -> None:
+        # What fails here fails again in the tick, which tells it.
+        with suppress(Exception):
+            for topic in topics:
+                topic.prefetch()
+
+    return prefetch
 
 
 def _read_map(name: str | Path | None) -> MessageMap:
