@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -9,9 +10,48 @@ import yaml
 
 from unicon_core.errors import UniconError
 
-__all__ = ["Located", "read_yaml"]
+__all__ = ["Loader", "Located", "parse_value", "read_yaml"]
 
 Where = tuple[str | int, ...]
+
+
+class Loader(yaml.SafeLoader):
+    """A loader with the words of YAML 1.2, where `on`, `off`, `yes` and `no` are plain words.
+
+    In YAML 1.1, which PyYAML reads, `on:` is the key True and `1e-3` a text: both have bitten.
+    """
+
+
+Loader.yaml_implicit_resolvers = {
+    first: [
+        (tag, pattern)
+        for tag, pattern in resolvers
+        if tag not in ("tag:yaml.org,2002:bool", "tag:yaml.org,2002:float")
+    ]
+    for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
+Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:bool", re.compile(r"^(?:true|True|TRUE|false|False|FALSE)$"), list("tTfF")
+)
+Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(
+        r"""^(?:[-+]?(?:\.[0-9]+|[0-9]+\.[0-9]*)(?:[eE][-+]?[0-9]+)?
+        |[-+]?[0-9]+[eE][-+]?[0-9]+
+        |[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN))$""",
+        re.VERBOSE,
+    ),
+    list("-+0123456789."),
+)
+
+
+def parse_value(text: str) -> Any:
+    """Return the value of a short text, such as what follows `=` in `--set`.
+
+    Raises:
+        yaml.YAMLError: it is not YAML.
+    """
+    return yaml.load(text, Loader)
 
 
 class Located:
@@ -58,7 +98,7 @@ def read_yaml(path: Path, error_type: type[UniconError] = UniconError) -> Locate
     except (OSError, UnicodeDecodeError) as error:
         raise error_type(f"{path}: cannot be read: {error}") from error
     try:
-        loader = yaml.SafeLoader(text)
+        loader = Loader(text)
         root = loader.get_single_node()
         located = Located(path, None, {(): 1}, error_type)
         if root is not None:

@@ -12,6 +12,8 @@ from copy import copy
 from operator import index as index_of
 from typing import TypeAlias
 
+import numpy as np
+
 from unicon_core.errors import WorkflowError
 from unicon_core.flow.block import Block, Tick, as_block
 
@@ -139,6 +141,8 @@ class Switch:
         if isinstance(key, str):
             if key in self.names:
                 return self.names.index(key)
+        elif isinstance(key, np.bool_):  # a comparison of states: False is the first case
+            return int(key)
         elif hasattr(key, "__index__") and 0 <= (number := index_of(key)) < len(self.names):
             return number
         raise WorkflowError(f"switch: no case {key!r}; cases: {', '.join(self.names)}", self.where)
@@ -171,8 +175,6 @@ class Blender:
     """
 
     def __init__(self, arrays: Mapping[str, object]) -> None:
-        import numpy as np
-
         self.names = tuple(arrays)
         self._live = [np.asarray(array) for array in arrays.values()]
         self._held = [array.copy() for array in self._live]

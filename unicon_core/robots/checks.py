@@ -60,11 +60,8 @@ def check_number(located: Located, where: Where, value: Any) -> None:
     if value is None:
         return
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        hint = ""
-        if isinstance(value, str) and "e" in value.lower():
-            hint = " (YAML reads an exponent only with a point and a sign, such as 1.0e-3)"
         raise located.error(
             where,
             f"{place_name(located, where[:-1])}{where[-1]} is {_show(value)}; "
-            f"write a number or null{hint}",
+            f"write a number or null",
         )

@@ -10,7 +10,7 @@ from typing import Any
 import yaml
 
 from unicon_core.errors import WorkflowError, alternatives
-from unicon_core.located_yaml import Located, read_yaml
+from unicon_core.located_yaml import Located, parse_value, read_yaml
 from unicon_core.resources import find_config, list_config
 
 __all__ = ["KEYS", "WorkflowDocument", "load_document", "workflow_names"]
@@ -143,7 +143,7 @@ def _split(text: str) -> tuple[str, Any]:
             f"--set {text!r} has no '='; write --set path=value, as platform=mujoco"
         )
     try:
-        return dotted.strip(), yaml.safe_load(value)
+        return dotted.strip(), parse_value(value)
     except yaml.YAMLError as error:
         raise WorkflowError(f"--set {dotted}: {value!r} is not valid YAML") from error
 

@@ -70,18 +70,37 @@ def used_policy(use: BlockUse, policies: Mapping[str, Any]) -> str:
 
 
 def declared_states(
-    document: WorkflowDocument, use: BlockUse, policies: Mapping[str, Any], robot: Robot
+    use: BlockUse,
+    policies: Mapping[str, Any],
+    robot: Robot,
+    extra: Mapping[str, StateSpec],
 ) -> dict[str, StateSpec]:
-    """Return the states that a policy block needs beyond the standard ones."""
-    return policy_states(policies[used_policy(use, policies)], robot)
+    """Return the states that a policy block needs beyond the standard ones.
+
+    Args:
+        use: the mention of the policy.
+        policies: all policies of the workflow.
+        robot: the robot.
+        extra: the workflow's own states, which terms may read.
+    """
+    name = used_policy(use, policies)
+    return policy_states(policies[name], robot, extra, prefix=_prefix(name, policies))
+
+
+def _prefix(name: str, policies: Mapping[str, Any]) -> str:
+    """Return what the states of a policy begin with: nothing where it is the only one."""
+    return f"{name}_" if len(policies) > 1 else ""
 
 
 def policy_factory(use: BlockUse, policies: Mapping[str, Any]) -> Callable[..., Any]:
     """Return the factory of the block that runs the mentioned policy."""
-    contract = policies[used_policy(use, policies)]
+    name = used_policy(use, policies)
+    contract, prefix = policies[name], _prefix(name, policies)
 
     def policy(context: BuildContext, use: str = "") -> Any:
-        return OnnxPolicy(contract, context.states, context.robot)
+        block = OnnxPolicy(contract, context.states, context.robot, prefix=prefix)
+        block.prepare_dry_run()
+        return block
 
     # Annotations are text here; the autowiring evaluates them in this module.
     return policy

@@ -210,9 +210,10 @@ def _specs(
             specs[name] = StateSpec.from_dict(values or {})
         except (UniconError, TypeError) as error:
             raise document.error(f"state {name!r}: {error}", "states", name) from error
+    extra = {name: specs[name] for name in given}
     for use in _uses(document):
         if use.name == "policy":
-            specs |= declared_states(document, use, policies, robot)
+            specs |= declared_states(use, policies, robot, extra)
             continue
         factory = _factory(use)
         declares = getattr(factory, "declares", None)

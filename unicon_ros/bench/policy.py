@@ -89,7 +89,7 @@ def _observations(
     states, states6 = _states(contract, robot), _states(longer, robot)
     one = Observation(contract, states, robot.joint_names)
     six = Observation(longer, states6, robot.joint_names)
-    out, out6 = (np.zeros((1, size), np.float32) for size in (one.size, six.size))
+    fused, fused6 = (o.bind(np.zeros((1, o.size), np.float32)) for o in (one, six))
     plain, frame = _concatenation(states, contract), _concatenation(states6, longer)
     frames: deque[NDArray[np.float32]] = deque([frame()] * HISTORY, maxlen=HISTORY)
 
@@ -98,9 +98,9 @@ def _observations(
         return np.concatenate(frames)
 
     calls: dict[str, Callable[[], Any]] = {
-        "observation: fused": lambda: one(out),
+        "observation: fused": fused,
         "observation: concatenate": plain,
-        "observation, history 6: fused": lambda: six(out6),
+        "observation, history 6: fused": fused6,
         "observation, history 6: concatenate": plain6,
     }
     times: dict[str, list[NDArray[np.float64]]] = {name: [] for name in calls}
@@ -183,7 +183,7 @@ def _usual_loop(robot: Robot, contract: PolicyContract) -> Callable[[int], NDArr
 
 def _unicon_loop(robot: Robot, contract: PolicyContract) -> Callable[[int], NDArray[np.float64]]:
     policy = OnnxPolicy(contract, _states(contract, robot), robot)
-    policy.dry_run()
+    policy.prepare_dry_run()
 
     def loop(ticks: int) -> NDArray[np.float64]:
         times = np.zeros(ticks)

@@ -1,0 +1,76 @@
+"""The YAML reader: words of YAML 1.2, lines of values, no silent duplicates."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from unicon_core.errors import UniconError, WorkflowError
+from unicon_core.located_yaml import parse_value, read_yaml
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("on", "on"),
+        ("no", "no"),
+        ("y", "y"),
+        ("true", True),
+        ("False", False),
+        ("1e-3", 1e-3),
+        ("-2.5E2", -250.0),
+        ("+.5", 0.5),
+        ("12", 12),
+        ("1.", 1.0),
+        (".inf", float("inf")),
+        ("1.2.3", "1.2.3"),
+        ("e3", "e3"),
+        ("[0.1, 2]", [0.1, 2]),
+        ("~", None),
+    ],
+)
+def test_words_and_numbers_are_those_of_yaml_1_2(text: str, value: Any) -> None:
+    assert parse_value(text) == value
+    assert type(parse_value(text)) is type(value)
+
+
+def test_on_is_a_key(tmp_path: Path) -> None:
+    path = tmp_path / "a.yaml"
+    path.write_text("switch:\n  on: x\n", encoding="utf-8")
+    located = read_yaml(path)
+    assert located.value == {"switch": {"on": "x"}}
+    assert located.where(("switch", "on")) == f"{path}:2"
+    assert located.where(("switch", "no such key")) == f"{path}:1"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (
+            "a: 1\nb: 2\na: 3\n",
+            "3: not valid YAML: key 'a' stands twice, first in line 1; remove one",
+        ),
+        ("a: [1,\nb: 2\n", "3: not valid YAML: expected ',' or ']', but got"),
+        ("? [1]\n: 2\n", "1: not valid YAML: key [1] is neither a word nor a number"),
+    ],
+)
+def test_what_is_wrong_is_told_with_its_line(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "a.yaml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(WorkflowError) as told:
+        read_yaml(path, WorkflowError)
+    assert str(told.value).startswith(f"{path}:{message}")
+    assert "\n" not in str(told.value)
+
+
+def test_a_tag_of_python_makes_no_object(tmp_path: Path) -> None:
+    path = tmp_path / "a.yaml"
+    path.write_text("a: !!python/object:os.system {b: 1}\n", encoding="utf-8")
+    assert read_yaml(path).value == {"a": {"b": 1}}
+
+
+def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
+    with pytest.raises(UniconError, match="cannot be read"):
+        read_yaml(tmp_path)
