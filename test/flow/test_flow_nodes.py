@@ -104,6 +104,11 @@ def test_switch_is_done_with_its_case(r: Recorder) -> None:
     assert r.ticks(root, 3) == "s s(s)! s"
 
 
+@pytest.mark.parametrize("key", [1, True, np.int64(1), np.bool_(True), np.array(1), "walk"])
+def test_a_case_is_meant_by_its_name_number_or_a_comparison(key: object) -> None:
+    assert Switch(lambda: 0, {"stand": bool, "walk": bool}).index(key) == 1
+
+
 def test_switch_blends_linearly_from_the_last_command_sent() -> None:
     command = np.zeros(1, np.float32)
     keys = iter([0, 0, 1, 1, 1, 1, 1])
@@ -275,6 +280,10 @@ def test_attributes_of_a_callable_become_the_block() -> None:
             "switch: no case 'c'; cases: a, b",
         ),
         (lambda: Switch(int, {"a": bool}).index(1), "switch: no case 1; cases: a"),
+        (
+            lambda: Switch(int, {"a": bool}).index(np.bool_(True)),
+            "switch: no case np.True_; cases: a",
+        ),
         (lambda: Switch(int, {"a": bool}).index(None), "switch: no case None; cases: a"),
     ],
 )

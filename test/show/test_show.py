@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +17,14 @@ from unicon_core.flow import (
     Chain,
     Deferred,
     Every,
+    LinearMap,
     Loop,
     Node,
     Switch,
     When,
     Zip,
     critical_path,
+    fuse,
 )
 from unicon_core.policies import ActionSpec, ObservationSpec, ObservationTerm, PolicyContract
 from unicon_core.show import show_mermaid, show_svg, show_text, state_rows
@@ -147,6 +150,23 @@ def test_data_of_conditional_blocks_may_be_of_before() -> None:
     reader = block("reader", "joint_pos_target")
     flow = data_flow(Zip(POSE, When(block("if"), block("extra", "", "joint_pos_target")), reader))
     assert {source.name for source, to in flow if to is reader} == {"pose", "extra"}
+
+
+def test_blocks_fused_from_critical_ones_are_critical() -> None:
+    copies = []
+    for name in ("joint_pos", "joint_vel"):
+        linear = LinearMap(STATES[name], STATES[f"{name}_target"])
+        made = block(f"copy {name}", name, f"{name}_target")
+        copies.append(replace(made, linear=linear, endless=True))
+    send = block("send", "joint_pos_target joint_vel_target", role="send")
+    found = critical_path(Zip(RECV, *copies, send))
+    root = fuse(found.root, STATES)
+    text = show_text(root, STATES, found.critical)
+    assert "├─ ● copy joint_pos … copy joint_vel (2 fused)" in text
+    assert show_svg(root, STATES, found.critical).count('class="critical"') == 3 + 1
+    assert re.findall(r"class (.*) critical;", show_mermaid(root, STATES, found.critical)) == [
+        "n1,n2,n3"
+    ]
 
 
 def boxes(svg: str) -> list[tuple[str, float, float, float, float]]:

@@ -59,6 +59,7 @@ class Block:
         expects: what it needs states to be: name to `shape`, `dtype`, `unit` or `frame`.
         linear: what it does where that is a copy or a linear index map, or None; neighbours are
             then fused into one operation.
+        parts: the blocks that were fused into this one.
         inline: Python expression with names in `inline_names`, which the compiler puts in the
             place of the call, or ""; of an endless block also statements, one a line.
     """
@@ -76,6 +77,7 @@ class Block:
     endless: bool = False
     expects: dict[str, dict[str, Any]] = field(default_factory=dict)
     linear: LinearMap | None = None
+    parts: tuple[Block, ...] = ()
     inline: str = ""
     inline_names: dict[str, Any] = field(default_factory=dict)
 

@@ -143,6 +143,7 @@ class _Group:
             writes=tuple(dict.fromkeys(name for block in blocks for name in block.writes)),
             where=blocks[0].where,
             endless=True,
+            parts=tuple(blocks),
             inline=text,
             inline_names=code.names,
         )

@@ -141,10 +141,11 @@ class Switch:
         if isinstance(key, str):
             if key in self.names:
                 return self.names.index(key)
-        elif isinstance(key, np.bool_):  # a comparison of states: False is the first case
-            return int(key)
-        elif hasattr(key, "__index__") and 0 <= (number := index_of(key)) < len(self.names):
-            return number
+        elif isinstance(key, np.bool_) or hasattr(key, "__index__"):
+            # a comparison of states is a np.bool_, which is no index to NumPy
+            number = int(key) if isinstance(key, np.bool_) else index_of(key)
+            if 0 <= number < len(self.names):
+                return number
         raise WorkflowError(f"switch: no case {key!r}; cases: {', '.join(self.names)}", self.where)
 
 

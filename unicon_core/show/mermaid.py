@@ -6,7 +6,7 @@ from collections.abc import Collection, Mapping
 from typing import TYPE_CHECKING
 
 from unicon_core.flow import Block, Node
-from unicon_core.show.tree import LEGEND, branches, data_flow, shortened, title
+from unicon_core.show.tree import LEGEND, branches, data_flow, is_critical, shortened, title
 from unicon_core.states import States
 
 if TYPE_CHECKING:
@@ -33,14 +33,14 @@ def show_mermaid(
         critical: blocks on the critical path.
         robot, policy, policies: taken as by `show_text`; a flowchart does not show them.
     """
-    chart = _Chart(critical)
+    chart = _Chart()
     chart.tree(root)
     for (source, reader), names in data_flow(root).items():
         known = [name for name in names if name in states]
         if known:
             link = f"{chart.places[source]} -. {_quoted(shortened(known, 3))} .-> "
             chart.lines.append(link + chart.places[reader])
-    marked = [chart.places[block] for block in chart.places if block in critical]
+    marked = [chart.places[block] for block in chart.places if is_critical(block, critical)]
     style = ["classDef critical stroke:#c2410c,stroke-width:3px;"]
     if marked:
         style.append(f"class {','.join(marked)} critical;")
@@ -49,8 +49,7 @@ def show_mermaid(
 
 
 class _Chart:
-    def __init__(self, critical: Collection[Block]) -> None:
-        self.critical = critical
+    def __init__(self) -> None:
         self.lines: list[str] = []
         self.places: dict[Block, str] = {}
         self.count = 0

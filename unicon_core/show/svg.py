@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from unicon_core.flow import Block, Chain, Node, Switch
 from unicon_core.show.state_table import HEAD, state_rows
-from unicon_core.show.tree import LEGEND, branches, shortened, title
+from unicon_core.show.tree import LEGEND, branches, is_critical, shortened, title
 from unicon_core.states import States
 
 if TYPE_CHECKING:
@@ -130,7 +130,7 @@ def _lines(node: Node) -> list[str]:
 
 def _drawn(box: _Box, x: float, y: float, critical: Collection[Block]) -> list[str]:
     kind = "block" if isinstance(box.node, Block) else "flow"
-    if isinstance(box.node, Block) and box.node in critical:
+    if is_critical(box.node, critical):
         kind = "critical"
     parts = [
         f'<rect class="{kind}" x="{x:.1f}" y="{y:.1f}" width="{box.width:.1f}" '

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from unicon_core.flow import Block, Node
 from unicon_core.show.state_table import state_table
-from unicon_core.show.tree import LEGEND, branches, shortened, title
+from unicon_core.show.tree import LEGEND, branches, is_critical, shortened, title
 from unicon_core.states import States
 
 if TYPE_CHECKING:
@@ -73,7 +73,7 @@ def _tree(
     node: Node, critical: Collection[Block], lead: str, below: str, label: str = ""
 ) -> Iterator[tuple[str, str]]:
     """Yield (tree part, data part) for each line below a node."""
-    mark = f"{MARK} " if isinstance(node, Block) and node in critical else ""
+    mark = f"{MARK} " if is_critical(node, critical) else ""
     yield f"{lead}{label}{mark}{title(node)}", _data(node) if isinstance(node, Block) else ""
     children = branches(node)
     for i, (name, child) in enumerate(children):

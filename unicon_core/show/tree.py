@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 from unicon_core.flow import (
     Block,
@@ -17,7 +17,7 @@ from unicon_core.flow import (
     children_of,
 )
 
-__all__ = ["LEGEND", "branches", "data_flow", "shortened", "title"]
+__all__ = ["LEGEND", "branches", "data_flow", "is_critical", "shortened", "title"]
 
 LEGEND = "critical path: the command of this tick depends on it"
 
@@ -53,6 +53,11 @@ def branches(node: Node) -> list[tuple[str, Node]]:
     if isinstance(node, (Loop, Every, When, Deferred)):
         return [("", node.child)]
     return []
+
+
+def is_critical(node: Node, critical: Collection[Block]) -> bool:
+    """Return True for a block on the critical path, or fused from one that is."""
+    return isinstance(node, Block) and any(part in critical for part in (node, *node.parts))
 
 
 def shortened(names: Sequence[str], limit: int) -> str:
