@@ -7,9 +7,11 @@ Tried on Jazzy (rclpy 7.1); Humble's (3.3) and Kilted's (9.1) names are taken fr
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import importlib
 import os
 import platform
+import sys
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -195,17 +197,18 @@ def _never() -> bool:
 
 
 class Responses:
-    """Keeps a service's response back until its client can hear it.
+    """Keeps a service's response back until its client can hear it, and drops it if it left.
 
-    rmw_fastrtps blocks `send_response` for up to 100 ms while the client's reader is not matched
-    yet (`failed to send response (timeout)`): a client that calls too early would delay a tick.
-    Every service has as many readers of replies as writers of requests once all clients are known;
-    a middleware with other topic names shows none of both, and nothing is kept back.
+    rmw_fastrtps blocks `send_response` for 100 ms, holding Python's lock, where the client's
+    reader is not matched yet or no more (`failed to send response (timeout)`): one client that
+    leaves without waiting would delay a tick. So a response goes out once the reader that the
+    request names is in the ROS graph. Other middlewares do not block; nothing is kept back there.
     """
 
     PATIENCE_NS = 500_000_000
 
     def __init__(self) -> None:
+        self.dropped = 0
         self._wrapped: dict[int, Any] = {}
         self._kept: list[tuple[int, Callable[[], bool], Callable[[], object]]] = []
 
@@ -214,44 +217,79 @@ class Responses:
         for service in node.services:
             if id(service) not in self._wrapped:
                 self._wrapped[id(service)] = service
-                self._wrap(node, service)
+                if _blocking_responses():
+                    self._wrap(node, service)
 
     def _wrap(self, node: Any, service: Any) -> None:
         send = service.send_response
-        name = _service_name(node, service)
-
-        def all_known() -> bool:
-            try:
-                replies = node.get_subscriptions_info_by_topic(f"rr{name}Reply", no_mangle=True)
-                requests = node.get_publishers_info_by_topic(f"rq{name}Request", no_mangle=True)
-            except Exception:  # a middleware without these names
-                return True
-            return len(replies) >= len(requests)
+        topic = f"rr{_service_name(node, service)}Reply"
 
         def send_response(response: Any, header: Any) -> None:
-            if all_known():
+            client = _client_of(header)
+
+            def hears() -> bool:
+                try:
+                    readers = node.get_subscriptions_info_by_topic(topic, no_mangle=True)
+                except Exception:  # the node is going away
+                    return False
+                if client is None:
+                    return bool(readers)
+                return any(bytes(reader.endpoint_gid)[:16] == client for reader in readers)
+
+            if hears():
                 send(response, header)
             else:
                 late = time.perf_counter_ns() + self.PATIENCE_NS
-                self._kept.append((late, all_known, lambda: send(response, header)))
+                self._kept.append((late, hears, lambda: send(response, header)))
 
         service.send_response = send_response
+
+    def retry(self) -> None:
+        """Send what can be heard by now; drop what nobody came to hear."""
+        if not self._kept:
+            return
+        kept, self._kept = self._kept, []
+        for late, hears, send in kept:
+            if hears():
+                send()
+            elif time.perf_counter_ns() < late:
+                self._kept.append((late, hears, send))
+            else:
+                self.dropped += 1
 
     def release(self) -> None:
         """Let services answer by themselves again: no ticks are in the way any more."""
         self.retry()
+        self._kept = []
         for service in self._wrapped.values():
             service.__dict__.pop("send_response", None)
         self._wrapped = {}
 
-    def retry(self) -> None:
-        """Send what can be heard by now; what is kept for too long goes nowhere and is dropped."""
-        kept, self._kept = self._kept, []
-        for late, all_known, send in kept:
-            if all_known():
-                send()
-            elif time.perf_counter_ns() < late:
-                self._kept.append((late, all_known, send))
+
+def _blocking_responses() -> bool:
+    try:
+        from rclpy.utilities import get_rmw_implementation_identifier
+    except ImportError:
+        return False
+    return str(get_rmw_implementation_identifier()).startswith("rmw_fastrtps")
+
+
+def _client_of(header: Any) -> bytes | None:
+    """Return the GUID of the reader that waits for the response; None where it cannot be told.
+
+    rclpy hides it: it is the first field of rmw_request_id_t (rmw/types.h), 16 bytes, followed by
+    the sequence number, which rclpy shows. Reading the latter right is the guard of this reading.
+    """
+    request = getattr(header, "request_id", header)
+    number = getattr(request, "sequence_number", None)
+    if number is None or not type(request).__module__.startswith("rclpy."):
+        return None
+    # A pybind11 instance is the object's head and then the pointer to its value.
+    address = ctypes.c_void_p.from_address(id(request) + object.__basicsize__).value
+    if not address:
+        return None
+    raw = ctypes.string_at(address, 24)
+    return raw[:16] if int.from_bytes(raw[16:], sys.byteorder, signed=True) == number else None
 
 
 def _service_name(node: Any, service: Any) -> str:

@@ -136,26 +136,45 @@ def test_a_failing_callback_is_told_and_the_tick_goes_on(clock: Clock) -> None:
     assert told
 
 
-def test_a_response_is_kept_until_its_client_can_hear_it() -> None:
+@pytest.fixture
+def answering(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """A service of a made-up node; `sent` holds what went out, `readers` who would hear it."""
+    monkeypatch.setattr(compat, "_blocking_responses", lambda: True)
     sent: list[str] = []
-    readers: list[str] = []
+    readers: list[Any] = []
+    service = SimpleNamespace(service_name="/n/reset", send_response=lambda r, h: sent.append(r))
     node = SimpleNamespace(
-        services=[
-            SimpleNamespace(service_name="/n/reset", send_response=lambda r, h: sent.append(r))
-        ],
-        get_subscriptions_info_by_topic=lambda name, no_mangle: readers,
-        get_publishers_info_by_topic=lambda name, no_mangle: ["client"],
+        services=[service], get_subscriptions_info_by_topic=lambda name, no_mangle: readers
     )
+    return SimpleNamespace(node=node, service=service, sent=sent, readers=readers)
+
+
+def test_a_response_is_kept_until_its_client_can_hear_it(answering: Any) -> None:
     responses = compat.Responses()
-    responses.watch(node)
-    node.services[0].send_response("answer", None)
+    responses.watch(answering.node)
+    answering.service.send_response("answer", None)
     responses.retry()
-    assert sent == []
-    readers.append("client")
+    assert answering.sent == []
+    answering.readers.append("client")
     responses.retry()
-    assert sent == ["answer"]
-    node.services[0].send_response("at once", None)
-    assert sent == ["answer", "at once"]
+    assert answering.sent == ["answer"]
+    answering.service.send_response("at once", None)
+    assert answering.sent == ["answer", "at once"]
+
+
+def test_a_response_to_a_client_that_left_is_dropped(
+    answering: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = Clock()
+    monkeypatch.setattr(compat, "time", made)
+    monkeypatch.setattr(compat, "_client_of", lambda header: bytes(16))
+    answering.readers.append(SimpleNamespace(endpoint_gid=[1] * 16))  # another client's
+    responses = compat.Responses()
+    responses.watch(answering.node)
+    answering.service.send_response("answer", None)
+    made.now += compat.Responses.PATIENCE_NS + 1
+    responses.retry()
+    assert (answering.sent, responses.dropped) == ([], 1)
 
 
 def test_the_wall_stamp_is_the_source_plus_the_least_delayed_difference(clock: Clock) -> None:
