@@ -287,8 +287,8 @@ SMALL = {"joint_pos": StateSpec((2,)), "joint_vel": StateSpec((2,))}
         (lambda: States(SMALL).offset("joint_poz"), UNKNOWN),
         (
             lambda: States(SMALL, buffer=np.zeros(10, np.uint8)),
-            "the buffer has 10 bytes and the layout needs 64; both sides must be built from one "
-            "layout (compare Layout.hash)",
+            "the buffer has 10 elements of uint8 and the layout needs 64 of uint8; build both sides "
+            "from one layout (compare Layout.hash)",
         ),
         (
             lambda: Layout({"joint pos": StateSpec()}),
@@ -326,6 +326,14 @@ SMALL = {"joint_pos": StateSpec((2,)), "joint_vel": StateSpec((2,))}
             lambda: StateSpec.from_dict({"shape": 3, "units": "rad"}),
             "unknown key 'units' in a state specification; known: shape, dtype, unit, frame, "
             "names, description, initial",
+        ),
+        (
+            lambda: StateSpec.from_dict({"shape": "three"}),
+            "state shape is 'three'; give a list of whole numbers, such as [3]",
+        ),
+        (
+            lambda: States({"reset": StateSpec((3,))}),
+            "a state cannot be named 'reset', which is a member of States; rename it",
         ),
     ],
 )

@@ -15,6 +15,10 @@ class Platform(Protocol):
     point group `unicon.platforms`). It aligns joints by name at build, pushes gains and limits by
     name, and imports what it needs inside the factory.
 
+    Two further methods make it fit for `pacing.trigger: state`: `wait(timeout_s) -> bool`, True
+    when new data are there, and `arrivals() -> int`, how many have come so far (where data come
+    more often than ticks).
+
     Attributes:
         name: word that the workflow uses for it.
         simulated: True where `stamp_ns` is simulated time (then `/clock` is published).

@@ -113,9 +113,8 @@ class Runner:
             Fault: a block tripped; the caller must close, which damps.
         """
         graph = self.graph
-        graph.stamps.fill(0)
         done = graph.step()
-        graph.deferred()
+        done = graph.deferred() or done
         self._tick += 1
         self.statistics.add(due_ns, time.perf_counter_ns(), graph.stamps)
         return done
@@ -215,17 +214,37 @@ class Runner:
                 self._status()
 
     def _triggered(self, limit: int, status_every: int, wait: Callable[[float], bool]) -> None:
-        """Tick when data arrive; without data at a slow pace, so that safety can see it."""
+        """Tick when data arrive; without data at a slow pace, so that safety sees that they lack.
+
+        Where data come more often than ticks, the one is waited for that arrives nearest to the
+        deadline: half an interval of the data before it, what has come is taken in as old. The
+        state of a tick is then as fresh as a message can be, not up to an interval old.
+        """
         statistics, now, period = self.statistics, time.perf_counter_ns, self.period_ns
+        platform = self.workflow.platform
+        arrivals: Callable[[], int] | None = getattr(platform, "arrivals", None)
+        clock = WallClock(0)
+        dry_ns = round(self.pacing.dry_run_us * 1e3)
         patience = 3e-9 * period
+        begin = last = now()
+        first = arrivals() if arrivals is not None else 0
         while not self._stop and statistics.count < limit:
             if self._between:
                 self._act()
+                last = now()
+            count = 0 if arrivals is None else arrivals() - first
+            interval = (now() - begin) // count if count else period
+            if 1.5 * interval < period:
+                ready = last + period - interval // 2
+                clock.until(ready - dry_ns)
+                self.graph.dry()
+                clock.until(ready)
+                platform.recv()
             if not wait(patience):
                 statistics.overruns += 1
-            due = now()
-            self.next_due_ns = due + period
-            if self.tick(due):
+            last = now()
+            self.next_due_ns = last + period
+            if self.tick(last):
                 self.done = True
                 break
             if statistics.count % status_every == 0:

@@ -106,7 +106,10 @@ class StateSpec:
             )
         fields = dict(values)
         shape = fields.get("shape", ())
-        fields["shape"] = (shape,) if isinstance(shape, int) else tuple(shape)
+        shape = [shape] if isinstance(shape, int) else shape
+        if not isinstance(shape, (list, tuple)) or not all(isinstance(n, int) for n in shape):
+            raise StateError(f"state shape is {shape!r}; give a list of whole numbers, such as [3]")
+        fields["shape"] = tuple(shape)
         if "names" in fields:
             fields["names"] = tuple(fields["names"])
         if isinstance(fields.get("initial"), list):

@@ -76,9 +76,14 @@ class States:
             layout = Layout(layout, num_robots)
         if buffer is not None and (buffer.dtype != np.uint8 or buffer.size != layout.nbytes):
             raise StateError(
-                f"the buffer has {buffer.nbytes} bytes and the layout needs {layout.nbytes}; "
-                "both sides must be built from one layout (compare Layout.hash)"
+                f"the buffer has {buffer.size} elements of {buffer.dtype} and the layout needs "
+                f"{layout.nbytes} of uint8; build both sides from one layout (compare Layout.hash)"
             )
+        for name in layout.specs:
+            if name in _MEMBERS:
+                raise StateError(
+                    f"a state cannot be named {name!r}, which is a member of States; rename it"
+                )
         own = aligned_buffer(layout.nbytes) if buffer is None else buffer
         views: dict[str, Array] = {}
         for name, slot in layout.slots.items():
@@ -229,3 +234,7 @@ class States:
             for name, view in self._views.items()
         }
         return json.dumps({"layout": self._layout.hash, "states": values})
+
+
+_MEMBERS = frozenset(name for name in dir(States) if not name.startswith("__"))
+"""Names that attribute access would not find as states."""

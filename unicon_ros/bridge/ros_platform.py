@@ -172,6 +172,10 @@ class RosPlatform:
         """Return True when the first topic of the map has a message, False after `timeout` [s]."""
         return self._wait_set.wait(timeout)
 
+    def arrivals(self) -> int:
+        """Return how many messages of that topic have come so far."""
+        return self._in[0].received
+
     def recv(self) -> bool | None:
         """Bring the latest messages into the states.
 

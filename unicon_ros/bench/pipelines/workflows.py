@@ -8,6 +8,8 @@ from unicon_ros.bench.pipelines.log import COMMAND, IMU, MIRROR, STATE
 
 __all__ = ["write_bridged", "write_local"]
 
+PLATFORM = "unicon_ros.bridge.ros_platform:make"
+
 _JOINT = (
     "{{name: joint_{i}, lower: -3.0, upper: 3.0, velocity: 20.0, effort: 50.0, default: 0.0, "
     "rest: 0.0, stiffness: 50.0, damping: 1.0}}"
@@ -64,21 +66,21 @@ def write_bridged(
         The workflow file and the platform's map file.
     """
     _write_robot(folder, joints)
-    workflow = _workflow("ros", "ros: {map: ./robot.yaml}", rate, trigger)
+    workflow = _workflow(PLATFORM, f"'{PLATFORM}': {{map: ./robot.yaml}}", rate, trigger)
     reliability = "best_effort" if best_effort else "reliable"
     qos = f"{{reliability: {reliability}, depth: 1}}"
     topics = f"""\
 subscribe:
-  - topic: {IMU}
-    type: sensor_msgs/msg/Imu
-    qos: {qos}
-    fields: {{orientation: base_quat, angular_velocity: base_ang_vel,
-             linear_acceleration: base_lin_acc}}
   - topic: {STATE}
     type: sensor_msgs/msg/JointState
     qos: {qos}
     fields: {{header.stamp: stamp_ns, name: $joint_names, position: joint_pos,
              velocity: joint_vel, effort: joint_effort}}
+  - topic: {IMU}
+    type: sensor_msgs/msg/Imu
+    qos: {qos}
+    fields: {{orientation: base_quat, angular_velocity: base_ang_vel,
+             linear_acceleration: base_lin_acc}}
 publish:
   - topic: {COMMAND}
     type: sensor_msgs/msg/JointState
