@@ -63,7 +63,8 @@ unit (`unicon_msgs_map.units`). **Quaternions are wxyz in states, xyzw in messag
 geometry_msgs/Quaternion is converted by itself; elsewhere, such as a plain `float64[4]`, say
 `quat: xyzw_from_wxyz` (publish) or `quat: wxyz_from_xyzw` (subscribe); `quat: none` switches the
 automatic conversion off. This happens here and nowhere else. Times are int64 ns in states and
-become sec and nanosec. `{state: battery_soc, text: 8.2f}` prints a number into a string field.
+become sec and nanosec. `{state: battery_soc, text: 8.2f}` prints a number into a string field;
+`{checksum: unitree}` on the last field is the CRC that Unitree's motors want.
 
 On receive, a `$variable` on an array of strings (`name: $joint_names`) orders every whole
 sequence of the entry by name; `{state: …, by: none}` takes one by position.

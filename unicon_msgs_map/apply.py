@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from unicon_msgs_map.binding import Bound
+from unicon_msgs_map.errors import count_of
 from unicon_msgs_map.messages import Primitive
 from unicon_msgs_map.spec import SubscribeSpec
 from unicon_msgs_map.targets import Target
@@ -69,11 +70,13 @@ def select(
             if target.required is not None:
                 _require(found, target, runs)
             continue
-        places = [
-            (offset + i * (primitive.size if primitive else 8), primitive)
-            for offset, primitive, count in found.numbers.get(target.number, [])
-            for i in range(count)
-        ]
+        places: list[tuple[int, Primitive | None]] = []
+        for offset, primitive, count in found.numbers.get(target.number, []):
+            if count == 1:
+                places.append((offset, primitive))
+            elif primitive is not None:
+                end = offset + count * primitive.size
+                places += [(at, primitive) for at in range(offset, end, primitive.size)]
         ranks = _ranks(found, spec, target, len(places))
         absent = sorted(set(range(len(target.bound.elements))) - set(ranks))
         by_name |= target.by is not None
@@ -116,7 +119,7 @@ def _ranks(found: Found, spec: SubscribeSpec, target: Target, count: int) -> lis
         names = spec.fields[target.by].path
         if texts:
             if len(texts) != count:
-                raise Rejected(f"{path} has {count} elements for {len(texts)} in {names}")
+                raise Rejected(f"{path} has {count_of(count)} for {len(texts)} in {names}")
             if len(set(texts)) != len(texts):
                 twice = next(t for t in texts if texts.count(t) > 1)
                 raise Rejected(f"{names} holds {twice!r} twice")
@@ -131,9 +134,9 @@ def _ranks(found: Found, spec: SubscribeSpec, target: Target, count: int) -> lis
         if spec.unnamed == "error":
             raise Rejected(f"{names} is empty, and unnamed: error is declared")
         if count != ours:
-            raise Rejected(f"{names} is empty and {path} has {count} elements, not {ours}")
+            raise Rejected(f"{names} is empty and {path} has {count_of(count)}, not {ours}")
     if count > ours and spec.extra == "error":
-        raise Rejected(f"{path} has {count} elements, not {ours}, and extra: error is declared")
+        raise Rejected(f"{path} has {count_of(count)}, not {ours}, and extra: error is declared")
     return [k if k < ours else None for k in range(count)]
 
 

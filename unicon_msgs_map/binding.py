@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_msgs_map.errors import MapStateError, alternatives
+from unicon_msgs_map.errors import MapStateError, alternatives, count_of
 from unicon_msgs_map.spec import FieldSpec
 from unicon_msgs_map.units import PER_SI
 
@@ -135,7 +135,7 @@ def affine(field: FieldSpec, count: int, *, receive: bool) -> tuple[AnyArray, An
     for label, value in (("scale", field.scale), ("offset", field.offset)):
         if isinstance(value, tuple) and len(value) != count:
             raise MapStateError(
-                f"{field.path}: {label} has {len(value)} entries for {count} elements; "
+                f"{field.path}: {label} has {len(value)} entries for {count_of(count)}; "
                 "give one number or one per element",
                 field.where,
             )
@@ -168,7 +168,7 @@ def _select(field: FieldSpec, size: int, names: tuple[str, ...] | None) -> tuple
     stop = size if stop is None else stop
     if stop > size or start >= size:
         raise MapStateError(
-            f"{field.path}: {field.source} is out of range; state {name!r} has {size} elements",
+            f"{field.path}: {field.source} is out of range; state {name!r} has {count_of(size)}",
             field.where,
         )
     return tuple(range(start, stop))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from unicon_msgs_map.errors import MapFileError, MessageTypeError, alternatives
+from unicon_msgs_map.errors import MapFileError, MessageTypeError, alternatives, count_of
 from unicon_msgs_map.messages import Array, String, Struct, TypeRef
 from unicon_msgs_map.paths import Key, Selector
 from unicon_msgs_map.spec import FieldSpec, PublishSpec, SubscribeSpec
@@ -41,6 +41,10 @@ def check_subscribe(spec: SubscribeSpec) -> None:
         if field.text is not None:
             raise MapFileError(
                 f"{field.path}: 'text' formats published strings; drop it", field.where
+            )
+        if field.checksum is not None:
+            raise MapFileError(
+                f"{field.path}: checksums are written, not checked on receive; drop it", field.where
             )
         if field.source.kind == "variable" and not (
             isinstance(kind, Array) and isinstance(kind.item, String)
@@ -122,5 +126,5 @@ def _check_selector(
     top = selector + 1 if isinstance(selector, int) else (selector[1] or selector[0] + 1)
     if limit is not None and top > limit:
         raise MessageTypeError(
-            f"{field.path}: {name} of {owner.name} has at most {limit} elements", field.where
+            f"{field.path}: {name} of {owner.name} has at most {count_of(limit)}", field.where
         )

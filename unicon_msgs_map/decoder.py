@@ -156,12 +156,13 @@ class Decoder:
 
     def _remember(self, raw: bytes, found: Found, runs: list[Run]) -> _Fast:
         self.derived += 1
-        structure = tuple(raw[start:end] for start, end in merge(found.hard))
+        hard = merge(found.hard)
+        structure = tuple(raw[start:end] for start, end in hard)
         if any(kept.size == len(raw) and kept.structure == structure for kept in self._layouts):
             # Only padding or unread bytes differ: from now on they are not compared.
             self._loose = True
             self._layouts.clear()
-        fast = compile_fast(raw, found.order, found.hard, runs, self.spec.nonfinite, self._loose)
+        fast = compile_fast(raw, found.order, hard, runs, self.spec.nonfinite, self._loose)
         self._fast = fast
         self._layouts.insert(0, _Layout(len(raw), structure, fast, runs))
         del self._layouts[KEPT_LAYOUTS:]

@@ -44,7 +44,11 @@ class _Copy:
 
 
 def generate(
-    title: str, template: Template, bounds: Mapping[int, Bound], conversions: Conversions
+    title: str,
+    template: Template,
+    bounds: Mapping[int, Bound],
+    conversions: Conversions,
+    checksum: Callable[[], int] | None = None,
 ) -> tuple[Callable[[], bytes], str]:
     """Return the encode function and its source.
 
@@ -53,6 +57,7 @@ def generate(
         template: bytes and slots.
         bounds: state per field number.
         conversions: factor and summand per field number, None where there is nothing to do.
+        checksum: computes the last four bytes from the others, where the message has one.
     """
     copies: list[_Copy] = []
     scalars: list[Slot] = []
@@ -64,9 +69,12 @@ def generate(
             copies.append(found)
     writer = _Writer(template, bounds, conversions)
     body = writer.loads(scalars)
-    if copies:
+    if copies or checksum:
         body += writer.packs_into(scalars)
         body += writer.copies(copies)
+        if checksum:
+            writer.space |= {"checksum": checksum, "sign": struct.Struct("<I").pack_into}
+            body.append(f"sign(buffer, {len(template.data) - 4}, checksum())")
         body.append("return bytes(buffer)")
     else:
         body.append(f"return {writer.pack(scalars)}")

@@ -20,9 +20,10 @@ from unicon_msgs_map.binding import (
     bind_variable,
     quaternions,
 )
+from unicon_msgs_map.checksum import unitree_crc
 from unicon_msgs_map.constants import constant, owner_constants
 from unicon_msgs_map.emit import generate
-from unicon_msgs_map.errors import MapStateError
+from unicon_msgs_map.errors import MapStateError, count_of
 from unicon_msgs_map.messages import (
     QUATERNION,
     Array,
@@ -109,8 +110,12 @@ class Encoder:
             number: affine(bound.field, len(bound.elements), receive=False)
             for number, bound in bounds.items()
         }
+        checksum = None
+        for field in spec.fields:
+            if field.checksum is not None:
+                checksum = unitree_crc(field, message, template.data)
         title = f"{spec.type} on {spec.topic}"
-        encode, source = generate(title, template, bounds, conversions)
+        encode, source = generate(title, template, bounds, conversions, checksum)
         return cls(spec, encode, source, len(template.data))
 
 
@@ -134,7 +139,7 @@ def _place_state(root: Node, message: Struct, number: int, field: FieldSpec, bou
     sizes = [leaf_size(leaf.type, field) for leaf in flat]
     if sum(sizes) != len(elements):
         raise MapStateError(
-            f"{field.path} takes {sum(sizes)} elements, {field.source} has {len(elements)}; "
+            f"{field.path} takes {count_of(sum(sizes))}, {field.source} has {len(elements)}; "
             f"select them, as in {field.source.name}[:{sum(sizes)}]",
             field.where,
         )
@@ -192,7 +197,7 @@ def _check_sequence(field: FieldSpec, kind: Array, count: int) -> None:
         )
     if kind.bound and count > kind.bound:
         raise MapStateError(
-            f"{field.path} takes at most {kind.bound} elements, {field.source} has {count}; "
+            f"{field.path} takes at most {count_of(kind.bound)}, {field.source} has {count}; "
             f"select them, as in {field.source.name}[:{kind.bound}]",
             field.where,
         )
@@ -215,7 +220,7 @@ def _place_constant(root: Node, message: Struct, field: FieldSpec, value: object
         kind = leaves[0].type
         if kind.bound and len(items) > kind.bound:
             raise MapStateError(
-                f"{field.path} takes at most {kind.bound} elements, {len(items)} are given",
+                f"{field.path} takes at most {count_of(kind.bound)}, {len(items)} are given",
                 field.where,
             )
         constants = message.constants

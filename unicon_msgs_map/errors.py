@@ -22,6 +22,7 @@ __all__ = [
     "MapStateError",
     "MessageTypeError",
     "alternatives",
+    "count_of",
 ]
 
 
@@ -69,3 +70,8 @@ def alternatives(wrong: str, known: Iterable[str], *, limit: int = 12) -> str:
     close = difflib.get_close_matches(wrong, names, n=1)
     shown = ", ".join(names[:limit]) + (f", … ({len(names)} in all)" if len(names) > limit else "")
     return f"did you mean {close[0]!r}? known: {shown}" if close else f"known: {shown}"
+
+
+def count_of(count: int) -> str:
+    """Return `1 element`, `2 elements`."""
+    return f"{count} element" if count == 1 else f"{count} elements"

@@ -5,14 +5,16 @@ True when it wrote the states, None when the structure differs (walk again), and
 value needs the careful path. It never writes before every check has passed.
 
 Measured (NumPy 2.4, Python 3.11, one warm core): one `take` of all joints of a JointState 160 ns,
-the finiteness test on their bits 250 ns (`isfinite().all()`: 1000 ns), one strided cast-copy into
-three adjacent states 130 ns.
+the range test on their exponents 190 ns (`isfinite().all()` 1000 ns, a dot product warns), one
+strided cast-copy into three adjacent states 130 ns.
 """
 
 from __future__ import annotations
 
 import math
 import struct
+import sys
+from bisect import bisect_left
 from collections.abc import Callable
 from functools import lru_cache
 from itertools import pairwise
@@ -46,7 +48,7 @@ def compile_fast(
     Args:
         raw: the payload that was walked.
         order: its byte order for `struct`.
-        hard: byte ranges that fix the layout.
+        hard: byte ranges that fix the layout, merged.
         runs: what to read and where to write it.
         nonfinite: `reject` or `accept`.
         loose: compare structural bytes only, not the padding between them.
@@ -125,12 +127,12 @@ class _Fast:
     def _guards(
         self, hard: list[tuple[int, int]], offsets: list[int], loose: bool
     ) -> list[tuple[int, int]]:
-        read = np.array(sorted(offsets), dtype=np.int64)
+        read = sorted(offsets)
         guards: list[tuple[int, int]] = []
-        for start, end in merge(hard):
+        for start, end in hard:
             if guards and not loose and start - guards[-1][1] <= BRIDGE:
                 before = guards[-1][1]
-                if np.searchsorted(read, before) == np.searchsorted(read, start):
+                if bisect_left(read, before) == bisect_left(read, start):
                     guards[-1] = (guards[-1][0], end)
                     continue
             guards.append((start, end))
@@ -227,7 +229,8 @@ class _Fast:
         wire = np.dtype(primitive.dtype).newbyteorder("<" if self.order == "<" else ">")
         flat = stage[4 : 4 + (len(stage) - 4) // wire.itemsize * wire.itemsize].view(wire)
         index = np.array([(o - 4) // wire.itemsize for r in runs for o in r.offsets], dtype=np.intp)
-        read = np.zeros(len(index), wire.newbyteorder("="))
+        room = bytearray(len(index) * wire.itemsize)
+        read: AnyArray = np.frombuffer(room, wire.newbyteorder("="))
         self.space |= {f"index{number}": index, f"read{number}": read}
         if wire.isnative:
             self.space[f"take{number}"] = flat.take
@@ -236,7 +239,7 @@ class _Fast:
             self.space[f"flat{number}"] = flat
             self.work.append(f"read{number}[...] = flat{number}[index{number}]")
         if wire.kind == "f":
-            self._bounded(number, read, self._bound(runs, wire))
+            self._bounded(number, wire.itemsize, room, self._bound(runs, wire))
         result, name = read, f"read{number}"
         if any(run.target and run.target.conversion for run in runs):
             result = self._convert(number, runs)
@@ -302,30 +305,27 @@ class _Fast:
         stage: AnyArray = known
         return stage
 
-    def _bounded(self, number: int, read: AnyArray, bound: float | None) -> None:
-        """Send a payload to the careful path if any number read is larger, infinite or NaN.
+    def _bounded(self, number: int, size: int, room: bytearray, bound: float | None) -> None:
+        """Send a payload to the careful path if any number read may be beyond the bound.
 
-        Compared as integers without their sign bit, which order like the floats do: exact, and
-        no floating point flag can be raised (a dot product would warn of overflows).
+        The byte with the sign and the upper seven bits of the exponent tells, without a floating
+        point flag that could warn or raise: those that are surely small are deleted, and nothing
+        must be left.
         """
         if bound is None:
             return
-        integer = np.dtype(f"i{read.dtype.itemsize}")
-        bits = read.view(integer)
-        sizes = np.zeros_like(bits)
+        bias, spare = (1023, 4) if size == 8 else (127, 1)  # of the exponent; its lower bits
+        largest = math.log2(max(bound, 5e-324))
+        ordinary = [high for high in range(128) if ((high + 1) << spare) - bias <= largest]
+        first = size - 1 if sys.byteorder == "little" else 0
         self.space |= {
-            "bitwise_and": np.bitwise_and,
-            f"bits{number}": bits,
-            f"sizes{number}": sizes,
-            f"size_of{number}": sizes.item,
-            f"largest{number}": sizes.argmax,
-            f"unsigned{number}": np.full_like(bits, np.iinfo(integer).max),
-            f"limit{number}": int(np.array(bound, read.dtype).view(integer)),
+            f"room{number}": room,
+            f"highs{number}": slice(first, None, size),
+            f"ordinary{number}": bytes([*ordinary, *(128 + high for high in ordinary)]),
         }
-        self.work += [
-            f"bitwise_and(bits{number}, unsigned{number}, sizes{number})",
-            f"if size_of{number}(largest{number}()) > limit{number}: return False",
-        ]
+        self.work.append(
+            f"if room{number}[highs{number}].translate(None, ordinary{number}): return False"
+        )
 
     def _bound(self, runs: list[Run], wire: np.dtype[Any]) -> float | None:
         """Return the size up to which every number is acceptable; None where any is."""

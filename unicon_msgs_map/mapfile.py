@@ -5,6 +5,7 @@ See the package's docstring for the format, and `config/maps/` for ready files.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ __all__ = ["load_map", "parse_map"]
 _TOP = ("description", "typestore", "messages", "publish", "subscribe")
 _BOTH = ("topic", "type", "rate", "qos", "optional", "fields")
 _SUBSCRIBE = (*_BOTH, "timeout", "on_timeout", "missing", "extra", "unnamed", "nonfinite")
-_FIELD = ("state", "const", "scale", "sign", "offset", "unit", "quat", "by", "text")
+_FIELD = ("state", "const", "scale", "sign", "offset", "unit", "quat", "by", "text", "checksum")
 _QOS_WORDS: dict[str, tuple[str, ...]] = {
     "reliability": ("reliable", "best_effort"),
     "durability": ("volatile", "transient_local"),
@@ -227,6 +228,10 @@ def _field(path: str, entry: Entry, topic: str, *, receive: bool) -> FieldSpec:
         if not isinstance(entry.value, dict):
             return FieldSpec(path, steps, parse_reference(entry.plain()), where=where)
         keys = entry.mapping(f"field {path!r}", _FIELD)
+        if "checksum" in keys:
+            return _checksum(
+                path, keys, FieldSpec(path, steps, Reference("const", value=0), where=where)
+            )
         if ("state" in keys) == ("const" in keys):
             raise MapFileError(f"{path}: give either 'state' or 'const'", where)
         if "const" in keys:
@@ -252,6 +257,14 @@ def _field(path: str, entry: Entry, topic: str, *, receive: bool) -> FieldSpec:
         text=_text(path, keys["text"]) if "text" in keys else None,
         where=where,
     )
+
+
+def _checksum(path: str, keys: dict[str, Entry], field: FieldSpec) -> FieldSpec:
+    other = next((key for key in keys if key != "checksum"), None)
+    if other is not None:
+        raise keys[other].fail(f"{path}: a checksum is computed; drop {other!r}")
+    kind = keys["checksum"].one_of(f"{path}: checksum", ("unitree",))
+    return replace(field, checksum=kind)
 
 
 def _text(path: str, entry: Entry) -> str:

@@ -39,7 +39,7 @@ HEADER = "std_msgs/msg/Header"
 QUATERNION = "geometry_msgs/msg/Quaternion"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)  # one of each, in PRIMITIVES
 class Primitive:
     """A number on the wire.
 

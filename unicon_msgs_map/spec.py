@@ -59,6 +59,7 @@ class FieldSpec:
         by: on subscribe, path of the names that order this array; `none` takes it by position;
             None is automatic.
         text: on publish into a string, a `format()` spec with a fixed width such as `8.2f`.
+        checksum: on publish, `unitree` writes the CRC of the message's C struct here.
         where: `file:line: entry` for messages.
     """
 
@@ -71,6 +72,7 @@ class FieldSpec:
     quat: str | None = None
     by: str | None = None
     text: str | None = None
+    checksum: str | None = None
     where: str | None = None
 
 

@@ -18,7 +18,7 @@ from unicon_msgs_map.binding import (
 )
 from unicon_msgs_map.check import resolve
 from unicon_msgs_map.constants import constant
-from unicon_msgs_map.errors import MapStateError
+from unicon_msgs_map.errors import MapStateError, count_of
 from unicon_msgs_map.messages import (
     DURATION,
     QUATERNION,
@@ -139,7 +139,7 @@ def _target(
     fixed = _fixed_count(field, message, kind)
     if fixed is not None and fixed != len(elements):
         raise MapStateError(
-            f"{field.path} has {fixed} elements, {field.source} has {len(elements)}; "
+            f"{field.path} has {count_of(fixed)}, {field.source} has {len(elements)}; "
             f"select them, as in {field.source.name}[:{fixed}]",
             field.where,
         )
@@ -153,7 +153,7 @@ def _target(
         order = listed[by] if len(listed[by]) == len(elements) else (bound.names or ())
         if len(order) != len(elements):
             raise MapStateError(
-                f"{field.path}: {field.source} has {len(elements)} elements, "
+                f"{field.path}: {field.source} has {count_of(len(elements))}, "
                 f"${spec.fields[by].source.name} names {len(listed[by])}; give a state of that "
                 "size, element names for it, or by: none",
                 field.where,
@@ -201,7 +201,7 @@ def _close_ranges(field: FieldSpec, message: Struct, kind: TypeRef, count: int) 
                 stop = selector[0] + count // each
                 if stop > owner.length or stop == selector[0]:
                     raise MapStateError(
-                        f"{field.path} has {(owner.length - selector[0]) * each} elements, "
+                        f"{field.path} has {count_of((owner.length - selector[0]) * each)}, "
                         f"{field.source} has {count}; select fewer, as in {field.source.name}[:3]",
                         field.where,
                     )

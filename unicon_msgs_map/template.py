@@ -11,7 +11,7 @@ import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-from unicon_msgs_map.errors import MapStateError, MessageTypeError, alternatives
+from unicon_msgs_map.errors import MapStateError, MessageTypeError, alternatives, count_of
 from unicon_msgs_map.messages import (
     DURATION,
     QUATERNION,
@@ -155,7 +155,7 @@ def _expand(
         stop = start + _open_end(spec, kind, rest, available)
     if limit is not None and (stop > limit or start >= limit):
         raise MessageTypeError(
-            f"{spec.path}: {name} of {owner.name} has at most {limit} elements", spec.where
+            f"{spec.path}: {name} of {owner.name} has at most {count_of(limit)}", spec.where
         )
     leaves: list[Leaf] = []
     for index in range(start, stop):

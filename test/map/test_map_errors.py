@@ -191,8 +191,8 @@ FILES: list[tuple[str, str]] = [
     ),
     (
         OUT + "    fields:\n      linear.x: {state: a, factor: 1}\n",
-        "m.yaml:5: field 'linear.x' has no key 'factor'; known: by, const, offset, quat, scale, "
-        "sign, state, text, unit",
+        "m.yaml:5: field 'linear.x' has no key 'factor'; known: by, checksum, const, offset, "
+        "quat, scale, sign, state, text, unit",
     ),
     (
         OUT + "    fields:\n      linear.x: {state: a, unit: degree}\n",
@@ -230,6 +230,18 @@ FILES: list[tuple[str, str]] = [
     (
         IN + "    fields:\n      linear.x: {state: a, text: 8.2f}\n",
         "m.yaml:5: a: linear.x: 'text' formats published strings; drop it",
+    ),
+    (
+        OUT + "    fields:\n      linear.x: {checksum: crc8}\n",
+        "m.yaml:5: linear.x: checksum is 'crc8'; choose one of unitree",
+    ),
+    (
+        OUT + "    fields:\n      linear.x: {checksum: unitree, state: a}\n",
+        "m.yaml:5: linear.x: a checksum is computed; drop 'state'",
+    ),
+    (
+        IN + "    fields:\n      linear.x: {checksum: unitree}\n",
+        "m.yaml:5: a: linear.x: checksums are written, not checked on receive; drop it",
     ),
     (
         IN + "    fields:\n      linear.x: $a\n",
@@ -335,7 +347,7 @@ PUBLISHED: list[tuple[str, dict[str, object], str]] = [
     (
         JS,
         {"header.frame_id": "six"},
-        "header.frame_id takes 1 elements, six has 6; select them, as in six[:1]",
+        "header.frame_id takes 1 element, six has 6; select them, as in six[:1]",
     ),
     (
         JS,
@@ -379,6 +391,7 @@ PUBLISHED: list[tuple[str, dict[str, object], str]] = [
     (JS, {"header.frame_id": "=a\0b"}, "header.frame_id: a string cannot hold a NUL character"),
     (ODOM, {"pose.covariance": "six"}, "pose.covariance takes 36 elements, six has 6; select them, as in six[:36]"),
     (ODOM, {"pose.pose.orientation": "three"}, "pose.pose.orientation: a quaternion has 4 elements, three has 3"),
+    (TWIST_TYPE, {"linear.x": {"state": 0, "checksum": "unitree"}}, "linear.x: Unitree's checksum is a uint32 at the end of the message; geometry_msgs/msg/Twist ends in angular"),
     (JS, {"position": {"state": "six", "scale": (1.0, 2.0)}}, "position: scale has 2 entries for 6 elements; give one number or one per element"),
 ]  # fmt: skip
 

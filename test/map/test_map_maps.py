@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from typing import Any
 
 import numpy as np
@@ -259,6 +260,52 @@ def test_go_command_copies_all_five_motor_states_at_once() -> None:
     mapping, count = loaded("unitree_go")
     encoder = Encoder.build(mapping.publish[0], states(count))
     assert encoder.source.count("[...] =") == 1, encoder.source
+
+
+def slow_crc(words: list[int]) -> int:
+    """Return Unitree's checksum bit by bit, as its definition says."""
+    crc = 0xFFFFFFFF
+    for word in words:
+        for bit in range(31, -1, -1):
+            top = crc >> 31 ^ word >> bit & 1
+            crc = (crc << 1 & 0xFFFFFFFF) ^ (0x04C11DB7 if top else 0)
+    return crc
+
+
+def c_struct(stem: str, message: Any) -> bytes:
+    """Return a LowCmd as C lays it out: `=` has no padding, so it is written out."""
+    go = stem == "unitree_go"
+    image = b""
+    if go:
+        image += struct.pack("<2BBB", *message.head, message.level_flag, message.frame_reserve)
+        image += struct.pack("<4IH2x", *message.sn, *message.version, message.bandwidth)
+    else:
+        image += struct.pack("<BB2x", message.mode_pr, message.mode_machine)
+    for m in message.motor_cmd:
+        reserve = list(m.reserve) if go else [m.reserve]
+        numbers = (m.q, m.dq, m.tau, m.kp, m.kd)
+        image += struct.pack(f"<B3x5f{len(reserve)}I", m.mode, *numbers, *reserve)
+    if go:
+        image += struct.pack("<4B", message.bms_cmd.off, *message.bms_cmd.reserve)
+        image += bytes(message.wireless_remote) + bytes(message.led) + bytes(message.fan)
+        return image + struct.pack("<BxI", message.gpio, message.reserve)
+    return image + struct.pack("<4I", *message.reserve)
+
+
+@pytest.mark.parametrize("stem", ["unitree_go", "unitree_hg"])
+def test_low_commands_carry_the_checksum_of_their_c_struct(stem: str) -> None:
+    mapping, count = loaded(stem)
+    arrays = states(count)
+    encoder = Encoder.build(mapping.publish[0], arrays)
+    sums = set()
+    for scale in (1, -3):
+        fill(arrays)
+        arrays["joint_pos_target"] *= scale
+        message = mapping.messages.store.deserialize_cdr(encoder.encode(), encoder.spec.type)
+        image = c_struct(stem, message)
+        assert message.crc == slow_crc([w for (w,) in struct.iter_unpack("<I", image)])
+        sums.add(message.crc)
+    assert len(sums) == 2
 
 
 def test_unmapped_quaternions_are_the_identity() -> None:
