@@ -4,20 +4,34 @@ from __future__ import annotations
 
 from unicon_core.check.result import CheckResult
 from unicon_core.check.subject import Subject
+from unicon_core.flow import Block
+from unicon_core.flow.checks import check_graph
+from unicon_core.workflow.workflow import GIVEN
 
 __all__ = ["check_blocks"]
 
 
 def check_blocks(subject: Subject, result: CheckResult) -> None:
-    """Add the table of blocks with what they read and write."""
+    """Add the table of blocks with what they read and write, and what is wrong with the graph.
+
+    The build stops at the first such mistake; here all of a built graph are listed.
+    """
+    workflow = subject.workflow
     rows = [
-        [block.name, block.role or "-", " ".join(block.reads) or "-", " ".join(_out(block)) or "-"]
+        [
+            block.name,
+            block.role or "-",
+            "before send" if block in workflow.critical else "after send",
+            " ".join(block.reads) or "-",
+            " ".join(_changed(block)) or "-",
+        ]
         for block in subject.blocks
     ]
-    result.table("Blocks", ["block", "role", "reads", "writes"], rows)
+    columns = ["block", "role", "runs", "reads", "writes (* amends)"]
+    result.table("Blocks", columns, rows)
+    for found in check_graph(workflow.root, workflow.states, given=GIVEN):
+        result.find("graph", found.culprit, found.evidence, found.remedy, found.where)
 
 
-def _out(block: object) -> list[str]:
-    writes = getattr(block, "writes", ())
-    amends = getattr(block, "amends", ())
-    return [*writes, *(f"{name}*" for name in amends)]
+def _changed(block: Block) -> list[str]:
+    return [*block.writes, *(f"{name}*" for name in block.amends)]

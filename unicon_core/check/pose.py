@@ -16,6 +16,10 @@ __all__ = ["check_pose"]
 
 BELOW_FEET = 0.01
 """How far another part may be below the feet in [m]."""
+TILTED_FOOT = 0.03
+"""How far the parts of one foot may differ in height in [m] (10° on the G1's sole)."""
+OFF_BALANCE = 0.1
+"""How far the centre of mass may be outside the feet in [m]; inside them for all poses tried."""
 INSIDE_FLOOR = 0.02
 """How far a simulation may begin inside the floor in [m]."""
 ABOVE_FLOOR = 0.3
@@ -144,6 +148,18 @@ def _feet(subject: Subject, result: CheckResult, key: str, contract: PolicyContr
                 "correct the pose, its order, signs or unit",
                 contract.path,
             )
+    for foot, group in feet.items():
+        across = [heights[geom] for geom in group if geom in heights]
+        if across and max(across) - min(across) > TILTED_FOOT:
+            result.find(
+                "pose.feet",
+                f"policy {key!r}, default_joint_pos",
+                f"{foot} is not flat on the ground: its parts differ in height by "
+                f"{1e2 * (max(across) - min(across)):.1f} cm",
+                "correct the pose, its order, signs or unit",
+                contract.path,
+            )
+    _balance(subject, result, key, contract, data, [g for group in feet.values() for g in group])
     for left, right in mirror_pairs(list(lowest_foot)):
         apart = abs(lowest_foot[left] - lowest_foot[right])
         if apart > 0.03:
@@ -154,6 +170,33 @@ def _feet(subject: Subject, result: CheckResult, key: str, contract: PolicyContr
                 "correct the pose, its order, signs or unit",
                 contract.path,
             )
+
+
+def _balance(
+    subject: Subject,
+    result: CheckResult,
+    key: str,
+    contract: PolicyContract,
+    data: Any,
+    geoms: list[int],
+) -> None:
+    """The centre of mass over the feet: a pose that is far off it is none to stand in."""
+    model = subject.model
+    root = int(model.body_rootid[model.geom_bodyid[geoms[0]]])
+    centre, places = data.subtree_com[root][:2], data.geom_xpos[geoms][:, :2]
+    outside = np.maximum(places.min(axis=0) - centre, centre - places.max(axis=0))
+    far = float(outside.max())
+    if far > OFF_BALANCE:
+        axis = int(outside.argmax())
+        side = ("in front of", "behind") if axis == 0 else ("to the left of", "to the right of")
+        result.find(
+            "pose.feet",
+            f"policy {key!r}, default_joint_pos",
+            f"the centre of mass is {1e2 * far:.0f} cm "
+            f"{side[int(centre[axis] < places[:, axis].mean())]} the feet",
+            "correct the pose, its order, signs or unit",
+            contract.path,
+        )
 
 
 def _start(subject: Subject, result: CheckResult) -> None:

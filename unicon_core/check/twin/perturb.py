@@ -16,7 +16,14 @@ from numpy.typing import NDArray
 from unicon_core.check.mirror import mirror_pairs
 from unicon_core.policies.contract import ActionSpec, ObservationTerm, PolicyContract
 
-__all__ = ["Perturbation", "perturbations", "reordered", "with_terms"]
+__all__ = [
+    "Perturbation",
+    "other_order",
+    "permuted",
+    "perturbations",
+    "renamed",
+    "with_terms",
+]
 
 
 @dataclass(frozen=True)
@@ -60,8 +67,8 @@ def with_terms(
     return replace(contract, observation=replace(contract.observation, terms=terms))
 
 
-def reordered(contract: PolicyContract, names: Sequence[str]) -> PolicyContract:
-    """Return the contract with other joint names on the same places of network and arrays.
+def renamed(contract: PolicyContract, names: Sequence[str]) -> PolicyContract:
+    """Return the contract with other joint names on the same places of network and figures.
 
     Args:
         contract: the given one.
@@ -74,11 +81,48 @@ def reordered(contract: PolicyContract, names: Sequence[str]) -> PolicyContract:
     return replace(contract, joints=tuple(names), action=action)
 
 
+def permuted(contract: PolicyContract, names: Sequence[str]) -> PolicyContract:
+    """Return the contract with the joints in another order, every figure staying with its joint.
+
+    Args:
+        contract: the given one.
+        names: the same joints in another order.
+    """
+    joints, action = contract.joints, contract.action
+    index = [joints.index(name) for name in names]
+    moved = [name for name in names if name in action.joints]
+    at = [action.joints.index(name) for name in moved]
+
+    def per_joint(term: ObservationTerm) -> ObservationTerm:
+        if term.index is not None or not (
+            term.state.startswith("joint_") or term.state == "action"
+        ):
+            return term
+        order = at if term.state == "action" else index
+        scale = term.scale[order] if term.scale.size == len(order) > 1 else term.scale
+        clip = term.clip
+        if clip is not None and clip.shape[1] == len(order) > 1:
+            clip = clip[:, order]
+        return replace(term, scale=scale, clip=clip)
+
+    clip = None if action.clip is None else action.clip[:, at]
+    changed = replace(
+        action, joints=tuple(moved), scale=action.scale[at], offset=action.offset[at], clip=clip
+    )
+    return replace(
+        with_terms(contract, per_joint),
+        joints=tuple(names),
+        default_joint_pos=contract.default_joint_pos[index],
+        stiffness=contract.stiffness[index],
+        damping=contract.damping[index],
+        action=changed,
+    )
+
+
 def _scales(contract: PolicyContract) -> Perturbation:
-    scaled = [term.name for term in contract.terms if (term.scale != 1.0).any()]
+    scaled = [term.name for term in contract.terms if (np.abs(term.scale) != 1.0).any()]
     if scaled:
-        one = np.ones(1, np.float32)
-        broken = with_terms(contract, lambda term: replace(term, scale=one))
+        broken = with_terms(contract, lambda term: replace(term, scale=np.sign(term.scale)))
         return Perturbation("observation scales left out", "observation scales", broken)
     if not contract.terms:
         why = "the network takes states one by one"
@@ -94,7 +138,7 @@ def _left_right(contract: PolicyContract) -> Perturbation:
         return Perturbation(name, culprit, None, "no joint names tell left from right")
     other = dict(pairs) | {b: a for a, b in pairs}
     names = [other.get(joint, joint) for joint in contract.joints]
-    return Perturbation(name, culprit, reordered(contract, names))
+    return Perturbation(name, culprit, renamed(contract, names))
 
 
 def _gravity(contract: PolicyContract) -> Perturbation:
@@ -117,7 +161,7 @@ def _order(contract: PolicyContract, depths: Sequence[int]) -> Perturbation:
     if names == list(contract.joints):
         why = "breadth-first and depth-first are the same for these joints"
         return Perturbation(name, culprit, None, why)
-    return Perturbation(name, culprit, reordered(contract, names))
+    return Perturbation(name, culprit, renamed(contract, names))
 
 
 def other_order(depths: Sequence[int]) -> NDArray[np.intp]:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from unicon_core.check.mirror import mirror_pairs
-from unicon_core.check.twin.perturb import other_order, perturbations, reordered, with_terms
+from unicon_core.check.twin.perturb import other_order, permuted, perturbations, renamed, with_terms
 from unicon_core.policies.contract import ObservationTerm, PolicyContract
 from unicon_core.robots import Robot
 
@@ -35,63 +35,61 @@ class Repair:
     unlimited: bool = False
 
 
-def repairs(contract: PolicyContract, robot: Robot, depths: Sequence[int]) -> Iterator[Repair]:
+def repairs(
+    contract: PolicyContract,
+    robot: Robot,
+    depths: Sequence[int],
+    poses: Mapping[str, Mapping[str, float]],
+) -> Iterator[Repair]:
     """Yield what a policy's contract might be if it were right, the likeliest first.
 
     Args:
         contract: the given one.
-        robot: gives an order, gains and a pose to try.
+        robot: gives an order and gains to try.
         depths: of the policy's joints in the kinematic tree, shape (n,).
+        poses: name to joint positions in [rad]: default poses to try.
     """
     for broken in perturbations(contract, depths):  # most of them undo themselves
         if broken.contract is not None:
             yield Repair(broken.name, broken.culprit, broken.contract)
     yield from _orders(contract, robot, depths)
     yield from _gains(contract, robot, depths)
-    yield from _actions(contract, robot)
+    yield from _actions(contract, poses)
     yield from _terms(contract)
     yield Repair("no limits of effort", "effort limits of the robot file", contract, True)
 
 
 def _orders(contract: PolicyContract, robot: Robot, depths: Sequence[int]) -> Iterator[Repair]:
     joints, culprit = contract.joints, "joint order"
-    other = np.argsort(other_order(depths))
-    yield Repair(
-        "the joint order of the other kind of simulator",
-        culprit,
-        reordered(contract, [joints[i] for i in other]),
-    )
-    if set(robot.joint_names) == set(joints) and robot.joint_names != joints:
-        yield Repair("the robot's joint order", culprit, reordered(contract, robot.joint_names))
-    if set(robot.joint_names) == set(joints):
-        # `joints` is wrong, and the arrays beside it are in the right order.
-        breadth = [robot.joint_names[i] for i in np.argsort(depths_of(contract, robot, depths))]
-        if breadth != list(joints):
-            yield Repair("a breadth-first joint order", culprit, reordered(contract, breadth))
-    yield Repair("the reversed joint order", culprit, reordered(contract, joints[::-1]))
+    limb_by_limb = [name for name in robot.joint_names if name in joints]
+    by_depth = dict(zip(joints, depths))
+    orders = {
+        "the joint order of the other kind of simulator": [
+            joints[i] for i in np.argsort(other_order(depths))
+        ],
+        "the robot's joint order": limb_by_limb,
+        "a breadth-first joint order": sorted(limb_by_limb, key=lambda name: by_depth[name]),
+        "the reversed joint order": list(joints[::-1]),
+        "left and right joints exchanged": _exchanged(joints, mirror_pairs(joints)),
+        "front and rear legs exchanged": _front_and_rear(joints),
+    }
     for left, right in mirror_pairs(joints):
-        names = [{left: right, right: left}.get(name, name) for name in joints]
-        yield Repair(f"{left} and {right} exchanged", culprit, reordered(contract, names))
-    swapped = _front_and_rear(joints)
-    if swapped is not None:
-        yield Repair("front and rear legs exchanged", culprit, reordered(contract, swapped))
+        orders[f"{left} and {right} exchanged"] = _exchanged(joints, [(left, right)])
+    for name, order in orders.items():
+        if len(order) == len(joints) and tuple(order) != joints:
+            yield Repair(f"{name} (names only)", culprit, renamed(contract, order))
+            yield Repair(name, culprit, permuted(contract, order))
 
 
-def depths_of(contract: PolicyContract, robot: Robot, depths: Sequence[int]) -> list[int]:
-    """Return the depths in the robot's order."""
-    known = dict(zip(contract.joints, depths))
-    return [known[name] for name in robot.joint_names]
+def _exchanged(joints: Sequence[str], pairs: Sequence[tuple[str, str]]) -> list[str]:
+    other = dict(pairs) | {b: a for a, b in pairs}
+    return [other.get(name, name) for name in joints]
 
 
-def _front_and_rear(joints: Sequence[str]) -> list[str] | None:
-    known = set(joints)
-
-    def other(name: str) -> str:
-        swaps = {"FL": "RL", "FR": "RR", "RL": "FL", "RR": "FR"}
-        return swaps.get(name[:2], name[:2]) + name[2:]
-
-    names = [other(name) for name in joints]
-    return names if set(names) == known and names != list(joints) else None
+def _front_and_rear(joints: Sequence[str]) -> list[str]:
+    swaps = {"FL": "RL", "FR": "RR", "RL": "FL", "RR": "FR"}
+    names = [swaps.get(name[:2], name[:2]) + name[2:] for name in joints]
+    return names if set(names) == set(joints) else []
 
 
 def _gains(contract: PolicyContract, robot: Robot, depths: Sequence[int]) -> Iterator[Repair]:
@@ -123,21 +121,22 @@ def _gains(contract: PolicyContract, robot: Robot, depths: Sequence[int]) -> Ite
         yield Repair(f"stiffness and damping times {factor:g}", culprit, both)
 
 
-def _actions(contract: PolicyContract, robot: Robot) -> Iterator[Repair]:
+def _actions(
+    contract: PolicyContract, poses: Mapping[str, Mapping[str, float]]
+) -> Iterator[Repair]:
     action = contract.action
     for factor in (0.25, 0.5, 2.0, 4.0, -1.0):
         scaled = replace(action, scale=action.scale * np.float32(factor))
         yield Repair(
             f"action.scale times {factor:g}", "action.scale", replace(contract, action=scaled)
         )
-    index = [robot.joint_names.index(name) for name in contract.joints]
-    pose = robot.default_joint_pos[index]
-    if np.isfinite(pose).all():
-        offset = np.array([pose[contract.joints.index(name)] for name in action.joints], np.float32)
-        changed: Any = replace(
-            contract, default_joint_pos=pose, action=replace(action, offset=offset)
-        )
-        yield Repair("the robot file's default pose", "default_joint_pos", changed)
+    for name, pose in poses.items():
+        default = np.array([pose[joint] for joint in contract.joints], np.float32)
+        offset = np.array([pose[joint] for joint in action.joints], np.float32)
+        if np.isfinite(default).all():
+            moved = replace(action, offset=offset)
+            changed = replace(contract, default_joint_pos=default, action=moved)
+            yield Repair(name, "default_joint_pos", changed)
 
 
 def _terms(contract: PolicyContract) -> Iterator[Repair]:
@@ -151,6 +150,10 @@ def _terms(contract: PolicyContract) -> Iterator[Repair]:
         per_joint = term.state.startswith("joint_") or term.state == "action"
         return len(contract.joints) if per_joint else 3
 
+    alphabetical = tuple(sorted(terms, key=lambda term: term.name))
+    if alphabetical != terms:  # holosoma sorts its terms by name
+        changed = replace(contract, observation=replace(observation, terms=alphabetical))
+        yield Repair("terms in alphabetical order", f"{culprit}, their order", changed)
     for i, first in enumerate(terms):
         for j in range(i + 1, len(terms)):
             if width(first) == width(terms[j]) and first.history == terms[j].history:

@@ -12,7 +12,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from unicon_core.check.model_facts import joint_depths
+from unicon_core.check.model_facts import joint_depths, joint_ids
 from unicon_core.check.twin.measures import Measures, Recorder
 from unicon_core.errors import Fault, UniconError
 from unicon_core.flow import Block
@@ -25,7 +25,14 @@ from unicon_core.workflow.workflow import build_workflow
 __all__ = ["TwinSession"]
 
 _LONGEST = 60.0  # [s] of simulated time, for flows that do something before the policy
-_WALK = 0.5  # [m/s] commanded where neither workflow nor contract says anything
+_WALK = 0.6  # [m/s] commanded where neither workflow nor contract says anything
+_SLOW = 0.5  # [m/s]; at 0.3 m/s standing still tracks with 0.70 and tells nothing
+
+
+def _reads_command(contract: PolicyContract) -> bool:
+    """Whether a policy is to follow a velocity command."""
+    named = (*contract.inputs, *(term.state for term in contract.terms))
+    return "velocity_command" in named
 
 
 class _Counted:
@@ -44,8 +51,11 @@ class TwinSession:
 
     Args:
         document: the workflow, already on that platform.
-        command: vx, vy [m/s], wz [rad/s] while the workflow itself commands nothing; None takes
-            half the trained forward speed.
+        command: vx, vy [m/s], wz [rad/s]. None takes the workflow's own where it walks at 0.5 m/s
+            or more, else 0.6 of the trained forward speed: broken contracts stand and creep too.
+
+    Attributes:
+        called: names of the policies that ran in the last run.
 
     Raises:
         UniconError: the workflow cannot be built.
@@ -53,6 +63,7 @@ class TwinSession:
 
     def __init__(self, document: WorkflowDocument, command: Sequence[float] | None = None) -> None:
         self._command = command
+        self.called: frozenset[str] = frozenset()
         self.workflow = build_workflow(document, inputs=[self._commander])
         self._blocks: dict[str, Block] = {}
         for block in self.workflow.blocks:
@@ -65,15 +76,32 @@ class TwinSession:
         self._effort = np.array(list(info["effort_upper"].values()))
 
     @property
-    def contracts(self) -> list[PolicyContract]:
-        """Contracts of the policies that the flow uses."""
-        return [policy.contract for policy in self._policies.values()]
+    def contracts(self) -> dict[str, PolicyContract]:
+        """Key under `policies:` to contract, of the policies in the flow."""
+        used = [policy.contract for policy in self._policies.values()]
+        named = self.workflow.policies.items()
+        return {key: contract for key, contract in named if contract in used}
 
     def depths(self, joints: Sequence[str]) -> list[int]:
         """Return how many joints are above each joint in the model, shape (n,)."""
         platform: Any = self.workflow.platform
         depths = joint_depths(platform.model, self.workflow.robot.joint_names)
         return [depths[name] for name in joints]
+
+    def poses(self) -> dict[str, dict[str, float]]:
+        """Return default poses that somebody else names: the robot file's and key frames'."""
+        platform: Any = self.workflow.platform
+        model, robot = platform.model, self.workflow.robot
+        found = {
+            "the robot file's default pose": dict(
+                zip(robot.joint_names, map(float, robot.default_joint_pos))
+            )
+        }
+        addresses = [int(model.jnt_qposadr[j]) for j in joint_ids(model, robot.joint_names)]
+        for i in range(model.nkey):
+            name = f"the pose of the model's key frame {model.key(i).name!r}"
+            found[name] = dict(zip(robot.joint_names, map(float, model.key_qpos[i][addresses])))
+        return found
 
     def run(
         self, seconds: float, contract: PolicyContract | None = None, *, unlimited: bool = False
@@ -106,9 +134,10 @@ class TwinSession:
             self._restore()
             if limits is not None:
                 self._set_limits(*limits)
+            self.called = frozenset(tick.policy.name for tick in counted if tick.calls)
         ticks = len(recorder.rows)
         asked = (ticks - begun + walked if counted else max(ticks, 1)) * workflow.period
-        tracks = any(term.state == "velocity_command" for c in self.contracts for term in c.terms)
+        tracks = any(_reads_command(contract) for contract in self.contracts.values())
         return recorder.measures(asked, fault, tracks)
 
     def close(self) -> None:
@@ -117,15 +146,19 @@ class TwinSession:
             self.workflow.close()
 
     def _commander(self, workflow: Workflow) -> list[Block]:
-        """Return the block that commands a walk while nobody else commands anything."""
-        ranges = [contract.command_ranges for contract in workflow.policies.values()]
+        """Return the block that commands a walk, as /cmd_vel would."""
+        contracts = workflow.policies.values()
+        if not any(_reads_command(contract) for contract in contracts):
+            return []
+        ranges = [contract.command_ranges for contract in contracts]
         fastest = [found["lin_vel_x"][1] for found in ranges if "lin_vel_x" in found]
-        walk = (min(0.5 * fastest[0], 0.6) if fastest else _WALK, 0.0, 0.0)
+        walk = (min(0.6 * fastest[0], 1.0) if fastest else _WALK, 0.0, 0.0)
         wanted = np.array(self._command or walk, np.float32)
+        always = self._command is not None
         command = workflow.states["velocity_command"]
 
         def twin_command() -> None:
-            if not command.any():
+            if always or float(np.hypot(command[0], command[1])) < _SLOW:
                 command[...] = wanted
 
         return [Block("twin_command", twin_command, amends=("velocity_command",), endless=True)]
