@@ -110,7 +110,9 @@ setup(
         "console_scripts": [
             "unicon = unicon_ros.cli.main:main",
             "unicon_node = unicon_ros.node_main:main",
-        ]
+            "latency_bench = unicon_ros.bench.latency_main:main",
+        ],
+        "unicon.platforms": ["ros = unicon_ros.bridge.ros_platform:make"],
     },
     zip_safe=False,
 )

@@ -287,8 +287,8 @@ SMALL = {"joint_pos": StateSpec((2,)), "joint_vel": StateSpec((2,))}
         (lambda: States(SMALL).offset("joint_poz"), UNKNOWN),
         (
             lambda: States(SMALL, buffer=np.zeros(10, np.uint8)),
-            "the buffer has 10 elements of uint8 and the layout needs 64 of uint8; build both sides "
-            "from one layout (compare Layout.hash)",
+            "the buffer has 10 elements of uint8 and the layout needs 64 of uint8; build both "
+            "sides from one layout (compare Layout.hash)",
         ),
         (
             lambda: Layout({"joint pos": StateSpec()}),

@@ -192,10 +192,11 @@ def _samples(
     share = np.array([float(controlled["cpu_share"]) * 100.0])
     if variant.measuring[0] == "observer":
         # Its controller's stamps are of the driver's clock, not of the wall.
-        settled = np.arange(controlled["end"].size) > options.rate * 0.5
+        settled = np.arange(controlled["end"].size) > options.rate  # a second
         inside = (controlled["end"] - controlled["stamp"])[settled] * 1e-3
         return {"mirror": latency, "state_to_command": inside, "cpu": share}
-    ticks = controlled["end"] >= start
+    # What was sent when the robot had ended already is nobody's loss.
+    ticks = (controlled["end"] >= start) & (controlled["end"] <= measured["received"][-1])
     part = {name: controlled[name][ticks] for name in ("stamp", "seen", "begin", "end")}
     expected = max(len(part["stamp"]), 1)
     lost = max(expected - len(latency), 0)

@@ -119,9 +119,11 @@ class Bench:
             spread = f"{_number(case['mean'])} ± {_number(case['std'])}"
             count = str(int(case["samples"]))
             rows.append((name, _number(case["p50"]), _number(case["p99"]), spread, count))
-        lines += ["", *_aligned(rows)]
+        if self.cases:
+            lines += ["", *_aligned(rows)]
         if self.facts:
-            lines += ["", *_aligned([(k, str(v)) for k, v in self.facts.items()])]
+            width = max(map(len, self.facts))
+            lines += ["", *(f"{name:<{width}}  {value}" for name, value in self.facts.items())]
         if self.ratios:
             rows_of_ratios = [("ratio", "value", "bar", "")]
             for name, ratio in self.ratios.items():

@@ -15,6 +15,7 @@ BENCHES = {
     "batch": "unicon_ros.bench.batch",
     "latency": "unicon_ros.bench.latency",
     "policy": "unicon_ros.bench.policy",
+    "sloc": "unicon_ros.bench.sloc",
     "tick": "unicon_ros.bench.tick",
     "timing": "unicon_ros.bench.timing",
 }

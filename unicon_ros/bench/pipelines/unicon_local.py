@@ -21,12 +21,18 @@ def main() -> None:
 
     def note(workflow: Workflow) -> list[Block]:
         # The first block after `send`: the command of this tick has just been handed over.
-        stamp, now = workflow.states["stamp_ns"], time.monotonic_ns
-        return [Block("note", lambda: log.add(int(stamp), now()), reads=("stamp_ns",))]
+        stamp, tick, now = workflow.states["stamp_ns"], workflow.states["tick"], time.monotonic_ns
+        every = max(1, round(options.state_rate / options.rate))
+
+        def note_command() -> None:
+            if tick % every == 0:
+                log.add(int(stamp), now())
+
+        return [Block("note", note_command, reads=("stamp_ns", "tick"))]
 
     with tempfile.TemporaryDirectory() as folder:
         workflow_file, map_file = write_local(
-            Path(folder), options.joints, options.rate, options.best_effort
+            Path(folder), options.joints, options.rate, options.state_rate, options.best_effort
         )
         session = RosSession(map=map_file, node_name="controller")
         workflow = load_workflow(

@@ -34,14 +34,21 @@ unknown: [feet]
 """
 
 
-def write_local(folder: Path, joints: int, rate: float, best_effort: bool) -> tuple[Path, Path]:
+def write_local(
+    folder: Path, joints: int, rate: float, state_rate: float, best_effort: bool
+) -> tuple[Path, Path]:
     """Write workflow and map of control on local state with ROS as a mirror.
+
+    States are read and mirrored at `state_rate`, commands made at `rate`, as by the other
+    pipelines.
 
     Returns:
         The workflow file and the map file.
     """
     _write_robot(folder, joints)
-    workflow = _workflow("unicon_ros.bench.pipelines.local_platform:make", "", rate, "deadline")
+    platform = "unicon_ros.bench.pipelines.local_platform:make"
+    every = max(1, round(state_rate / rate))
+    workflow = _workflow(platform, "", rate * every, "deadline", every)
     reliability = "best_effort" if best_effort else "reliable"
     mirror = f"""\
 publish:
@@ -90,14 +97,15 @@ publish:
     return _written(folder, workflow, topics)
 
 
-def _workflow(platform: str, options: str, rate: float, trigger: str) -> str:
+def _workflow(platform: str, options: str, rate: float, trigger: str, every: int = 1) -> str:
+    identity = "{copy: {source: joint_pos, target: joint_pos_target}}"
     lines = [
         "robot: ./bench_robot.yaml",
         f"platform: {platform}",
         f"platforms: {{{options}}}",
         f"rate: {rate}",
         f"pacing: {{trigger: {trigger}}}",
-        "flow: {copy: {source: joint_pos, target: joint_pos_target}}",
+        f"flow: {identity if every == 1 else f'{{every: {{n: {every}, do: {identity}}}}}'}",
         "safety: []",
     ]
     return "\n".join(lines) + "\n"

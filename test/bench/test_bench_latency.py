@@ -1,0 +1,86 @@
+"""`unicon bench latency`: real processes over real DDS; only how figures are made is judged."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from unicon_ros.bench.report import Bench
+from unicon_ros.cli import bench as command
+from unicon_ros.cli.main import main
+
+pytest.importorskip("rclpy")
+pytestmark = pytest.mark.ros
+
+
+def test_plain_and_our_own_pipelines_close_the_loop() -> None:
+    from unicon_ros.bench import latency
+
+    chosen = ("plain, two processes", "unicon, on state", "unicon, local, ROS a mirror")
+    result = latency.run(1, seconds=0.6, only=lambda variant: variant.name in chosen)
+    for name in chosen[:2]:
+        for row in ("recv", "send", "state_to_command", "end_to_end"):
+            case = result.cases[f"{name}: {row}"]
+            assert case["samples"] >= 20
+            assert 0.0 < case["p50"] < 1e6
+        # A command cannot be at the robot before the controller has sent it.
+        sent, arrived = (result.cases[f"{name}: {r}"]["p50"] for r in ("recv", "end_to_end"))
+        assert sent < arrived
+    assert result.cases["unicon, local, ROS a mirror: mirror"]["samples"] > 100
+    assert set(result.ratios) == {"end_to_end", "local", "mirror", "cpu"}
+    assert all(ratio["value"] > 0.0 for ratio in result.ratios.values())
+    assert result.facts["joints"] == 20
+
+
+def test_ctrl_c_ends_it_with_a_result_and_no_process_left(tmp_path: Path) -> None:
+    file = tmp_path / "bench.json"
+    arguments = [sys.executable, "-m", "unicon_ros", "bench", "latency", "--json", str(file)]
+    process = subprocess.Popen(
+        arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=dict(os.environ)
+    )
+    try:
+        time.sleep(6.0)
+        children = _children(process.pid)
+        process.send_signal(signal.SIGINT)
+        _, told = process.communicate(timeout=60)
+    finally:
+        process.kill()
+    assert process.returncode == 0, told
+    assert "stopped; 0 whole rounds are kept" in told
+    assert json.loads(file.read_text())["rounds"] == 0
+    assert children
+    assert not [pid for pid in children if Path(f"/proc/{pid}").exists()]
+
+
+def _children(parent: int) -> list[int]:
+    listing = Path(f"/proc/{parent}/task/{parent}/children")
+    return [int(pid) for pid in listing.read_text().split()]
+
+
+def test_assert_exits_1_where_a_ratio_misses_its_bar(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bench = Bench("made", seed=0, rounds=1)
+    bench.case("a", [1.0, 2.0, 3.0])
+    bench.ratio("kept", 0.1, 0.2)
+    bench.ratio("missed", 0.3, 0.2)
+    module = type(sys)("made_bench")
+    module.run = lambda rounds=None, **options: bench  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "made_bench", module)
+    monkeypatch.setitem(command.BENCHES, "tick", "made_bench")
+    file = tmp_path / "b.json"
+    assert main(["bench", "tick", "--json", str(file)]) == 0
+    assert main(["bench", "tick", "--assert"]) == 1
+    values = json.loads(file.read_text())
+    assert set(values) >= {"bench", "machine", "versions", "seed", "rounds", "cases", "ratios"}
+    assert values["ratios"]["missed"] == {
+        "value": 0.3, "bar": 0.2, "holds": False, "claim": "at most"
+    }  # fmt: skip
+    assert "MISSED" in capsys.readouterr().out
