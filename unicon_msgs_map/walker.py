@@ -27,6 +27,9 @@ CDR_BE = b"\x00\x00"
 CDR_LE = b"\x00\x01"
 # Writers may pad a payload to a multiple of four; more than that is another message.
 MAX_TRAILING = 3
+# rmw_fastrtps reserves alignment for empty sequences of 8-byte numbers that CDR does not use, and
+# rclpy's serialize_message() keeps those bytes behind the message.
+TRAILING_PER_EMPTY = 8
 
 
 class Malformed(ValueError):
@@ -107,7 +110,7 @@ def walk(raw: bytes, message: Struct, want: Want) -> Found:
         )
     walker = _Walker(raw, "<" if kind == CDR_LE else ">")
     end = walker.struct(message, 4, want)
-    if len(raw) - end > MAX_TRAILING:
+    if len(raw) - end > MAX_TRAILING + TRAILING_PER_EMPTY * walker.empty:
         raise Malformed(f"{len(raw) - end} bytes are left over behind a whole {message.name}")
     return walker.found
 
@@ -116,6 +119,7 @@ class _Walker:
     def __init__(self, raw: bytes, order: str) -> None:
         self.raw = raw
         self.size = len(raw)
+        self.empty = 0
         self.found = Found(order, hard=[(0, 4)])
         self.word = struct.Struct(order + "I").unpack_from
 
@@ -190,6 +194,7 @@ class _Walker:
                     f"a sequence of {count} at {at - 4} runs past the end ({self.size})"
                 )
         if count == 0:
+            self.empty += isinstance(item, Primitive) and item.size == 8
             return at
         if isinstance(item, Primitive):
             return self.primitives(item, at, count, want)

@@ -403,6 +403,65 @@ def test_bounds_of_strings_and_sequences_hold() -> None:
     assert "a sequence of 3 at 16 exceeds its bound of 2" in decoder.last_error
 
 
+def test_padding_between_many_names_may_be_anything() -> None:
+    """Fast CDR leaves padding as it finds it; every structural byte still counts."""
+    names = tuple("j" * (1 + k % 4) + f"{k:02d}" for k in range(30))
+    state = np.zeros(30, np.float32)
+    mapping: dict[str, object] = {"name": "$n", "position": "p"}
+    decoder = Decoder.build(subscribe(JOINT_STATE, mapping), {"p": state}, None, {"n": names})
+    message = zero_message(JOINT_STATE)
+    message.name[:] = names
+    object.__setattr__(message, "position", np.arange(30.0))
+    raw = bytearray(serialize(message))
+    padding = [17, 18, 19]  # behind the empty frame_id
+    at = 24
+    for name in names:
+        end = at + 4 + len(name) + 1
+        at = end + -end % 4
+        padding += range(end, at)
+    dice = np.random.default_rng(0)
+    for _ in range(10):
+        for k in padding:
+            raw[k] = int(dice.integers(256))
+        state[...] = 0
+        assert decoder.decode(bytes(raw))
+        np.testing.assert_array_equal(state, np.arange(30))
+    assert decoder.derived == 2
+    for k in range(4, at + 4):  # a change anywhere in the structure is seen
+        if k in padding or 4 <= k < 12:
+            continue
+        changed = bytearray(raw)
+        changed[k] ^= 1
+        derived, rejected = decoder.derived, decoder.rejected
+        decoder.decode(bytes(changed))
+        assert (decoder.derived, decoder.rejected) != (derived, rejected), k
+        assert decoder.decode(bytes(raw))
+
+
+def test_room_that_rclpy_leaves_behind_empty_sequences_is_accepted() -> None:
+    joints = Joints()
+    raw = joint_state(velocity=[], effort=[])
+    for rest in (0, 4, 8, 16):
+        assert joints.decoder.decode(raw + bytes(rest)), joints.decoder.last_error
+    assert "20 bytes are left over" in joints.refused(raw + bytes(20))
+    assert "4 bytes are left over" in joints.refused(joint_state() + bytes(4))
+
+
+def test_rclpy_reads_and_writes_the_same() -> None:
+    messages = pytest.importorskip("sensor_msgs.msg", reason="needs rclpy and its messages")
+    from rclpy.serialization import deserialize_message, serialize_message
+
+    for parts in ({}, {"velocity": [], "effort": []}, {"position": []}):
+        joints = Joints()
+        message = deserialize_message(joint_state(frame="base", **parts), messages.JointState)
+        assert list(message.name) == list(NAMES)
+        for _ in range(3):
+            assert joints.decoder.decode(serialize_message(message)), joints.decoder.last_error
+        for state, part in ((joints.pos, "position"), (joints.effort, "effort")):
+            expected = getattr(message, part) or [-1] * 6
+            np.testing.assert_array_equal(state, expected)
+
+
 def test_two_elements_of_the_wanted_key_are_refused() -> None:
     arrays = {"pos": np.zeros(3, np.float32)}
     path = "transforms[child_frame_id=base].transform.translation"
