@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -21,6 +23,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from unicon_core.errors import MissingDependencyError, UniconError
+from unicon_core.runtime import Runner
 from unicon_core.workflow import load_workflow
 from unicon_ros import compat
 from unicon_ros.bridge import RosSession
@@ -309,6 +312,27 @@ def test_a_missing_rclpy_names_the_command_that_installs_it(
     monkeypatch.setattr(compat.importlib, "import_module", absent)
     with pytest.raises(MissingDependencyError, match=r"needs rclpy: source /opt/ros/<distro>"):
         RosSession()
+
+
+def test_the_middlewares_threads_do_not_preempt_the_tick_and_pythons_are_left_alone(
+    react: Path,
+) -> None:
+    session = RosSession()
+    workflow = load_workflow(react, inputs=[session.inputs], observers=[session.observers])
+    waiting = threading.Event()
+    mine = threading.Thread(target=waiting.wait)
+    mine.start()
+    session.attach(Runner(workflow))
+    policies = {int(tid): os.sched_getscheduler(int(tid)) for tid in os.listdir("/proc/self/task")}
+    python = {thread.native_id for thread in threading.enumerate()}
+    assert {policy for tid, policy in policies.items() if tid in python} == {os.SCHED_OTHER}
+    others = [policy for tid, policy in policies.items() if tid not in python]
+    assert others
+    assert set(others) == {os.SCHED_BATCH}
+    waiting.set()
+    mine.join()
+    workflow.close()
+    session.close()
 
 
 def test_counts_can_be_written_as_json(react: Path) -> None:

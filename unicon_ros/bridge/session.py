@@ -29,6 +29,7 @@ from unicon_msgs_map.spec import PublishSpec, SubscribeSpec
 from unicon_ros import compat
 from unicon_ros.bridge.bindings import arrays_of, names_of, variables_of
 from unicon_ros.bridge.controls import SERVICES, Controls, add_services
+from unicon_ros.bridge.middleware_threads import calm_middleware_threads
 from unicon_ros.bridge.own_node import OwnNode, one_line
 from unicon_ros.bridge.robot_frames import RobotFrames
 from unicon_ros.bridge.slack import SlackServer
@@ -147,7 +148,8 @@ class RosSession:
         for spec in self.map.publish:
             if spec.topic == CLOCK and not platform.simulated:
                 continue  # only a simulator makes the time of others
-            if self.node.resolve_topic_name(spec.topic) in getattr(platform, "topics", ()):
+            taken = getattr(platform, "topics", ())
+            if taken and self.node.resolve_topic_name(spec.topic) in taken:
                 self._skip(spec, f"platform {platform.name!r} has it already")
                 continue
             message = self._message(spec, "publish")
@@ -175,6 +177,7 @@ class RosSession:
     def attach(self, runner: Runner) -> None:
         """Let services act on this runner, and its deadlines bound what they may take."""
         self._runner = self.controls.runner = self.slack.runner = runner
+        calm_middleware_threads()
 
     def counts(self) -> dict[str, Any]:
         """Return what passed: totals, and per topic `published`, or `received`, `rejected`, …"""
