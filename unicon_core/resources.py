@@ -31,7 +31,7 @@ def _roots(unicon_path: str, ament_path: str) -> tuple[Path, ...]:
     candidates.append(_SOURCE_TREE / "config")
     candidates += [Path(p) / _SHARE for p in ament_path.split(os.pathsep) if p]
     candidates.append(Path(sys.prefix) / _SHARE)
-    candidates += [p / _SHARE for p in _SOURCE_TREE.parents]
+    candidates += [p / _SHARE for p in (_SOURCE_TREE, *_SOURCE_TREE.parents)]
     found: list[Path] = []
     for root in candidates:
         if root.is_dir() and root not in found:
