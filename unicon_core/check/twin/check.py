@@ -183,7 +183,8 @@ class _Twin:
         return self.session.run(seconds, repair.contract, unlimited=repair.unlimited)
 
     def tables(self, given: Measures) -> None:
-        title = f"Twin in MuJoCo, {self.seconds:g} s of the policy"
+        what = f"{self.seconds:g} s of the policy" if self.contracts else "the whole flow"
+        title = f"Twin in MuJoCo, {what}"
         columns = ["contract", "outcome", "score", "tracking", "error", "rate [rad/s]"]
         lines = ["score = survival · (0.7 · tracking + 0.3 · smoothness), from 0 to 1"]
         lines.append("a walk does not validate the rate: half the rate walks as well")

@@ -35,7 +35,7 @@ START = 1.0
 FALL_COSINE = 0.5
 """A base tilted by more than 60° has fallen, as in the report of a run."""
 FALL_HEIGHT = 0.5
-"""A base below this share of its first height has fallen."""
+"""A base below this share of its height when the policy took over has fallen."""
 AT_LIMIT = 0.005
 """A joint within this distance of its limit in [rad] is at the limit."""
 
@@ -124,12 +124,16 @@ class Recorder:
         self._gravity = states["projected_gravity"].reshape(-1, 3)[0]
         self._height = states["base_pos_w"].reshape(-1, 3)[0]
         self._effort = effort
-        self._first_height = 0.0
+        self._standing: float | None = None
         self.fell = False
         self.rows: list[tuple[Float, Float, Float, Float, Float]] = []
 
-    def __call__(self) -> bool:
-        """Note the tick; True once the base has fallen."""
+    def __call__(self, walking: bool) -> bool:
+        """Note the tick; True once the base has fallen.
+
+        Args:
+            walking: a policy has taken over; before, the flow may lie down as it likes.
+        """
         views = self._views
         velocity = np.array([self._velocity[0], self._velocity[1], views["base_ang_vel"][2]])
         self.rows.append(
@@ -141,10 +145,12 @@ class Recorder:
                 self._command.astype(np.float64),
             )
         )
-        if len(self.rows) == 1:
-            self._first_height = float(self._height[2])
+        height = float(self._height[2])
+        if walking and self._standing is None:
+            self._standing = height
         tilted = float(self._gravity[2]) > -FALL_COSINE
-        self.fell = tilted or float(self._height[2]) < FALL_HEIGHT * self._first_height
+        sunk = self._standing is not None and height < FALL_HEIGHT * self._standing
+        self.fell = tilted or sunk
         return self.fell
 
     def measures(self, asked_s: float, fault: str, tracks: bool) -> Measures:

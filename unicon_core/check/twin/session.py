@@ -126,7 +126,7 @@ class TwinSession:
         try:
             while len(recorder.rows) < longest and not runner.tick(0):
                 begun += any(tick.calls for tick in counted)
-                if recorder() or (counted and begun >= walked):
+                if recorder(begun > 0) or (counted and begun >= walked):
                     break
         except Fault as error:
             fault = str(error)

@@ -1,0 +1,475 @@
+"""Makes broken variants of the three asset policies, for the tests of `unicon check`.
+
+Each variant is the good workflow with one mistake that people make; `python broken_variants.py DIR`
+writes them all. `culprit` must stand in a finding's culprit or evidence; `twin` says that only a
+run in MuJoCo can show the mistake.
+"""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+from collections.abc import Callable, Iterator
+from copy import deepcopy
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+ROOT = Path(__file__).resolve().parents[2]
+WORKFLOWS = {"mjlab": "g1_walk", "go1": "go1_walk", "holosoma": "g1_holosoma"}
+LEGS = 12  # the first joints of the G1: left leg, right leg
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One mistake.
+
+    Attributes:
+        policy: `mjlab`, `go1` or `holosoma`.
+        name: of the mistake, also of the file.
+        culprit: what must be named.
+        twin: whether it takes a run in MuJoCo.
+        change: changes the draft in place.
+    """
+
+    policy: str
+    name: str
+    culprit: str
+    twin: bool
+    change: Callable[[Draft], None]
+
+    def write(self, folder: Path, assets: Path) -> Path:
+        """Write the workflow and what belongs to it into a folder; return the workflow."""
+        draft = Draft(self.policy, folder, assets)
+        self.change(draft)
+        return draft.write()
+
+
+class Draft:
+    """A copy of a good workflow that may be changed.
+
+    Attributes:
+        workflow: its values.
+        given: facts given to the policy in the workflow.
+        deploy: values of `deploy.yaml` (mjlab only).
+        metadata: pairs of the network's metadata to put in, None to leave them (holosoma, go1).
+    """
+
+    def __init__(self, policy: str, folder: Path, assets: Path) -> None:
+        self.policy, self.folder, self.assets = policy, folder, assets
+        path = ROOT / "config" / "workflows" / f"{WORKFLOWS[policy]}.yaml"
+        self.workflow: dict[str, Any] = yaml.safe_load(path.read_text(encoding="utf-8"))
+        entry = self.workflow["policies"]["walk"]
+        self.source = assets / str(entry if isinstance(entry, str) else entry["path"]).removeprefix(
+            "assets:"
+        )
+        self.given: dict[str, Any] = {} if isinstance(entry, str) else deepcopy(entry["given"])
+        self.deploy: dict[str, Any] = {}
+        if policy == "mjlab":
+            text = (self.source / "deploy.yaml").read_text(encoding="utf-8")
+            self.deploy = yaml.safe_load(text)
+        self.metadata: list[tuple[str, str]] | None = None
+        self.leave_out: set[str] = set()
+        self.effort_factor: float | None = None
+
+    @property
+    def terms(self) -> list[dict[str, Any]]:
+        """The given terms of the observation."""
+        terms: list[dict[str, Any]] = self.given["observation.terms"]
+        return terms
+
+    def network_metadata(self) -> list[tuple[str, str]]:
+        """Return the network's metadata, to be changed."""
+        import onnx
+
+        model = onnx.load(str(next(self.source.glob("*.onnx"))), load_external_data=False)
+        self.metadata = [(entry.key, entry.value) for entry in model.metadata_props]
+        return self.metadata
+
+    def write(self) -> Path:
+        """Write everything; return the workflow's path."""
+        policy = self.folder / "policy"
+        policy.mkdir(parents=True)
+        for path in self.source.iterdir():
+            if path.name not in self.leave_out and path.name != "deploy.yaml":
+                shutil.copyfile(path, policy / path.name)
+        if self.deploy:
+            text = yaml.safe_dump(self.deploy, sort_keys=False)
+            (policy / "deploy.yaml").write_text(text, encoding="utf-8")
+        if self.metadata is not None:
+            import onnx
+
+            network = next(policy.glob("*.onnx"))
+            model = onnx.load(str(network), load_external_data=False)
+            del model.metadata_props[:]
+            for key, value in self.metadata:
+                entry = model.metadata_props.add()
+                entry.key, entry.value = key, value
+            network.write_bytes(model.SerializeToString())
+        if self.effort_factor is not None:
+            self._write_robot(self.effort_factor)
+        self.workflow["policies"]["walk"] = {"path": "./policy", "given": self.given}
+        path = self.folder / f"{self.workflow['name']}.yaml"
+        path.write_text(yaml.safe_dump(self.workflow, sort_keys=False), encoding="utf-8")
+        return path
+
+    def _write_robot(self, factor: float) -> None:
+        name = self.workflow["robot"]
+        text = (ROOT / "config" / "robots" / f"{name}.yaml").read_text(encoding="utf-8")
+        robot = yaml.safe_load(text)
+        for joint in robot["joints"]:
+            joint["effort"] *= factor
+        path = self.folder / f"{name}.yaml"
+        path.write_text(yaml.safe_dump(robot, sort_keys=False), encoding="utf-8")
+        self.workflow["robot"] = f"./{path.name}"
+
+
+def breadth_first(count: int) -> list[int]:
+    """Return the places of joints, given limb by limb, in breadth-first order."""
+    if count == 12:  # a quadruped: four legs of three joints
+        return [leg * 3 + depth for depth in range(3) for leg in range(4)]
+    limbs = [range(6), range(6, 12), range(12, 15)]  # G1: legs, waist, then the arms on it
+    order = [limb[d] for d in range(6) for limb in limbs if d < len(limb)]
+    return order + [arm + d for d in range(7) for arm in (15, 22)]
+
+
+def swap(values: list[Any], i: int, j: int) -> None:
+    """Exchange two places of a list."""
+    values[i], values[j] = values[j], values[i]
+
+
+# -- mistakes that all three can have ----------------------------------------------------------
+
+
+def low_effort(draft: Draft) -> None:
+    draft.effort_factor = 0.1
+
+
+def two_rates(draft: Draft) -> None:
+    draft.workflow["rate"] = 50
+    if draft.policy == "mjlab":
+        draft.deploy["step_dt"] = 0.01
+    else:
+        draft.given["period"] = 0.01
+
+
+def milliseconds(draft: Draft) -> None:
+    if draft.policy == "mjlab":
+        draft.deploy["step_dt"] = 20.0
+    else:
+        draft.given["period"] = 20.0
+
+
+# -- Unitree's deploy.yaml -----------------------------------------------------------------------
+
+
+def deploy_order(draft: Draft) -> None:
+    """Every figure stays with its joint; the network has the joints in another order."""
+    deploy, order = draft.deploy, breadth_first(29)
+    deploy["joint_ids_map"] = order
+    action = deploy["actions"]["JointPositionAction"]
+    for values, key in ((deploy, "default_joint_pos"), (action, "scale"), (action, "offset")):
+        values[key] = [values[key][i] for i in order]
+
+
+def deploy_names_only(draft: Draft) -> None:
+    draft.deploy["joint_ids_map"] = breadth_first(29)
+
+
+def deploy_gains(draft: Draft) -> None:
+    for key in ("stiffness", "damping"):
+        values = draft.deploy[key]
+        draft.deploy[key] = [values[i] for i in breadth_first(29)]
+
+
+def deploy_swapped_gains(draft: Draft) -> None:
+    deploy = draft.deploy
+    deploy["stiffness"], deploy["damping"] = deploy["damping"], deploy["stiffness"]
+
+
+def deploy_gravity(draft: Draft) -> None:
+    draft.deploy["observations"]["projected_gravity"]["scale"] = [-1.0, -1.0, -1.0]
+
+
+def deploy_scale(draft: Draft) -> None:
+    draft.deploy["observations"]["joint_vel_rel"]["scale"] = [0.05] * 29
+
+
+def deploy_pose(draft: Draft) -> None:
+    for key in (draft.deploy, draft.deploy["actions"]["JointPositionAction"]):
+        values = key["default_joint_pos" if "default_joint_pos" in key else "offset"]
+        for hip in (0, 6):
+            values[hip] -= 0.9
+
+
+def deploy_action(draft: Draft) -> None:
+    action = draft.deploy["actions"]["JointPositionAction"]
+    action["scale"] = [4.0 * value for value in action["scale"]]
+
+
+def deploy_missing_joint(draft: Draft) -> None:
+    draft.deploy["joint_ids_map"].pop()
+
+
+def deploy_extra_term(draft: Draft) -> None:
+    term = {"params": {}, "clip": None, "scale": [1.0] * 3, "history_length": 1}
+    draft.deploy["observations"]["base_lin_vel"] = term
+
+
+def deploy_terms(draft: Draft) -> None:
+    names = list(draft.deploy["observations"])
+    swap(names, 0, 1)
+    draft.deploy["observations"] = {name: draft.deploy["observations"][name] for name in names}
+
+
+def deploy_no_weights(draft: Draft) -> None:
+    draft.leave_out.add("policy.onnx.data")
+
+
+def deploy_left_right(draft: Draft) -> None:
+    draft.deploy["joint_ids_map"] = [*range(6, 12), *range(6), *range(12, 29)]
+
+
+# -- facts given in the workflow -----------------------------------------------------------------
+
+
+def given_order(draft: Draft) -> None:
+    order = breadth_first(12)
+    for key in ("joints", "default_joint_pos"):
+        draft.given[key] = [draft.given[key][i] for i in order]
+
+
+def given_front_rear(draft: Draft) -> None:
+    joints = draft.given["joints"]
+    draft.given["joints"] = joints[6:] + joints[:6]
+
+
+def given_left_right(draft: Draft) -> None:
+    for key in ("joints", "default_joint_pos"):
+        values = draft.given[key]
+        draft.given[key] = values[3:6] + values[:3] + values[9:] + values[6:9]
+
+
+def given_names_only(draft: Draft) -> None:
+    draft.given["joints"] = [draft.given["joints"][i] for i in breadth_first(12)]
+
+
+def given_gravity(draft: Draft) -> None:
+    term = next(t for t in draft.terms if t["state"] == "projected_gravity")
+    term["scale"] = -1.0
+
+
+def given_scale(draft: Draft) -> None:
+    """Drop the scales, or give the usual ones where there are none."""
+    for term in draft.terms:
+        if "scale" in term:
+            del term["scale"]
+        elif draft.policy == "go1" and term["state"] == "joint_vel":
+            term["scale"] = 0.05
+
+
+def given_pose(draft: Draft) -> None:
+    pose = draft.given["default_joint_pos"]
+    for i in range(len(pose)):
+        if draft.policy == "go1" and i % 3 == 2:
+            pose[i] = -1.2
+        elif draft.policy == "holosoma" and i in (0, 6):
+            pose[i] -= 0.9
+
+
+def given_one_side(draft: Draft) -> None:
+    draft.given["default_joint_pos"][1 if draft.policy == "go1" else 3] += 0.3
+
+
+def given_action(draft: Draft) -> None:
+    if draft.policy == "go1":
+        draft.given["action.scale"] *= 4.0
+    else:
+        draft.given["action"]["scale"] *= 4.0
+
+
+def given_missing_joint(draft: Draft) -> None:
+    draft.given["joints"].pop()
+
+
+def given_misspelt(draft: Draft) -> None:
+    draft.given["joints"][4] = "FL_tigh_joint"
+
+
+def given_extra_term(draft: Draft) -> None:
+    draft.terms.append({"name": "acceleration", "state": "base_lin_acc"})
+
+
+def given_terms(draft: Draft) -> None:
+    states = [term["state"] for term in draft.terms]
+    if draft.policy == "go1":
+        swap(draft.terms, states.index("base_ang_vel"), states.index("projected_gravity"))
+    else:
+        swap(draft.terms, states.index("joint_pos"), states.index("joint_vel"))
+
+
+def given_training_order(draft: Draft) -> None:
+    """The order in which holosoma's configuration lists the terms, which it then sorts."""
+    names = "base_ang_vel projected_gravity command_lin_vel command_ang_vel dof_pos dof_vel actions"
+    terms = {term["name"]: term for term in draft.terms}
+    order = [*names.split(), "sin_phase", "cos_phase"]
+    draft.given["observation.terms"] = [terms[name] for name in order]
+
+
+def given_swapped_gains(draft: Draft) -> None:
+    given = draft.given
+    given["stiffness"], given["damping"] = given["damping"], given["stiffness"]
+
+
+def given_stiff(draft: Draft) -> None:
+    draft.given["stiffness"] *= 10.0
+
+
+def given_no_phase(draft: Draft) -> None:
+    del draft.given["phase"]
+
+
+def given_absolute(draft: Draft) -> None:
+    term = next(t for t in draft.terms if t["state"] == "joint_pos")
+    del term["subtract"]
+
+
+# -- metadata in the network -----------------------------------------------------------------------
+
+
+def metadata_twice(draft: Draft) -> None:
+    metadata = draft.network_metadata()
+    if draft.policy == "go1":
+        joints = ",".join(draft.given["joints"])
+        metadata += [("joint_names", joints), ("joint_names", joints.replace("FR", "XX"))]
+    else:
+        metadata.append(("kp", "[1.0]"))
+
+
+def _edit(draft: Draft, key: str, change: Callable[[list[Any]], list[Any]]) -> None:
+    import json
+
+    pairs = draft.network_metadata() if draft.metadata is None else draft.metadata
+    draft.metadata = [
+        (name, json.dumps(change(json.loads(value))) if name == key else value)
+        for name, value in pairs
+    ]
+
+
+def metadata_order(draft: Draft) -> None:
+    """Names, gains and pose agree; the network has them in another order."""
+    order = breadth_first(29)
+    for key in ("dof_names", "kp", "kd"):
+        _edit(draft, key, lambda values: [values[i] for i in order])
+    pose = draft.given["default_joint_pos"]
+    draft.given["default_joint_pos"] = [pose[i] for i in order]
+
+
+def metadata_gains(draft: Draft) -> None:
+    for key in ("kp", "kd"):
+        _edit(draft, key, lambda values: values[::-1])
+
+
+def metadata_legs_gains(draft: Draft) -> None:
+    """Knee and hip pitch exchanged on both sides: symmetric, so only a run can show it."""
+
+    def change(values: list[Any]) -> list[Any]:
+        return [0.15 * value if i < LEGS else value for i, value in enumerate(values)]
+
+    for key in ("kp", "kd"):
+        _edit(draft, key, change)
+
+
+def metadata_no_damping(draft: Draft) -> None:
+    _edit(draft, "kd", lambda values: [0.0 for _ in values])
+
+
+def metadata_missing_joint(draft: Draft) -> None:
+    _edit(draft, "dof_names", lambda values: values[:-1])
+
+
+def _listed() -> Iterator[Variant]:
+    def of(policy: str, *entries: tuple[str, str, bool, Callable[[Draft], None]]) -> list[Variant]:
+        return [Variant(policy, *entry) for entry in entries]
+
+    yield from of(
+        "mjlab",
+        ("order", "joint order", True, deploy_order),
+        ("names_only", "default_joint_pos", False, deploy_names_only),
+        ("left_right", "joint order", True, deploy_left_right),
+        ("gains_permuted", "stiffness", False, deploy_gains),
+        ("gains_swapped", "stiffness and damping", False, deploy_swapped_gains),
+        ("gravity", "projected_gravity", True, deploy_gravity),
+        ("scale", "observation scales", True, deploy_scale),
+        ("pose", "default_joint_pos", False, deploy_pose),
+        ("action_scale", "action.scale", False, deploy_action),
+        ("two_rates", "rate", False, two_rates),
+        ("missing_joint", "joint_ids_map", False, deploy_missing_joint),
+        ("extra_term", "base_lin_vel", False, deploy_extra_term),
+        ("terms_order", "base_ang_vel", True, deploy_terms),
+        ("no_weights", "policy.onnx.data", False, deploy_no_weights),
+        ("low_effort", "effort", False, low_effort),
+    )
+    yield from of(
+        "go1",
+        ("order", "joint order", True, given_order),
+        ("names_only", "default_joint_pos", False, given_names_only),
+        ("left_right", "joint order", True, given_left_right),
+        ("front_rear", "joint order", True, given_front_rear),
+        ("gravity", "projected_gravity", True, given_gravity),
+        ("scale", "observation scales", True, given_scale),
+        ("pose", "default_joint_pos", True, given_pose),
+        ("one_side", "default_joint_pos", False, given_one_side),
+        ("action_scale", "action.scale", False, given_action),
+        ("milliseconds", "period", False, milliseconds),
+        ("two_rates", "rate", False, two_rates),
+        ("missing_joint", "default_joint_pos", False, given_missing_joint),
+        ("misspelt_joint", "FL_tigh_joint", False, given_misspelt),
+        ("extra_term", "acceleration", False, given_extra_term),
+        ("terms_order", "gyro", True, given_terms),
+        ("gains_swapped", "stiffness and damping", False, given_swapped_gains),
+        ("stiff", "stiffness", False, given_stiff),
+        ("metadata_twice", "joint_names", False, metadata_twice),
+        ("low_effort", "effort", False, low_effort),
+    )
+    yield from of(
+        "holosoma",
+        ("order", "joint order", True, metadata_order),
+        ("gains_reversed", "stiffness", False, metadata_gains),
+        ("gains_of_legs", "gains", True, metadata_legs_gains),
+        ("no_damping", "damping", False, metadata_no_damping),
+        ("gravity", "projected_gravity", True, given_gravity),
+        ("scales", "scale", True, given_scale),
+        ("pose", "default_joint_pos", False, given_pose),
+        ("one_side", "default_joint_pos", False, given_one_side),
+        ("action_scale", "action.scale", False, given_action),
+        ("two_rates", "rate", False, two_rates),
+        ("missing_joint", "dof_names", False, metadata_missing_joint),
+        ("extra_term", "acceleration", False, given_extra_term),
+        ("terms_order", "observation.terms", True, given_terms),
+        ("training_order", "observation.terms", True, given_training_order),
+        ("no_phase", "phase", False, given_no_phase),
+        ("absolute", "dof_pos", True, given_absolute),
+        ("metadata_twice", "kp", False, metadata_twice),
+        ("low_effort", "effort", False, low_effort),
+    )
+
+
+VARIANTS = tuple(_listed())
+
+
+def main() -> None:
+    """Write all variants below a folder, for a look by hand."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--assets", type=Path, default=ROOT.parent / "shared" / "assets")
+    arguments = parser.parse_args()
+    for variant in VARIANTS:
+        folder = arguments.folder / variant.policy / variant.name
+        print(variant.write(folder, arguments.assets))
+
+
+if __name__ == "__main__":
+    main()

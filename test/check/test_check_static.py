@@ -1,0 +1,447 @@
+"""Every static check against one deliberately wrong input; the message names culprit and remedy."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("mujoco", reason="the checks are run on a model")
+pytest.importorskip("onnxruntime", reason="the policies need onnxruntime")
+pytest.importorskip("onnx", reason="the test networks are written with onnx")
+
+from check_helpers import (
+    JOINTS,
+    NULL,
+    ROOT,
+    STAND,
+    check,
+    codes,
+    note_of,
+    section,
+    text_of,
+    write_workflow,
+)
+
+from unicon_core.check import CODES, check_workflow
+from unicon_core.workflow.document import workflow_names
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return tmp_path / "toy"
+
+
+def test_a_good_workflow_is_clean(folder: Path) -> None:
+    result = check(folder)
+    assert result.clean, result.text()
+    assert result.text().endswith("clean")
+    titles = [s.title.split(" of ")[0].split(" [")[0] for s in result.sections]
+    for title in (
+        "Joints",
+        "Gains",
+        "Limits",
+        "Observation",
+        "Network input",
+        "Action",
+        "Timing",
+        "Default pose",
+        "Feet in the default pose",
+        "Conventions",
+        "Files",
+        "Blocks",
+    ):
+        assert title in titles
+
+
+@pytest.mark.parametrize("name", workflow_names())
+def test_every_workflow_of_ours_is_clean(name: str, assets: Path) -> None:
+    result = check_workflow(name)
+    assert result.clean, result.text()
+
+
+def test_joints_are_listed_in_every_order(folder: Path) -> None:
+    rows = section(check(folder), "Joints")
+    by_joint = {row[1]: row for row in rows}
+    assert rows[0][1] == "FR_hip_joint"  # the vendor's order
+    assert by_joint["FL_hip_joint"][2] == "0"  # the policy's
+    assert "FL_hip_joint" in by_joint["FL_hip_joint"][3]  # the model's
+
+
+def test_joints_that_no_policy_moves_are_told(folder: Path) -> None:
+    result = check(folder, {"action.joints": list(JOINTS[:9])}, inputs=42)
+    # 12 positions, 12 velocities, 9 actions; but the network has 12 outputs
+    assert codes(result) == ["build"]
+    assert "12 values for 9 joints" in result.findings[0].evidence
+
+
+def test_the_action_of_fewer_joints_holds_the_rest(folder: Path) -> None:
+    path = write_workflow(folder, {"action.joints": list(JOINTS[:9])}, inputs=42)
+    from check_helpers import write_network
+
+    write_network(folder / "policy" / "policy.onnx", 42, 9)
+    result = check_workflow(path)
+    assert result.clean, result.text()
+    assert "RR_hip_joint, RR_thigh_joint, RR_calf_joint" in note_of(result, "joints.held")
+
+
+def test_gains_of_one_side_only_are_found(folder: Path) -> None:
+    gains = [40.0] * 12
+    gains[1] = 60.0
+    line = text_of(check(folder, {"stiffness": gains}), "gains.symmetry")
+    assert line.startswith(
+        "policy 'walk', stiffness: FL_thigh_joint has 60 and FR_thigh_joint has 40; "
+        "bring stiffness into the order of joints"
+    )
+
+
+def test_swapped_gains_are_found(folder: Path) -> None:
+    result = check(folder, {"stiffness": [1.0] * 12, "damping": [40.0] * 12})
+    line = text_of(result, "gains.swapped")
+    assert "damping is greater than stiffness at 12 of 12 joints" in line
+    assert "exchange stiffness and damping" in line
+
+
+def test_missing_damping_is_found(folder: Path) -> None:
+    line = text_of(check(folder, {"damping": [0.0] * 12}), "gains.damping")
+    assert "stiffness 40 and damping 0; give the damping" in line
+
+
+def test_gains_other_than_the_robots_are_a_note(folder: Path) -> None:
+    assert "the policy's are used" in note_of(check(folder), "gains.differ")
+
+
+def test_effort_limits_far_from_the_models_are_found(folder: Path) -> None:
+    result = check(folder, robot={"joints.0.effort": 5.0})
+    line = text_of(result, "limits.effort")
+    assert "effort of FR_hip_joint: the robot file says 5 N·m and the model 23.7" in line
+    assert "correct joints.effort" in line
+
+
+def test_other_variants_of_a_motor_are_a_note(folder: Path) -> None:
+    result = check(folder, robot={"joints.0.effort": 20.0})
+    assert result.clean, result.text()
+    assert "FR_hip_joint 20/23.7" in note_of(result, "limits.differ")
+
+
+def test_other_position_limits_than_the_models_are_a_note(folder: Path) -> None:
+    result = check(folder, robot={"joints.0.upper": 0.9})
+    assert result.clean, result.text()
+    assert "position limits differ from robot go2's at FR_hip_joint" in note_of(
+        result, "limits.differ"
+    )
+
+
+def test_a_scale_beyond_a_joints_range_is_found(folder: Path) -> None:
+    line = text_of(check(folder, {"action.scale": 2.5, "stiffness": [10.0] * 12}), "action.scale")
+    assert "one unit of action moves FL_hip_joint by 2.5 rad, and its whole range is 2.094" in line
+
+
+def test_a_scale_of_zero_is_found(folder: Path) -> None:
+    scale = [0.0, 0.25, 0.25, 0.0, *[0.25] * 8]
+    line = text_of(check(folder, {"action.scale": scale}), "action.scale")
+    assert "0 at FL_hip_joint, FR_hip_joint: they could not move" in line
+
+
+def test_scales_of_one_side_only_are_found(folder: Path) -> None:
+    scale = [0.125, *[0.25] * 11]
+    line = text_of(check(folder, {"action.scale": scale}), "action.symmetry")
+    assert "FL_hip_joint has 0.125 and FR_hip_joint has 0.25" in line
+
+
+def test_more_torque_than_there_is_is_found(folder: Path) -> None:
+    line = text_of(check(folder, {"stiffness": [400.0] * 12}), "action.torque")
+    assert "asks FL_hip_joint for 400 · 0.25 = 100 N·m, and its effort limit is 23.7" in line
+
+
+def test_an_offset_outside_the_limits_is_found(folder: Path) -> None:
+    offset = list(STAND)
+    offset[2] = offset[5] = -0.5
+    line = text_of(check(folder, {"action.offset": offset}), "action.offset")
+    assert "action 0 puts FL_calf_joint at -0.5 rad, its limits are [-2.723, -0.8378]" in line
+
+
+def test_reach_beyond_the_limits_needs_something_that_limits(folder: Path) -> None:
+    changes = {"action.scale": 1.0, "stiffness": [10.0] * 12}
+    limited = check(folder / "a", changes)
+    assert limited.clean, limited.text()
+    assert "joint_limits cuts them off" in note_of(limited, "action.reach")
+    bare = check(folder / "b", changes, {"safety": ["finite"]})
+    assert "add joint_limits to safety" in text_of(bare, "action.reach")
+
+
+def test_a_term_times_zero_is_found(folder: Path) -> None:
+    line = text_of(check(folder, {"observation.terms.1.scale": 0.0}), "observation.scale")
+    assert line.startswith("policy 'walk', term 'gravity': scale is 0")
+
+
+def test_a_term_clipped_to_one_value_is_found(folder: Path) -> None:
+    line = text_of(check(folder, {"observation.terms.4.clip": [0.0, 0.0]}), "observation.clip")
+    assert line.startswith("policy 'walk', term 'joint_vel': it is clipped to 0 … 0")
+
+
+def test_a_size_that_is_not_the_networks_is_found_term_by_term(folder: Path) -> None:
+    result = check(folder, inputs=44)
+    line = text_of(result, "build")
+    assert "the observation has 45 values and the network's input 'obs' takes 44" in line
+    assert "joint_pos [9:21]" in line
+
+
+def test_what_hardware_cannot_measure_is_a_note_in_simulation(folder: Path) -> None:
+    result = check(folder, {"observation.terms.0.state": "base_lin_vel"})
+    assert result.clean, result.text()
+    line = note_of(result, "observation.measured")
+    assert "term 'ang_vel': reads base_lin_vel, which no sensor of the robot measures" in line
+
+
+HARDWARE = """
+def make(states, robot, period, *, address="192.168.123.10"):
+    raise AssertionError("a check opens no hardware")
+"""
+
+
+@pytest.fixture
+def hardware(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    """The name of a platform that must not be built."""
+    (tmp_path / "toy_hardware.py").write_text(HARDWARE, encoding="utf-8")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.delitem(sys.modules, "toy_hardware", raising=False)
+    return "toy_hardware:make"
+
+
+def test_what_hardware_cannot_measure_is_a_finding_there(folder: Path, hardware: str) -> None:
+    changes = {"observation.terms.0.state": "base_lin_vel"}
+    result = check(folder, changes, {"platform": hardware})
+    line = text_of(result, "observation.measured")
+    assert f"and platform '{hardware}' does not deliver; add a block that estimates it" in line
+
+
+def test_hardware_is_not_opened_by_a_check(folder: Path, hardware: str) -> None:
+    result = check(folder, None, {"platform": hardware})
+    assert result.clean, result.text()
+    assert "hardware, not opened" in result.subject
+
+
+def test_an_unknown_option_of_hardware_is_found(folder: Path, hardware: str) -> None:
+    result = check(folder, None, {"platform": hardware, "platforms": {hardware: {"adress": "x"}}})
+    assert "has no option 'adress'; did you mean 'address'?" in text_of(result, "build")
+
+
+def test_missing_facts_fail_on_hardware_and_not_in_simulation(folder: Path, hardware: str) -> None:
+    robot = {"transport.protocol": NULL, "unknown": ["transport.protocol"]}
+    path = write_workflow(folder, None, {"platform": hardware}, robot)
+    line = text_of(check_workflow(path), "robot.facts")
+    assert "robot go2: the file does not say transport.protocol; find them" in line
+    simulated = check_workflow(path, ["platform=mujoco"])
+    assert simulated.clean, simulated.text()
+    assert "the real robot cannot be driven" in note_of(simulated, "robot.facts")
+
+
+def test_motor_slots_that_do_not_fit_are_found(folder: Path, hardware: str) -> None:
+    robot = {"transport.motors": [*range(11), 3]}
+    result = check(folder, None, {"platform": hardware}, robot)
+    assert "12 motor slots, 11 of them different, for 12 joints" in text_of(result, "joints.motors")
+
+
+def test_a_period_in_milliseconds_is_found(folder: Path) -> None:
+    line = text_of(check(folder, {"period": 20}), "timing.period")
+    assert "20 s (0.05 Hz); give the control period in seconds" in line
+
+
+def test_a_rate_that_is_not_the_policys_is_found(folder: Path) -> None:
+    line = text_of(check(folder, None, {"rate": 25}), "build")
+    assert "does not divide the workflow's rate of 25 Hz" in line
+
+
+def test_commands_beyond_the_trained_ones_are_found(folder: Path) -> None:
+    fast = {"commands": [{"velocity_command": {"constant": [1.5, 0.0, 0.0]}}]}
+    line = text_of(check(folder, None, fast), "command.range")
+    assert "lin_vel_x 1.5 is outside [-1, 1], for which policy 'walk' was trained" in line
+    assert "toy.yaml:" in line
+
+
+def test_a_default_pose_outside_the_limits_is_found(folder: Path) -> None:
+    pose = list(STAND)
+    pose[2] = pose[5] = -0.2
+    pose[8] = pose[11] = -0.2
+    result = check(folder, {"default_joint_pos": pose})
+    line = text_of(result, "pose.limits")
+    assert "FL_calf_joint is -0.2 rad, its limits are [-2.723, -0.8378] (4 joints)" in line
+
+
+def test_a_default_pose_of_one_side_only_is_found(folder: Path) -> None:
+    pose = list(STAND)
+    pose[1] += 0.2
+    line = text_of(check(folder, {"default_joint_pos": pose}), "pose.symmetry")
+    assert "FL_thigh_joint is 1 and FR_thigh_joint is 0.8 rad (1 pairs)" in line
+
+
+def test_a_pose_that_kneels_is_found(folder: Path) -> None:
+    pose = [0.0, 3.0, -2.7] * 4  # folded: the knees are below the feet
+    line = "\n".join(map(str, check(folder, {"default_joint_pos": pose}).findings))
+    assert "pose.feet" in line
+    assert "below the lowest foot" in line or "the centre of mass" in line
+
+
+def test_a_simulation_that_begins_in_the_air_or_the_floor_is_found(folder: Path) -> None:
+    def start(height: float) -> dict[str, Any]:
+        return {"platforms.mujoco": {"initial_pose": "default", "initial_height": height}}
+
+    assert "inside the floor; raise initial_height" in text_of(
+        check(folder / "a", None, start(0.1)), "pose.floor"
+    )
+    assert "above the floor; lower initial_height" in text_of(
+        check(folder / "b", None, start(1.5)), "pose.floor"
+    )
+
+
+def test_a_network_that_is_not_the_contracts_is_found(folder: Path) -> None:
+    line = text_of(check(folder, {"sha256": "0" * 64}), "build")
+    assert "policy.onnx has sha256" in line
+    assert "import it again" in line
+
+
+def test_an_unbuildable_workflow_gives_its_error_as_a_finding(folder: Path) -> None:
+    result = check(folder, None, {"robot": "go3"})
+    assert text_of(result, "build").startswith("robot: ")
+    assert "unknown robot 'go3'; did you mean" in str(result.findings[0])
+
+
+def test_an_unknown_workflow_is_a_finding() -> None:
+    result = check_workflow("go2_stnd")
+    assert "unknown workflow 'go2_stnd'" in text_of(result, "build")
+
+
+def test_a_wrong_graph_is_a_finding(folder: Path) -> None:
+    flow = {"flow": {"zip": [{"policy": "walk"}, {"hold": {"duration": 1.0}}]}}
+    line = text_of(check(folder, None, flow), "build")
+    assert "block 'hold' writes" in line
+    assert "a state has one writer" in line
+
+
+def test_all_mistakes_of_a_built_graph_are_listed(folder: Path) -> None:
+    from unicon_core.check.graph import check_blocks
+    from unicon_core.check.result import CheckResult
+    from unicon_core.check.subject import build_subject
+    from unicon_core.flow import Block, Zip
+    from unicon_core.workflow.document import load_document
+
+    subject = build_subject(load_document(write_workflow(folder)))
+    late = [Block(name, lambda: None, writes=("joint_pos_target",)) for name in ("second", "third")]
+    subject.workflow.root = Zip(subject.workflow.root, *late)
+    result = CheckResult("toy")
+    check_blocks(subject, result)
+    assert set(codes(result)) == {"graph"}
+    assert len(result.findings) > 1
+    assert "second" in result.text()
+    assert "third" in result.text()
+
+
+TILTED = """
+from unicon_core.platforms import fake
+
+def make(states, robot, period):
+    platform = fake.make(states, robot, period)
+    plain = platform.recv
+
+    def recv():
+        plain()
+        states["base_quat"][...] = (0.0, 0.38268, 0.0, 0.92388)  # x, y, z, w of a pitch
+
+    platform.recv = recv
+    return platform
+
+make.simulated = True
+"""
+
+
+def test_an_orientation_that_contradicts_gravity_is_found(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "toy_tilted.py").write_text(TILTED, encoding="utf-8")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    result = check(folder, None, {"platform": "toy_tilted:make"})
+    line = text_of(result, "observation.frame")
+    assert "and projected_gravity says [0.0, 0.0, -1.0]; deliver base_quat as w, x, y, z" in line
+
+
+def test_an_accepted_finding_is_a_note(folder: Path) -> None:
+    accept = {"check": {"accept": ["gains.damping"]}}
+    result = check(folder, {"damping": [0.0] * 12}, accept)
+    assert result.clean, result.text()
+    assert "accepted by the workflow" in note_of(result, "gains.damping")
+
+
+def test_an_unknown_code_to_accept_is_a_finding(folder: Path) -> None:
+    result = check(folder, None, {"check": {"accept": ["gains.dampin"]}})
+    assert "did you mean 'gains.damping'?" in text_of(result, "check.settings")
+
+
+@pytest.mark.parametrize(
+    ("settings", "told"),
+    [
+        ({"durations": 3.0}, "check: unknown key 'durations'; did you mean 'duration'?"),
+        ({"duration": 0.1}, "check: duration is 0.1; give [s] from 1"),
+        ({"command": [1.0]}, "check: command is [1.0]; give [vx, vy, wz]"),
+    ],
+)
+def test_wrong_settings_are_told(folder: Path, settings: dict[str, Any], told: str) -> None:
+    result = check(folder, None, {"check": settings})
+    assert told in str(result.findings[0])
+
+
+def test_the_result_is_written_as_json(folder: Path, tmp_path: Path) -> None:
+    result = check(folder, {"damping": [0.0] * 12})
+    result.write(tmp_path / "out" / "result.json")
+    values = json.loads((tmp_path / "out" / "result.json").read_text(encoding="utf-8"))
+    assert values["clean"] is False
+    assert values["findings"][0]["code"] == "gains.damping"
+    assert set(values["findings"][0]) == {
+        "code",
+        "culprit",
+        "evidence",
+        "remedy",
+        "where",
+        "severity",
+    }
+    assert values["sections"][0]["title"] == "Joints"
+
+
+def test_every_code_that_is_used_is_explained() -> None:
+    import re
+
+    used = set()
+    for path in (ROOT / "unicon_core" / "check").rglob("*.py"):
+        text = path.read_text(encoding="utf-8")
+        used |= set(re.findall(r"\.(?:find|note)\(\s*\"([a-z0-9_.]+)\"", text))
+    assert used <= set(CODES)
+    assert used >= set(CODES) - {"twin.fall", "twin.command"}  # these two by a variable
+
+
+def test_a_check_loads_nothing_heavy_when_it_is_imported() -> None:
+    code = (
+        "import sys, unicon_core.check; "
+        "print([m for m in ('mujoco', 'onnxruntime', 'rclpy') if m in sys.modules])"
+    )
+    out = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT
+    )
+    assert out.stdout.strip() == "[]"
+
+
+def test_the_command_line_exits_with_1_on_findings(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from unicon_ros.cli.main import main
+
+    good = write_workflow(folder / "good")
+    assert main(["check", str(good)]) == 0
+    assert capsys.readouterr().out.rstrip().endswith("clean")
+    bad = write_workflow(folder / "bad", {"damping": [0.0] * 12})
+    assert main(["check", str(bad), "--json", str(tmp_path / "r.json")]) == 1
+    assert capsys.readouterr().out.rstrip().endswith("1 finding")
+    assert (tmp_path / "r.json").is_file()

@@ -1,0 +1,124 @@
+"""The preflight twin on a Go2 that stands still, and what makes it complain."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("mujoco", reason="the twin runs in MuJoCo")
+pytest.importorskip("onnxruntime", reason="the policies need onnxruntime")
+pytest.importorskip("onnx", reason="the test networks are written with onnx")
+
+from check_helpers import NULL, WORKFLOW, codes, section, text_of, write_workflow
+
+from unicon_core.check import check_workflow
+from unicon_core.check.subject import on_platform
+from unicon_core.check.twin.session import TwinSession
+from unicon_core.workflow.document import load_document
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return tmp_path / "toy"
+
+
+def test_a_policy_that_does_not_move_is_found(folder: Path) -> None:
+    result = check_workflow(write_workflow(folder), ["check.duration=2"], twin=True)
+    line = text_of(result, "twin.command")
+    assert line.startswith("policy 'walk': it stays up, but moves at vx ")
+    assert "where vx 0.60, vy 0.00 m/s, wz 0.00 rad/s is commanded" in line
+    assert codes(result) == ["twin.command"]
+
+
+def test_a_contract_that_may_be_broken_at_will_is_suspect(folder: Path) -> None:
+    terms = [
+        {"name": "gravity", "state": "projected_gravity"},
+        {"name": "joint_vel", "state": "joint_vel", "scale": 0.05},
+    ]
+    path = write_workflow(folder, {"observation.terms": terms}, inputs=15)
+    result = check_workflow(path, ["check.duration=2"], twin=True)
+    assert set(codes(result)) == {"twin.suspect"}
+    lines = "\n".join(map(str, result.findings))
+    assert "policy 'walk', sign of projected_gravity: with gravity upside down it does as well" in (
+        lines
+    )
+    assert "yours is suspect; compare sign of projected_gravity with the training side" in lines
+
+
+def test_a_fall_is_found_and_no_cause_is_made_up(folder: Path) -> None:
+    path = write_workflow(folder, gain=3.0)  # random actions
+    result = check_workflow(path, ["check.duration=1"], twin=True)
+    line = text_of(result, "twin.fall")
+    assert "and none of the usual mistakes explains it" in line
+    assert "compare default pose, gains" in line
+
+
+def test_the_whole_flow_is_run_where_it_has_no_policy() -> None:
+    result = check_workflow("go2_stand", twin=True)
+    assert result.clean, result.text()
+    assert section(result, "Twin in MuJoCo, the whole flow")[0][1] == "stays up for 15.0 s"
+
+
+def test_a_flow_that_falls_is_found(folder: Path) -> None:
+    flow = {
+        "flow": {"chain": [{"pose": {"to": "stand", "duration": 0.5}}, {"damp": {"duration": 3.0}}]}
+    }
+    values = {**flow, "policies": None, "rate": 50, "platforms.mujoco": {"initial_height": 3.0}}
+    values |= {"check": {"accept": ["pose.floor"]}, "safety": ["finite", "tilt_stop"]}
+    values["platforms.mujoco"] |= {"push": {"every": 0.2, "velocity": 8.0}}
+    result = check_workflow(write_workflow(folder, None, values), twin=True)
+    assert text_of(result, "twin.fall").startswith("flow: ")
+
+
+def test_hardware_is_exchanged_for_the_robots_model(folder: Path, tmp_path: Path) -> None:
+    document = load_document(write_workflow(folder, None, {"platform": "fake", "platforms": None}))
+    other = on_platform(document, "mujoco", {"initial_pose": "policy:walk"})
+    assert other.values["platforms"] == {"mujoco": {"initial_pose": "policy:walk"}}
+    assert document.values["platform"] == "fake"
+    session = TwinSession(other)
+    assert session.workflow.platform.name == "mujoco"
+    assert session.run(1.0).stands
+    session.close()
+
+
+def test_options_of_the_workflow_are_kept_in_the_twin(folder: Path) -> None:
+    document = load_document(write_workflow(folder, None, {"num_robots": 3}))
+    other = on_platform(document, "mujoco", {"keyframe": "lie"})
+    assert other.values["platforms"] == WORKFLOW["platforms"]
+    assert "num_robots" not in other.values
+
+
+def test_a_robot_without_a_model_cannot_have_a_twin(folder: Path) -> None:
+    path = write_workflow(folder, None, {"platform": "fake", "platforms": None}, {"model": NULL})
+    line = text_of(check_workflow(path, twin=True), "twin.run")
+    assert "names no simulation model; give one" in line
+
+
+def test_two_runs_of_one_contract_are_equal_and_leave_no_trace(folder: Path) -> None:
+    from dataclasses import replace
+
+    session = TwinSession(load_document(write_workflow(folder, gain=0.05)))
+    (contract,) = session.contracts.values()
+    first = session.run(1.0)
+    session.run(1.0, replace(contract, stiffness=0.1 * contract.stiffness), unlimited=True)
+    assert session.run(1.0) == first
+    assert session.run(1.0, contract) == first
+    session.close()
+
+
+def test_a_slow_workflow_is_given_a_command_that_tells_something(folder: Path) -> None:
+    slow = {"commands": [{"velocity_command": {"constant": [0.1, 0.0, 0.0]}}]}
+    document = load_document(write_workflow(folder, None, slow))
+    session = TwinSession(document)
+    assert session.run(1.0).command == pytest.approx((0.6, 0.0, 0.0))
+    asked = TwinSession(document, [0.2, 0.0, 0.3])
+    assert asked.run(1.0).command == pytest.approx((0.2, 0.0, 0.3))
+
+
+def test_a_policy_that_the_flow_never_calls_is_told(folder: Path) -> None:
+    flow = {"chain": [{"hold": {"duration": 0.5}}, {"damp": {"duration": 0.2}}]}
+    switch = {"switch": {"on": "0", "cases": {"stand": flow, "walk": {"policy": "walk"}}}}
+    path = write_workflow(folder, None, {"flow": switch})
+    result = check_workflow(path, twin=True)
+    assert any("the flow never calls it in the twin" in str(note) for note in result.notes)

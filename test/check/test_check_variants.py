@@ -1,0 +1,93 @@
+"""Broken variants of other people's policies: each is refused, with the culprit named.
+
+Most are found without a run; those that only a run can show are marked slow, but for one of each
+policy.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("mujoco", reason="the checks are run on a model")
+pytest.importorskip("onnxruntime", reason="the policies need onnxruntime")
+pytest.importorskip("onnx", reason="the variants are written with onnx")
+
+from broken_variants import VARIANTS, WORKFLOWS, Draft, Variant
+
+from unicon_core.check import CheckResult, check_workflow
+
+_STATIC = [variant for variant in VARIANTS if not variant.twin]
+_TWIN = [variant for variant in VARIANTS if variant.twin]
+_QUICK = {"mjlab": "terms_order", "go1": "gravity", "holosoma": "training_order"}
+
+
+def _name(variant: Variant) -> str:
+    return f"{variant.policy}-{variant.name}"
+
+
+def assert_named(result: CheckResult, variant: Variant) -> None:
+    assert result.findings, result.text()
+    told = [f"{finding.culprit}: {finding.evidence}" for finding in result.findings]
+    assert any(variant.culprit in line for line in told), told
+    assert all(finding.remedy for finding in result.findings), result.text()
+
+
+@pytest.mark.parametrize("variant", _STATIC, ids=_name)
+def test_a_mistake_is_found_without_a_run(variant: Variant, tmp_path: Path, assets: Path) -> None:
+    assert_named(check_workflow(variant.write(tmp_path / "v", assets)), variant)
+
+
+def _run(variant: Variant, folder: Path, assets: Path) -> None:
+    path = variant.write(folder, assets)
+    assert check_workflow(path).clean  # else it need not be run
+    assert_named(check_workflow(path, twin=True), variant)
+
+
+@pytest.mark.parametrize("policy", sorted(_QUICK))
+def test_a_mistake_is_found_in_the_twin(policy: str, tmp_path: Path, assets: Path) -> None:
+    variant = next(v for v in _TWIN if (v.policy, v.name) == (policy, _QUICK[policy]))
+    _run(variant, tmp_path / "v", assets)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("variant", [v for v in _TWIN if _QUICK[v.policy] != v.name], ids=_name)
+def test_every_mistake_is_found_in_the_twin(variant: Variant, tmp_path: Path, assets: Path) -> None:
+    _run(variant, tmp_path / "v", assets)
+
+
+@pytest.mark.parametrize("name", sorted(WORKFLOWS.values()))
+def test_the_good_ones_raise_no_alarm(name: str, assets: Path) -> None:
+    result = check_workflow(name, twin=True)
+    assert result.clean, result.text()
+    scores = [float(row[2]) for row in _twin_rows(result) if row[2]]
+    assert scores[0] > 0.7
+    assert max(scores[1:]) < scores[0] - 0.25
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", sorted(WORKFLOWS.values()))
+@pytest.mark.parametrize("speed", [0.5, 0.8])
+@pytest.mark.parametrize("duration", [4, 8])
+def test_the_good_ones_raise_no_alarm_at_other_speeds(
+    name: str, speed: float, duration: int, assets: Path
+) -> None:
+    changes = [f"check.duration={duration}", f"check.command=[{speed}, 0.0, 0.0]"]
+    result = check_workflow(name, changes, twin=True)
+    assert result.clean, result.text()
+
+
+def _twin_rows(result: CheckResult) -> tuple[tuple[str, ...], ...]:
+    return next(s.rows for s in result.sections if s.title.startswith("Twin in MuJoCo"))
+
+
+@pytest.mark.parametrize("policy", sorted(WORKFLOWS))
+def test_there_are_ten_variants_or_more_of_each(policy: str) -> None:
+    assert len([variant for variant in VARIANTS if variant.policy == policy]) >= 10
+
+
+@pytest.mark.parametrize("policy", sorted(WORKFLOWS))
+def test_an_unchanged_copy_is_clean(policy: str, tmp_path: Path, assets: Path) -> None:
+    result = check_workflow(Draft(policy, tmp_path / "copy", assets).write())
+    assert result.clean, result.text()
