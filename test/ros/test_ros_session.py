@@ -74,6 +74,7 @@ def test_a_topic_rules_from_its_first_message_and_is_zero_after_its_time_out(
     command = run.workflow.states.velocity_command
     publisher = plain.create_publisher(Twist, "cmd_vel", 10)
     plain.spin_until(lambda: publisher.get_subscription_count() == 1, "the bridge's subscription")
+    plain.spin_until(lambda: run.runner.statistics.count > 3, "ticks")
     script = (float(np.float32(0.1)), 0.0, 0.0)
     assert tuple(command.tolist()) == script  # nothing was heard yet
     message = Twist()

@@ -1,0 +1,41 @@
+"""Runs a workflow with its bridge and prints where the simulator has the feet, tick by tick.
+
+A process of its own, since it needs the type support of tf2_msgs from its first import on.
+Usage: feet_of_the_simulator.py WORKFLOW SECONDS
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+
+from unicon_core.flow import Block
+from unicon_core.runtime import Runner, RunOptions
+from unicon_core.workflow import Workflow, load_workflow
+from unicon_ros.bridge import RosSession
+
+
+def feet(workflow: Workflow) -> list[Block]:
+    data = workflow.platform.data  # type: ignore[attr-defined]
+
+    def say() -> None:
+        at = {name: data.body(name).xpos.tolist() for name in workflow.robot.feet}
+        stamp = int(workflow.states.stamp_ns)
+        print(json.dumps({"kind": "feet", "stamp": stamp, "at": at}), flush=True)
+
+    return [Block("feet", say)]
+
+
+def main() -> None:
+    session = RosSession()
+    # Among the inputs, since `send` steps the simulator on to the next tick's place.
+    workflow = load_workflow(
+        sys.argv[1], inputs=[session.inputs, feet], observers=[session.observers]
+    )
+    runner = Runner(workflow, RunOptions(duration=float(sys.argv[2])))
+    session.attach(runner)
+    runner.run()
+    session.close()
+
+
+main()
