@@ -99,11 +99,12 @@ def test_two_runs_of_one_contract_are_equal_and_leave_no_trace(folder: Path) -> 
     from dataclasses import replace
 
     session = TwinSession(load_document(write_workflow(folder, gain=0.05)))
-    (contract,) = session.contracts.values()
+    contract = session.contracts["walk"]
     first = session.run(1.0)
-    session.run(1.0, replace(contract, stiffness=0.1 * contract.stiffness), unlimited=True)
+    weak = replace(contract, stiffness=0.1 * contract.stiffness)
+    assert session.run(1.0, "walk", weak, unlimited=True) != first
     assert session.run(1.0) == first
-    assert session.run(1.0, contract) == first
+    assert session.run(1.0, "walk", contract) == first
     session.close()
 
 
@@ -122,3 +123,23 @@ def test_a_policy_that_the_flow_never_calls_is_told(folder: Path) -> None:
     path = write_workflow(folder, None, {"flow": switch})
     result = check_workflow(path, twin=True)
     assert any("the flow never calls it in the twin" in str(note) for note in result.notes)
+
+
+def test_several_policies_are_broken_one_by_one(folder: Path) -> None:
+    both = {"walk": "./policy", "trot": "./policy"}
+    chain = [{"loop": {"do": {"policy": name}, "until": {"elapsed": 1.0}}} for name in both]
+    terms = [
+        {"name": "gravity", "state": "projected_gravity"},
+        {"name": "last_action", "state": "action"},
+    ]
+    changes = {"policies": both, "flow": {"chain": chain}}
+    path = write_workflow(folder, {"observation.terms": terms}, changes, inputs=15)
+    static = check_workflow(path)
+    assert static.clean, static.text()
+    titles = [s.title for s in static.sections]
+    assert "Observation of policy walk" in titles
+    assert "Observation of policy trot" in titles
+    result = check_workflow(path, ["check.duration=2"], twin=True)
+    rows = section(result, "Twin in MuJoCo")
+    assert [row[0] for row in rows].count("walk: gravity upside down") == 1
+    assert [row[0] for row in rows].count("trot: gravity upside down") == 1

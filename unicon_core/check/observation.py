@@ -18,9 +18,10 @@ def check_observation(subject: Subject, result: CheckResult) -> None:
     for key, contract in subject.policies.items():
         if not contract.terms:
             continue
-        slices = term_slices(contract, subject.workflow.states, subject.robot.joint_names)
+        states = subject.states_of(key)
+        slices = term_slices(contract, states, subject.robot.joint_names)
         columns = ["term", "state", "slice", "offset", "scale", "clip", "history", "unit", "frame"]
-        rows = [_row(subject, part) for part in slices]
+        rows = [_row(part, states.spec(part.term.state).frame) for part in slices]
         result.table(
             f"Observation of policy {key}",
             columns,
@@ -32,8 +33,8 @@ def check_observation(subject: Subject, result: CheckResult) -> None:
             _term(subject, result, key, contract, part)
 
 
-def _row(subject: Subject, part: TermSlice) -> list[str]:
-    term, spec = part.term, subject.workflow.states.spec(part.term.state)
+def _row(part: TermSlice, frame: str) -> list[str]:
+    term = part.term
     index = "" if term.index is None else f"[{','.join(map(str, term.index))}]"
     offset = term.subtract if isinstance(term.subtract, str) else _values(part.subtract, 0.0, "-")
     clip = "-" if term.clip is None else f"{part.low.min():g} … {part.high.max():g}"
@@ -46,7 +47,7 @@ def _row(subject: Subject, part: TermSlice) -> list[str]:
         clip,
         str(term.history),
         part.unit or "-",
-        spec.frame or "-",
+        frame or "-",
     ]
 
 

@@ -12,6 +12,8 @@ from typing import Any
 from unicon_core.errors import PlatformError, alternatives
 from unicon_core.flow import Block, blocks_of
 from unicon_core.policies import OnnxPolicy, PolicyContract
+from unicon_core.policies.observation import PackedStates
+from unicon_core.policies.prefixed import PrefixedStates
 from unicon_core.robots import Robot
 from unicon_core.workflow import Workflow
 from unicon_core.workflow.autowire import option_names
@@ -65,13 +67,15 @@ class Subject:
     @cached_property
     def policies(self) -> dict[str, PolicyContract]:
         """Key under `policies:` to contract, those that the flow uses."""
-        used = {
-            block.tick.contract.path: block.tick.contract
-            for block in self.workflow.blocks
-            if isinstance(block.tick, OnnxPolicy)
-        }
+        ticks = [block.tick for block in self.workflow.blocks]
+        used = [tick.contract for tick in ticks if isinstance(tick, OnnxPolicy)]
         named = self.workflow.policies.items()
-        return {key: contract for key, contract in named if contract.path in used}
+        return {key: contract for key, contract in named if contract in used}
+
+    def states_of(self, key: str) -> PackedStates:
+        """Return the states as one policy sees them: with several, each has its own `action`."""
+        states = self.workflow.states
+        return states if len(self.workflow.policies) < 2 else PrefixedStates(states, f"{key}_")
 
     @cached_property
     def blocks(self) -> list[Block]:

@@ -68,19 +68,18 @@ class _Twin:
         self.add("as given", given)
         suspects = []
         self.contracts = {
-            key: contract
-            for key, contract in session.contracts.items()
-            if contract.name in session.called
+            key: contract for key, contract in session.contracts.items() if key in session.called
         }
         for key in session.contracts.keys() - self.contracts.keys():
             result.note("twin.run", f"policy {key!r}", "the flow never calls it in the twin")
         for key, contract in self.contracts.items():
             for broken in perturbations(contract, session.depths(contract.joints)):
+                name = broken.name if len(self.contracts) == 1 else f"{key}: {broken.name}"
                 if broken.contract is None:
-                    self.rows.append([broken.name, f"not tried: {broken.reason}", *[""] * 4])
+                    self.rows.append([name, f"not tried: {broken.reason}", *[""] * 4])
                     continue
-                measures = session.run(self.seconds, broken.contract)
-                self.add(broken.name, measures)
+                measures = session.run(self.seconds, key, broken.contract)
+                self.add(name, measures)
                 if measures.score >= given.score - MARGIN:
                     suspects.append((key, contract, broken, measures))
         self.verdict(given)
@@ -163,14 +162,14 @@ class _Twin:
         for key, contract in self.contracts.items():
             depths = session.depths(contract.joints)
             tried += [
-                (self.score(repair, 2.0).score, key, repair)
+                (self.score(key, repair, 2.0).score, key, repair)
                 for repair in repairs(contract, session.workflow.robot, depths, poses)
                 if time.monotonic() < until
             ]
         tried.sort(key=lambda entry: -entry[0])  # stable: the likelier first
         best: tuple[str, Repair, Measures] | None = None
         for _, key, repair in tried[:10]:
-            measures = self.score(repair, self.seconds)
+            measures = self.score(key, repair, self.seconds)
             if best is None or measures.score > best[2].score + 0.02:
                 best = key, repair, measures
         if best is None or not best[2].stands or best[2].score < given.score + MENDED:
@@ -179,8 +178,8 @@ class _Twin:
             return None
         return (*best, len(tried))
 
-    def score(self, repair: Repair, seconds: float) -> Measures:
-        return self.session.run(seconds, repair.contract, unlimited=repair.unlimited)
+    def score(self, key: str, repair: Repair, seconds: float) -> Measures:
+        return self.session.run(seconds, key, repair.contract, unlimited=repair.unlimited)
 
     def tables(self, given: Measures) -> None:
         what = f"{self.seconds:g} s of the policy" if self.contracts else "the whole flow"

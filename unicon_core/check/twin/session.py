@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -55,7 +55,7 @@ class TwinSession:
             or more, else 0.6 of the trained forward speed: broken contracts stand and creep too.
 
     Attributes:
-        called: names of the policies that ran in the last run.
+        called: keys of the policies that ran in the last run.
 
     Raises:
         UniconError: the workflow cannot be built.
@@ -65,22 +65,19 @@ class TwinSession:
         self._command = command
         self.called: frozenset[str] = frozenset()
         self.workflow = build_workflow(document, inputs=[self._commander])
-        self._blocks: dict[str, Block] = {}
-        for block in self.workflow.blocks:
-            if isinstance(block.tick, OnnxPolicy):
-                self._blocks.setdefault(block.tick.name, block)
-        self._policies = {
-            name: cast(OnnxPolicy, block.tick) for name, block in self._blocks.items()
-        }
+        keys = {id(contract): key for key, contract in self.workflow.policies.items()}
+        self._uses = [
+            (keys[id(block.tick.contract)], block, block.tick)
+            for block in self.workflow.blocks
+            if isinstance(block.tick, OnnxPolicy)
+        ]
         info = self.workflow.platform.info()
         self._effort = np.array(list(info["effort_upper"].values()))
 
     @property
     def contracts(self) -> dict[str, PolicyContract]:
         """Key under `policies:` to contract, of the policies in the flow."""
-        used = [policy.contract for policy in self._policies.values()]
-        named = self.workflow.policies.items()
-        return {key: contract for key, contract in named if contract in used}
+        return {key: policy.contract for key, _, policy in self._uses}
 
     def depths(self, joints: Sequence[str]) -> list[int]:
         """Return how many joints are above each joint in the model, shape (n,)."""
@@ -104,18 +101,24 @@ class TwinSession:
         return found
 
     def run(
-        self, seconds: float, contract: PolicyContract | None = None, *, unlimited: bool = False
+        self,
+        seconds: float,
+        key: str = "",
+        contract: PolicyContract | None = None,
+        *,
+        unlimited: bool = False,
     ) -> Measures:
         """Run from the beginning.
 
         Args:
             seconds: of simulated time from the policy's first call; a flow without policy runs
                 to its end.
-            contract: in place of the given one, for the policy of its name.
+            key: a policy under `policies:` whose contract is exchanged.
+            contract: in place of the given one.
             unlimited: without limits of effort.
         """
         workflow = self.workflow
-        counted = self._exchange(contract)
+        counted = self._exchange(key, contract)
         workflow.states.reset()
         runner = Runner(workflow, RunOptions(speed="max", warn=lambda text: None))
         runner.reset()
@@ -124,17 +127,19 @@ class TwinSession:
         fault, begun = "", 0
         limits = self._lift_limits() if unlimited else None
         try:
-            while len(recorder.rows) < longest and not runner.tick(0):
-                begun += any(tick.calls for tick in counted)
-                if recorder(begun > 0) or (counted and begun >= walked):
-                    break
+            # A broken contract may well send numbers of any size.
+            with np.errstate(over="ignore", invalid="ignore"):
+                while len(recorder.rows) < longest and not runner.tick(0):
+                    begun += any(tick.calls for tick in counted.values())
+                    if recorder(begun > 0) or (counted and begun >= walked):
+                        break
         except Fault as error:
             fault = str(error)
         finally:
             self._restore()
             if limits is not None:
                 self._set_limits(*limits)
-            self.called = frozenset(tick.policy.name for tick in counted if tick.calls)
+            self.called = frozenset(name for name, tick in counted.items() if tick.calls)
         ticks = len(recorder.rows)
         asked = (ticks - begun + walked if counted else max(ticks, 1)) * workflow.period
         tracks = any(_reads_command(contract) for contract in self.contracts.values())
@@ -163,23 +168,25 @@ class TwinSession:
 
         return [Block("twin_command", twin_command, amends=("velocity_command",), endless=True)]
 
-    def _exchange(self, contract: PolicyContract | None) -> list[_Counted]:
-        counted = []
-        for name, block in self._blocks.items():
-            policy = self._policies[name]
-            if contract is not None and contract.name == name:
-                workflow = self.workflow
-                policy = OnnxPolicy(
-                    contract, workflow.states, workflow.robot, network=policy.network
+    def _exchange(self, key: str, contract: PolicyContract | None) -> dict[str, _Counted]:
+        workflow = self.workflow
+        counted: dict[str, _Counted] = {}
+        for used, block, policy in self._uses:
+            running = policy
+            if contract is not None and used == key:
+                running = OnnxPolicy(
+                    contract,
+                    workflow.states,
+                    workflow.robot,
+                    prefix=f"{key}_" if len(workflow.policies) > 1 else "",
+                    network=policy.network,
                 )
-            tick = _Counted(policy)
-            block.tick, block.reset, block.dry_run = tick, policy.reset, None
-            counted.append(tick)
+            tick = counted.setdefault(used, _Counted(running))
+            block.tick, block.reset, block.dry_run = tick, running.reset, None
         return counted
 
     def _restore(self) -> None:
-        for name, block in self._blocks.items():
-            policy = self._policies[name]
+        for _, block, policy in self._uses:
             block.tick, block.reset, block.dry_run = policy, policy.reset, policy.dry_run
 
     def _lift_limits(self) -> tuple[Any, Any]:
