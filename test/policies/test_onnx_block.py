@@ -494,7 +494,6 @@ def test_ticks_allocate_nothing_that_stays(tmp_path: Path) -> None:
     machine = robot()
     states = states_of(contract, machine)
     policy = OnnxPolicy(contract, states, machine)
-    policy.prepare_dry_run()
     for _ in range(10):
         policy()
         policy.dry_run()

@@ -267,26 +267,47 @@ class Observation:
         Args:
             out: contiguous, shape (num_robots or 1, size).
         """
+        write, advance = self.bind_parts(out)
+        if self._history == 1:
+            return write
+
+        def both() -> None:
+            write()
+            advance()
+
+        return both
+
+    def bind_parts(self, out: Floats) -> tuple[Callable[[], None], Callable[[], None]]:
+        """Return `write` and `advance`: the observation of this tick, and on to the next tick.
+
+        `write` may be called several times before `advance`, as a dry run does: it lays its frame
+        where the history's oldest one was, which no later tick reads.
+
+        Args:
+            out: contiguous, shape (num_robots or 1, size).
+        """
         flat = out.reshape(-1)
         assemble = self._assembler()
         if self._history == 1:
-            return lambda: assemble(flat)
+            return (lambda: assemble(flat)), _nothing
         index = self._window_index.reshape(-1)
 
         def write() -> None:
-            head = self._head
-            slot, twin, window = self._slots[head]
+            slot, twin, window = self._slots[self._head]
             assemble(slot)
             if self._fresh:
                 self._ring[...] = 0.0 if self._zeros else slot.copy()
                 if self._zeros:
                     assemble(slot)
-                self._fresh = False
             twin[...] = slot
             window.take(index, None, flat, "clip")
-            self._head = head + 1 if head + 1 < self._history else 0
 
-        return write
+        def advance() -> None:
+            head = self._head + 1
+            self._head = head if head < self._history else 0
+            self._fresh = False
+
+        return write, advance
 
     def __call__(self, out: Floats) -> None:
         """Write the observation of this tick once; a tick loop keeps what `bind` returns."""
@@ -344,6 +365,10 @@ class Observation:
     def table(self) -> Mapping[str, tuple[int, int]]:
         """Return each term's name and (elements of a frame, history), for size messages."""
         return {p.term.name: (p.elements.size, p.term.history) for p in self.slices}
+
+
+def _nothing() -> None:
+    """Without a history there is nothing to go on to."""
 
 
 def _joined(parts: Iterable[Floats], rows: int) -> Floats:

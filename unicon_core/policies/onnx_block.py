@@ -5,7 +5,6 @@ Observation → network → check → targets; a NaN or infinity is a Fault befo
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ import numpy as np
 from unicon_core.errors import Fault, PolicyError
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.joint_command import JointCommand
-from unicon_core.policies.lane import Lane, build_lane
+from unicon_core.policies.lane import build_lane
 from unicon_core.policies.network import Network, OnnxNetwork
 from unicon_core.policies.observation import PackedStates
 from unicon_core.policies.phase import GaitPhase
@@ -41,7 +40,7 @@ class OnnxPolicy:
         reads: states that the observation is taken from.
         writes: states that are written.
         command: the alignment of joints.
-        lane: arrays and bound calls of the real run.
+        lane: arrays and bound calls.
 
     Raises:
         PolicyError: states, joints or sizes that do not fit, or missing files.
@@ -63,10 +62,9 @@ class OnnxPolicy:
         self.name = contract.name
         self.contract = contract
         self.network = _network(contract) if network is None else network
-        self._robot = robot
         self._states = states
         rows = states.num_robots or 1
-        self.lane = build_lane(contract, states, robot.joint_names, self.network, scratch=False)
+        self.lane = build_lane(contract, states, robot.joint_names, self.network)
         self.command = JointCommand(contract, robot, rows)
         n = robot.num_joints
         for name in _TARGETS:
@@ -76,14 +74,14 @@ class OnnxPolicy:
                     f"{robot.name}; declare the standard states of this robot"
                 )
         target, stiffness, damping = (states[name].reshape(rows, n) for name in _TARGETS)
-        self._command = self.command.bind(self.lane.action, target)
-        self._gains = (
+        computed = np.zeros_like(target)
+        self._command = self.command.bind(self.lane.action, computed)
+        self._targets = (
+            (target, computed),
             (stiffness.reshape(-1), np.tile(self.command.stiffness, rows)),
             (damping.reshape(-1), np.tile(self.command.damping, rows)),
         )
-        self._scratch: Lane | None = None
-        self._scratch_command: Callable[[], None] | None = None
-        self._scratch_target = np.zeros_like(target)
+        self._actions = [states["action"]] if "action" in states else []
         self.phase: GaitPhase | None = None
         if contract.phase is not None and "gait_phase" in states:
             self.phase = GaitPhase(contract.phase, states, contract.period)
@@ -111,16 +109,19 @@ class OnnxPolicy:
         lane.infer()
         if not lane.action_finite():
             raise Fault(self._blame_action())
+        self._command()
+        lane.advance()
+        lane.publish()
         if self._motion:
             self._reference()
-        self._command()
-        for state, gains in self._gains:
-            state[...] = gains
+        for state, values in self._targets:
+            state[...] = values
 
     def reset(self) -> None:
         """Forget history, memory and last action, as at the start of training episodes."""
         self.lane.reset()
-        self.lane.action[...] = 0.0
+        for action in self._actions:
+            action[...] = 0.0
         self._primed = False
         if self.phase is not None:
             self.phase.reset()
@@ -129,25 +130,14 @@ class OnnxPolicy:
         for part, source in self._motion:
             part[...] = source
 
-    def prepare_dry_run(self) -> None:
-        """Build the scratch lane now, so that the first `dry_run` costs no more than the next."""
-        self._scratch = build_lane(
-            self.contract, self._states, self._robot.joint_names, self.network, scratch=True
-        )
-        self._scratch_command = self.command.bind(self._scratch.action, self._scratch_target)
-
     def dry_run(self) -> None:
-        """Run the same code on scratch arrays: caches get warm and nothing observable changes."""
-        if self._scratch is None or self._scratch_command is None:
-            self.prepare_dry_run()
-        lane, command = self._scratch, self._scratch_command
-        assert lane is not None
-        assert command is not None
+        """Take the path of a tick up to what it would publish: caches get warm, nothing changes."""
+        lane = self.lane
         lane.assemble()
         if lane.finite():
             lane.infer()
             if lane.action_finite():
-                command()
+                self._command()
 
     def _blame_observation(self) -> str:
         lane = self.lane

@@ -98,9 +98,7 @@ def policy_factory(use: BlockUse, policies: Mapping[str, Any]) -> Callable[..., 
     contract, prefix = policies[name], _prefix(name, policies)
 
     def policy(context: BuildContext, use: str = "") -> Any:
-        block = OnnxPolicy(contract, context.states, context.robot, prefix=prefix)
-        block.prepare_dry_run()
-        return block
+        return OnnxPolicy(contract, context.states, context.robot, prefix=prefix)
 
     # Annotations are text here; the autowiring evaluates them in this module.
     return policy

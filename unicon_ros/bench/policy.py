@@ -183,7 +183,6 @@ def _usual_loop(robot: Robot, contract: PolicyContract) -> Callable[[int], NDArr
 
 def _unicon_loop(robot: Robot, contract: PolicyContract) -> Callable[[int], NDArray[np.float64]]:
     policy = OnnxPolicy(contract, _states(contract, robot), robot)
-    policy.prepare_dry_run()
 
     def loop(ticks: int) -> NDArray[np.float64]:
         times = np.zeros(ticks)
