@@ -17,7 +17,6 @@ import sys
 from bisect import bisect_left
 from collections.abc import Callable
 from functools import lru_cache
-from itertools import pairwise
 from types import CodeType
 from typing import Any
 
@@ -27,6 +26,7 @@ from numpy.lib.stride_tricks import as_strided
 from unicon_msgs_map.apply import SINGLE_MAX, Run, limits
 from unicon_msgs_map.binding import AnyArray
 from unicon_msgs_map.messages import Primitive
+from unicon_msgs_map.strides import address, fuse, line, plain, step
 
 __all__ = ["compile_fast", "merge"]
 
@@ -101,7 +101,7 @@ class _Fast:
                 self._time(number, run)
             elif run.kind == "required":
                 self._required(number, run, run.primitive)
-            elif len(run.offsets) > SCALAR_LIMIT and _plain(run):
+            elif len(run.offsets) > SCALAR_LIMIT and plain(run):
                 bulk.setdefault(run.primitive, []).append(run)
             else:
                 self._scalars(number, run, run.primitive)
@@ -265,7 +265,7 @@ class _Fast:
             result = self._convert(number, runs)
             name = f"real{number}"
         start = 0
-        for group in _fuse(runs):
+        for group in fuse(runs):
             count = sum(len(run.elements) for run in group)
             piece = result[start : start + count]
             key = f"{number}_{start}"
@@ -296,7 +296,7 @@ class _Fast:
     def _copy(self, key: str, group: list[Run], piece: AnyArray, name: str) -> None:
         run = group[0]
         target: AnyArray
-        if len(group) == 1 and _step(run.elements) is None:
+        if len(group) == 1 and step(run.elements) is None:
             self.space |= {
                 f"out{key}": run.flat,
                 f"at{key}": np.array(run.elements, dtype=np.intp),
@@ -304,10 +304,10 @@ class _Fast:
             }
             self.writes.append(f"out{key}[at{key}] = piece{key}")
             return
-        target = _line(run)
+        target = line(run)
         if len(group) > 1:
             piece = piece.reshape(len(group), len(run.elements))
-            between = _address(group[1]) - _address(group[0])
+            between = address(group[1]) - address(group[0])
             # Every element touched lies in one of the group's arrays, all kept alive here.
             self.space[f"keep{key}"] = [member.flat for member in group]
             target = as_strided(target, piece.shape, (between, target.strides[0]))
@@ -361,57 +361,3 @@ class _Fast:
                 largest = max(largest / 2 - float(np.abs(pair[1]).max()), 0.0) / scale
             bound = min(bound, largest)
         return None if bound == math.inf else bound
-
-
-def _plain(run: Run) -> bool:
-    """Tell whether NumPy's cast gives the value, with no rounding, saturation or wrapping."""
-    assert run.target is not None
-    assert run.primitive is not None
-    wire, state = np.dtype(run.primitive.dtype), run.flat.dtype
-    if wire.kind == "b" or state.kind == "b":
-        return False
-    if state.kind == "f":
-        return True
-    return run.target.conversion is None and bool(np.can_cast(wire, state, "safe"))
-
-
-def _fuse(runs: list[Run]) -> list[list[Run]]:
-    """Group consecutive runs of equal form whose states lie at even distances."""
-    groups: list[list[Run]] = []
-    for run in runs:
-        group = groups[-1] if groups else None
-        if group is not None and _alike(group[-1], run):
-            step = _address(run) - _address(group[-1])
-            if len(group) == 1 or step == _address(group[1]) - _address(group[0]):
-                group.append(run)
-                continue
-        groups.append([run])
-    return groups
-
-
-def _alike(a: Run, b: Run) -> bool:
-    steps = _step(a.elements), _step(b.elements)
-    return (
-        steps[0] is not None
-        and steps[0] == steps[1]
-        and len(a.elements) == len(b.elements)
-        and a.flat.dtype == b.flat.dtype
-        and a.flat.strides == b.flat.strides
-    )
-
-
-def _line(run: Run) -> AnyArray:
-    """Return the view of a run's elements, which are evenly spaced."""
-    step = _step(run.elements)
-    assert step is not None
-    first = run.flat[run.elements[0] : run.elements[0] + 1]
-    return as_strided(first, (len(run.elements),), (step * run.flat.strides[0],))
-
-
-def _address(run: Run) -> int:
-    return int(run.flat[run.elements[0] :].__array_interface__["data"][0])
-
-
-def _step(elements: tuple[int, ...]) -> int | None:
-    steps = {b - a for a, b in pairwise(elements)}
-    return steps.pop() if len(steps) == 1 else None
