@@ -40,6 +40,8 @@ def main(args: Sequence[str] | None = None) -> int:
             print(f"unicon_node: unknown argument {own[0]!r}\n{USAGE}", end="", file=sys.stderr)
             return 2
         return _spin(rclpy, arguments)
+    except KeyboardInterrupt:  # before anything moved
+        return 0
     except UniconError as error:
         print(f"unicon_node: error: {error}", file=sys.stderr)
         return 1

@@ -32,8 +32,8 @@ def peers() -> Iterator[Callable[..., Peer]]:
     """Starts plain rclpy scripts of `peers/`, and kills them at the end."""
     started: list[Peer] = []
 
-    def start(script: str, *arguments: str) -> Peer:
-        peer = Peer(sys.executable, str(HERE / "peers" / f"{script}.py"), *arguments)
+    def start(script: str, *arguments: str, python: str = sys.executable) -> Peer:
+        peer = Peer(python, str(HERE / "peers" / f"{script}.py"), *arguments)
         started.append(peer)
         return peer
 

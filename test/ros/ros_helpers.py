@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -39,8 +41,12 @@ class Peer:
 
     def __init__(self, *command: str) -> None:
         self.lines: list[dict[str, Any]] = []
+        environment = dict(os.environ)
+        if command[0] != sys.executable:  # what the wheels set is of one interpreter only
+            for name in ("_ROS_WHEELS_BOOTSTRAP_COMPLETE", "LD_LIBRARY_PATH", "AMENT_PREFIX_PATH"):
+                environment.pop(name, None)
         self.process = subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
         )
         self._errors = ""
         self._threads = [threading.Thread(target=read) for read in (self._read, self._read_errors)]

@@ -30,7 +30,7 @@ def variables_of(workflow: Workflow) -> dict[str, object]:
     robot = workflow.robot
     return {
         "joint_names": list(robot.joint_names),
-        "robot_name": robot.name,
+        "robot": robot.name,
         "base_frame": robot.base_frame or "base_link",
         "odom_frame": "odom",
         "imu_frame": robot.imu.frame if robot.imu is not None else "imu_link",
