@@ -54,7 +54,7 @@ class Lane:
         published: views of states and the arrays here that are copied into them after a tick.
 
     Attributes:
-        observation, obs, action: as given.
+        observation, obs, action, published: as given.
         action_finite: tells whether the output holds neither NaN nor infinity.
     """
 
@@ -78,7 +78,7 @@ class Lane:
         self._write, self._advance = _nothing, _nothing
         if observation is not None:
             self._write, self._advance = observation.bind_parts(obs)
-        self._published = tuple(published)
+        self.published = tuple(published)
         self._obs_finite = finite_check(obs)
         self.action_finite = finite_check(action)
         self._steps = 0.0
@@ -109,11 +109,6 @@ class Lane:
             target[...] = source
         self._steps += 1.0
 
-    def publish(self) -> None:
-        """Copy what was computed into the states that want it."""
-        for target, source in self._published:
-            target[...] = source
-
     def prime(self) -> None:
         """Run the network on a zero observation, as step 0 of its motion; its action is dropped."""
         self.obs[...] = 0.0
@@ -124,7 +119,8 @@ class Lane:
             target[...] = source
         self._steps += 1.0
         self.action[...] = 0.0
-        self.publish()
+        for view, values in self.published:
+            view[...] = values
 
     def reset(self) -> None:
         """Forget history, memory and the number of calls."""
