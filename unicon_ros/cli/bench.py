@@ -13,6 +13,7 @@ __all__ = ["BENCHES", "add", "bench"]
 
 BENCHES = {
     "batch": "unicon_ros.bench.batch",
+    "bridge": "unicon_ros.bench.bridge",
     "latency": "unicon_ros.bench.latency",
     "policy": "unicon_ros.bench.policy",
     "sloc": "unicon_ros.bench.sloc",

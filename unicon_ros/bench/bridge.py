@@ -1,0 +1,146 @@
+"""`unicon bench bridge`: what a message costs the tick, ours beside plain rclpy, in one process.
+
+Send: states to a published message, by our compiled layouts and by a new rclpy message each time.
+Receive: a message that has arrived to states, raw and typed. Warm, variants in turns. Nobody
+listens to what is sent, so that the transport, which is the same for both, is left out; what is
+received was published in this process and waits in the reader's queue. The cost with a reader in
+this process is told beside it, as a fact.
+"""
+
+from __future__ import annotations
+
+import os
+import random
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_ros import compat
+from unicon_ros.bench.bridge_topics import Desk, Received, Step
+from unicon_ros.bench.report import Bench
+
+__all__ = ["run"]
+
+JOINTS = 20
+FEW, MANY = 12, 64  # joints that `send_growth` compares
+SAMPLES = 200  # of each case in each round
+SENDS = 20  # messages in one sample of a send: a clock reading costs 1 % of one then
+POLLS = 20  # empty looks in one sample
+
+
+def run(rounds: int | None = None) -> Bench:
+    """Run the comparison.
+
+    Args:
+        rounds: interleaved rounds, 9 unless told.
+
+    Raises:
+        MissingDependencyError: rclpy is not installed.
+    """
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    os.environ.setdefault("ROS_DOMAIN_ID", str(random.SystemRandom().randint(1, 101)))
+    rclpy = compat.import_rclpy("unicon bench bridge")
+    rounds = rounds or 9
+    bench = Bench("bridge", seed=0, rounds=rounds)
+    context = rclpy.context.Context()
+    rclpy.init(context=context, signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
+    node = rclpy.node.Node("bench_bridge", context=context)
+    # What spin_once(0) costs grows with all that a node has: a node of one subscription is spun.
+    other = rclpy.node.Node("bench_plain", context=context)
+    executor = rclpy.executors.SingleThreadedExecutor(context=context)
+    executor.add_node(other)
+    message = compat.message_class("sensor_msgs/msg/JointState")
+    other.create_subscription(message, "bench/silent", lambda m: None, 1)
+    desk = Desk(node, executor)
+    try:
+        _measure(bench, desk, rounds)
+    finally:
+        desk.close()
+        executor.shutdown()
+        other.destroy_node()
+        node.destroy_node()
+        rclpy.try_shutdown(context=context)
+    return bench
+
+
+def _measure(bench: Bench, desk: Desk, rounds: int) -> None:
+    sends = {
+        f"send {name}: {who}": step
+        for name, topic in (("JointState", "joint_states"), ("Imu", "imu/data"), ("Odom", "odom"))
+        for who, step in desk.senders(topic, JOINTS).items()
+    }
+    for joints in (FEW, MANY):
+        sends[f"send JointState, {joints} joints"] = desk.senders("joint_states", joints)["ours"]
+    looks = {"empty poll: ours": desk.poller(), "empty poll: spin_once(0)": desk.spin}
+    receive = desk.receivers(JOINTS)
+    heard = desk.heard_senders(JOINTS)
+    times = _Times()
+    for round_ in range(rounds + 1):  # the first warms up
+        times.take(sends, SAMPLES, SENDS, keep=round_ > 0)
+        times.take(looks, SAMPLES, POLLS, keep=round_ > 0)
+        times.receive(receive, SAMPLES, keep=round_ > 0)
+        times.receive(heard, SAMPLES, keep=round_ > 0)
+    for name in (*sends, *looks, *receive):
+        bench.case(name, times.of(name))
+    ratio = times.ratio
+    bench.ratio("send", ratio("send JointState: ours", "send JointState: new message"), 0.3)
+    bench.ratio("receive", ratio("receive JointState: ours", "receive JointState: typed"), 0.3)
+    bench.ratio("imu_send", ratio("send Imu: ours", "send Imu: new message"), 0.5)
+    bench.ratio("odometry_send", ratio("send Odom: ours", "send Odom: new message"), 0.5)
+    few, many = (f"send JointState, {joints} joints" for joints in (FEW, MANY))
+    bench.ratio("send_growth", ratio(many, few), 1.15)
+    bench.ratio("empty_poll", ratio("empty poll: ours", "empty poll: spin_once(0)"), 0.1)
+    ours, plain = (float(np.median(times.of(name))) for name in heard)
+    bench.fact(
+        "send JointState to a reader in this process",
+        f"ours {ours:.1f} µs, new message {plain:.1f} µs, ratio {ratio(*heard):.2f}",
+    )
+    slower = ratio("receive JointState: ours", "receive JointState: typed, drained")
+    bench.fact("receive / typed take, drained as ours is", f"{slower:.2f}")
+    bench.fact("joints", JOINTS)
+
+
+class _Times:
+    """Samples of each case in [µs], by rounds."""
+
+    def __init__(self) -> None:
+        self._rounds: dict[str, list[NDArray[np.float64]]] = {}
+
+    def take(self, cases: dict[str, Step], samples: int, repeats: int, *, keep: bool) -> None:
+        """Time steps in turns, so many calls in a sample."""
+        now, calls = time.perf_counter_ns, range(repeats)
+        times = {name: np.zeros(samples) for name in cases}
+        for i in range(samples):
+            for name, step in cases.items():
+                begin = now()
+                for _ in calls:
+                    step()
+                times[name][i] = (now() - begin) * 1e-3 / repeats
+        self._keep(times, keep)
+
+    def receive(self, cases: dict[str, Received], samples: int, *, keep: bool) -> None:
+        """Time single steps, each after something arrived, in turns."""
+        now = time.perf_counter_ns
+        times = {name: np.zeros(samples) for name in cases}
+        for i in range(samples):
+            for name, case in cases.items():
+                case.arrive()
+                begin = now()
+                case.step()
+                times[name][i] = (now() - begin) * 1e-3
+        self._keep(times, keep)
+
+    def _keep(self, times: dict[str, NDArray[np.float64]], keep: bool) -> None:
+        for name, values in times.items():
+            if keep:
+                self._rounds.setdefault(name, []).append(values)
+
+    def of(self, name: str) -> NDArray[np.float64]:
+        """Return all samples of a case in [µs]."""
+        return np.concatenate(self._rounds[name])
+
+    def ratio(self, one: str, other: str) -> float:
+        """Return the median over the rounds of the ratio of their medians."""
+        pairs = zip(self._rounds[one], self._rounds[other])
+        return float(np.median([np.median(a) / np.median(b) for a, b in pairs]))
