@@ -102,8 +102,10 @@ class Lane:
         """Run the network on what is assembled; what it remembers stays as it is."""
         self._run()
 
-    def advance(self) -> None:
+    def advance(self, dry: bool = False) -> None:
         """Go on to the next tick: the history takes the frame, the network's memory is fed back."""
+        if dry:
+            return
         self._advance()
         for source, target in self._memory:
             target[...] = source

@@ -5,7 +5,6 @@ Observation → network → check → targets; a NaN or infinity is a Fault befo
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -86,9 +85,14 @@ class OnnxPolicy:
             (stiffness.reshape(-1), np.tile(self.command.stiffness, rows)),
             (damping.reshape(-1), np.tile(self.command.damping, rows)),
         )
-        # A dry run writes here instead: what is behind the network costs 17 µs when its code is
-        # cold, as much as the network.
-        self._discarded = tuple((np.zeros_like(view), values) for view, values in self._published)
+        # A dry run does these copies instead, which fetch both sides: what is behind the network
+        # costs 17 µs when it is cold, as much as the network.
+        scratch = [np.zeros_like(view) for view, _ in self._published]
+        self._discarded = tuple(
+            (thrown, side)
+            for (view, values), thrown in zip(self._published, scratch)
+            for side in (view, values)
+        )
         self._actions = [states["action"]] if "action" in states else []
         self.phase: GaitPhase | None = None
         if contract.phase is not None and "gait_phase" in states:
@@ -97,44 +101,44 @@ class OnnxPolicy:
         self._primed = False
         self.reads, self.writes = _reads_writes(contract, states, declared, prefix, self.phase)
 
-    def __call__(self) -> None:
-        """Run one tick.
+    def __call__(self, dry: bool = False) -> None:
+        """Run one tick, or take its path and discard the result.
 
         Raises:
             Fault: the observation or the action holds a NaN or infinity; no target is written.
         """
         lane = self.lane
-        if self.phase is not None:
-            self.phase()
-        if self._motion and not self._primed:
-            # The reference of step 0 is an output of the network: it is run once before it is read.
-            lane.prime()
-            self._reference()
-            self._primed = True
-        blame = self._path(self._published)
-        if blame is not None:
-            raise Fault(blame())
-        lane.advance()
-        if self._motion:
+        if not dry:
+            if self.phase is not None:
+                self.phase()
+            if self._motion and not self._primed:
+                # The reference of step 0 is an output of the network: run it once to read it.
+                lane.prime()
+                self._reference()
+                self._primed = True
+        lane.assemble()
+        if not lane.finite():
+            if dry:
+                return
+            raise Fault(self._blame_observation())
+        lane.infer()
+        if not lane.action_finite():
+            if dry:
+                return
+            raise Fault(self._blame_action())
+        self._command()
+        for state, values in self._discarded if dry else self._published:
+            state[...] = values
+        lane.advance(dry)
+        if self._motion and not dry:
             self._reference()
 
     def dry_run(self) -> None:
-        """Take the path of a tick and discard the result: caches get warm, nothing changes."""
-        self._path(self._discarded)
+        """Take the path of a tick and discard the result: caches get warm, nothing changes.
 
-    def _path(self, published: _Published) -> Callable[[], str] | None:
-        """Observation, network, targets; return None, or what says why nothing was published."""
-        lane = self.lane
-        lane.assemble()
-        if not lane.finite():
-            return self._blame_observation
-        lane.infer()
-        if not lane.action_finite():
-            return self._blame_action
-        self._command()
-        for state, values in published:
-            state[...] = values
-        return None
+        By the very same call: each bit of code that only the tick runs costs it 2 µs.
+        """
+        self(True)
 
     def reset(self) -> None:
         """Forget history, memory and last action, as at the start of training episodes."""
