@@ -17,7 +17,7 @@ from typing import Any, Literal
 
 from unicon_core.errors import UniconError
 
-__all__ = ["Pacing", "WallClock", "prepare_process"]
+__all__ = ["DryRun", "Pacing", "WallClock", "prepare_process"]
 
 _PR_SET_TIMERSLACK = 29  # linux/prctl.h
 
@@ -30,7 +30,7 @@ class Pacing:
         trigger: `deadline`, ticks at fixed times; `state`, ticks when the platform's data arrive.
         overrun: `skip` lets missed ticks go and keeps the grid; `catch_up` runs them at once.
         spin_us: busy wait before the deadline in [µs].
-        dry_run_us: how long before the deadline the blocks run dry in [µs]; 0 for never.
+        dry_run_us: how long before the deadline the blocks run dry at most in [µs]; 0 for never.
         priority: SCHED_FIFO priority 1…99, or None.
         cpu: core to stay on, or None.
         lock_memory: lock all memory.
@@ -84,6 +84,58 @@ class WallClock:
         while (present := now()) < deadline_ns:
             pass
         return present
+
+
+class DryRun:
+    """Waits for deadlines and runs the tick dry before each of them.
+
+    Twice: once as early as it takes to bring everything into the caches, and once so that it ends
+    right before the deadline, for what comes back cold from the waiting in between. Policy tick at
+    50 Hz on a busy machine: without it 250 µs, with one dry run 1 ms early 84, with one as late as
+    it goes 44, with both 26 (in a loop without waiting 22).
+
+    Args:
+        dry: what is run; nothing observable may change by it.
+        clock: waits.
+        longest_ns: the first begins at most so long before the deadline in [ns]; 0 for never.
+
+    Attributes:
+        lead_ns: how long before the deadline the next one begins in [ns].
+    """
+
+    MARGIN_NS = 10_000
+
+    def __init__(self, dry: Callable[[], object], clock: WallClock, longest_ns: int) -> None:
+        self._dry, self._clock, self._longest = dry, clock, longest_ns
+        self._cold = self._warm = longest_ns // 4
+        self.lead_ns = longest_ns
+
+    def until(self, deadline_ns: int) -> int:
+        """Return at the deadline with the present time in [ns]; at once if it has passed."""
+        now, clock = time.perf_counter_ns, self._clock
+        remaining = deadline_ns - self.lead_ns - now()
+        if self._longest and remaining > 0:
+            time.sleep(remaining * 1e-9)
+            begin = now()
+            self._dry()
+            self._cold = _recent_most(self._cold, now() - begin)
+            again = deadline_ns - self._warm - self._warm // 2 - self.MARGIN_NS
+            if now() < again:
+                clock.until(again)
+                begin = now()
+                self._dry()
+                self._warm = _recent_most(self._warm, now() - begin)
+            else:
+                self._warm -= self._warm >> 3
+            # Half as much again for each, and 50 µs for a late wake.
+            lead = (self._cold + self._warm) * 3 // 2 + 50_000
+            self.lead_ns = min(lead, self._longest)
+        return clock.until(deadline_ns)
+
+
+def _recent_most(before: int, value: int) -> int:
+    """Follow rises at once and falls slowly: a time that the next one will hardly exceed."""
+    return value if value > before else before + ((value - before) >> 3)
 
 
 def prepare_process(pacing: Pacing, warn: Callable[[str], None]) -> Callable[[], None]:

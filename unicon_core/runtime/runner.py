@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 from unicon_core.errors import Fault, PlatformError
 from unicon_core.flow import Deferred, Zip, as_block, compile_graph
-from unicon_core.runtime.pacing import Pacing, WallClock, prepare_process
+from unicon_core.runtime.pacing import DryRun, Pacing, WallClock, prepare_process
 from unicon_core.runtime.report import Monitor, Report
 from unicon_core.runtime.statistics import TickStatistics
 from unicon_core.workflow import Workflow
@@ -187,8 +187,7 @@ class Runner:
         self._paced(limit, status_every)
 
     def _paced(self, limit: int, status_every: int) -> None:
-        clock = WallClock(round(self.pacing.spin_us * 1e3))
-        dry_ns = round(self.pacing.dry_run_us * 1e3)
+        wait = self._dry_run(WallClock(round(self.pacing.spin_us * 1e3))).until
         period, skip = self.period_ns, self.pacing.overrun == "skip"
         statistics, now = self.statistics, time.perf_counter_ns
         due = now() + min(period, 10_000_000)
@@ -196,10 +195,7 @@ class Runner:
             if self._between:
                 self._act()
                 due = max(due, now())
-            if dry_ns and due - now() > dry_ns:
-                clock.until(due - dry_ns)
-                self.graph.dry()
-            clock.until(due)
+            wait(due)
             self.next_due_ns = due + period
             if self.tick(due):
                 self.done = True
@@ -223,8 +219,7 @@ class Runner:
         statistics, now, period = self.statistics, time.perf_counter_ns, self.period_ns
         platform = self.workflow.platform
         arrivals: Callable[[], int] | None = getattr(platform, "arrivals", None)
-        clock = WallClock(0)
-        dry_ns = round(self.pacing.dry_run_us * 1e3)
+        until = self._dry_run(WallClock(0)).until
         patience = 3e-9 * period
         begin = last = now()
         first = arrivals() if arrivals is not None else 0
@@ -235,10 +230,7 @@ class Runner:
             count = 0 if arrivals is None else arrivals() - first
             interval = (now() - begin) // count if count else period
             if 1.5 * interval < period:
-                ready = last + period - interval // 2
-                clock.until(ready - dry_ns)
-                self.graph.dry()
-                clock.until(ready)
+                until(last + period - interval // 2)
                 platform.recv()
             if not wait(patience):
                 statistics.overruns += 1
@@ -249,6 +241,10 @@ class Runner:
                 break
             if statistics.count % status_every == 0:
                 self._status()
+
+    def _dry_run(self, clock: WallClock) -> DryRun:
+        able = any(block.dry_run is not None for block in self.graph.blocks)
+        return DryRun(self.graph.dry, clock, round(self.pacing.dry_run_us * 1e3) if able else 0)
 
     def _act(self) -> None:
         for _ in range(len(self._between)):

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from unicon_core.policies import Observation, OnnxPolicy, PolicyContract, policy_states
 from unicon_core.robots import Robot, load_robot
-from unicon_core.runtime import Pacing, WallClock, prepare_process
+from unicon_core.runtime import DryRun, Pacing, WallClock, prepare_process
 from unicon_core.states import States, standard_states
 from unicon_ros.bench.networks import CLIP, random_policy
 from unicon_ros.bench.report import Bench
@@ -29,7 +29,6 @@ __all__ = ["run"]
 RATE = 50.0  # Hz
 SECONDS = 3.0  # of each loop in each round
 WARM_CALLS = 2000  # of each observation in each round
-DRY_NS = 1_000_000  # how long before the deadline the dry run starts
 HISTORY = 6
 
 
@@ -187,13 +186,13 @@ def _unicon_loop(robot: Robot, contract: PolicyContract) -> Callable[[int], NDAr
     def loop(ticks: int) -> NDArray[np.float64]:
         times = np.zeros(ticks)
         now, period = time.perf_counter_ns, round(1e9 / RATE)
-        clock = WallClock()
-        restore = prepare_process(Pacing(), print)
+        pacing = Pacing()
+        clock = WallClock(round(pacing.spin_us * 1e3))
+        wait = DryRun(policy.dry_run, clock, round(pacing.dry_run_us * 1e3)).until
+        restore = prepare_process(pacing, print)
         due = now() + period
         for i in range(ticks):
-            clock.until(due - DRY_NS)
-            policy.dry_run()
-            clock.until(due)
+            wait(due)
             begin = now()
             policy()
             times[i] = (now() - begin) * 1e-3
