@@ -11,7 +11,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/unicon.stamp
 
 # What the demo runs, and how long one test may take in [s].
-DEMO_WORKFLOW ?= go2_stand
+DEMO_WORKFLOW ?= go2_walk
 DEMO_ARGS ?=
 TEST_TIMEOUT ?= 120
 TEST_ARGS ?=
@@ -45,7 +45,8 @@ $(STAMP): setup.py pyproject.toml tools/lib/make_venv.py
 
 demo: $(STAMP)
 	@mkdir -p out/demo
-	$(BIN)/unicon run $(DEMO_WORKFLOW) --ros --report out/demo/report.json $(DEMO_ARGS)
+	$(BIN)/unicon run $(DEMO_WORKFLOW) --ros --report out/demo/report.json \
+		--picture out/demo/report.png $(DEMO_ARGS)
 
 test: $(STAMP)
 	$(BIN)/python -m pytest -q --timeout=$(TEST_TIMEOUT) $(TEST_ARGS)

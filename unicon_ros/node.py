@@ -205,7 +205,7 @@ class UniconNode(LifecycleNode):
         if settings.record:
             from unicon_ros.recorder import recorder_hook
 
-            observers.append(recorder_hook(settings.record, map_name))
+            observers.append(recorder_hook(settings.record, map_name, session))
         workflow = load_workflow(
             settings.workflow,
             settings.overrides,

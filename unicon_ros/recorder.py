@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +20,7 @@ from unicon_msgs_map.messages import message_definition
 
 if TYPE_CHECKING:
     from unicon_core.workflow import Hook, Workflow
+    from unicon_ros.bridge import RosSession
 
 __all__ = ["Recorder", "recorder_hook"]
 
@@ -89,18 +91,22 @@ class Recorder:
         self._partial.rmdir()
 
 
-def recorder_hook(path: str | Path, map_name: str | None) -> Hook:
+def recorder_hook(
+    path: str | Path, map_name: str | None, session: RosSession | None = None
+) -> Hook:
     """Return the hook that records what the map publishes, at its rates, after `send`.
 
     Args:
         path: of the MCAP file.
         map_name: message map, name or path; `default` if None.
+        session: where ROS is on, its messages are recorded as they leave, encoded once; the hook
+            must then stand behind the session's own.
     """
 
     def hook(workflow: Workflow) -> list[Block]:
         recorder = Recorder(path)
         try:
-            return _blocks(recorder, workflow, map_name)
+            return _blocks(recorder, workflow, map_name, session)
         except BaseException:
             recorder.close()
             raise
@@ -108,15 +114,27 @@ def recorder_hook(path: str | Path, map_name: str | None) -> Hook:
     return hook
 
 
-def _blocks(recorder: Recorder, workflow: Workflow, map_name: str | None) -> list[Block]:
+def _blocks(
+    recorder: Recorder, workflow: Workflow, map_name: str | None, session: RosSession | None
+) -> list[Block]:
     # Arrays, names and variables are the bridge's, so that bag and topics hold the same bytes.
     from unicon_ros.bridge.bindings import arrays_of, names_of, variables_of
 
     arrays = arrays_of(workflow)
     simulated, stamp = workflow.platform.simulated, workflow.states["stamp_ns"].reshape(-1)
+
+    def now() -> int:
+        return int(stamp[0]) if simulated else time.time_ns()
+
+    leaving = {id(out.spec): out for out in session.outgoing} if session is not None else {}
     due: list[tuple[int, Callable[[], bytes], Callable[[int, bytes], None]]] = []
     reads: set[str] = set()
-    for spec in load_map(find_config("maps", map_name or "default")).publish:
+    mapping = session.map if session is not None else load_map(_map_path(map_name))
+    for spec in mapping.publish:
+        if id(spec) in leaving:
+            write = recorder.channel(spec.topic, spec.type)
+            leaving[id(spec)].tap = partial(_stamped, write, now)
+            continue
         try:
             encoder = Encoder.build(spec, arrays, names_of(workflow), variables_of(workflow))
         except MapStateError:
@@ -130,10 +148,17 @@ def _blocks(recorder: Recorder, workflow: Workflow, map_name: str | None) -> lis
 
     def record() -> None:
         nonlocal tick
-        now = int(stamp[0]) if simulated else time.time_ns()
         for every, encode, write in due:
             if tick % every == 0:
-                write(now, encode())
+                write(now(), encode())
         tick += 1
 
     return [Block("recorder", record, reads=tuple(sorted(reads)), close=recorder.close)]
+
+
+def _stamped(write: Callable[[int, bytes], None], now: Callable[[], int], raw: bytes) -> None:
+    write(now(), raw)
+
+
+def _map_path(name: str | None) -> Path:
+    return find_config("maps", name or "default")

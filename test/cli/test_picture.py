@@ -61,3 +61,40 @@ def test_a_recording_is_never_overwritten(
     assert main([*RUN, *FAKE, "--record", str(file)]) == 1
     assert f"recording {file} exists; move it away" in capsys.readouterr().err
     assert file.read_bytes() == b"precious"
+
+
+@pytest.mark.ros
+def test_with_ros_the_recording_holds_the_very_messages_that_left(tmp_path: Path) -> None:
+    pytest.importorskip("rosbags")
+    pytest.importorskip("rclpy")
+    from rosbags.highlevel import AnyReader
+
+    from unicon_core.runtime import Runner, RunOptions
+    from unicon_core.workflow import load_workflow
+    from unicon_ros.bridge import RosSession
+    from unicon_ros.recorder import recorder_hook
+
+    file = tmp_path / "run.mcap"
+    session = RosSession(map="default", warn=lambda line: None)
+    try:
+        recorder = recorder_hook(file, "default", session)
+        workflow = load_workflow(
+            "go2_stand", inputs=[session.inputs], observers=[session.observers, recorder]
+        )
+        left: list[bytes] = []
+        joints = next(out for out in session.outgoing if out.topic == "/joint_states")
+        recorded, published = joints.tap, joints._publish
+        assert recorded is not None
+        joints._publish = lambda raw: (left.append(raw), published(raw))[1]
+        runner = Runner(workflow, RunOptions(duration=0.5, speed="max"))
+        session.attach(runner)
+        runner.run()
+    finally:
+        session.close()
+    with AnyReader([file]) as reader:
+        connections = [c for c in reader.connections if c.topic == "/joint_states"]
+        kept = [raw for _, _, raw in reader.messages(connections)]
+        topics = {connection.topic for connection in reader.connections}
+    assert len(left) == 25
+    assert kept == left
+    assert "/tf" in topics  # though this ROS may lack its type

@@ -53,7 +53,13 @@ def fill(arrays: dict[str, np.ndarray]) -> None:
 
 
 def variables(count: int) -> dict[str, object]:
-    return {"joint_names": [f"joint_{k}" for k in range(count)], "robot": "go2"}
+    return {
+        "joint_names": [f"joint_{k}" for k in range(count)],
+        "robot": "go2",
+        "base_frame": "base_link",
+        "odom_frame": "odom",
+        "imu_frame": "imu_link",
+    }
 
 
 def loaded(stem: str) -> tuple[MessageMap, int]:

@@ -30,7 +30,9 @@ class TopicOut:
         prepare: called before each encoding: brings arrays up to date that are no states.
 
     Attributes:
+        spec: what the map says of it.
         topic: full name, after namespace and remaps.
+        tap: gets the bytes of every message too, such as a recorder, or None.
         published: messages sent.
         failed: messages that the middleware refused.
     """
@@ -55,7 +57,9 @@ class TopicOut:
         self.publisher = node.create_publisher(
             message, spec.topic, qos_profile(spec.qos), **options
         )
+        self.spec = spec
         self.topic: str = self.publisher.topic_name
+        self.tap: Callable[[bytes], object] | None = None
         self.published = 0
         self.failed = 0
         self._encode = encoder.encode if prepare is None else _after(prepare, encoder.encode)
@@ -70,8 +74,11 @@ class TopicOut:
             self._wait -= 1
             return
         self._wait = self._every - 1
+        raw = self._encode()
+        if self.tap is not None:
+            self.tap(raw)
         try:
-            self._publish(self._encode())
+            self._publish(raw)
         except Exception as error:  # whatever the middleware says, the tick goes on
             self._refused(error)
         else:

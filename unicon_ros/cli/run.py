@@ -79,9 +79,8 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.record:
             from unicon_ros.recorder import recorder_hook
 
-            observers.append(
-                recorder_hook(arguments.record, arguments.map or document.get("map", str))
-            )
+            map_name = arguments.map or document.get("map", str)
+            observers.append(recorder_hook(arguments.record, map_name, session))
         if arguments.picture:
             from unicon_ros.picture import Picture
 
