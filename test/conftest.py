@@ -14,6 +14,7 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 LOG_DIR = tempfile.mkdtemp(prefix="unicon_ros_log_")
 
+
 # Set before any test imports rclpy, and inherited by the processes that tests start. Domains above
 # 101 would reach into Linux's ephemeral ports (7400 + 250 × domain).
 def _is_free(domain: int) -> bool:
