@@ -498,10 +498,12 @@ def test_ticks_allocate_nothing_that_stays(tmp_path: Path) -> None:
         policy()
         policy.dry_run()
     tracemalloc.start()
-    before = tracemalloc.get_traced_memory()[0]
-    for _ in range(2000):
-        policy()
-        policy.dry_run()
-    after = tracemalloc.get_traced_memory()[0]
+    growth = []
+    for _ in range(3):  # what others of this process keep once does not come in every window
+        before = tracemalloc.get_traced_memory()[0]
+        for _ in range(700):
+            policy()
+            policy.dry_run()
+        growth.append(tracemalloc.get_traced_memory()[0] - before)
     tracemalloc.stop()
-    assert after - before < 4000
+    assert min(growth) < 700
