@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from unicon_core.errors import PlatformError
+from unicon_core.platforms.fake import FakePlatform
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import Workflow, load_workflow
 
@@ -114,3 +115,50 @@ def test_ticks_come_with_the_data_and_without_them_as_overruns(
     assert report.ticks == 100
     assert report.overruns == 5
     assert set(waited) == {3e-9 * 2_000_000}
+
+
+class Arrivals:
+    """Data that come at an even interval into a queue of one."""
+
+    def __init__(self, interval: float) -> None:
+        self.interval = interval
+        self.begin = time.monotonic()
+        self.seen = self.taken = 0
+
+    def newest(self) -> int:
+        return int((time.monotonic() - self.begin) / self.interval)
+
+    def wait(self, timeout: float) -> bool:
+        end = time.monotonic() + timeout
+        while self.newest() == self.seen:
+            if time.monotonic() > end:
+                return False
+            time.sleep(0.0002)
+        return True
+
+    def take(self) -> None:
+        if self.newest() > self.seen:
+            self.seen = self.newest()
+            self.taken += 1
+
+
+@pytest.mark.parametrize("interval", [0.002, 0.0125, 0.02])
+def test_ticks_keep_their_rate_however_often_data_come(
+    workflow: Callable[..., Workflow], interval: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    data, recv = Arrivals(interval), FakePlatform.recv
+
+    def receive(platform: FakePlatform) -> bool | None:
+        data.take()
+        return recv(platform)
+
+    monkeypatch.setattr(FakePlatform, "recv", receive)
+    monkeypatch.setattr(FakePlatform, "wait", lambda _, t: data.wait(t), raising=False)
+    monkeypatch.setattr(FakePlatform, "arrivals", lambda _: data.taken, raising=False)
+    loaded = workflow("pacing={trigger: state}", "rate=50")
+    runner = Runner(loaded, RunOptions(duration=1.0))
+    report = runner.run()
+    rows = runner.statistics.kept()
+    seconds = (rows[-1, 2] - rows[0, 2]) * 1e-9
+    assert (report.ticks - 1) / seconds == pytest.approx(50.0, rel=0.1)
+    assert data.taken >= report.ticks

@@ -13,7 +13,13 @@ from typing import Any, Literal
 
 from unicon_core.errors import Fault, PlatformError
 from unicon_core.flow import Deferred, Zip, as_block, compile_graph
-from unicon_core.runtime.pacing import DryRun, Pacing, WallClock, prepare_process
+from unicon_core.runtime.pacing import (
+    DryRun,
+    Pacing,
+    WallClock,
+    prepare_process,
+    process_age_s,
+)
 from unicon_core.runtime.report import Monitor, Report
 from unicon_core.runtime.statistics import TickStatistics
 from unicon_core.workflow import Workflow
@@ -83,6 +89,7 @@ class Runner:
         self._stop = False
         self._closed = False
         self._started_ns = 0
+        self._age_s: float | None = None
         self._ended_ns = 0
 
     def stop(self) -> None:
@@ -124,7 +131,7 @@ class Runner:
         restore = prepare_process(self.pacing, self.options.warn)
         try:
             with self._signals():
-                self._started_ns = time.perf_counter_ns()
+                self._started_ns, self._age_s = time.perf_counter_ns(), process_age_s()
                 try:
                     self._loop()
                 except Fault as fault:
@@ -153,6 +160,11 @@ class Runner:
         report.duration_s = round(ticks * workflow.period, 9)
         report.rate_hz = round(ticks / wall, 3)
         report.overruns = statistics.overruns
+        if statistics.overruns:
+            report.overrun_blocks = statistics.overrun_blocks(workflow.period * 1e6)
+        if self._age_s is not None and 0 < ticks <= self.options.capacity:
+            first = int(statistics.kept()[0, 2])
+            report.startup_s = round(self._age_s + (first - self._started_ns) * 1e-9, 3)
         report.tick_us = statistics.tick_us()
         report.late_us = statistics.lateness_us()
         report.blocks = statistics.block_us()
@@ -214,33 +226,60 @@ class Runner:
 
         Where data come more often than ticks, the one is waited for that arrives nearest to the
         deadline: half an interval of the data before it, what has come is taken in as old. The
-        state of a tick is then as fresh as a message can be, not up to an interval old.
+        state of a tick is then as fresh as a message can be, not up to an interval old. Deadlines
+        are absolute there, so that early and late arrivals do not add up to another rate.
         """
         statistics, now, period = self.statistics, time.perf_counter_ns, self.period_ns
         platform = self.workflow.platform
-        arrivals: Callable[[], int] | None = getattr(platform, "arrivals", None)
         until = self._dry_run(WallClock(0)).until
         patience = 3e-9 * period
-        begin = last = now()
-        first = arrivals() if arrivals is not None else 0
+        interval = self._interval(wait, patience)
+        due = last = now()
+        hasty = 0
         while not self._stop and statistics.count < limit:
             if self._between:
                 self._act()
                 last = now()
-            count = 0 if arrivals is None else arrivals() - first
-            interval = (now() - begin) // count if count else period
             if 1.5 * interval < period:
-                until(last + period - interval // 2)
+                due = max(due + period, now())
+                until(due - interval // 2)
                 platform.recv()
+            elif hasty >= 5:  # they come faster than was measured
+                interval, hasty = self._interval(wait, patience), 0
+                due = last = now()
             if not wait(patience):
                 statistics.overruns += 1
-            last = now()
-            self.next_due_ns = last + period
+            before, last = last, now()
+            hasty = hasty + 1 if last - before < 0.6 * period else 0
+            self.next_due_ns = (due if 1.5 * interval < period else last) + period
             if self.tick(last):
                 self.done = True
                 break
             if statistics.count % status_every == 0:
                 self._status()
+
+    def _interval(self, wait: Callable[[float], bool], patience: float) -> int:
+        """Return the time between two arrivals of the platform's data in [ns], at most a period.
+
+        Every arrival is waited for: later, a queue of one forgets those between two ticks.
+        """
+        platform, now, period = self.workflow.platform, time.perf_counter_ns, self.period_ns
+        if getattr(platform, "arrivals", None) is None:
+            return period
+        gaps: list[int] = []
+        platform.recv()
+        last = 0
+        while len(gaps) < 9 and not self._stop:
+            if not wait(patience):
+                return period
+            present = now()
+            if last:
+                gaps.append(present - last)
+            last = present
+            platform.recv()
+            if len(gaps) == 3 and min(gaps) > 0.6 * period:
+                break
+        return min(sorted(gaps)[len(gaps) // 2], period) if gaps else period
 
     def _dry_run(self, clock: WallClock) -> DryRun:
         able = any(block.dry_run is not None for block in self.graph.blocks)
