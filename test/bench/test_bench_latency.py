@@ -46,8 +46,10 @@ def test_ctrl_c_ends_it_with_a_result_and_no_process_left(tmp_path: Path) -> Non
         arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=dict(os.environ)
     )
     try:
-        time.sleep(6.0)
-        children = _children(process.pid)
+        end = time.monotonic() + 40.0
+        while len(children := _children(process.pid)) < 2 and time.monotonic() < end:
+            time.sleep(0.1)
+        time.sleep(1.0)
         process.send_signal(signal.SIGINT)
         _, told = process.communicate(timeout=60)
     finally:
