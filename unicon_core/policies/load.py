@@ -23,6 +23,7 @@ from unicon_core.policies.policy_yaml import (
     write_partial_yaml,
     write_policy_yaml,
 )
+from unicon_core.policies.registered import registered_policies, registered_policy
 from unicon_core.policies.tolerant_yaml import read_yaml
 from unicon_core.resources import config_roots, find_resource, list_config
 
@@ -68,8 +69,9 @@ class ImportReport:
 
 
 def policy_names() -> list[str]:
-    """Return the names of the policies in `config/policies/`, sorted."""
-    return [name for name in list_config("policies", "/") if _config_policy(name) is not None]
+    """Return the names of the policies in `config/policies/` and of registered ones, sorted."""
+    ours = [name for name in list_config("policies", "/") if _config_policy(name) is not None]
+    return sorted({*ours, *registered_policies()})
 
 
 def load_policy(
@@ -81,9 +83,10 @@ def load_policy(
     """Load a policy in any known format.
 
     Args:
-        reference: a name in `config/policies/`, a folder, a file (`policy.yaml`, `deploy.yaml`,
-            `env.yaml`, `.onnx`, TorchScript), or `assets:PATH`.
         robot: gives joint names to sources that only count motors.
+        reference: a name in `config/policies/` or of an entry point in the group
+            `unicon.policies`, a folder, a file (`policy.yaml`, `deploy.yaml`, `env.yaml`, `.onnx`,
+            TorchScript), or `assets:PATH`.
         given: facts that the source leaves out, with the keys of `policy.yaml`, nested or dotted.
 
     Returns:
@@ -143,6 +146,8 @@ def _locate(reference: str | Path) -> Path:
         path = Path(text).expanduser().resolve()
     elif "/" not in text and (named := _config_policy(text)) is not None:
         path = named
+    elif text in registered_policies():
+        path = registered_policy(text)
     elif "/" in text or Path(text).suffix in (".yaml", ".onnx", *_TORCHSCRIPT):
         path = find_resource(text, "policy", error=PolicyError)
     else:

@@ -26,6 +26,8 @@ class Report:
         duration_s: time of the run, simulated where the platform is a simulator.
         rate_hz: ticks per second of wall time.
         overruns: ticks that ended after the next one was due.
+        overrun_blocks: label to number of ticks that ended late because of that block most.
+        startup_s: from the start of the process to the first tick, wall time.
         tick_us: p50, p99, max from `recv` to the end of `send`.
         late_us: p50, p99, max of start minus deadline.
         faults: what went wrong, one line each.
@@ -43,6 +45,8 @@ class Report:
     duration_s: float = 0.0
     rate_hz: float = 0.0
     overruns: int = 0
+    overrun_blocks: dict[str, int] = field(default_factory=dict)
+    startup_s: float | None = None
     tick_us: dict[str, float] = field(default_factory=dict)
     late_us: dict[str, float] = field(default_factory=dict)
     faults: list[str] = field(default_factory=list)
@@ -70,6 +74,8 @@ class Report:
         """Return the readable lines that end a run."""
         x, y, z = self.base_displacement_m
         share = f" ({self.overruns / self.ticks:.1%})" if self.ticks else ""
+        if self.overrun_blocks:
+            share += f", most by {', '.join(list(self.overrun_blocks)[:3])}"
         lines = [
             f"workflow      {self.workflow} on {self.robot} ({self.platform})",
             f"ticks         {self.ticks} in {self.duration_s:.2f} s, {self.rate_hz:.2f} Hz wall",
@@ -79,6 +85,8 @@ class Report:
             f"base          moved {x:+.2f} {y:+.2f} {z:+.2f} m, "
             f"{'FELL' if self.fell else 'did not fall'}",
         ]
+        if self.startup_s is not None:
+            lines.insert(1, f"start-up      {self.startup_s:.2f} s to the first tick")
         if self.bridge is not None:
             lines.append(
                 f"ROS 2         published {self.bridge.get('published', 0)}, "

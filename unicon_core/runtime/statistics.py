@@ -24,6 +24,9 @@ def percentiles(values_us: NDArray[np.floating[Any]]) -> dict[str, float]:
 class TickStatistics:
     """Time stamps of the most recent ticks, one preallocated row each.
 
+    Attributes:
+        labels: the names, made different where two blocks share one.
+
     Args:
         names: block labels, in the order of the trace columns.
         deferred: numbers of the blocks that run after `send`.
@@ -34,6 +37,9 @@ class TickStatistics:
         self, names: Sequence[str], deferred: frozenset[int], capacity: int = 32_768
     ) -> None:
         self.names = tuple(names)
+        self.labels = tuple(
+            name if name not in names[:i] else f"{name}#{i}" for i, name in enumerate(names)
+        )
         self.deferred = deferred
         self.rows = np.zeros((capacity, 4 + len(names)), dtype=np.int64)
         self.count = 0
@@ -72,14 +78,37 @@ class TickStatistics:
         """Return label to p50, p99, max in [µs] and the number of calls among the kept ticks."""
         starts, ends = self._spans()
         table: dict[str, dict[str, float]] = {}
-        for i, name in enumerate(self.names):
+        for i, label in enumerate(self.labels):
             ran = ends[:, i] > 0
-            label = name if name not in table else f"{name}#{i}"
             table[label] = {
                 **percentiles((ends[ran, i] - starts[ran, i]) * 1e-3),
                 "calls": float(ran.sum()),
             }
         return table
+
+    def overrun_blocks(self, period_us: float) -> dict[str, int]:
+        """Return label to how many of the kept ticks the block made end after the next was due.
+
+        Named is the one that took longest: of those up to `send` where they alone took too long,
+        else of those after it, which then overran their slack. The most frequent comes first.
+
+        Args:
+            period_us: of the ticks in [µs].
+        """
+        starts, ends = self._spans()
+        rows = self.kept()
+        next_due = rows[:, 0] + round(period_us * 1e3)
+        took = np.where(ends > 0, ends - starts, 0)
+        after = np.zeros(len(self.names), np.bool_)
+        after[list(self.deferred)] = True
+        counts: dict[str, int] = {}
+        for i in np.flatnonzero(rows[:, 1] > next_due):
+            sent = ends[i, ~after].max(initial=0)
+            part = after if sent <= next_due[i] and after.any() else ~after
+            if part.any():
+                label = self.labels[int(np.where(part, took[i], -1).argmax())]
+                counts[label] = counts.get(label, 0) + 1
+        return dict(sorted(counts.items(), key=lambda item: -item[1]))
 
     def _spans(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return start and end of each block, shape (ticks, blocks); end 0 where it did not run."""
@@ -94,9 +123,13 @@ class TickStatistics:
                     np.maximum(last, ends[:, i], out=last)
         return starts, ends
 
+    def names_after_send(self, label: str) -> bool:
+        """Return True where the block of a label runs after `send`."""
+        return self.labels.index(label) in self.deferred
+
     def table(self, period_us: float) -> str:
         """Return block × p50/p99/max and share of the period, as text."""
-        width = max((len(name) for name in self.names), default=5)
+        width = max((len(label) for label in self.labels), default=5)
         lines = [f"{'block':<{width}}  {'p50 µs':>9} {'p99 µs':>9} {'max µs':>9} {'share':>7}"]
         for i, (label, row) in enumerate(self.block_us().items()):
             mark = "  after send" if i in self.deferred else ""
@@ -109,6 +142,10 @@ class TickStatistics:
             f"{'tick':<{width}}  {tick['p50']:9.1f} {tick['p99']:9.1f} {tick['max']:9.1f} "
             f"{tick['p50'] / period_us:7.2%}"
         )
+        if self.overruns:
+            for label, count in self.overrun_blocks(period_us).items():
+                slack = "its slack in" if self.names_after_send(label) else "the period in"
+                lines.append(f"{label} overran {slack} {count} of {self.count} ticks")
         return "\n".join(lines)
 
     def write_trace(self, path: str | Path, process: str) -> None:

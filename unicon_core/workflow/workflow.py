@@ -28,6 +28,7 @@ from unicon_core.workflow.policies import (
     used_policy,
 )
 from unicon_core.workflow.registry import Factory, find_factory
+from unicon_core.workflow.rehearsal import Rehearsal
 
 __all__ = ["Hook", "Workflow", "build_workflow", "load_workflow"]
 
@@ -136,7 +137,8 @@ def build_workflow(
 
 def _assemble(workflow: Workflow, inputs: Sequence[Hook], observers: Sequence[Hook]) -> None:
     document = workflow.document
-    reader = _reader(workflow)
+    rehearsal = Rehearsal(workflow.context)
+    reader = _reader(workflow, rehearsal)
 
     def section(key: str, default: Sequence[Any] = ()) -> list[Node]:
         items = document.get(key, list, list(default))
@@ -159,6 +161,7 @@ def _assemble(workflow: Workflow, inputs: Sequence[Hook], observers: Sequence[Ho
     observed = [Deferred(block) for block in hooked(observers)]
     platform = workflow.platform
     recv = Block("recv", platform.recv, writes=tuple(platform.writes), role="recv")
+    recv.dry_run = rehearsal.refresh()
     send = Block("send", platform.send, reads=tuple(platform.reads), role="send")
     acting = (recv, *commands, *before, flow, *safety, send, *after)
     # Observers only look: what they would find missing is no reason not to run.
@@ -269,20 +272,19 @@ def _options(factory: Factory, use: BlockUse) -> dict[str, Any]:
     return options
 
 
-def _reader(workflow: Workflow) -> FlowReader:
+def _reader(workflow: Workflow, rehearsal: Rehearsal) -> FlowReader:
     context, document = workflow.context, workflow.document
 
     def make_block(use: BlockUse) -> Node:
         is_policy = use.name == "policy"
         factory = policy_factory(use, context.policies) if is_policy else _factory(use)
-        block = autowire(
-            factory,
-            use.label or use.name,
-            context,
-            _options(factory, use),
-            use.rename,
-            use.where,
-        )
+        options = _options(factory, use)
+
+        def build(context: BuildContext) -> Block:
+            return autowire(factory, use.label or use.name, context, options, use.rename, use.where)
+
+        block = build(context)
+        rehearsal.add(block, factory, build)
         workflow.blocks.append(block)
         return _at_its_period(block, workflow, use) if is_policy else block
 

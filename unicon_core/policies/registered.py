@@ -1,0 +1,51 @@
+"""Policies that other packages register through the entry point group `unicon.policies`.
+
+The entry point's value is a module attribute: a path (text or `Path`) of a policy's folder or file,
+or a function without parameters that returns one. It is imported when the policy is asked for.
+"""
+
+from __future__ import annotations
+
+import os
+from functools import lru_cache
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+
+from unicon_core.errors import PolicyError
+
+__all__ = ["registered_policies", "registered_policy"]
+
+GROUP = "unicon.policies"
+
+
+@lru_cache(maxsize=1)
+def registered_policies() -> dict[str, EntryPoint]:
+    """Return name to entry point; of two with one name the first found."""
+    found: dict[str, EntryPoint] = {}
+    for entry in entry_points(group=GROUP):
+        found.setdefault(entry.name, entry)
+    return found
+
+
+def registered_policy(name: str) -> Path:
+    """Return the folder or file of a registered policy.
+
+    Raises:
+        PolicyError: its module cannot be imported, or it gives no path that exists.
+    """
+    entry = registered_policies()[name]
+    label = f"policy {name!r} (entry point {entry.value})"
+    try:
+        value = entry.load()
+        value = value() if callable(value) else value
+    except Exception as error:  # whatever another package's code raises
+        reason = f"{type(error).__name__}: {error}".splitlines()[0]
+        raise PolicyError(f"{label}: {reason}; install its package again") from error
+    if not isinstance(value, (str, os.PathLike)):
+        raise PolicyError(
+            f"{label}: it gives a {type(value).__name__}; it must give the path of a folder or file"
+        )
+    path = Path(value)
+    if not path.exists():
+        raise PolicyError(f"{label}: no such path {path}; install its package again")
+    return path.resolve()

@@ -1,0 +1,78 @@
+"""Rehearsal: dry runs for blocks that have none of their own, for the workflow builder.
+
+A block whose factory is `pure` (what it does depends on its states, options and calls alone) is
+built a second time on a copy of all states. Before a deadline the copy takes the present values and
+those twins run on it: code and constants get warm, and nothing that anybody else sees changes.
+A block of 1 µs costs 5 to 20 in a 50 Hz loop without it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from unicon_core.flow import Block
+from unicon_core.flow.block import Tick
+from unicon_core.states import States
+from unicon_core.workflow.autowire import BuildContext
+from unicon_core.workflow.registry import Factory
+
+__all__ = ["Rehearsal"]
+
+_OURS = "unicon_core.blocks."  # all of them are pure
+
+LARGEST = 65_536
+"""Bytes of states beyond which nothing is rehearsed: the copy alone would take 5 µs and more."""
+
+
+class Rehearsal:
+    """The copy of the states and the twins on it.
+
+    Args:
+        context: what the blocks of the workflow are built with.
+    """
+
+    def __init__(self, context: BuildContext) -> None:
+        self._states = context.states
+        self._worthwhile = context.states.layout.nbytes <= LARGEST
+        self._context = context
+        self._copy: States | None = None
+
+    def add(self, block: Block, factory: Factory, build: Callable[[BuildContext], Block]) -> None:
+        """Give a block a dry run, where its factory is pure and it has none.
+
+        Args:
+            block: the block.
+            factory: what it was built with.
+            build: builds it once more in another context.
+        """
+        pure = getattr(factory, "pure", getattr(factory, "__module__", "").startswith(_OURS))
+        if not (pure and self._worthwhile) or block.dry_run is not None:
+            return
+        if self._copy is None:
+            self._copy = States(self._states.layout)
+            self._context = replace(self._context, states=self._copy)
+        block.dry_run = _quiet(build(self._context).tick)
+
+    def refresh(self) -> Tick | None:
+        """Return what brings the present values into the copy, or None without any twin."""
+        if self._copy is None:
+            return None
+        into, out_of = memoryview(self._copy.buffer.data), memoryview(self._states.buffer.data)
+
+        def refresh() -> None:
+            into[:] = out_of
+
+        return refresh
+
+
+def _quiet(tick: Tick) -> Tick:
+    """Return the tick of a twin: a fault that it finds is told by the block itself, in its turn."""
+
+    def dry_run() -> None:
+        try:
+            tick()
+        except Exception:
+            return
+
+    return dry_run
