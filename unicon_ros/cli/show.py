@@ -25,9 +25,8 @@ def add(commands: Any) -> None:
 
 def show(arguments: argparse.Namespace) -> int:
     """Run the command."""
-    from unicon_core.show import show_mermaid, show_svg, show_text
-
     from unicon_core.flow import compile_graph
+    from unicon_core.show import show_mermaid, show_svg, show_text
     from unicon_core.workflow import load_workflow
 
     workflow = load_workflow(arguments.workflow, arguments.overrides)
