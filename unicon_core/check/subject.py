@@ -18,6 +18,7 @@ from unicon_core.robots import Robot
 from unicon_core.workflow import Workflow
 from unicon_core.workflow.autowire import option_names
 from unicon_core.workflow.document import WorkflowDocument
+from unicon_core.workflow.hardware import is_simulator
 from unicon_core.workflow.registry import find_factory
 from unicon_core.workflow.workflow import build_workflow
 
@@ -25,8 +26,6 @@ __all__ = ["NOT_ON_HARDWARE", "PlatformFacts", "Subject", "build_subject", "plat
 
 NOT_ON_HARDWARE = ("base_lin_vel", "base_pos_w")
 """What no sensor of a legged robot measures: it takes an estimator or a tracking system."""
-
-_SIMULATORS = ("mujoco", "fake")
 
 
 @dataclass(frozen=True)
@@ -116,7 +115,7 @@ def platform_facts(document: WorkflowDocument) -> PlatformFacts:
         factory = find_factory("platforms", name, PlatformError)
     except PlatformError as error:
         raise document.error(str(error), "platform") from error
-    simulated = bool(getattr(factory, "simulated", name in _SIMULATORS))
+    simulated = is_simulator(name, factory)
     writes = getattr(factory, "writes", None)
     if simulated:
         return PlatformFacts(name, True, ())

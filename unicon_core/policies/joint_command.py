@@ -11,9 +11,28 @@ from unicon_core.errors import PolicyError, alternatives
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.robots import Robot
 
-__all__ = ["JointCommand"]
+__all__ = ["JointCommand", "lacking_joints"]
 
 Floats = NDArray[np.float32]
+
+
+def lacking_joints(contract: PolicyContract, robot: Robot) -> str:
+    """Return a message that names the joints of a policy that a robot has not, "" if it has all.
+
+    Args:
+        contract: the policy.
+        robot: the robot that is to move.
+    """
+    lacking = [name for name in contract.joints if name not in robot.joint_names]
+    if not lacking:
+        return ""
+    if len(lacking) == 1:
+        name = lacking[0]
+        return f"robot {robot.name} has no joint {name!r}; {alternatives(name, robot.joint_names)}"
+    return (
+        f"robot {robot.name} lacks {len(lacking)} of the policy's {len(contract.joints)} joints: "
+        f"{', '.join(lacking)}; choose a robot that has them, or a policy made for {robot.name}"
+    )
 
 
 class JointCommand:
@@ -36,12 +55,9 @@ class JointCommand:
     def __init__(self, contract: PolicyContract, robot: Robot, rows: int = 1) -> None:
         action = contract.action
         place = {name: i for i, name in enumerate(robot.joint_names)}
-        for name in contract.joints:
-            if name not in place:
-                raise PolicyError(
-                    f"policy {contract.name}: robot {robot.name} has no joint {name!r}; "
-                    f"{alternatives(name, place)}"
-                )
+        lacking = lacking_joints(contract, robot)
+        if lacking:
+            raise PolicyError(f"policy {contract.name}: {lacking}")
         robot_from_policy = np.array([place[name] for name in contract.joints], dtype=np.intp)
         robot_from_action = np.array([place[name] for name in action.joints], dtype=np.intp)
         n, m = robot.num_joints, len(action.joints)

@@ -26,6 +26,7 @@ from unicon_core.policies.policy_yaml import (
 from unicon_core.policies.registered import registered_policies, registered_policy
 from unicon_core.policies.tolerant_yaml import read_yaml
 from unicon_core.resources import config_roots, find_resource, list_config
+from unicon_core.robots import load_robot
 
 __all__ = ["ImportReport", "NamedJoints", "import_policy", "load_policy", "policy_names"]
 
@@ -83,10 +84,11 @@ def load_policy(
     """Load a policy in any known format.
 
     Args:
-        robot: gives joint names to sources that only count motors.
         reference: a name in `config/policies/` or of an entry point in the group
             `unicon.policies`, a folder, a file (`policy.yaml`, `deploy.yaml`, `env.yaml`, `.onnx`,
             TorchScript), or `assets:PATH`.
+        robot: gives joint names to sources that only count motors, unless `given` names the robot
+            that it was trained for.
         given: facts that the source leaves out, with the keys of `policy.yaml`, nested or dotted.
 
     Returns:
@@ -180,6 +182,9 @@ def _main_file(folder: Path) -> Path | None:
 
 def _read(reference: str | Path, robot: NamedJoints | None, given: Mapping[str, Any]) -> Facts:
     path = _locate(reference)
+    named = given.get("robot")
+    if isinstance(named, str):  # joints are those of the robot it was trained for, whoever runs it
+        robot = load_robot(named)
     facts, onnx = _facts_of(path, robot, given)
     merge_given(facts, given)
     facts.values.setdefault("name", _name_of(path))

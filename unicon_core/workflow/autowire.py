@@ -19,7 +19,7 @@ from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.workflow.registry import Factory
 
-__all__ = ["BuildContext", "autowire", "option_names"]
+__all__ = ["BuildContext", "autowire", "option_names", "state_names"]
 
 
 @dataclass
@@ -136,6 +136,11 @@ def option_names(factory: Factory) -> list[str]:
     """Return the names of a factory's options, without states and context."""
     parameters, access = _signature(factory)
     return sorted(_free(parameters, access, _SPECIAL))
+
+
+def state_names(factory: Factory) -> dict[str, str]:
+    """Return the states that a factory's parameters name: to `reads`, `writes` or `amends`."""
+    return _signature(factory)[1]
 
 
 _SPECIAL = dict.fromkeys(("states", "robot", "period", "relative_to", "context"))

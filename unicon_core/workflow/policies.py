@@ -8,6 +8,7 @@ from typing import Any
 
 from unicon_core.errors import PolicyError, WorkflowError, alternatives
 from unicon_core.policies import OnnxPolicy, PolicyContract, load_policy, policy_states
+from unicon_core.policies.joint_command import lacking_joints
 from unicon_core.robots import Robot
 from unicon_core.states import StateSpec
 from unicon_core.workflow.autowire import BuildContext
@@ -46,9 +47,14 @@ def load_policies(document: WorkflowDocument, robot: Robot) -> dict[str, PolicyC
         if "/" in values["path"] and beside.exists():
             path = beside
         try:
-            contracts[str(name)] = load_policy(path, robot=robot, given=values.get("given") or {})
+            contract = load_policy(path, robot=robot, given=values.get("given") or {})
         except PolicyError as error:
             raise PolicyError(f"policy {name!r}: {error}") from error
+        # Before a platform is built: a model of another robot would hide this behind its own error.
+        lacking = lacking_joints(contract, robot)
+        if lacking:
+            raise PolicyError(f"policy {name!r}: {lacking}")
+        contracts[str(name)] = contract
     return contracts
 
 

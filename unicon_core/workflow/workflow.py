@@ -21,6 +21,7 @@ from unicon_core.workflow.autowire import BuildContext, autowire, option_names
 from unicon_core.workflow.document import WorkflowDocument, load_document
 from unicon_core.workflow.expression import expression
 from unicon_core.workflow.flow_yaml import BlockUse, FlowReader
+from unicon_core.workflow.hardware import is_simulator, refuse_incomplete
 from unicon_core.workflow.policies import (
     declared_states,
     load_policies,
@@ -325,6 +326,8 @@ def _platform(document: WorkflowDocument, context: BuildContext) -> Platform:
         raise document.error(
             f"platforms.{name}: {options!r} is not a mapping of options", "platforms", name
         )
+    if not is_simulator(name, factory):
+        refuse_incomplete(context.robot, name)
     free = option_names(factory)
     for option in options:
         if option not in free:

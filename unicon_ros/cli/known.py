@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import argparse
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from unicon_core.errors import PlatformError, WorkflowError
+from unicon_core.errors import PlatformError, PolicyError, UniconError, WorkflowError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
 
 __all__ = ["add"]
 
@@ -38,17 +41,26 @@ def _robots(arguments: argparse.Namespace) -> int:
 
 
 def _policies(arguments: argparse.Namespace) -> int:
-    from unicon_core.errors import PolicyError
     from unicon_core.policies import import_policy, load_policy, policies_table, policy_table
     from unicon_core.robots import load_robot
 
+    name, source, out = arguments.name, arguments.source, arguments.out
+    if name == "import":
+        if not source or not out:
+            raise PolicyError(
+                "policies import: give what to read and where to write: "
+                "unicon policies import FILE_OR_FOLDER --out DIR"
+            )
+    elif source or out:
+        raise PolicyError(
+            f"policies: {source or '--out'} goes with import; write unicon policies NAME, or "
+            "unicon policies import FILE_OR_FOLDER --out DIR"
+        )
     robot = load_robot(arguments.robot) if arguments.robot else None
-    if arguments.name == "import":
-        if not arguments.source or not arguments.out:
-            raise PolicyError("policies import needs a policy and --out DIR")
-        print(import_policy(arguments.source, arguments.out, robot=robot))
-    elif arguments.name:
-        print(policy_table(load_policy(arguments.name, robot=robot)))
+    if name == "import":
+        print(import_policy(source, out, robot=robot))
+    elif name:
+        print(policy_table(load_policy(name, robot=robot), robot))
     else:
         print(policies_table())
     return 0
@@ -59,22 +71,44 @@ def _platforms(arguments: argparse.Namespace) -> int:
 
 
 def _blocks(arguments: argparse.Namespace) -> int:
-    return _factories("blocks", arguments.name, WorkflowError)
+    status = _factories("blocks", arguments.name, WorkflowError)
+    if arguments.name is None:
+        from unicon_core.workflow.flow_yaml import FLOW_WORDS
+
+        print(f"\na flow also has policy: NAME, call: module:function and {', '.join(FLOW_WORDS)}")
+    return status
 
 
-def _factories(kind: str, name: str | None, error: Any) -> int:
-    import inspect
-
+def _factories(kind: str, name: str | None, error: type[UniconError]) -> int:
     from unicon_core.workflow.registry import find_factory, known
 
     if name is None:
-        width = max(map(len, known(kind)))
-        for each, target in sorted(known(kind).items()):
-            print(f"{each:<{width}}  {target}")
+        _print_table(sorted(known(kind).items()))
         return 0
     factory = find_factory(kind, name, error)
-    print(f"{name}{inspect.signature(factory)}\n\n{inspect.getdoc(factory) or 'no description'}")
+    target = known(kind).get(name, name)
+    print(name if target == name else f"{name}  ({target})")
+    _print_table(_parameters(factory), indent="  ")
+    import inspect
+
+    print(f"\n{inspect.getdoc(factory) or 'no description'}")
     return 0
+
+
+def _parameters(factory: Any) -> list[tuple[str, str]]:
+    """Return what a factory is given: the states it names, and the options of the workflow."""
+    import inspect
+
+    from unicon_core.workflow.autowire import option_names, state_names
+
+    states, options = state_names(factory), option_names(factory)
+    rows = [(name, f"state, {mode}") for name, mode in states.items()]
+    for name, parameter in inspect.signature(factory).parameters.items():
+        if name not in options:
+            continue
+        given = "to be given" if parameter.default is parameter.empty else f"{parameter.default!r}"
+        rows.append((name, f"option, {given}"))
+    return rows
 
 
 def _workflows(arguments: argparse.Namespace) -> int:
@@ -83,8 +117,18 @@ def _workflows(arguments: argparse.Namespace) -> int:
     if arguments.name:
         print(load_document(arguments.name).path.read_text(encoding="utf-8"), end="")
         return 0
-    names = workflow_names()
-    width = max(map(len, names), default=0)
-    for name in names:
-        print(f"{name:<{width}}  {load_document(name).values.get('description', '')}")
+    rows = []
+    for name in workflow_names():
+        try:
+            rows.append((name, str(load_document(name).values.get("description", ""))))
+        except WorkflowError as error:  # one broken file hides no other
+            rows.append((name, f"file is wrong: {error}"))
+    _print_table(rows)
     return 0
+
+
+def _print_table(rows: Iterable[Sequence[str]], indent: str = "") -> None:
+    listed = list(rows)
+    width = max((len(row[0]) for row in listed), default=0)
+    for name, text in listed:
+        print(f"{indent}{name:<{width}}  {text}".rstrip())

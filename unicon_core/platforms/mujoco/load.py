@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import logging
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from unicon_core.errors import MissingDependencyError, ModelError
 from unicon_core.platforms.mujoco.joints import find_joints, joint_transmissions
+from unicon_core.platforms.mujoco.urdf import repaired_urdf
 from unicon_core.robots import Robot
 
 __all__ = ["LoadedModel", "import_mujoco", "load_model"]
@@ -18,6 +19,7 @@ __all__ = ["LoadedModel", "import_mujoco", "load_model"]
 _log = logging.getLogger(__name__)
 
 _FLOATING = ("quadruped", "humanoid")
+_MESHES = (".stl", ".obj", ".msh")  # what MuJoCo reads; COLLADA counts as absent
 _URDF_TIMESTEP = 0.002  # [s]; MuJoCo's own default, said here since a URDF cannot say it
 
 
@@ -58,9 +60,10 @@ def import_mujoco() -> Any:
 def load_model(path: Path, robot: Robot, timestep: float | None = None) -> LoadedModel:
     """Read and compile a model for a robot.
 
-    Visual and collision meshes whose files are absent are dropped with one warning. A URDF of a
-    robot that walks gets a free joint; a walking robot without surroundings gets a floor; a robot
-    joint without a motor gets one.
+    Visual and collision meshes whose files are absent are dropped with one warning; mistakes of
+    public URDF files that ROS reads over are mended. A URDF of a robot that walks gets a free
+    joint; a walking robot without surroundings gets a floor; a robot joint without a motor gets
+    one.
 
     Args:
         path: MJCF or URDF file.
@@ -71,13 +74,10 @@ def load_model(path: Path, robot: Robot, timestep: float | None = None) -> Loade
         ModelError: the file is wrong, or lacks a joint of the robot.
     """
     mujoco = import_mujoco()
-    try:
-        spec = mujoco.MjSpec.from_file(str(path))
-    except ValueError as error:
-        raise ModelError(f"model {path}: {_one_line(error)}; correct the file") from error
     notes: list[str] = []
     is_urdf = path.suffix.lower() == ".urdf"
-    _drop_absent_meshes(spec, path, notes)
+    spec = _read(mujoco, path, repaired_urdf(path, notes) if is_urdf else None)
+    _drop_absent_meshes(spec, path, robot.kind in _FLOATING, notes)
     if is_urdf:
         spec.compiler.fusestatic = False  # fixed links keep their names: feet and sensor frames
         spec.option.timestep = _URDF_TIMESTEP
@@ -96,6 +96,17 @@ def load_model(path: Path, robot: Robot, timestep: float | None = None) -> Loade
     if _mend_actuators(mujoco, spec, model, joints, robot.joint_names, notes):
         model = _compile(spec, path)
     return LoadedModel(model, path, joints, notes)
+
+
+def _read(mujoco: Any, path: Path, text: str | None) -> Any:
+    try:
+        if text is None:
+            return mujoco.MjSpec.from_file(str(path))
+        spec = mujoco.MjSpec.from_string(text)
+    except ValueError as error:
+        raise ModelError(f"model {path}: {_one_line(error)}; correct the file") from error
+    spec.modelfiledir = f"{path.parent}/"  # a text has no folder to look for meshes in
+    return spec
 
 
 def _joint_names(mujoco: Any, model: Any) -> list[str]:
@@ -118,15 +129,33 @@ def _compile(spec: Any, path: Path) -> Any:
         raise ModelError(f"model {path}: {_one_line(error)}; correct the file") from error
 
 
-def _drop_absent_meshes(spec: Any, path: Path, notes: list[str]) -> None:
+def _mesh_places(path: Path, folder: Path, file: str) -> Iterator[Path]:
+    """Yield where a mesh may be: in meshdir, beside the model, in the ROS package it names."""
+    name = file.removeprefix("package://")
+    yield folder / name
+    yield path.parent / name
+    yield folder / Path(name).name
+    if name != file:
+        package, _, rest = name.partition("/")
+        for above in path.parents:
+            yield above / name
+            if above.name == package:
+                yield above / rest
+
+
+def _drop_absent_meshes(spec: Any, path: Path, floats: bool, notes: list[str]) -> None:
     folder = path.parent / (spec.compiler.meshdir or spec.meshdir or "")
     absent: dict[str, Any] = {}
     for mesh in spec.meshes:
-        # A file name may carry a package prefix (URDF) or a folder; MuJoCo looks in meshdir.
-        name = mesh.file.removeprefix("package://")
-        places = (folder / name, path.parent / name, folder / Path(name).name)
-        if mesh.file and mesh.file not in spec.assets and not any(p.is_file() for p in places):
+        if not mesh.file or mesh.file in spec.assets:
+            continue
+        readable = Path(mesh.file).suffix.lower() in _MESHES
+        there = (place for place in _mesh_places(path, folder, mesh.file) if place.is_file())
+        found = next(there, None) if readable else None
+        if found is None:
             absent[mesh.name or Path(mesh.file).stem] = mesh
+        elif mesh.file.startswith("package://"):
+            mesh.file = str(found.resolve())
     if not absent:
         return
     dropped = colliding = 0
@@ -141,6 +170,9 @@ def _drop_absent_meshes(spec: Any, path: Path, notes: list[str]) -> None:
         f"{len(absent)} mesh files are absent (first: {next(iter(absent.values())).file}): "
         f"{dropped} geoms left out, {colliding} of them may collide"
     )
+    own = (g for g in spec.geoms if g.parent != spec.worldbody)
+    if floats and not any(geom.contype or geom.conaffinity for geom in own):
+        note += "; nothing else of it does, so it falls through the floor: add the files"
     notes.append(note)
     warnings.warn(f"model {path}: {note}", stacklevel=4)
 

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 
 from unicon_core.errors import ModelError, PlatformError, alternatives
+from unicon_core.platforms.mujoco.find import find_model
 from unicon_core.platforms.mujoco.imu import find_base
 from unicon_core.platforms.mujoco.initial import Pose, initial_positions
 from unicon_core.platforms.mujoco.load import LoadedModel, import_mujoco, load_model
 from unicon_core.platforms.mujoco.servo import Servo
 from unicon_core.platforms.mujoco.simulated_robot import Disturbances, SimulatedRobot
 from unicon_core.platforms.mujoco.viewer import Viewer
-from unicon_core.resources import find_resource
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES
@@ -56,7 +56,8 @@ def make(
         states: with `num_robots` set, as many robots are simulated, each in a world of its own.
         robot: its joints are found in the model by name.
         period: of a tick in [s], a whole number of physics steps.
-        model: MJCF or URDF file, or `assets:PATH`; the robot file's model if None.
+        model: MJCF or URDF file, `assets:PATH` or `robot_descriptions:NAME`; the robot file's model
+            if None.
         timestep: physics step in [s]; the model's own if None.
         keyframe: key frame of the model to begin in.
         initial_pose: `default` or `rest` of the robot file, `model`, or joints to [rad].
@@ -78,7 +79,7 @@ def make(
         raise ModelError(
             f"robot {robot.name} names no simulation model; give one: model: PATH (MJCF or URDF)"
         )
-    path = find_resource(reference, "model", error=ModelError, relative_to=relative_to)
+    path = find_model(reference, relative_to)
     loaded = load_model(path, robot, timestep)
     disturbances = _disturbances(seed, delay, noise, push)
     return MujocoPlatform(

@@ -1,0 +1,66 @@
+"""Finds the model file that a workflow or a robot file names, for the MuJoCo platform."""
+
+from __future__ import annotations
+
+import pkgutil
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+
+from unicon_core.errors import MissingDependencyError, ModelError, alternatives
+from unicon_core.resources import find_resource
+
+__all__ = ["find_model"]
+
+_PREFIX = "robot_descriptions:"
+_PACKAGE = "robot_descriptions"
+
+
+def find_model(reference: str | Path, relative_to: Path | None = None) -> Path:
+    """Return the MJCF or URDF file that a reference means.
+
+    Args:
+        reference: a path, `assets:PATH`, or `robot_descriptions:NAME` for a description of that
+            package (robot-descriptions/robot_descriptions.py: a module for each, with `MJCF_PATH`
+            or `URDF_PATH`), which it downloads when it is used for the first time.
+        relative_to: folder of the workflow, for a relative path.
+
+    Raises:
+        ModelError: nothing there, or it could not be downloaded.
+        MissingDependencyError: robot_descriptions is asked for and not installed.
+    """
+    text = str(reference)
+    if not text.startswith(_PREFIX):
+        return find_resource(text, "model", error=ModelError, relative_to=relative_to)
+    name = text.removeprefix(_PREFIX)
+    module = _description(name, f"model {text!r}")
+    for key in ("MJCF_PATH", "URDF_PATH"):
+        path = Path(str(getattr(module, key, "")))
+        if path.is_file():
+            return path.resolve()
+    raise ModelError(
+        f"model {text!r}: the description has no MJCF or URDF file; choose one that has, such as "
+        "go2_mj_description"
+    )
+
+
+def _description(name: str, what: str) -> ModuleType:
+    try:
+        package = import_module(_PACKAGE)
+    except ImportError as error:
+        raise MissingDependencyError(what, _PACKAGE, f"pip install {_PACKAGE}") from error
+    try:
+        return import_module(f"{_PACKAGE}.{name}")
+    except ModuleNotFoundError as error:
+        if error.name != f"{_PACKAGE}.{name}":
+            missing = str(error.name)
+            raise MissingDependencyError(what, missing, f"pip install {missing}") from error
+        found = [module.name for module in pkgutil.iter_modules(package.__path__)]
+        known = [each for each in found if each.endswith("_description")]
+        raise ModelError(f"{what}: no such description; {alternatives(name, known)}") from error
+    except Exception as error:  # whatever its download raises: git, the network, the disk
+        reason = " ".join(str(error).split())[:200]
+        raise ModelError(
+            f"{what}: robot_descriptions could not fetch it: {reason}; "
+            "connect to the network, or give a file by path"
+        ) from error

@@ -1,0 +1,77 @@
+"""Repairs in public URDF files what ROS reads over and MuJoCo refuses, for the model loader."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import numpy as np
+
+from unicon_core.errors import ModelError
+
+__all__ = ["repaired_urdf"]
+
+_ONCE = ("origin", "geometry", "material", "inertial", "mass", "inertia")
+_TERMS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+
+
+def repaired_urdf(path: Path, notes: list[str]) -> str | None:
+    """Return the text of a URDF with its mistakes mended, None where there are none.
+
+    Mended are elements that stand twice (two materials in the visuals of Unitree's Go2) and
+    inertias that no body can have (Robotera's XHand repeats one figure six times).
+
+    Args:
+        path: the file.
+        notes: gets one line for each kind of mistake.
+
+    Raises:
+        ModelError: the file is no XML.
+    """
+    try:
+        tree = ET.parse(path)
+    except (ET.ParseError, OSError) as error:
+        raise ModelError(f"model {path}: {error}; correct the file") from error
+    twice = _drop_repeated(tree.getroot())
+    bodies = _mend_inertias(tree.getroot())
+    if twice:
+        notes.append(f"{len(twice)} elements stand twice in the URDF (first: {twice[0]})")
+    if bodies:
+        notes.append(
+            f"the inertia of {', '.join(bodies)} is none that a body can have: "
+            "its largest figure stands for all axes"
+        )
+    return ET.tostring(tree.getroot(), encoding="unicode") if twice or bodies else None
+
+
+def _drop_repeated(root: ET.Element) -> list[str]:
+    dropped = []
+    for parent in root.iter():
+        if parent.tag not in ("visual", "collision", "inertial", "link"):
+            continue
+        seen: set[str] = set()
+        for child in list(parent):
+            if child.tag in _ONCE and child.tag in seen:
+                parent.remove(child)
+                dropped.append(f"{child.tag} of a {parent.tag}")
+            seen.add(child.tag)
+    return dropped
+
+
+def _mend_inertias(root: ET.Element) -> list[str]:
+    mended = []
+    for link in root.findall("link"):
+        inertia = link.find("inertial/inertia")
+        if inertia is None:
+            continue
+        try:
+            xx, yy, zz, xy, xz, yz = (float(inertia.get(term, "0")) for term in _TERMS)
+        except ValueError:
+            continue  # MuJoCo names the line
+        matrix = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        if not matrix.any() or np.linalg.eigvalsh(matrix)[0] > 1e-9 * abs(matrix).max():
+            continue  # all zero: MuJoCo takes it from mass and shapes, or says so
+        for term in _TERMS:
+            inertia.set(term, repr(float(abs(matrix).max())) if term[1] == term[2] else "0")
+        mended.append(str(link.get("name")))
+    return mended
