@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_ros import compat
+from unicon_ros.bench.floor import c_level_floor
 from unicon_ros.bench.report import Bench
 
 __all__ = ["VARIANTS", "Variant", "run"]
@@ -145,7 +146,11 @@ def run(
                 results.append(_round(variants, options, label))
         except KeyboardInterrupt:
             _say(f"stopped; {len(results)} whole rounds are kept\n")
-    return _bench(results, options)
+    bench = _bench(results, options)
+    floor = c_level_floor(random.SystemRandom().randint(1, 101), state_rate) if results else None
+    if floor is not None:
+        bench.fact("one hop of DDS in C (ddsperf, 512 B)", floor)
+    return bench
 
 
 def _round(variants: list[Variant], options: _Options, label: str) -> dict[str, Samples]:
