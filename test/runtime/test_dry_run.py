@@ -1,0 +1,172 @@
+"""Dry runs: they change nothing that can be observed, keep to their time, and come when due."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from policy_workflows import KINDS, write_workflow
+
+from unicon_core.errors import Fault
+from unicon_core.flow import Amends, Reads
+from unicon_core.runtime import DryRun, Runner, RunOptions, WallClock
+from unicon_core.workflow import load_workflow
+
+TICKS = 75
+
+
+@pytest.fixture(scope="module")
+def paths(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    return {kind: write_workflow(tmp_path_factory.mktemp(kind), kind) for kind in KINDS}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@settings(max_examples=8, deadline=None)
+@given(
+    dry=st.lists(st.integers(0, 3), min_size=TICKS, max_size=TICKS),
+    resets=st.frozensets(st.integers(1, TICKS - 1), max_size=2),
+    kicks=st.integers(0, 1000),
+)
+def test_the_states_of_every_tick_are_the_same_with_and_without_dry_runs(
+    kind: str, paths: dict[str, Path], dry: list[int], resets: frozenset[int], kicks: int
+) -> None:
+    one, two = (Runner(load_workflow(paths[kind]), RunOptions(speed="max")) for _ in range(2))
+    random = np.random.default_rng(kicks)
+    for tick, count in enumerate(dry):
+        kick = random.normal(size=3).astype(np.float32)
+        for runner in (one, two):
+            if tick in resets:
+                runner.reset()
+            runner.workflow.states.base_ang_vel = kick
+        before = two.workflow.states.snapshot()
+        for _ in range(count):
+            two.graph.dry()
+        assert two.workflow.states.snapshot() == before
+        assert one.tick(0) == two.tick(0)
+        assert one.workflow.states.snapshot() == two.workflow.states.snapshot()
+    assert one.report().sha256_commands == two.report().sha256_commands
+    for runner in (one, two):
+        runner.close()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_paced_run_sends_the_same_bytes_with_and_without_dry_runs(
+    kind: str, paths: dict[str, Path]
+) -> None:
+    digests, counts = [], []
+    for microseconds in (0, 1000, 5000):
+        overrides = [f"pacing.dry_run_us={microseconds}", "pacing.overrun=catch_up"]
+        runner = Runner(load_workflow(paths[kind], overrides), RunOptions(duration=0.8))
+        calls: list[int] = []
+        dry = runner.graph.dry
+        runner.graph.dry = lambda dry=dry, calls=calls: (calls.append(1), dry())[1]  # type: ignore
+        digests.append(runner.run().sha256_commands)
+        counts.append(len(calls))
+    assert digests[0] == digests[1] == digests[2]
+    assert counts[0] == 0
+    assert min(counts[1:]) > 5
+
+
+def test_every_built_in_block_of_the_flow_runs_dry(paths: dict[str, Path]) -> None:
+    workflow = load_workflow(paths["plain"])
+    without = {block.name for block in workflow.blocks if block.dry_run is None}
+    assert without == set()
+    workflow.close()
+
+
+def busy(microseconds: float) -> None:
+    end = time.perf_counter_ns() + microseconds * 1e3
+    while time.perf_counter_ns() < end:
+        pass
+
+
+def test_the_lead_follows_what_a_dry_run_takes_and_keeps_to_its_bound() -> None:
+    runs: list[int] = []
+    waiting = DryRun(lambda: (runs.append(1), busy(50.0)), WallClock(), 4_000_000)
+    for _ in range(30):
+        due = time.perf_counter_ns() + 6_000_000
+        assert waiting.until(due) >= due
+    short = waiting.lead_ns
+    assert 30 < len(runs) <= 30 * 5
+    assert short < 4_000_000
+    waiting._dry = lambda: busy(3_000.0)
+    for _ in range(3):
+        waiting.until(time.perf_counter_ns() + 6_000_000)
+    assert short < waiting.lead_ns == 4_000_000
+
+
+def test_a_deadline_that_is_near_or_past_is_not_missed_for_a_dry_run() -> None:
+    runs: list[int] = []
+    waiting = DryRun(lambda: runs.append(1), WallClock(), 1_000_000)
+    waiting.until(time.perf_counter_ns() - 1)
+    waiting.until(time.perf_counter_ns() + 500_000)
+    assert runs == []
+
+
+def test_no_dry_runs_are_wanted_with_a_lead_of_0() -> None:
+    runs: list[int] = []
+    waiting = DryRun(lambda: runs.append(1), WallClock(), 0)
+    waiting.until(time.perf_counter_ns() + 3_000_000)
+    assert runs == []
+
+
+BUILT: list[str] = []
+
+
+def quiet(velocity_command: Reads, joint_pos_target: Amends) -> Any:
+    """Not said to be pure: built once."""
+    BUILT.append("quiet")
+    return lambda: False
+
+
+def pure_trap(velocity_command: Reads, joint_pos_target: Amends) -> Any:
+    """Pure: built twice; trips when the command is positive."""
+    BUILT.append("pure_trap")
+
+    def tick() -> bool:
+        joint_pos_target[...] += 1.0
+        if velocity_command[0] > 0.0:
+            raise Fault("tripped")
+        return False
+
+    return tick
+
+
+pure_trap.pure = True  # type: ignore[attr-defined]
+
+CALLS = """\
+robot: go2
+platform: fake
+rate: 50
+commands: [{velocity_command: {constant: [0.1, 0.0, 0.0]}}]
+flow: {hold: {}}
+safety: [{call: "test_dry_run:quiet"}, {call: "test_dry_run:pure_trap"}]
+"""
+
+
+def test_pure_blocks_are_rehearsed_on_a_copy_and_their_faults_wait(tmp_path: Path) -> None:
+    path = tmp_path / "calls.yaml"
+    path.write_text(CALLS, encoding="utf-8")
+    BUILT.clear()
+    workflow = load_workflow(path)
+    assert sorted(BUILT) == ["pure_trap", "pure_trap", "quiet"]
+    runner = Runner(workflow)
+    workflow.states.velocity_command = 1.0
+    before = workflow.states.snapshot()
+    runner.graph.dry()
+    assert workflow.states.snapshot() == before
+    with pytest.raises(Fault, match="tripped"):
+        runner.tick(0)
+    runner.close()
+
+
+def test_large_states_are_not_copied_for_a_rehearsal(paths: dict[str, Path]) -> None:
+    workflow = load_workflow(paths["plain"], ["num_robots=200"])
+    rehearsed = [block.name for block in workflow.blocks if block.dry_run is not None]
+    assert rehearsed == ["policy", "policy"]
+    workflow.close()

@@ -1,0 +1,115 @@
+"""Overruns: who made a tick late is named, from the time stamps and in a real run."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from unicon_core.flow import Block
+from unicon_core.runtime import Report, Runner, RunOptions, TickStatistics
+from unicon_core.workflow import load_workflow
+
+US = 1000  # ns
+NAMES = ("recv", "policy", "send", "bridge", "recorder")
+
+
+def statistics(*ticks: tuple[int, ...]) -> TickStatistics:
+    """Each tick: how long each block took in [µs], 0 where it did not run; period 100 µs."""
+    kept = TickStatistics(NAMES, frozenset({3, 4}), capacity=16)
+    for i, tick in enumerate(ticks):
+        begin = i * 1000 * US
+        stamps = np.zeros(2 + len(NAMES), np.int64)
+        at = stamps[0] = begin
+        for block, took in enumerate(tick):
+            if block == 3:
+                stamps[1] = at
+            if took:
+                at += took * US
+                stamps[2 + block] = at
+        kept.add(begin, int(at), stamps)
+    return kept
+
+
+@pytest.mark.parametrize(
+    ("ticks", "named"),
+    [
+        ([(10, 20, 10, 20, 20)], {}),  # in time
+        ([(10, 20, 10, 90, 20)], {"bridge": 1}),  # the slack was 60 µs
+        ([(10, 20, 10, 20, 50), (10, 20, 10, 45, 30)], {"recorder": 1, "bridge": 1}),
+        ([(10, 130, 10, 150, 0)], {"policy": 1}),  # late before the deferred ones began
+        ([(40, 30, 20, 0, 15)], {"recorder": 1}),  # all in time before it
+        ([(60, 0, 0, 0, 50)] * 3 + [(101, 0, 0, 0, 0)], {"recorder": 3, "recv": 1}),
+    ],
+)
+def test_the_block_that_took_longest_where_time_ran_out_is_named(
+    ticks: list[tuple[int, ...]], named: dict[str, int]
+) -> None:
+    found = statistics(*ticks).overrun_blocks(100.0)
+    assert found == named
+    assert list(found) == list(named)
+
+
+def test_the_table_tells_them_only_where_ticks_were_late() -> None:
+    kept = statistics((10, 20, 10, 90, 20), (10, 130, 10, 0, 0))
+    assert "overran" not in kept.table(100.0)  # `--speed max` has no deadlines
+    kept.overruns = 2
+    assert kept.table(100.0).splitlines()[-2:] == [
+        "bridge overran its slack in 1 of 2 ticks",
+        "policy overran the period in 1 of 2 ticks",
+    ]
+
+
+def test_blocks_of_one_name_are_told_apart() -> None:
+    kept = TickStatistics(("hold", "send", "hold"), frozenset(), 4)
+    assert kept.labels == ("hold", "send", "hold#2")
+
+
+def test_without_blocks_or_ticks_nobody_is_named() -> None:
+    assert TickStatistics((), frozenset(), 4).overrun_blocks(1.0) == {}
+    assert TickStatistics(NAMES, frozenset({3}), 4).overrun_blocks(1.0) == {}
+
+
+WORKFLOW = """\
+robot: go2
+platform: fake
+rate: 100
+flow: {hold: {duration: 0.3}}
+"""
+
+
+def test_a_slow_observer_of_a_run_is_in_the_report(tmp_path: Path) -> None:
+    path = tmp_path / "slow.yaml"
+    path.write_text(WORKFLOW, encoding="utf-8")
+    calls: list[int] = []
+
+    def sleepy() -> None:
+        calls.append(1)
+        if len(calls) % 5 == 0:
+            time.sleep(0.03)
+
+    def hook(workflow: Any) -> list[Block]:
+        return [Block("sleepy", sleepy, reads=("joint_pos",))]
+
+    runner = Runner(load_workflow(path, observers=[hook]), RunOptions())
+    report = runner.run()
+    assert report.overrun_blocks["sleepy"] >= 3
+    assert next(iter(report.overrun_blocks)) == "sleepy"
+    assert ", most by sleepy" in report.summary()
+    assert report.to_dict()["overrun_blocks"] == report.overrun_blocks
+    assert "sleepy overran its slack in " in runner.statistics.table(1e4)
+
+
+def test_the_start_up_is_told_where_it_is_known(tmp_path: Path) -> None:
+    path = tmp_path / "short.yaml"
+    path.write_text(WORKFLOW, encoding="utf-8")
+    runner = Runner(load_workflow(path), RunOptions(speed="max"))
+    report = runner.run()
+    if Path("/proc/self/stat").exists():
+        assert report.startup_s is not None
+        assert report.startup_s > 0.0
+        assert f"start-up      {report.startup_s:.2f} s to the first tick" in report.summary()
+    assert "start-up" not in Report("w", "r", "p").summary()
