@@ -101,7 +101,7 @@ class Sway:
         ticks: int | None,
     ) -> None:
         self._command, self._velocity = command, velocity_command
-        self._transposed, self._centre = np.ascontiguousarray(matrix.T), centre
+        self._centre = centre
         self._amplitude, self._turn = amplitude, 2.0 * math.pi * frequency * period
         self._share = 1.0 if time_constant <= 0.0 else -math.expm1(-period / time_constant)
         self._lower = np.nan_to_num(robot.lower, nan=-np.inf)
@@ -110,7 +110,9 @@ class Sway:
         self._ticks, self._tick = ticks, 0
         self.endless = ticks is None
         self._filtered, self._wanted = (np.zeros_like(command.target) for _ in range(2))
-        self._twist = np.zeros_like(velocity_command)
+        self._twist, self._moved = np.zeros_like(velocity_command), np.zeros_like(command.target)
+        rows = np.ascontiguousarray(matrix.T)
+        self._parts = [(self._twist[..., i : i + 1], row) for i, row in enumerate(rows)]
 
     def __call__(self) -> bool:
         command, wanted, filtered = self._command, self._wanted, self._filtered
@@ -119,8 +121,11 @@ class Sway:
         self._tick += 1
         np.multiply(self._amplitude, math.sin(self._turn * self._tick), out=self._twist)
         self._twist += self._velocity
-        np.matmul(self._twist, self._transposed, out=wanted)
-        wanted += self._centre
+        # No matrix product: BLAS rounds a batch otherwise than a single robot.
+        wanted[...] = self._centre
+        for part, row in self._parts:
+            np.multiply(part, row, out=self._moved)
+            wanted += self._moved
         np.maximum(wanted, self._lower, out=wanted)
         np.minimum(wanted, self._upper, out=wanted)
         wanted -= filtered

@@ -63,6 +63,18 @@ class Pacing:
             value = values.get(key, 0.0)
             if isinstance(value, bool) or not isinstance(value, (int, float)) or value < 0:
                 raise UniconError(f"pacing: {key} is {value!r}; give a number of µs >= 0")
+        for key, lowest, highest, what in (
+            ("priority", 1, 99, "a SCHED_FIFO priority from 1 to 99"),
+            ("cpu", 0, 1 << 16, "the number of a core"),
+        ):
+            value = values.get(key)
+            whole = isinstance(value, int) and not isinstance(value, bool)
+            if value is not None and not (whole and lowest <= value <= highest):
+                raise UniconError(f"pacing: {key} is {value!r}; give {what}")
+        if not isinstance(values.get("lock_memory", False), bool):
+            raise UniconError(
+                f"pacing: lock_memory is {values['lock_memory']!r}; give true or false"
+            )
         return cls(**values)
 
 
@@ -173,7 +185,8 @@ def prepare_process(pacing: Pacing, warn: Callable[[str], None]) -> Callable[[],
             os.sched_setaffinity(0, {pacing.cpu})
             undo.append(lambda: os.sched_setaffinity(0, before))
         except (OSError, AttributeError) as error:
-            warn(f"pacing: core {pacing.cpu} refused ({error}); known: 0 to {os.cpu_count()}")
+            last = (os.cpu_count() or 1) - 1
+            warn(f"pacing: core {pacing.cpu} refused ({error}); known: 0 to {last}")
     gc.collect()
     gc.freeze()  # a collection of the oldest generation cost 1.6 to 2.5 ms without this
     undo.append(gc.unfreeze)
