@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from talkers import clean_environment
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 sys.path.insert(0, str(ROOT / "tools" / "lib"))
@@ -70,23 +71,16 @@ def kilted() -> Callable[[], str]:
             venv.create(home, with_pip=True, clear=True)
             install = [str(python), "-m", "pip", "install", "--quiet", *KILTED]
             install += ["numpy", "pyyaml", "rosbags"]
-            done = subprocess.run(install, env=clean(), capture_output=True, text=True, check=False)
+            done = subprocess.run(
+                install, env=clean_environment(), capture_output=True, text=True, check=False
+            )
             if done.returncode:
                 pytest.skip(f"Kilted's wheels cannot be installed ({done.stderr[-300:]})")
-            subprocess.run(
-                [str(python), "-m", "pip", "install", "--quiet", "--no-deps", str(ROOT)],
-                env=clean(),
-                check=True,
-            )
             (home / "whole").touch()
+        install = [str(python), "-m", "pip", "install", "--quiet", "--no-deps"]
+        subprocess.run(
+            [*install, "--force-reinstall", str(ROOT)], env=clean_environment(), check=True
+        )
         return str(python)
 
     return made
-
-
-def clean() -> dict[str, str]:
-    """Return the environment without what the wheels' bootstrap leaves to child processes."""
-    values = dict(os.environ)
-    if values.pop("_ROS_WHEELS_BOOTSTRAP_COMPLETE", None) is not None:
-        values.pop("LD_LIBRARY_PATH", None)
-    return values

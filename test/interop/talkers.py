@@ -14,8 +14,17 @@ from typing import Any
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent.parent
-# The wheels' bootstrap leaves these to child processes; another venv would load wrong libraries.
-LEFTOVERS = ("_ROS_WHEELS_BOOTSTRAP_COMPLETE", "LD_LIBRARY_PATH")
+
+
+def clean_environment() -> dict[str, str]:
+    """Return the environment without what the wheels' bootstrap leaves to child processes.
+
+    Another venv would load the wrong libraries.
+    """
+    values = dict(os.environ)
+    if values.pop("_ROS_WHEELS_BOOTSTRAP_COMPLETE", None) is not None:
+        values.pop("LD_LIBRARY_PATH", None)
+    return values
 
 
 class Talker:
@@ -35,9 +44,7 @@ class Talker:
         python: str = sys.executable,
         variables: Mapping[str, str] | None = None,
     ) -> None:
-        environment = dict(os.environ)
-        if environment.pop(LEFTOVERS[0], None) is not None:
-            environment.pop(LEFTOVERS[1], None)
+        environment = clean_environment()
         environment.setdefault("PYTHONPATH", str(ROOT))
         environment.update(variables or {})
         self.lines: list[dict[str, Any]] = []
