@@ -358,7 +358,9 @@ def test_torchscript_without_torch_gives_the_install_command(
     without(monkeypatch, "torch")
     with pytest.raises(MissingDependencyError) as caught:
         OnnxPolicy(contract, states_of(contract, machine), machine)
-    assert str(caught.value) == "policy toy (TorchScript) needs torch: pip install torch"
+    assert (
+        str(caught.value) == "policy toy (TorchScript) needs torch: pip install 'unicon_ros[torch]'"
+    )
 
 
 def test_the_public_binding_is_used_where_the_private_one_is_gone(

@@ -19,7 +19,7 @@ from unicon_core.workflow import Workflow, load_workflow, workflow_names
 
 pytest.importorskip("mujoco", reason="the robots move in mujoco")
 pytest.importorskip("onnxruntime", reason="the policies need onnxruntime")
-onnx = pytest.importorskip("onnx", reason="the policies are cut down with onnx")
+pytest.importorskip("onnx", reason="the policies are cut down with onnx")
 
 from restricted_policy import restrict
 
@@ -155,8 +155,8 @@ class Motors:
     """A platform with motors, as far as the workflow can tell."""
 
     name, simulated = "motors", False
-    writes = ("joint_pos", "joint_vel", "joint_effort", "base_quat", "base_ang_vel")
-    writes += ("projected_gravity", "stamp_ns")
+    writes: tuple[str, ...] = ("joint_pos", "joint_vel", "joint_effort", "base_quat")
+    writes += ("base_ang_vel", "projected_gravity", "stamp_ns")
     reads = ("joint_pos_target", "joint_stiffness", "joint_damping")
 
     def __init__(self, states: States) -> None:

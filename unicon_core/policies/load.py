@@ -203,6 +203,9 @@ def _read(reference: str | Path, robot: NamedJoints | None, given: Mapping[str, 
         _name_tensors(facts, onnx)
         if facts.path != onnx.path and has_metadata(onnx):
             check_agreement(facts, metadata_facts(onnx))
+    elif "torchscript" in facts.values:  # its tensors have no names: one goes in, one comes out
+        facts.values.setdefault("inputs", {"observation": "observation"})
+        facts.values.setdefault("outputs", {"action": "action"})
     return facts
 
 

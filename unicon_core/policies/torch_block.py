@@ -36,7 +36,7 @@ class TorchNetwork:
             raise MissingDependencyError(
                 f"policy {contract.name} (TorchScript)",
                 "torch",
-                "pip install torch",
+                "pip install 'unicon_ros[torch]'",
             ) from error
         if contract.recurrent:
             raise PolicyError(

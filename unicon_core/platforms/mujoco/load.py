@@ -81,6 +81,8 @@ def load_model(path: Path, robot: Robot, timestep: float | None = None) -> Loade
     if is_urdf:
         spec.compiler.fusestatic = False  # fixed links keep their names: feet and sensor frames
         spec.option.timestep = _URDF_TIMESTEP
+        # A URDF has no armature: with Euler's step the vendor's damping blows an A1 up.
+        spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         if robot.kind in _FLOATING:
             _add_free_joint(mujoco, spec, notes)
     if timestep is not None:
