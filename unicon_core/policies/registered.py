@@ -43,7 +43,8 @@ def registered_policy(name: str) -> Path:
         raise PolicyError(f"{label}: {reason}; install its package again") from error
     if not isinstance(value, (str, os.PathLike)):
         raise PolicyError(
-            f"{label}: it gives a {type(value).__name__}; it must give the path of a folder or file"
+            f"{label}: its value is of type {type(value).__name__}; it must be the path of a "
+            "folder or file, or a function that returns one"
         )
     path = Path(value)
     if not path.exists():

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from types import FrameType
 from typing import Any, Literal
 
-from unicon_core.errors import Fault, PlatformError
+from unicon_core.errors import Fault, PlatformError, UniconError
 from unicon_core.flow import Deferred, Zip, as_block, compile_graph
 from unicon_core.runtime.pacing import (
     DryRun,
@@ -65,7 +65,10 @@ class Runner:
     def __init__(self, workflow: Workflow, options: RunOptions | None = None) -> None:
         self.workflow = workflow
         self.options = options or RunOptions()
-        self.pacing = Pacing.from_dict(workflow.document.get("pacing", dict, {}))
+        try:
+            self.pacing = Pacing.from_dict(workflow.document.get("pacing", dict, {}))
+        except UniconError as error:
+            raise workflow.document.error(str(error), "pacing") from error
         self.monitor = Monitor(workflow.states)
         root = Zip(workflow.root, Deferred(as_block(self.monitor)))
         self.graph = compile_graph(root, trace=True)
