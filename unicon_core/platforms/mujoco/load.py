@@ -220,8 +220,11 @@ def _mend_actuators(
             added.append(name)
             changed = True
         elif model.actuator_dyntype[driven[joint]] != int(mujoco.mjtDyn.mjDYN_NONE):
-            spec.actuators[driven[joint]].dyntype = mujoco.mjtDyn.mjDYN_NONE
-            spec.actuators[driven[joint]].actdim = 0
+            actuator = spec.actuators[driven[joint]]
+            actuator.dyntype = mujoco.mjtDyn.mjDYN_NONE
+            actuator.actdim = 0
+            actuator.actlimited = mujoco.mjtLimited.mjLIMITED_FALSE
+            actuator.actrange = [0.0, 0.0]
             notes.append(f"the actuator of {name} has dynamics of its own: they were left out")
             changed = True
     if added:
