@@ -15,22 +15,43 @@ import pytest
 from unicon_core.resources import assets_root
 from unicon_core.robots import load_robot
 
-# Robot -> model below the assets folder: the MJCF or URDF named in the file's `sources`.
-MODELS = {
-    "a1": "models/a1/a1.urdf",
-    "azureloong": "models/azureloong/AzureLoong.xml",
-    "g1_23dof": "models/g1_23dof/g1_23dof.xml",
-    "g1_29dof": "models/g1_29dof/g1_29dof.xml",
-    "go1": "models/go1/go1.xml",
-    "go2": "models/go2/go2.xml",
-    "h1": "models/h1/h1.xml",
-    "h1_2": "models/h1_2/h1_2_handless.xml",
-    "n1": "models/n1/FOURIERN1.urdf",
-    "t1": "models/t1/T1_23dof.xml",
-}
+# Models below the assets folder's `models/`, in folders named after their robots: the MJCF and URDF
+# files named in the robot files' `sources`.
+MODELS = (
+    "a1/a1.urdf",
+    "adam_lite/adam_lite.xml",
+    "azureloong/AzureLoong.urdf",
+    "azureloong/AzureLoong.xml",
+    "dex3_left/dex3_1_l.urdf",
+    "dex3_right/dex3_1_r.urdf",
+    "g1_23dof/g1_23dof.xml",
+    "g1_23dof/g1_23dof_rev_1_0.urdf",
+    "g1_29dof/g1_29dof.xml",
+    "g1_29dof/g1_29dof_rev_1_0.urdf",
+    "go1/go1.urdf",
+    "go1/go1.xml",
+    "go2/go2.xml",
+    "go2/go2_description.urdf",
+    "gr1t2/gr1t2.urdf",
+    "h1/h1.urdf",
+    "h1/h1.xml",
+    "h1_2/h1_2_handless.urdf",
+    "h1_2/h1_2_handless.xml",
+    "inspire_rh56_left/inspire_hand_left.urdf",
+    "inspire_rh56_right/inspire_hand_right.urdf",
+    "n1/FOURIERN1.urdf",
+    "t1/T1_23dof.urdf",
+    "t1/T1_23dof.xml",
+    "x2/x2_ultra.urdf",
+    "xhand1_left/xhand_left.urdf",
+    "xhand1_right/xhand_right.urdf",
+)
 
-# The vendor's MJCF and URDF differ: the file has the narrower limit of both.
-NARROWER = {"t1"}
+# The vendor's sources differ (MJCF and URDF, or URDF and SDK): the file has the narrower limit.
+NARROWER = {"t1", "x2"}
+
+# Joints that only the model has: wrists of another version, the links that a finger drags along.
+MORE_JOINTS = {"adam_lite", "inspire_rh56_left", "inspire_rh56_right"}
 
 
 def _joints(path: Path) -> dict[str, tuple[float, float]]:
@@ -65,26 +86,25 @@ def _motor_order(path: Path) -> list[str]:
     return [a.get("joint", "") for a in actuators] if actuators is not None else []
 
 
-@pytest.fixture(params=sorted(MODELS))
+@pytest.fixture(params=MODELS)
 def model(request: pytest.FixtureRequest) -> tuple[str, Path]:
     root = assets_root()
     if root is None:
         pytest.skip("the assets folder is not at hand: set UNICON_ASSETS")
-    path = root / MODELS[request.param]
+    path = root / "models" / request.param
     if not path.is_file():
-        pytest.skip(f"{MODELS[request.param]} is not in the assets folder")
-    return request.param, path
+        pytest.skip(f"models/{request.param} is not in the assets folder")
+    return path.parent.name, path
 
 
 def test_names_are_the_models(model: tuple[str, Path]) -> None:
-    """Simulators give motor slots that the robot does not use a joint of their own."""
+    """Simulators may give motor slots that the robot does not use a joint of their own."""
     name, path = model
     robot, joints = load_robot(name), _joints(path)
+    assert set(robot.joint_names) - set(joints) == set()
     slots = robot.transport.get("motors", range(robot.num_joints))
-    if list(slots) == list(range(robot.num_joints)):
-        assert set(robot.joint_names) == set(joints)
-    else:
-        assert set(robot.joint_names) < set(joints)
+    if list(slots) == list(range(robot.num_joints)) and name not in MORE_JOINTS:
+        assert len(joints) == robot.num_joints
 
 
 def test_limits_are_the_models(model: tuple[str, Path]) -> None:
@@ -101,11 +121,28 @@ def test_limits_are_the_models(model: tuple[str, Path]) -> None:
     np.testing.assert_allclose(robot.upper, expected[:, 1], atol=1e-3)
 
 
+def test_speed_and_torque_limits_are_the_urdfs(model: tuple[str, Path]) -> None:
+    """NaN where the robot file does not believe the URDF (place holders of the RH56)."""
+    name, path = model
+    if path.suffix != ".urdf":
+        pytest.skip("an MJCF has no speed limits")
+    robot = load_robot(name)
+    found = {joint.get("name"): joint.find("limit") for joint in ET.parse(path).iter("joint")}
+    for key, ours in (("velocity", robot.velocity_limit), ("effort", robot.effort_limit)):
+        limits = [found[joint] for joint in robot.joint_names]
+        theirs = np.array([np.nan if lim is None else float(lim.get(key, "nan")) for lim in limits])
+        known = ~np.isnan(ours)
+        assert known.all() or f"joints.{key}" in robot.unknown
+        np.testing.assert_allclose(ours[known], theirs[known], rtol=1e-3)
+
+
 def test_order_is_that_of_the_models_motors(model: tuple[str, Path]) -> None:
     name, path = model
     motors = _motor_order(path)
     if not motors:
         pytest.skip(f"{path.name} has no actuators")
     robot = load_robot(name)
+    assert robot.joint_names == tuple(motor for motor in motors if motor in robot.joint_names)
     slots = robot.transport.get("motors", range(robot.num_joints))
-    assert robot.joint_names == tuple(motors[slot] for slot in slots)
+    if len(motors) > max(slots) and name not in MORE_JOINTS:  # the model has the unused slots too
+        assert robot.joint_names == tuple(motors[slot] for slot in slots)
