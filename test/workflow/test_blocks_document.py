@@ -1,0 +1,84 @@
+"""docs/blocks.md: its examples run, and its tables say what there is."""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from unicon_core.runtime import Pacing
+from unicon_core.states import StateSpec, standard_states
+from unicon_core.workflow import load_workflow
+from unicon_core.workflow.flow_yaml import FLOW_WORDS
+
+TEXT = (Path(__file__).resolve().parents[2] / "docs" / "blocks.md").read_text(encoding="utf-8")
+EXAMPLES = re.findall(r"^```(\w+)\n(.*?)^```", TEXT, re.MULTILINE | re.DOTALL)
+PYTHON = [code for language, code in EXAMPLES if language == "python"]
+YAML = [code for language, code in EXAMPLES if language == "yaml"]
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """The folder of the reader: the files that the page names, on the path."""
+    for code in (*PYTHON, *YAML):
+        name = re.match(r"# (\w+\.(?:py|yaml))\n", code)
+        if name:
+            (tmp_path / name[1]).write_text(code, encoding="utf-8")
+    assert {path.name for path in tmp_path.iterdir()} == {"my_blocks.py", "crouch.yaml"}
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    yield tmp_path
+    sys.modules.pop("my_blocks", None)
+
+
+@pytest.mark.parametrize("code", PYTHON, ids=range(len(PYTHON)))
+def test_the_python_examples_run(code: str, folder: Path) -> None:
+    exec(compile(code, "docs/blocks.md", "exec"), {"__name__": "example"})
+
+
+def test_the_states_example_is_a_specification() -> None:
+    for values in yaml.safe_load(YAML[0])["states"].values():
+        assert StateSpec.from_dict(values).size == 12
+
+
+def test_the_forms_of_blocks_build(folder: Path) -> None:
+    forms = yaml.safe_load(next(code for code in YAML if "a word: no options" in code))
+    for form in forms["flow"]["zip"]:
+        path = folder / "form.yaml"
+        values: dict[str, Any] = {"robot": "go2", "platform": "fake", "rate": 50, "flow": form}
+        values["states"] = {
+            "crouch": {"shape": []},
+            "gravity_of_the_arm": {"shape": [3], "initial": -1.0},
+        }
+        if "hold" not in str(form) and "pose" not in str(form):
+            values["flow"] = {"zip": ["hold", form]}
+        path.write_text(yaml.safe_dump(values), encoding="utf-8")
+        load_workflow(path).close()
+
+
+def test_the_loop_example_builds(folder: Path) -> None:
+    flow = yaml.safe_load(next(code for code in YAML if "base_pos_w[2]" in code))
+    path = folder / "loop.yaml"
+    values = {"robot": "go2", "platform": "fake", "policies": {"walk": "go2_velocity"}}
+    path.write_text(yaml.safe_dump({**values, "flow": flow}), encoding="utf-8")
+    load_workflow(path).close()
+
+
+def test_the_pacing_example_names_every_option_with_its_default() -> None:
+    values = yaml.safe_load(next(code for code in YAML if code.startswith("pacing:")))["pacing"]
+    assert set(values) == set(Pacing.__dataclass_fields__)
+    Pacing.from_dict(values)
+    for key in ("trigger", "overrun", "spin_us", "dry_run_us"):
+        assert values[key] == getattr(Pacing(), key)
+
+
+def test_the_tables_name_every_node_and_standard_state() -> None:
+    for word in FLOW_WORDS:
+        assert f"| `{word}: " in TEXT
+    for name in standard_states(["a"]):
+        assert f"`{name}`" in TEXT
