@@ -19,4 +19,4 @@ def test_no_move_changes_a_line_of_the_workflow() -> None:
     facts = sloc.run().facts
     moves = [value for name, value in facts.items() if "→" in name]
     assert len(moves) == len(sloc.MOVES)
-    assert all("workflow 0 lines" in move for move in moves)
+    assert all("workflow: 0 lines" in move for move in moves)
