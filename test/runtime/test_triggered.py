@@ -1,0 +1,121 @@
+"""Ticks that come with the data, on a stand-in whose data arrive at a rate of their own."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from unicon_core.runtime import Runner, RunOptions
+from unicon_core.workflow import Workflow, load_workflow
+
+WORKFLOW = """\
+robot: go2
+platform: fake
+rate: 50
+pacing: {trigger: state}
+flow: {hold: {}}
+safety: [finite]
+"""
+
+
+class Stream:
+    """Data that arrive every `interval_ns`; `recv` takes in what has come."""
+
+    def __init__(self, platform: Any, interval_ns: int) -> None:
+        self.begin, self.interval = time.perf_counter_ns(), interval_ns
+        self.taken: list[int] = []
+        self.ages: list[float] = []
+        self._seen = -1
+        self._recv = platform.recv
+        platform.wait, platform.arrivals, platform.recv = self.wait, self.arrivals, self.recv
+
+    def arrivals(self) -> int:
+        return (time.perf_counter_ns() - self.begin) // self.interval
+
+    def wait(self, timeout_s: float) -> bool:
+        end = time.perf_counter_ns() + timeout_s * 1e9
+        while self.arrivals() == self._seen:
+            if time.perf_counter_ns() > end:
+                return False
+            time.sleep(20e-6)
+        return True
+
+    def recv(self) -> None:
+        self._seen = self.arrivals()
+        now = time.perf_counter_ns()
+        self.taken.append(self._seen)
+        self.ages.append((now - self.begin) % self.interval / self.interval)
+        self._recv()
+
+
+def loaded(tmp_path: Path, *overrides: str) -> Workflow:
+    path = tmp_path / "triggered.yaml"
+    path.write_text(WORKFLOW, encoding="utf-8")
+    return load_workflow(path, overrides)
+
+
+def streamed(
+    tmp_path: Path, interval_ns: int, duration: float, *overrides: str
+) -> tuple[Runner, Stream, Any]:
+    workflow = loaded(tmp_path, *overrides)
+    platform: Any = workflow.platform
+    stream = Stream(platform, interval_ns)
+    # The graph has bound `recv` at build: route it through the stand-in.
+    block = next(block for block in blocks(workflow) if block.role == "recv")
+    block.tick = stream.recv
+    runner = Runner(workflow, RunOptions(duration=duration))
+    return runner, stream, runner.run()
+
+
+def blocks(workflow: Workflow) -> Any:
+    from unicon_core.flow import blocks_of
+
+    return blocks_of(workflow.root)
+
+
+def test_of_frequent_data_the_tick_takes_what_arrives_nearest_to_its_deadline(
+    tmp_path: Path,
+) -> None:
+    runner, stream, report = streamed(tmp_path, 2_000_000, 1.2)
+    assert report.ticks == 60
+    starts = runner.statistics.kept()[10:, 2]
+    per_tick = np.diff((starts - stream.begin) // 2_000_000)
+    assert np.median(per_tick) == pytest.approx(10, abs=1)  # 50 Hz of 500 Hz
+    # The tick begins with an arrival, not anywhere between two of them: half would be chance.
+    ages = (starts - stream.begin) % 2_000_000 / 2_000_000
+    assert np.median(ages) < 0.35
+
+
+def test_of_rare_data_every_one_makes_a_tick(tmp_path: Path) -> None:
+    runner, stream, report = streamed(tmp_path, 30_000_000, 0.4)
+    assert report.ticks == 20
+    starts = runner.statistics.kept()[1:, 2]
+    assert np.median(np.diff((starts - stream.begin) // 30_000_000)) == 1
+    assert report.overruns <= 2
+
+
+def test_without_data_ticks_go_on_slowly_as_overruns(tmp_path: Path) -> None:
+    runner, _, report = streamed(tmp_path, 1 << 60, 0.1)
+    assert report.ticks == 5
+    assert report.overruns >= 4  # the first finds what was there before
+    apart = np.diff(runner.statistics.kept()[:, 2])
+    assert apart.min() > 2.5 * runner.period_ns  # three periods of patience
+
+
+def test_the_policy_runs_dry_before_the_data_that_are_waited_for(tmp_path: Path) -> None:
+    workflow = loaded(tmp_path)
+    platform: Any = workflow.platform
+    stream = Stream(platform, 2_000_000)
+    order: list[str] = []
+    recv = next(block for block in blocks(workflow) if block.role == "recv")
+    recv.tick = lambda: (order.append("tick"), stream.recv())[1]
+    runner = Runner(workflow, RunOptions(duration=0.6))
+    dry = runner.graph.dry
+    runner.graph.dry = lambda: (order.append("dry"), dry())[1]  # type: ignore[func-returns-value]
+    runner.run()
+    ticks = "".join(word[0] for word in order).split("t")
+    assert sum("d" in part for part in ticks[5:-1]) >= 10
