@@ -1,4 +1,4 @@
-"""Makes broken variants of the three asset policies, for the tests of `unicon check`.
+"""Makes broken variants of the assets' policies and of our own, for the tests of `unicon check`.
 
 Each variant is the good workflow with one mistake that people make; `python broken_variants.py DIR`
 writes them all. `culprit` must stand in a finding's culprit or evidence; `twin` says that only a
@@ -18,7 +18,12 @@ from typing import Any
 import yaml
 
 ROOT = Path(__file__).resolve().parents[2]
-WORKFLOWS = {"mjlab": "g1_walk", "go1": "go1_walk", "holosoma": "g1_holosoma"}
+WORKFLOWS = {
+    "mjlab": "g1_walk",
+    "go1": "go1_walk",
+    "holosoma": "g1_holosoma",
+    "go2": "go2_walk",
+}
 LEGS = 12  # the first joints of the G1: left leg, right leg
 
 
@@ -27,7 +32,7 @@ class Variant:
     """One mistake.
 
     Attributes:
-        policy: `mjlab`, `go1` or `holosoma`.
+        policy: `mjlab`, `go1`, `holosoma` or `go2`.
         name: of the mistake, also of the file.
         culprit: what must be named.
         twin: whether it takes a run in MuJoCo.
@@ -52,7 +57,7 @@ class Draft:
 
     Attributes:
         workflow: its values.
-        given: facts given to the policy in the workflow.
+        given: facts of the policy: given in the workflow, or its `policy.yaml` (go2).
         deploy: values of `deploy.yaml` (mjlab only).
         metadata: pairs of the network's metadata to put in, None to leave them (holosoma, go1).
     """
@@ -62,10 +67,16 @@ class Draft:
         path = ROOT / "config" / "workflows" / f"{WORKFLOWS[policy]}.yaml"
         self.workflow: dict[str, Any] = yaml.safe_load(path.read_text(encoding="utf-8"))
         entry = self.workflow["policies"]["walk"]
-        self.source = assets / str(entry if isinstance(entry, str) else entry["path"]).removeprefix(
-            "assets:"
-        )
-        self.given: dict[str, Any] = {} if isinstance(entry, str) else deepcopy(entry["given"])
+        self.given: dict[str, Any]
+        if policy == "go2":  # ours: everything stands in its policy.yaml
+            self.source = ROOT / "config" / "policies" / entry
+            text = (self.source / "policy.yaml").read_text(encoding="utf-8")
+            self.given = yaml.safe_load(text)
+            self.given["observation.terms"] = self.given.pop("observation")["terms"]
+            self.given["action.scale"] = self.given["action"].pop("scale")
+        else:
+            self.source = assets / entry["path"].removeprefix("assets:")
+            self.given = deepcopy(entry["given"])
         self.deploy: dict[str, Any] = {}
         if policy == "mjlab":
             text = (self.source / "deploy.yaml").read_text(encoding="utf-8")
@@ -110,7 +121,15 @@ class Draft:
             network.write_bytes(model.SerializeToString())
         if self.effort_factor is not None:
             self._write_robot(self.effort_factor)
-        self.workflow["policies"]["walk"] = {"path": "./policy", "given": self.given}
+        if self.policy == "go2":
+            values = dict(self.given)
+            values["observation"] = {"terms": values.pop("observation.terms")}
+            values["action"] = {**values["action"], "scale": values.pop("action.scale")}
+            text = yaml.safe_dump(values, sort_keys=False)
+            (policy / "policy.yaml").write_text(text, encoding="utf-8")
+            self.workflow["policies"]["walk"] = "./policy"
+        else:
+            self.workflow["policies"]["walk"] = {"path": "./policy", "given": self.given}
         path = self.folder / f"{self.workflow['name']}.yaml"
         path.write_text(yaml.safe_dump(self.workflow, sort_keys=False), encoding="utf-8")
         return path
@@ -153,6 +172,12 @@ def two_rates(draft: Draft) -> None:
         draft.deploy["step_dt"] = 0.01
     else:
         draft.given["period"] = 0.01
+
+
+def other_network(draft: Draft) -> None:
+    """The network was exported again and the contract was not."""
+    digest = draft.given["sha256"]
+    draft.given["sha256"] = digest[::-1]
 
 
 def milliseconds(draft: Draft) -> None:
@@ -266,28 +291,28 @@ def given_scale(draft: Draft) -> None:
     for term in draft.terms:
         if "scale" in term:
             del term["scale"]
-        elif draft.policy == "go1" and term["state"] == "joint_vel":
+        elif draft.policy == "go1" and term["state"] == "joint_vel":  # it has none to drop
             term["scale"] = 0.05
 
 
 def given_pose(draft: Draft) -> None:
     pose = draft.given["default_joint_pos"]
     for i in range(len(pose)):
-        if draft.policy == "go1" and i % 3 == 2:
+        if draft.policy in ("go1", "go2") and i % 3 == 2:
             pose[i] = -1.2
         elif draft.policy == "holosoma" and i in (0, 6):
             pose[i] -= 0.9
 
 
 def given_one_side(draft: Draft) -> None:
-    draft.given["default_joint_pos"][1 if draft.policy == "go1" else 3] += 0.3
+    draft.given["default_joint_pos"][3 if draft.policy == "holosoma" else 1] += 0.3
 
 
 def given_action(draft: Draft) -> None:
-    if draft.policy == "go1":
-        draft.given["action.scale"] *= 4.0
-    else:
+    if draft.policy == "holosoma":
         draft.given["action"]["scale"] *= 4.0
+    else:
+        draft.given["action.scale"] *= 4.0
 
 
 def given_missing_joint(draft: Draft) -> None:
@@ -304,7 +329,7 @@ def given_extra_term(draft: Draft) -> None:
 
 def given_terms(draft: Draft) -> None:
     states = [term["state"] for term in draft.terms]
-    if draft.policy == "go1":
+    if draft.policy in ("go1", "go2"):
         swap(draft.terms, states.index("base_ang_vel"), states.index("projected_gravity"))
     else:
         swap(draft.terms, states.index("joint_pos"), states.index("joint_vel"))
@@ -324,7 +349,9 @@ def given_swapped_gains(draft: Draft) -> None:
 
 
 def given_stiff(draft: Draft) -> None:
-    draft.given["stiffness"] *= 10.0
+    stiffness = draft.given["stiffness"]
+    many = isinstance(stiffness, list)
+    draft.given["stiffness"] = [10.0 * x for x in stiffness] if many else 10.0 * stiffness
 
 
 def given_no_phase(draft: Draft) -> None:
@@ -453,6 +480,30 @@ def _listed() -> Iterator[Variant]:
         ("no_phase", "phase", False, given_no_phase),
         ("absolute", "dof_pos", True, given_absolute),
         ("metadata_twice", "kp", False, metadata_twice),
+        ("low_effort", "effort", False, low_effort),
+    )
+
+    yield from of(
+        "go2",
+        ("order", "joint order", True, given_order),
+        ("names_only", "default_joint_pos", False, given_names_only),
+        ("left_right", "joint order", True, given_left_right),
+        ("front_rear", "joint order", True, given_front_rear),
+        ("gravity", "projected_gravity", True, given_gravity),
+        ("scales", "observation scales", True, given_scale),
+        ("pose", "default_joint_pos", False, given_pose),
+        ("one_side", "default_joint_pos", False, given_one_side),
+        ("action_scale", "action.scale", False, given_action),
+        ("milliseconds", "period", False, milliseconds),
+        ("two_rates", "rate", False, two_rates),
+        ("missing_joint", "default_joint_pos", False, given_missing_joint),
+        ("misspelt_joint", "FL_tigh_joint", False, given_misspelt),
+        ("extra_term", "acceleration", False, given_extra_term),
+        ("terms_order", "base_ang_vel", True, given_terms),
+        ("absolute", "joint_pos_rel", True, given_absolute),
+        ("gains_swapped", "stiffness", False, given_swapped_gains),
+        ("stiff", "stiffness", False, given_stiff),
+        ("other_network", "sha256", False, other_network),
         ("low_effort", "effort", False, low_effort),
     )
 

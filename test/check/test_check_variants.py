@@ -1,4 +1,4 @@
-"""Broken variants of other people's policies: each is refused, with the culprit named.
+"""Broken variants of other people's policies and ours: each is refused, its culprit named.
 
 Most are found without a run; those that only a run can show are marked slow, but for one of each
 policy.
@@ -20,7 +20,12 @@ from unicon_core.check import CheckResult, check_workflow
 
 _STATIC = [variant for variant in VARIANTS if not variant.twin]
 _TWIN = [variant for variant in VARIANTS if variant.twin]
-_QUICK = {"mjlab": "terms_order", "go1": "gravity", "holosoma": "training_order"}
+_QUICK = {
+    "mjlab": "terms_order",
+    "go1": "gravity",
+    "holosoma": "training_order",
+    "go2": "scales",
+}
 
 
 def _name(variant: Variant) -> str:

@@ -127,7 +127,7 @@ def test_speed_and_torque_limits_are_the_urdfs(model: tuple[str, Path]) -> None:
     if path.suffix != ".urdf":
         pytest.skip("an MJCF has no speed limits")
     robot = load_robot(name)
-    found = {joint.get("name"): joint.find("limit") for joint in ET.parse(path).iter("joint")}
+    found = {joint.get("name"): joint.find("limit") for joint in ET.parse(path).findall("joint")}
     for key, ours in (("velocity", robot.velocity_limit), ("effort", robot.effort_limit)):
         limits = [found[joint] for joint in robot.joint_names]
         theirs = np.array([np.nan if lim is None else float(lim.get(key, "nan")) for lim in limits])
