@@ -74,7 +74,8 @@ def policy_table(contract: PolicyContract, robot: NamedJoints | None = None) -> 
     lines += [f"note         {note}" for note in contract.notes]
     lines += ["", joint_table(contract, robot)]
     if contract.terms:
-        lines += ["", observation_table(contract, robot)]
+        has_all = robot is not None and set(contract.joints) <= set(robot.joint_names)
+        lines += ["", observation_table(contract, robot if has_all else None)]
     return "\n".join(lines)
 
 

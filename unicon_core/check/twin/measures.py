@@ -132,9 +132,13 @@ class Recorder:
         """Note the tick; True once the base has fallen.
 
         Args:
-            walking: a policy has taken over; before, the flow may lie down as it likes.
+            walking: a policy has taken over; before, the flow may lie down as it likes, and what it
+                did is forgotten then.
         """
         views = self._views
+        if walking and self._standing is None:
+            self.rows.clear()
+            self._standing = float(self._height[2])
         velocity = np.array([self._velocity[0], self._velocity[1], views["base_ang_vel"][2]])
         self.rows.append(
             (
@@ -146,8 +150,6 @@ class Recorder:
             )
         )
         height = float(self._height[2])
-        if walking and self._standing is None:
-            self._standing = height
         tilted = float(self._gravity[2]) > -FALL_COSINE
         sunk = self._standing is not None and height < FALL_HEIGHT * self._standing
         self.fell = tilted or sunk

@@ -1,0 +1,319 @@
+"""`unicon robots`, `policies`, `platforms`, `blocks`, `workflows`, and the import of policies."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from pathlib import Path
+
+import policy_folders
+import pytest
+import yaml
+
+from unicon_core.policies import load_policy
+from unicon_core.robots import load_robot, robot_names
+from unicon_core.workflow import workflow_names
+from unicon_core.workflow.registry import known
+from unicon_ros.cli.main import main
+
+ROOT = Path(__file__).resolve().parents[2]
+GOLDEN = ROOT / "test" / "cli" / "golden"
+KINDS = ("robots", "policies", "platforms", "blocks", "workflows")
+
+
+def unicon(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+    """Run a command that succeeds; return what it prints."""
+    status = main(list(arguments))
+    told = capsys.readouterr()
+    assert (status, told.err) == (0, "")
+    return told.out
+
+
+def refused(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+    """Run a command that is refused; return its one line."""
+    status = main(list(arguments))
+    told = capsys.readouterr()
+    assert (status, told.out) == (1, "")
+    assert told.err.count("\n") == 1
+    return told.err.removeprefix("unicon: error: ").rstrip("\n")
+
+
+def check_golden(name: str, told: str) -> None:
+    """Compare with a golden file; UNICON_WRITE_GOLDEN=1 writes it anew."""
+    golden = GOLDEN / f"{name}.txt"
+    told = told.replace(str(ROOT), "ROOT")
+    if os.environ.get("UNICON_WRITE_GOLDEN"):
+        GOLDEN.mkdir(exist_ok=True)
+        golden.write_text(told, encoding="utf-8")
+    assert told == golden.read_text(encoding="utf-8")
+
+
+# -- lists ---------------------------------------------------------------------------------------
+
+
+def test_every_robot_is_listed_with_what_is_missing_to_drive_it(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    lines = unicon(capsys, "robots").splitlines()
+    assert [line.split()[0] for line in lines[1:]] == robot_names()
+    for line in lines[1:]:
+        missing = load_robot(line.split()[0]).missing_facts()
+        assert line.endswith(f"missing: {', '.join(missing)}" if missing else "complete")
+
+
+def test_every_policy_is_listed_with_its_terms(capsys: pytest.CaptureFixture[str]) -> None:
+    lines = unicon(capsys, "policies").splitlines()
+    contract = load_policy("go2_velocity")
+    row = next(line for line in lines if line.startswith("go2_velocity"))
+    assert row.split()[1:4] == ["go2", "50", "12"]
+    assert row.endswith(" ".join(term.name for term in contract.terms))
+
+
+@pytest.mark.parametrize("kind", ["platforms", "blocks"])
+def test_every_factory_is_listed_with_where_it_is(
+    kind: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    listed = dict(
+        line.split() for line in unicon(capsys, kind).splitlines() if len(line.split()) == 2
+    )
+    assert listed == dict(known(kind))
+
+
+def test_every_workflow_is_listed_with_its_description(capsys: pytest.CaptureFixture[str]) -> None:
+    lines = unicon(capsys, "workflows").splitlines()
+    assert [line.split()[0] for line in lines] == workflow_names()
+    assert all(len(line.split()) > 3 for line in lines)
+
+
+def test_a_broken_workflow_hides_no_other(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "workflows").mkdir()
+    (tmp_path / "workflows" / "broken.yaml").write_text("robot: go2\n")
+    monkeypatch.setenv("UNICON_PATH", str(tmp_path))
+    told = unicon(capsys, "workflows")
+    assert "the key 'platform' is missing" in told
+    assert "go2_walk" in told
+
+
+# -- one in full ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("robots", "go2"),
+        ("robots", "aliengo"),
+        ("robots", "dex3_left"),
+        ("platforms", "fake"),
+        ("blocks", "tilt_stop"),
+        ("blocks", "pose"),
+    ],
+    ids=" ".join,
+)
+def test_one_in_full_is_as_its_golden_file(
+    arguments: tuple[str, str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    check_golden("_".join(arguments), unicon(capsys, *arguments))
+
+
+@pytest.mark.parametrize("name", robot_names())
+def test_every_robot_is_shown_with_joints_sources_and_unknowns(
+    name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    told, robot = unicon(capsys, "robots", name), load_robot(name)
+    assert all(f" {joint} " in told for joint in robot.joint_names)
+    assert all(f"  {group}" in told for group in robot.sources)
+    assert ("CANNOT BE DRIVEN" in told) == bool(robot.missing_facts())
+
+
+def test_a_policy_is_shown_with_joints_and_observation(capsys: pytest.CaptureFixture[str]) -> None:
+    told, contract = unicon(capsys, "policies", "go2_velocity"), load_policy("go2_velocity")
+    assert "period       0.02 s (50 Hz)" in told
+    assert all(f" {joint} " in told for joint in contract.joints)
+    assert f"{45} values, no history" in told
+
+
+def test_a_policy_is_shown_beside_a_robot(capsys: pytest.CaptureFixture[str]) -> None:
+    told = unicon(capsys, "policies", "go2_velocity", "--robot", "g1_29dof")
+    rows = [line.split() for line in told.splitlines() if "_joint " in line]
+    shown = {row[1]: row[2] for row in rows if row[0].isdigit() or row[0] == "-"}
+    assert shown["FR_hip_joint"] == "missing"
+    assert shown["left_knee_joint"] == "3"
+
+
+def test_a_platform_is_shown_with_its_options(capsys: pytest.CaptureFixture[str]) -> None:
+    told = unicon(capsys, "platforms", "mujoco")
+    for option in ("model", "timestep", "initial_pose", "noise", "push"):
+        assert f"  {option} " in told
+        assert f"    {option}: " in told
+    assert "states  " not in told.split("\n\n")[0]  # given by the builder, no option
+
+
+def test_a_block_of_ones_own_is_shown(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "my_wave.py").write_text(
+        "from unicon_core.flow import Amends, Reads\n"
+        "def wave(joint_pos: Reads, joint_pos_target: Amends, height: float, speed: float = 1.0):\n"
+        '    """Wave."""\n'
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    assert unicon(capsys, "blocks", "my_wave:wave") == (
+        "my_wave:wave\n"
+        "  joint_pos         state, reads\n"
+        "  joint_pos_target  state, amends\n"
+        "  height            option, to be given\n"
+        "  speed             option, 1.0\n"
+        "\n"
+        "Wave.\n"
+    )
+
+
+def test_a_workflow_is_shown_as_it_is_written(capsys: pytest.CaptureFixture[str]) -> None:
+    written = (ROOT / "config" / "workflows" / "go2_walk.yaml").read_text(encoding="utf-8")
+    assert unicon(capsys, "workflows", "go2_walk") == written
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (("robots", "go3"), "unknown robot 'go3'; did you mean 'go"),
+        (("policies", "go2_veloc"), "unknown policy 'go2_veloc'; did you mean 'go2_velocity'?"),
+        (("platforms", "mujco"), "unknown platform 'mujco'; did you mean 'mujoco'? known: "),
+        (("blocks", "tiltstop"), "unknown block 'tiltstop'; did you mean 'tilt_stop'? known: "),
+        (("workflows", "go2_wal"), "unknown workflow 'go2_wal'; did you mean 'go2_walk'? known: "),
+        (("blocks", "os:nothing"), "block 'os:nothing': module 'os' has no 'nothing'; "),
+    ],
+)
+def test_an_unknown_name_is_told_with_the_known_ones(
+    arguments: tuple[str, str], line: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert refused(capsys, *arguments).startswith(line)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_too_many_arguments_are_wrong_usage(kind: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        main([kind, "a", "b", "c"])
+    assert stopped.value.code == 2
+
+
+# -- policies import -----------------------------------------------------------------------------
+
+
+def test_a_complete_policy_is_imported_and_runs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    good = policy_folders.write_policy(tmp_path / "good")
+    out = tmp_path / "out"
+    told = unicon(capsys, "policies", "import", str(good), "--out", str(out))
+    assert told == f"{out}/policy.yaml  (from policy.yaml)\n"
+    run = ["run", "go2_walk", "--no-ros", "--speed", "max", "--quiet", "--duration", "0.2"]
+    run += ["--set", "platform=fake", "--set", f"policies.walk={out}"]
+    run += ["--set", "flow={policy: walk}"]
+    assert main(run) == 0
+
+
+def test_a_bare_network_is_imported_and_what_must_be_given_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    good = policy_folders.write_policy(tmp_path / "good")
+    (good / "policy.yaml").rename(tmp_path / "contract.yaml")
+    out = tmp_path / "out"
+    told = unicon(capsys, "policies", "import", f"{good}/policy.onnx", "--out", str(out))
+    head, says, *facts = told.splitlines()
+    assert head == f"{out}/policy.yaml  (from ONNX file (no metadata))"
+    assert says == "not said by the source, add to the file or under 'given':"
+    names = [fact.strip().split(":")[0] for fact in facts]
+    assert names == [
+        "period",
+        "joints",
+        "default_joint_pos",
+        "stiffness",
+        "damping",
+        "action.scale",
+        "observation.terms",
+    ]
+    refusal = refused(capsys, "policies", str(out))
+    assert all(name in refusal for name in names)
+    # What was asked for is enough: added to the file that was written, the policy is whole.
+    values = yaml.safe_load((out / "policy.yaml").read_text())
+    contract = yaml.safe_load((tmp_path / "contract.yaml").read_text())
+    values |= {name.split(".")[0]: contract[name.split(".")[0]] for name in names}
+    (out / "policy.yaml").write_text(yaml.safe_dump(values))
+    assert "45 values" in unicon(capsys, "policies", str(out))
+
+
+def test_the_assets_policies_are_imported(
+    tmp_path: Path, assets: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = "assets:policies/g1_velocity_mjlab"
+    out = str(tmp_path / "out")
+    told = unicon(capsys, "policies", "import", source, "--out", out, "--robot", "g1_29dof")
+    assert told == (
+        f"{out}/policy.yaml  (from deploy.yaml)\n"
+        "note: deploy.yaml: numbers are rounded to 3 significant digits by its exporter\n"
+    )
+    assert (tmp_path / "out" / "policy.onnx.data").is_file()
+    imported, original = load_policy(out + "/"), load_policy(source, robot=load_robot("g1_29dof"))
+    assert imported.joints == original.joints
+    assert imported.stiffness.tolist() == original.stiffness.tolist()
+    assert [t.name for t in imported.terms] == [t.name for t in original.terms]
+    told = unicon(
+        capsys, "policies", "import", "assets:policies/g1_holosoma_ppo", "--out", f"{out}2"
+    )
+    facts = [line.strip().split(":")[0] for line in told.splitlines()[2:]]
+    assert facts == ["period", "default_joint_pos", "action.scale", "observation.terms"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (
+            ("import",),
+            "policies import: give what to read and where to write: "
+            "unicon policies import FILE_OR_FOLDER --out DIR",
+        ),
+        (
+            ("import", "go2_velocity"),
+            "policies import: give what to read and where to write: "
+            "unicon policies import FILE_OR_FOLDER --out DIR",
+        ),
+        (
+            ("go2_velocity", "--out", "x"),
+            "policies: --out goes with import; write unicon policies NAME, or "
+            "unicon policies import FILE_OR_FOLDER --out DIR",
+        ),
+        (
+            ("imprt", "go2_velocity"),
+            "policies: go2_velocity goes with import; write unicon policies NAME, or "
+            "unicon policies import FILE_OR_FOLDER --out DIR",
+        ),
+    ],
+)
+def test_a_wrong_import_is_told(
+    arguments: tuple[str, ...], line: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert refused(capsys, "policies", *arguments) == line
+
+
+def test_an_import_to_where_nothing_can_be_written_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("")
+    line = refused(
+        capsys, "policies", "import", "go2_velocity", "--out", str(tmp_path / "file" / "out")
+    )
+    assert str(tmp_path / "file") in line
+
+
+def test_an_import_of_broken_policies_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    policy_folders.write_all(tmp_path / "policies")
+    for name, part in (("no_network", "policy.onnx"), ("no_external_data", "policy.onnx.data")):
+        source, out = str(tmp_path / "policies" / name), str(tmp_path / "out" / name)
+        assert part in refused(capsys, "policies", "import", source, "--out", out)
+        assert not Path(out).exists()
+    shutil.rmtree(tmp_path / "policies")
