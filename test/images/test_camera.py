@@ -1,0 +1,244 @@
+"""A simulated camera: a plain subscriber sees what the model shows, and the ticks go on."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+pytest.importorskip("mujoco")
+
+from unicon_core.errors import UniconError
+from unicon_core.flow import Block
+from unicon_core.runtime import Report, Runner, RunOptions
+from unicon_core.workflow import Workflow, load_workflow
+
+pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]
+
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parent.parent
+WIDTH, HEIGHT, FOVY = 64, 48, 60.0
+ABOVE = 1.0  # m, the camera above the base
+WORKFLOW = """\
+schema: unicon.workflow/1
+robot: go2
+platform: fake
+rate: 100
+flow: {{hold: {{}}}}
+safety: [finite]
+deferred:
+  - call:
+      function: unicon_ros.bridge.camera:camera
+      {where}
+      width: {width}
+      height: {height}
+      kind: {kind}
+      topic: {topic}
+      rate: 20
+"""
+PROBE = """\
+import os
+os.environ.setdefault("MUJOCO_GL", "egl")
+import mujoco
+mujoco.Renderer(mujoco.MjModel.from_xml_string("<mujoco/>"), 8, 8).render()
+os._exit(0)
+"""
+
+
+@pytest.fixture(scope="session")
+def gl() -> None:
+    """Skips where this machine cannot render offscreen."""
+    done = subprocess.run(
+        [sys.executable, "-c", PROBE], capture_output=True, text=True, check=False
+    )
+    if done.returncode:
+        last = (done.stderr.strip().splitlines() or ["no reason told"])[-1]
+        pytest.skip(f"no offscreen OpenGL ({last}): apt install libegl1 libgl1-mesa-dri")
+
+
+@pytest.fixture(autouse=True)
+def domain(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(random.SystemRandom().randint(1, 101)))
+
+
+@pytest.fixture
+def viewer() -> Iterator[Callable[[str, str], subprocess.Popen[str]]]:
+    """Starts a plain subscriber."""
+    started: list[subprocess.Popen[str]] = []
+
+    def start(topic: str, kind: str) -> subprocess.Popen[str]:
+        environment = dict(os.environ)
+        for name in ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"):
+            environment[name] = str(ROOT / "config" / "dds" / "large_data.xml")
+        peer = subprocess.Popen(
+            [sys.executable, str(HERE / "plain_viewer.py"), topic, kind],
+            env=environment,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        started.append(peer)
+        assert peer.stdout is not None
+        assert json.loads(peer.stdout.readline())["ready"]
+        return peer
+
+    yield start
+    for peer in started:
+        peer.kill()
+        peer.wait(10)
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Callable[..., Path]:
+    def written(
+        kind: str = "color",
+        where: str = "{body: base_link, position: [0.4, 0.0, 0.1]}",
+        topic: str = "camera/image_raw",
+    ) -> Path:
+        path = tmp_path / "camera.yaml"
+        options = where.strip("{}").replace(", position", "\n      position")
+        path.write_text(
+            WORKFLOW.format(kind=kind, where=options, topic=topic, width=WIDTH, height=HEIGHT)
+        )
+        return path
+
+    return written
+
+
+def run(path: Path, seconds: float, observers: Any = ()) -> tuple[Report, Workflow]:
+    workflow = load_workflow(path, observers=list(observers))
+    return Runner(workflow, RunOptions(duration=seconds)).run(), workflow
+
+
+def lines(peer: subprocess.Popen[str]) -> list[dict[str, Any]]:
+    peer.kill()
+    assert peer.stdout is not None
+    found = []
+    for line in peer.stdout:
+        try:
+            found.append(json.loads(line))
+        except json.JSONDecodeError:  # cut off by the kill
+            break
+    return found
+
+
+@pytest.mark.usefixtures("gl")
+def test_a_plain_subscriber_sees_the_sky_above_and_the_floor_below(
+    write: Callable[..., Path], viewer: Callable[[str, str], subprocess.Popen[str]]
+) -> None:
+    peer = viewer("camera/image_raw", "Image")
+    handles: list[int] = []
+    shapes: list[Any] = []
+
+    def look(workflow: Workflow) -> list[Block]:
+        (camera,) = [b.tick for b in workflow.blocks if "camera" in b.name or b.name == "call"]
+
+        def note() -> None:
+            handle = int(workflow.states["camera_handle"])
+            handles.append(handle)
+            frame = camera.frame(handle)
+            shapes.append(None if frame is None else frame.shape)
+
+        return [Block("look", note)]
+
+    report, _ = run(write(), 3.0, [look])
+    heard = lines(peer)
+    assert report.faults == []
+    assert len(heard) > 5
+    assert heard[-1]["size"] == [WIDTH, HEIGHT]
+    assert heard[-1]["frame"] == "base_link_camera_optical_frame"
+    assert len({line["stamp"] for line in heard}) == len(heard)
+    upper, lower = np.array(heard[-1]["upper"]), np.array(heard[-1]["lower"])
+    assert np.abs(upper - lower).max() > 10.0  # two different things are seen
+    # The states carry a number, and behind it the frame lies in place.
+    assert handles[0] == 0
+    assert handles == sorted(handles)
+    assert len(set(handles)) > 5
+    assert shapes[-1] == (HEIGHT, WIDTH, 3)
+    # Rendering takes longer than a tick; the ticks do not wait for it.
+    assert report.overruns < 0.25 * report.ticks
+
+
+@pytest.mark.usefixtures("gl")
+@pytest.mark.parametrize("kind", ["depth", "cloud"])
+def test_depths_are_where_the_floor_is(
+    kind: str, write: Callable[..., Path], viewer: Callable[[str, str], subprocess.Popen[str]]
+) -> None:
+    name = "Image" if kind == "depth" else "PointCloud2"
+    peer = viewer("camera/depth", name)
+    heights: list[float] = []
+
+    def note(workflow: Workflow) -> list[Block]:
+        return [Block("note", lambda: heights.append(float(workflow.states["base_pos_w"][2])))]
+
+    report, _ = run(write(kind=kind, topic="camera/depth"), 3.0, [note])
+    heard = lines(peer)
+    assert report.faults == []
+    assert heard
+    last = heard[-1]
+    # The lowest row of pixels looks down by nearly half the field of view onto the floor.
+    down = np.tan(np.radians(FOVY) / 2) * (HEIGHT - 1) / HEIGHT
+    expected = (heights[-1] + 0.1) / down
+    middle = last["values"][WIDTH // 2]
+    z = middle[2] if kind == "cloud" else middle[0]
+    assert z == pytest.approx(expected, rel=0.03)
+    if kind == "cloud":
+        assert middle[1] == pytest.approx(heights[-1] + 0.1, rel=0.03)  # y is down
+        assert abs(middle[0]) < 0.05 * z
+    assert 0.2 < last["finite"] < 0.9  # what is beyond 20 m is no measurement
+
+
+@pytest.mark.usefixtures("gl")
+def test_a_camera_process_that_is_killed_leaves_the_ticks_alone(write: Callable[..., Path]) -> None:
+    killed: list[int] = []
+
+    def kill(workflow: Workflow) -> list[Block]:
+        (camera,) = [b.tick for b in workflow.blocks if hasattr(b.tick, "frame")]
+
+        def act() -> None:
+            if int(workflow.states["tick"]) == 50:
+                camera._process.kill()
+                killed.append(1)
+
+        return [Block("kill", act)]
+
+    report, _ = run(write(), 1.5, [kill])
+    assert killed
+    assert report.faults == []
+    assert report.ticks == 150
+
+
+@pytest.mark.parametrize(
+    ("where", "message"),
+    [
+        (
+            "{body: nose}",
+            r"camera: no body 'nose' in .*go2\.xml; ",
+        ),
+        ("{camera: front}", r"camera: no camera 'front' in .*; or mount one: body: NAME"),
+        ("{far: 3}", r"camera: give either camera: NAME of the model, or body: NAME to mount"),
+        ("{body: base_link, reliability: sure}", r"camera: reliability 'sure'"),
+        ("{body: base_link, fovy: 0}", r"camera: fovy is 0; give more than 0"),
+    ],
+)
+def test_what_is_wrong_is_one_line(write: Callable[..., Path], where: str, message: str) -> None:
+    path = write(where=where.replace(", ", "\n      "))
+    with pytest.raises(UniconError, match=message) as caught:
+        load_workflow(path).close()
+    assert "\n" not in str(caught.value)
+
+
+def test_without_opengl_the_error_names_what_to_install(
+    write: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MUJOCO_GL", "nonsense")
+    with pytest.raises(UniconError, match=r"camera: no offscreen OpenGL \(.*apt install libegl1"):
+        load_workflow(write())

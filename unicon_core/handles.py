@@ -1,0 +1,124 @@
+"""Handles: large data (images, clouds) beside the states, which hold only their number.
+
+A `FrameRing` is a few frames in memory that processes share. One process fills them; others are
+told a handle, an int64 that fits into a state, and look at the frame in place. Nothing is copied
+through the state buffer, and who never looks pays nothing.
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["FrameRing"]
+
+_HEAD = 8  # int64 in front of the slots' own: latest handle, slots, bytes of a frame, spare
+_SLOT = 2  # int64 for each slot: handle of its frame (0 while it is filled), stamp_ns
+
+
+class FrameRing:
+    """A ring of frames of one size; make it with `create` or `attach`.
+
+    Handles count from 1; 0 is no frame. A frame stays readable until as many newer ones have come
+    as the ring has slots, less the one being filled.
+
+    Attributes:
+        path: the file behind it, by which another process attaches.
+        slots: number of frames.
+        nbytes: size of a frame, [B].
+    """
+
+    def __init__(self, path: Path, *, owner: bool) -> None:
+        self.path = path
+        self._owner = owner
+        with path.open("r+b") as file:
+            self._memory = mmap.mmap(file.fileno(), 0)
+        head = np.frombuffer(self._memory, np.int64, _HEAD)
+        self.slots, self.nbytes = int(head[1]), int(head[2])
+        self._head = head
+        self._table = np.frombuffer(
+            self._memory, np.int64, _SLOT * self.slots, head.nbytes
+        ).reshape(self.slots, _SLOT)
+        self._frames = np.frombuffer(
+            self._memory, np.uint8, offset=head.nbytes + self._table.nbytes
+        ).reshape(self.slots, self.nbytes)
+
+    @classmethod
+    def create(cls, nbytes: int, slots: int = 4) -> FrameRing:
+        """Make a ring in shared memory; its maker removes it with `close`.
+
+        Args:
+            nbytes: size of a frame, [B].
+            slots: number of frames, at least 2.
+        """
+        if nbytes < 1 or slots < 2:
+            raise ValueError(f"a ring of {slots} frames of {nbytes} B; give >= 2 of >= 1 B")
+        shared = "/dev/shm" if os.path.isdir("/dev/shm") else None
+        number, name = tempfile.mkstemp(prefix="unicon_frames_", dir=shared)
+        head = np.zeros(_HEAD, np.int64)
+        head[1:3] = slots, nbytes
+        with os.fdopen(number, "r+b") as file:
+            file.truncate(head.nbytes + 8 * _SLOT * slots + slots * nbytes)
+            file.write(head.tobytes())
+        return cls(Path(name), owner=True)
+
+    @classmethod
+    def attach(cls, path: str | Path) -> FrameRing:
+        """Return the ring that another process made."""
+        return cls(Path(path), owner=False)
+
+    @property
+    def latest(self) -> int:
+        """Handle of the newest whole frame; 0 if there is none."""
+        return int(self._head[0])
+
+    def fill(self) -> NDArray[np.uint8]:
+        """Return the slot to write the next frame into, shape (nbytes,); then call `commit`.
+
+        One process fills. The oldest frame is gone from here on.
+        """
+        slot = (self.latest + 1) % self.slots
+        self._table[slot, 0] = 0
+        frame: NDArray[np.uint8] = self._frames[slot]
+        return frame
+
+    def commit(self, stamp_ns: int) -> int:
+        """Make the filled frame the newest; return its handle.
+
+        Args:
+            stamp_ns: when its data were true, [ns].
+        """
+        handle = self.latest + 1
+        slot = handle % self.slots
+        self._table[slot] = handle, stamp_ns
+        self._head[0] = handle
+        return handle
+
+    def frame(self, handle: int) -> NDArray[np.uint8] | None:
+        """Return a frame in place, shape (nbytes,), read-only; None when it was overwritten.
+
+        Ask `holds` after a long look: the frame may have been overwritten meanwhile.
+        """
+        if not self.holds(handle):
+            return None
+        view: NDArray[np.uint8] = self._frames[handle % self.slots].view()
+        view.flags.writeable = False
+        return view
+
+    def holds(self, handle: int) -> bool:
+        """Tell whether a frame is still there."""
+        return handle > 0 and int(self._table[handle % self.slots, 0]) == handle
+
+    def stamp_ns(self, handle: int) -> int:
+        """Return when a frame's data were true in [ns]; 0 when it was overwritten."""
+        return int(self._table[handle % self.slots, 1]) if self.holds(handle) else 0
+
+    def close(self) -> None:
+        """Let it go; its maker removes it. Views that are still held stay valid."""
+        if self._owner:
+            self.path.unlink(missing_ok=True)
