@@ -1,0 +1,127 @@
+"""docs/bridge.md: its maps build and say what they promise, its workflows run, its words exist."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rosbags.typesys import Stores, get_typestore
+from talkers import ROOT, clean_environment
+
+from unicon_core.errors import UniconError
+from unicon_core.runtime import Runner, RunOptions
+from unicon_core.workflow import load_workflow
+from unicon_msgs_map import Decoder, Encoder, MessageMap, parse_map
+from unicon_ros.bridge.bindings import arrays_of, names_of, variables_of
+
+pytestmark = [pytest.mark.timeout(120)]
+
+TEXT = (ROOT / "docs" / "bridge.md").read_text(encoding="utf-8")
+BLOCKS = re.findall(r"^```yaml\n# ([^\n]+)\n(.*?)^```", TEXT, re.M | re.S)
+MAPS = [text for title, text in BLOCKS if title == "map"]
+PLAIN = "schema: unicon.workflow/1\nrobot: go2\nplatform: fake\nrate: 100\nflow: {hold: {}}\n"
+
+
+def workflow(title: str, folder: Path) -> Path:
+    path = folder / "documented.yaml"
+    path.write_text(dict(BLOCKS)[title])
+    return path
+
+
+def test_every_block_of_yaml_says_what_it_is() -> None:
+    assert len(BLOCKS) == len(re.findall(r"^```yaml", TEXT, re.M)) == 5
+    assert len(MAPS) == 3
+
+
+@pytest.fixture
+def built(tmp_path: Path) -> list[tuple[MessageMap, list[Encoder], list[Decoder]]]:
+    """The maps of the document, compiled against a Go2."""
+    path = tmp_path / "plain.yaml"
+    path.write_text(PLAIN)
+    loaded = load_workflow(path)
+    Runner(loaded, RunOptions(duration=0.1, speed="max")).run()
+    bindings = arrays_of(loaded), names_of(loaded), variables_of(loaded)
+    found = []
+    for text in MAPS:
+        mapping = parse_map(text)
+        encoders = [Encoder.build(spec, *bindings) for spec in mapping.publish]
+        decoders = [Decoder.build(spec, *bindings) for spec in mapping.subscribe]
+        found.append((mapping, encoders, decoders))
+    return found
+
+
+def test_the_maps_build_and_their_messages_are_whole(
+    built: list[tuple[MessageMap, list[Encoder], list[Decoder]]],
+) -> None:
+    store = get_typestore(Stores.ROS2_JAZZY)
+    messages = {}
+    for _, encoders, _ in built:
+        for encoder in encoders:
+            message = store.deserialize_cdr(encoder.encode(), encoder.spec.type)
+            messages[encoder.spec.topic] = message
+    joints = messages["joint_states"]
+    assert joints.header.frame_id == "base_link"
+    assert joints.name[0] == "FR_hip_joint"
+    degrees = np.degrees(joints.position[:3]) * [1, -1, -1]
+    np.testing.assert_allclose(messages["leg_degrees"].data, degrees, rtol=1e-6)
+    assert re.fullmatch(r" *-?\d+\.\d\d", messages["battery_text"].data)
+
+
+def test_a_workflow_behind_topics_asks_for_its_robot(tmp_path: Path) -> None:
+    pytest.importorskip("rclpy")
+    path = workflow("workflow behind topics", tmp_path)
+    with pytest.raises(UniconError, match=r"no message on /joint_states within 0\.2 s"):
+        load_workflow(path, ["platforms.ros.connect=0.2"])
+
+
+def test_a_workflow_with_a_camera_runs(tmp_path: Path) -> None:
+    pytest.importorskip("rclpy")
+    path = workflow("workflow with a camera", tmp_path)
+    try:
+        loaded = load_workflow(path)
+    except UniconError as error:
+        if "no offscreen OpenGL" in str(error):
+            pytest.skip(str(error))
+        raise
+    report = Runner(loaded, RunOptions(duration=0.5)).run()
+    assert report.faults == []
+
+
+def test_parameters_and_services_are_those_of_the_node() -> None:
+    pytest.importorskip("rclpy")
+    from unicon_ros.bridge.controls import SERVICES
+    from unicon_ros.parameters import DECLARED, RANGED
+
+    section = TEXT.partition("## The node")[2].partition("## Images")[0]
+    rows = [line.split("|")[1] for line in section.splitlines() if line.startswith("| `")]
+    named = {word for row in rows for word in re.findall(r"`([~/a-z_]+)`", row)}
+    parameters = {name for name, *_ in (*DECLARED, *RANGED)}
+    assert named == parameters | {f"~/{service}" for service in SERVICES}
+
+
+def test_the_variables_are_those_of_a_workflow(tmp_path: Path) -> None:
+    path = tmp_path / "plain.yaml"
+    path.write_text(PLAIN)
+    (row,) = [line for line in TEXT.splitlines() if line.startswith("| `$joint_names`")]
+    named = re.findall(r"`([a-z_]+)`", row.split("|")[2])
+    assert named == list(variables_of(load_workflow(path)))
+
+
+def test_files_and_commands_that_it_names_exist() -> None:
+    for path in re.findall(r"`?((?:config|unicon_core|unicon_ros|test)/[\w/.]+\.\w+)`?", TEXT):
+        assert (ROOT / path).is_file(), path
+    environment = clean_environment() | {"PYTHONPATH": os.pathsep.join([str(ROOT)])}
+    done = subprocess.run(
+        [sys.executable, "-m", "unicon_ros", "bench", "--help"],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    for bench in re.findall(r"`unicon bench (\w+)`", TEXT):
+        assert bench in done.stdout
