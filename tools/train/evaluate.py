@@ -69,7 +69,7 @@ def random_episode(walker: Walker, seed: int, push: float) -> tuple[bool, np.nda
     """
     rng = np.random.default_rng(seed)
     walker.reset(yaw=rng.uniform(-np.pi, np.pi))
-    rows = []
+    rows: list[tuple[float, float, float]] = []
     command = ZERO
     for tick in range(20 * TICKS_PER_S):
         if tick % (4 * TICKS_PER_S) == 0:

@@ -35,7 +35,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--envs", type=int, default=512)
     parser.add_argument("--steps", type=int, default=24)
-    parser.add_argument("--iterations", type=int, default=1200)
+    parser.add_argument("--iterations", type=int, default=600)
     parser.add_argument("--timestep", type=float, default=0.005)
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--resume", type=Path)
