@@ -1,0 +1,118 @@
+"""docs/policies.md tells the truth: its files load, its commands run, its messages are printed."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+import yaml
+from policy_helpers import write_linear
+
+from unicon_core.check import CODES, check_workflow
+from unicon_core.policies import load_policy
+from unicon_core.robots import load_robot
+from unicon_ros.cli.main import main
+
+jsonschema = pytest.importorskip("jsonschema", reason="the robot file is held against its schema")
+
+ROOT = Path(__file__).resolve().parents[2]
+DOCUMENT = ROOT / "docs" / "policies.md"
+if not DOCUMENT.is_file():
+    pytest.skip("docs/ is not part of this tree", allow_module_level=True)
+
+TEXT = DOCUMENT.read_text(encoding="utf-8")
+BLOCKS = re.findall(r"```(\w+)(?: title=(\S+))?\n(.*?)```", TEXT, re.DOTALL)
+TITLED = {title: body for _, title, body in BLOCKS if title}
+COMMANDS = [
+    line for kind, _, body in BLOCKS if kind == "sh" for line in body.splitlines() if line.strip()
+]
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The files of the page, with a network for its policy, as the working folder."""
+    for title, body in TITLED.items():
+        if title.endswith(".yaml"):
+            path = tmp_path / title
+            path.parent.mkdir(exist_ok=True)
+            path.write_text(body, encoding="utf-8")
+    write_linear(tmp_path / "my_walk" / "policy.onnx", 45, 12)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def without_contract(folder: Path) -> None:
+    """Leave the bare network, for the examples that give its facts in the workflow."""
+    (folder / "my_walk" / "policy.yaml").unlink()
+
+
+def test_the_policy_is_whole(folder: Path) -> None:
+    contract = load_policy(folder / "my_walk")
+    assert contract.period == 0.02
+    assert contract.stiffness.tolist() == [40.0] * 12
+    assert len(contract.terms) == 6
+
+
+def test_the_robot_file_fits_loader_and_schema(folder: Path) -> None:
+    robot = load_robot(folder / "twig.yaml")
+    assert robot.missing_facts() == ["joints.effort"]
+    schema = json.loads((ROOT / "config" / "robots" / "robot.schema.json").read_text())
+    jsonschema.validate(yaml.safe_load(TITLED["twig.yaml"]), schema)
+
+
+def test_every_key_of_the_policy_is_in_the_table() -> None:
+    table = TEXT.split("| key | meaning, unit | needed |")[1].split("\n\n")[0]
+    for key in yaml.safe_load(TITLED["my_walk/policy.yaml"]):
+        assert key in ("schema", "name", "robot") or f"`{key}" in table, key
+
+
+@pytest.mark.parametrize("line", COMMANDS)
+def test_every_command_does_what_the_page_says(
+    line: str, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("mujoco", reason="some commands simulate")
+    if "bare.yaml" in line or "import" in line:
+        without_contract(folder)
+    command, _, comment = line.partition("#")
+    assert command.startswith("unicon ")
+    status = main(shlex.split(command)[1:])
+    told = capsys.readouterr()
+    assert status == (1 if "exit 1" in comment else 0), told.out + told.err
+    if "robot=h1" in line:
+        assert told.err == TITLED["transfer"]
+    if "period=20" in line:
+        assert TITLED["finding"].strip() in told.out
+
+
+def test_a_missing_fact_is_told_as_on_the_page(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    without_contract(folder)
+    values = yaml.safe_load(TITLED["bare.yaml"])
+    del values["policies"]["walk"]["given"]["period"]
+    (folder / "bare.yaml").write_text(yaml.safe_dump(values))
+    assert main(["run", "bare.yaml", "--no-ros"]) == 1
+    assert capsys.readouterr().err.replace(str(folder), "DIR") == TITLED["missing"]
+
+
+def test_an_undriveable_robot_is_refused_as_on_the_page(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("rclpy", reason="platform ros is a platform with motors")
+    workflow = {"robot": "./twig.yaml", "platform": "ros", "rate": 50, "flow": {"damp": {}}}
+    (folder / "twig_damps.yaml").write_text(yaml.safe_dump(workflow))
+    assert main(["run", "twig_damps.yaml", "--no-ros"]) == 1
+    assert capsys.readouterr().err.replace(str(folder), "DIR") == TITLED["undriveable"]
+
+
+def test_the_check_section_is_accepted(folder: Path) -> None:
+    without_contract(folder)
+    settings = yaml.safe_load(TITLED["check"])["check"]
+    assert set(settings["accept"]) <= set(CODES)
+    (folder / "bare.yaml").write_text(TITLED["bare.yaml"] + TITLED["check"])
+    result = check_workflow(folder / "bare.yaml")
+    assert result.clean, result.text()
+    assert result.accepted == {"gains.symmetry"}
