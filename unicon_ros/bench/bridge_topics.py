@@ -235,7 +235,8 @@ def arrays_of(states: States) -> dict[str, NDArray[Any]]:
 
 def variables_of(joints: int) -> dict[str, object]:
     """Return the `$variables` of the maps."""
-    return {"joint_names": [f"joint_{i}" for i in range(joints)]}
+    frames = {"base_frame": "base_link", "odom_frame": "odom", "imu_frame": "imu_link"}
+    return {"joint_names": [f"joint_{i}" for i in range(joints)], "robot": "bench", **frames}
 
 
 def _publishing(publisher: Any, make: Callable[[], Any]) -> Step:
