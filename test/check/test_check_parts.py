@@ -230,6 +230,19 @@ def test_a_fault_scores_the_share_of_its_time(states: States) -> None:
     assert measures.outcome() == "stops after 2.00 s"
 
 
+def test_what_the_flow_does_before_the_policy_counts_for_nothing(states: States) -> None:
+    """A Go2 that stands up for 2.5 s and then falls at once has not survived a third of the run."""
+    states["velocity_command"][...] = (0.6, 0.0, 0.0)
+    recorder = record(states, 125, walking=False)
+    states["base_lin_vel"][...] = (0.6, 0.0, 0.0)
+    for _ in range(100):
+        recorder(True)
+    measures = recorder.measures(5.0, "the base leans", True)
+    assert measures.survived_s == pytest.approx(2.0)
+    assert measures.tracking == pytest.approx(1.0)
+    assert measures.survival == pytest.approx(0.4)
+
+
 def test_a_run_that_the_flow_ends_itself_survived(states: States) -> None:
     assert record(states, 100).measures(5.0, "", True).survival == 1.0
 

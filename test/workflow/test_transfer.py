@@ -148,6 +148,12 @@ def test_motors_are_counted_on_the_robot_that_the_policy_was_made_for(assets: Pa
         load_workflow("g1_walk", {"robot": "atom", "platform": "fake"})
 
 
+def test_the_robot_of_other_formats_is_information(tmp_path: Path, assets: Path) -> None:
+    """Only a deploy.yaml counts motors: elsewhere the robot may be one that we do not know."""
+    folder = restrict(assets / "policies/g1_velocity_mjlab", tmp_path / "legs", LEGS)
+    assert load_policy(folder, given={"robot": "someone_elses"}).robot == "someone_elses"
+
+
 # -- sim to real ---------------------------------------------------------------------------------
 
 

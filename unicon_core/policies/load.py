@@ -87,8 +87,8 @@ def load_policy(
         reference: a name in `config/policies/` or of an entry point in the group
             `unicon.policies`, a folder, a file (`policy.yaml`, `deploy.yaml`, `env.yaml`, `.onnx`,
             TorchScript), or `assets:PATH`.
-        robot: gives joint names to sources that only count motors, unless `given` names the robot
-            that it was trained for.
+        robot: gives joint names to a `deploy.yaml`, which only counts motors, unless `given` names
+            the robot that it was made for.
         given: facts that the source leaves out, with the keys of `policy.yaml`, nested or dotted.
 
     Returns:
@@ -182,9 +182,6 @@ def _main_file(folder: Path) -> Path | None:
 
 def _read(reference: str | Path, robot: NamedJoints | None, given: Mapping[str, Any]) -> Facts:
     path = _locate(reference)
-    named = given.get("robot")
-    if isinstance(named, str):  # joints are those of the robot it was trained for, whoever runs it
-        robot = load_robot(named)
     facts, onnx = _facts_of(path, robot, given)
     merge_given(facts, given)
     facts.values.setdefault("name", _name_of(path))
@@ -227,6 +224,9 @@ def _facts_of(
         return Facts(path, "TorchScript file", {"torchscript": path.name}), None
     values, _ = read_yaml(path)
     if is_deploy_yaml(values):
+        made_for = given.get("robot")
+        if isinstance(made_for, str):  # its motors are counted, whichever robot runs the policy
+            robot = load_robot(made_for)
         motors = None if robot is None else _motors(robot)
         facts = deploy_yaml_facts(path, motors, "" if robot is None else robot.name)
     elif is_env_yaml(values):
