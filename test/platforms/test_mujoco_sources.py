@@ -259,6 +259,26 @@ def test_a_robot_without_anything_that_collides_is_told_to_fall(
         make(states_of(robot), robot, 0.01, model=path)
 
 
+def test_an_absent_texture_is_left_out(
+    toy_robot: Callable[..., Robot],
+    toy_model: Callable[..., Path],
+    states_of: Callable[..., States],
+) -> None:
+    """PND's adam_lite.xml paints its torso with a picture that is not beside it."""
+    path = toy_model()
+    asset = (
+        '<asset><texture name="logo" type="2d" file="logo.png"/>'
+        '<material name="paint" texture="logo"/></asset><worldbody>'
+    )
+    box = '<geom type="box" size="0.2 0.1 0.05" mass="4"'
+    text = path.read_text().replace("<worldbody>", asset)
+    path.write_text(text.replace(box, f'{box} material="paint"'))
+    robot = toy_robot()
+    platform = make(states_of(robot), robot, 0.002, model=path)
+    assert platform.info()["notes"][0] == "1 textures are absent (logo): left out"
+    assert platform.model.ntex == 0
+
+
 # -- actuators of any kind -----------------------------------------------------------------------
 
 KINDS = {

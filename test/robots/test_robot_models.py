@@ -146,3 +146,25 @@ def test_order_is_that_of_the_models_motors(model: tuple[str, Path]) -> None:
     slots = robot.transport.get("motors", range(robot.num_joints))
     if len(motors) > max(slots) and name not in MORE_JOINTS:  # the model has the unused slots too
         assert robot.joint_names == tuple(motors[slot] for slot in slots)
+
+
+@pytest.mark.filterwarnings("ignore:model .* mesh files are absent")
+def test_the_platform_loads_it_and_a_quadruped_stands(model: tuple[str, Path]) -> None:
+    pytest.importorskip("mujoco", reason="the model is simulated")
+    from unicon_core.platforms.mujoco import make
+    from unicon_core.states import States, standard_states
+
+    name, path = model
+    robot = load_robot(name)
+    states = States(standard_states(robot.joint_names))
+    platform = make(states, robot, 0.02, model=path)
+    if robot.kind != "quadruped" or robot.missing_facts():
+        return
+    states.joint_pos_target = robot.default_joint_pos
+    states.joint_stiffness, states.joint_damping = robot.joint_stiffness, robot.joint_damping
+    for _ in range(150):
+        platform.send()
+    platform.recv()
+    assert states.projected_gravity[2] < -0.99
+    assert states.base_pos_w[2] > 0.2
+    assert np.abs(states.joint_pos - robot.default_joint_pos).max() < 0.2

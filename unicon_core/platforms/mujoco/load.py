@@ -78,6 +78,7 @@ def load_model(path: Path, robot: Robot, timestep: float | None = None) -> Loade
     is_urdf = path.suffix.lower() == ".urdf"
     spec = _read(mujoco, path, repaired_urdf(path, notes) if is_urdf else None)
     _drop_absent_meshes(spec, path, robot.kind in _FLOATING, notes)
+    _drop_absent_textures(spec, path, notes)
     if is_urdf:
         spec.compiler.fusestatic = False  # fixed links keep their names: feet and sensor frames
         spec.option.timestep = _URDF_TIMESTEP
@@ -177,6 +178,24 @@ def _drop_absent_meshes(spec: Any, path: Path, floats: bool, notes: list[str]) -
         note += "; nothing else of it does, so it falls through the floor: add the files"
     notes.append(note)
     warnings.warn(f"model {path}: {note}", stacklevel=4)
+
+
+def _drop_absent_textures(spec: Any, path: Path, notes: list[str]) -> None:
+    folder = path.parent / (spec.compiler.texturedir or spec.texturedir or "")
+    absent = [
+        texture
+        for texture in spec.textures
+        for file in (texture.file, *texture.cubefiles)
+        if file and not (folder / file).is_file()
+    ]
+    names = {texture.name or Path(texture.file).stem for texture in absent}
+    if not absent:
+        return
+    for material in spec.materials:
+        material.textures = ["" if name in names else name for name in material.textures]
+    notes.append(f"{len(names)} textures are absent ({', '.join(sorted(names))}): left out")
+    for texture in {id(texture): texture for texture in absent}.values():
+        _delete(spec, texture)
 
 
 def _delete(spec: Any, element: Any) -> None:
