@@ -9,7 +9,6 @@ all its values: locked, it alone would decide the result. Variants are interleav
 from __future__ import annotations
 
 import os
-import random
 import signal
 import subprocess
 import sys
@@ -25,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_ros import compat
+from unicon_ros.bench.domains import free_domain
 from unicon_ros.bench.floor import c_level_floor
 from unicon_ros.bench.report import Bench
 
@@ -147,7 +147,7 @@ def run(
         except KeyboardInterrupt:
             _say(f"stopped; {len(results)} whole rounds are kept\n")
     bench = _bench(results, options)
-    floor = c_level_floor(random.SystemRandom().randint(1, 101), state_rate) if results else None
+    floor = c_level_floor(free_domain(), state_rate) if results else None
     if floor is not None:
         bench.fact("one hop of DDS in C (ddsperf, 512 B)", floor)
     return bench
@@ -165,7 +165,7 @@ def _round(variants: list[Variant], options: _Options, label: str) -> dict[str, 
 
 def _measure(variant: Variant, options: _Options) -> Samples | None:
     """Run one variant once; None where it did not come to an end."""
-    options.environment["ROS_DOMAIN_ID"] = str(random.SystemRandom().randint(1, 101))
+    options.environment["ROS_DOMAIN_ID"] = str(free_domain())
     measured = options.folder / "measured.npz"
     controlled = options.folder / "measured_controller.npz"
     for path in (measured, controlled):

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import UniconError
+from unicon_core.platforms.mujoco.find import find_model
 from unicon_core.platforms.mujoco.joints import find_joints
 from unicon_core.platforms.mujoco.load import import_mujoco, load_model
-from unicon_core.resources import find_resource
 from unicon_core.robots import Robot
 from unicon_core.workflow import Workflow
 
@@ -97,7 +97,7 @@ def tree_of(workflow: Workflow) -> list[Link]:
         if robot.model is None:
             raise UniconError(f"robot {robot.name} names no model; add model: PATH to {robot.path}")
         import_mujoco()
-        model = load_model(find_resource(robot.model, "model"), robot).model
+        model = load_model(find_model(robot.model), robot).model
     return read_tree(model, robot)
 
 
