@@ -56,5 +56,6 @@ def _times(file: Path) -> dict[str, np.ndarray]:
 
 def _p99(start: np.ndarray, values: np.ndarray, span: Window) -> float:
     inside = values[(start >= span[0]) & (start < span[1])]
-    assert inside.size > 100, "too few ticks in a window"
+    told = f"{inside.size} ticks in {span}, of {start.size} in {start[0]} to {start[-1]}"
+    assert inside.size > 100, told
     return float(np.percentile(inside, 99))

@@ -34,6 +34,8 @@ def main() -> None:
         faults=report.faults,
         received=counts["received"],
         served=counts["services"]["served"],
+        rows=rows,
+        names=list(statistics.names),
     )
 
 
