@@ -105,6 +105,10 @@ class PublishSpec:
         """Names of the states that this message reads, in field order."""
         return _states(self.fields)
 
+    def every(self, period: float) -> int:
+        """Return how many ticks of `period` [s] lie from one message to the next: at least 1."""
+        return 1 if self.rate is None else max(1, round(1.0 / (self.rate * period)))
+
 
 @dataclass(frozen=True)
 class SubscribeSpec:

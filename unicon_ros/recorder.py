@@ -141,8 +141,8 @@ def _blocks(
             if not spec.optional:
                 raise
             continue
-        every = 1 if spec.rate is None else max(1, round(1.0 / (spec.rate * workflow.period)))
-        due.append((every, encoder.encode, recorder.channel(spec.topic, spec.type)))
+        write = recorder.channel(spec.topic, spec.type)
+        due.append((spec.every(workflow.period), encoder.encode, write))
         reads.update(spec.states)
     tick = 0
 

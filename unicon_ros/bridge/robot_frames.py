@@ -101,7 +101,7 @@ class RobotFrames:
         encoder = Encoder.build(
             spec, {"stamp_ns": stamp, "positions": poses.positions, "quats": poses.quats}
         )
-        every = max(1, round(1.0 / (RATE * workflow.period)))
+        every = spec.every(workflow.period)
         message = compat.message_class(spec.type)
         out = TopicOut(
             self._node, encoder, message, every, every - 1, self._group, self._warn, poses.update

@@ -120,8 +120,7 @@ class RosPlatform:
             made = _made(entry, partial(Encoder.build, entry, arrays, names, variables))
             if made is not None:
                 encoder, message = made
-                every = 1 if entry.rate is None else max(1, round(1 / (entry.rate * period)))
-                warn = self._warnings.append
+                every, warn = entry.every(period), self._warnings.append
                 self._out.append(TopicOut(own.node, encoder, message, every, 0, group, warn))
         if not self._in:
             raise PlatformError(f"map {path} subscribes to nothing; a robot tells its joint_pos")

@@ -164,7 +164,7 @@ class RosSession:
             encoder = self._built(spec, partial(Encoder.build, spec, arrays, names, variables))
             if encoder is None:
                 continue
-            every = 1 if spec.rate is None else max(1, round(1.0 / (spec.rate * workflow.period)))
+            every = spec.every(workflow.period)
             phase = phases[every] = phases.get(every, -1) + 1
             try:
                 topic = TopicOut(self.node, encoder, message, every, phase, self._group, self.warn)

@@ -1,0 +1,27 @@
+"""What a parsed entry tells of itself."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from map_helpers import publish
+
+
+@pytest.mark.parametrize(
+    ("rate", "period", "ticks"),
+    [
+        (None, 0.002, 1),
+        (500.0, 0.002, 1),
+        (100.0, 0.002, 5),
+        (60.0, 0.02, 1),  # 0.83 ticks
+        (30.0, 0.02, 2),  # 1.67 ticks
+        (1000.0, 0.02, 1),  # faster than the tick: no faster than the tick
+        (0.1, 0.02, 500),
+    ],
+)
+def test_a_rate_is_kept_in_whole_ticks(rate: float | None, period: float, ticks: int) -> None:
+    """No rate is every tick; others are rounded to whole ticks."""
+    spec = replace(publish("std_msgs/msg/Header", {}), rate=rate)
+
+    assert spec.every(period) == ticks
