@@ -3,32 +3,20 @@
 from __future__ import annotations
 
 import os
-import random
 import shutil
-import socket
 import tempfile
 from pathlib import Path
 
 import pytest
 
+from unicon_ros.bench.domains import free_domain
+
 ROOT = Path(__file__).resolve().parent.parent
 LOG_DIR = tempfile.mkdtemp(prefix="unicon_ros_log_")
 
 
-# Set before any test imports rclpy, and inherited by the processes that tests start. Domains above
-# 101 would reach into Linux's ephemeral ports (7400 + 250 × domain).
-def _is_free(domain: int) -> bool:
-    """Tell whether no participant of this machine is in a domain (RTPS 9.6.2: ports from it)."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        try:
-            probe.bind(("", 7400 + 250 * domain + 10))
-        except OSError:
-            return False
-    return True
-
-
-_domains = random.SystemRandom().sample(range(1, 102), 101)
-os.environ["ROS_DOMAIN_ID"] = str(next(filter(_is_free, _domains), _domains[0]))
+# Set before any test imports rclpy, and inherited by the processes that tests start.
+os.environ["ROS_DOMAIN_ID"] = str(free_domain())
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 if os.environ.get("ROS_DISTRO") == "humble":
     os.environ["ROS_LOCALHOST_ONLY"] = "1"

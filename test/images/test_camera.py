@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import random
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -21,6 +20,7 @@ from unicon_core.errors import UniconError
 from unicon_core.flow import Block
 from unicon_core.runtime import Report, Runner, RunOptions
 from unicon_core.workflow import Workflow, load_workflow
+from unicon_ros.bench.domains import free_domain
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]
 
@@ -67,7 +67,7 @@ def gl() -> None:
 
 @pytest.fixture(autouse=True)
 def domain(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(random.SystemRandom().randint(1, 101)))
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(free_domain()))
 
 
 @pytest.fixture

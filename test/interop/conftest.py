@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import random
 import subprocess
 import sys
 import venv
@@ -12,6 +11,8 @@ from pathlib import Path
 
 import pytest
 from talkers import clean_environment
+
+from unicon_ros.bench.domains import free_domain
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 sys.path.insert(0, str(ROOT / "tools" / "lib"))
@@ -22,7 +23,7 @@ KILTED = ["ros-rclpy[fastrtps]==9.1.2", "ros-kilted-common-interfaces"]
 def domain() -> Iterator[None]:
     """A ROS domain of this module alone."""
     before = os.environ.get("ROS_DOMAIN_ID")
-    os.environ["ROS_DOMAIN_ID"] = str(random.SystemRandom().randint(1, 101))
+    os.environ["ROS_DOMAIN_ID"] = str(free_domain())
     yield
     if before is not None:
         os.environ["ROS_DOMAIN_ID"] = before

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-import random
-import socket
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -16,24 +14,16 @@ pytest.importorskip("rclpy")
 
 from ros_helpers import REACT, SWAY, Peer, Run
 
+from unicon_ros.bench.domains import free_domain
+
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent.parent
 
 
-def is_free(domain: int) -> bool:
-    """Tell whether no participant of this machine is in a domain (RTPS 9.6.2: ports from it)."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        try:
-            probe.bind(("", 7400 + 250 * domain + 10))
-        except OSError:
-            return False
-    return True
-
-
 @pytest.fixture(autouse=True)
 def domain(monkeypatch: pytest.MonkeyPatch) -> int:
-    """A ROS domain of this test alone: one whose first participant's port nobody has."""
-    number = next(n for n in random.SystemRandom().sample(range(1, 102), 101) if is_free(n))
+    """A ROS domain of this test alone."""
+    number = free_domain()
     monkeypatch.setenv("ROS_DOMAIN_ID", str(number))
     return number
 

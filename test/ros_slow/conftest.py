@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import random
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -14,6 +13,8 @@ import pytest
 
 pytest.importorskip("rclpy")
 pytest.importorskip("psutil")
+
+from unicon_ros.bench.domains import free_domains
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent.parent
@@ -51,4 +52,4 @@ def start() -> Iterator[Callable[..., subprocess.Popen[bytes]]]:
 @pytest.fixture
 def domains() -> list[int]:
     """ROS domains of this test alone."""
-    return random.SystemRandom().sample(range(1, 102), 4)
+    return free_domains(4)

@@ -1,11 +1,12 @@
-"""ROS domains for benchmarks: one that nobody on this machine is in, so that no topic is shared."""
+"""ROS domains for benchmarks and tests: those nobody on this machine is in, to share no topic."""
 
 from __future__ import annotations
 
 import random
 import socket
+from itertools import islice
 
-__all__ = ["free_domain"]
+__all__ = ["free_domain", "free_domains"]
 
 # Above 101 the ports would reach into Linux's ephemeral ones.
 _DOMAINS = range(1, 102)
@@ -13,8 +14,14 @@ _DOMAINS = range(1, 102)
 
 def free_domain() -> int:
     """Return a random domain whose first participant's port is free (RTPS 2.2, section 9.6.1)."""
+    return free_domains(1)[0]
+
+
+def free_domains(count: int) -> list[int]:
+    """Return that many random domains, no two alike; taken ones where too few are free."""
     domains = random.SystemRandom().sample(_DOMAINS, len(_DOMAINS))
-    return next((domain for domain in domains if _is_free(domain)), domains[0])
+    free = list(islice(filter(_is_free, domains), count))
+    return [*free, *(domain for domain in domains if domain not in free)][:count]
 
 
 def _is_free(domain: int) -> bool:
