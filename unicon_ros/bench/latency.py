@@ -3,37 +3,36 @@
 Every variant is real processes on this host: a robot with states at 500 Hz and a controller with
 identity control (q_d = q) at 50 Hz, as in the UniCon paper's table of latencies. The controller's
 rate is off by a third of a percent, so that the phase between states and commands sweeps through
-all its values: locked, it alone would decide the result. Variants are interleaved in rounds.
+all its values: locked, it alone would decide the result. All variants live at once and take turns
+in many short rounds, each in an order of its own: a machine's speed changes within seconds.
 """
 
 from __future__ import annotations
 
 import os
-import signal
-import subprocess
 import sys
 import tempfile
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from unicon_core.errors import UniconError
 from unicon_ros import compat
 from unicon_ros.bench.domains import free_domain
 from unicon_ros.bench.floor import c_level_floor
+from unicon_ros.bench.loops import LEASE, Loop
 from unicon_ros.bench.report import Bench
 
 __all__ = ["VARIANTS", "Variant", "run"]
 
 PIPELINES = "unicon_ros.bench.pipelines"
 PHASE_DRIFT = 1.0033
-SECONDS = 3.0
-PATIENCE = 20.0  # s until a robot or observer must have ended
+ROUNDS = 20
+SECONDS = 0.5
+SEED = 0
 
 Samples = dict[str, NDArray[np.float64]]
 
@@ -44,7 +43,7 @@ class Variant:
 
     Attributes:
         name: row of the table.
-        measuring: pipeline and its variant that ends by itself: the robot, or an observer.
+        measuring: pipeline and its variant that notes what arrives: the robot, or an observer.
         controller: pipeline and its variant, or None where one process is both.
         best_effort: QoS of all topics.
         about: what it is, for the documentation.
@@ -102,14 +101,13 @@ RATIOS = (
 )
 
 
-@dataclass
+@dataclass(frozen=True)
 class _Options:
     rate: float
     state_rate: float
     joints: int
     seconds: float
     folder: Path
-    environment: dict[str, str] = field(default_factory=dict)
 
 
 def run(
@@ -124,7 +122,7 @@ def run(
     """Run the comparison; Ctrl-C ends it with the rounds that are whole.
 
     Args:
-        rounds: interleaved rounds, 3 unless told.
+        rounds: interleaved rounds, 20 unless told.
         rate: commands per second.
         state_rate: states per second.
         joints: number of joints.
@@ -133,19 +131,22 @@ def run(
 
     Raises:
         MissingDependencyError: rclpy is not installed.
+        UniconError: a slice is so long that the others would be taken for dead.
     """
     compat.import_rclpy("unicon bench latency")
-    rounds = rounds or 3
     variants = [variant for variant in VARIANTS if only is None or only(variant)]
+    if seconds * len(variants) > LEASE:
+        raise UniconError(
+            f"--seconds {seconds:g}: with {len(variants)} variants in turn give at most "
+            f"{LEASE / len(variants):.2g}; for more samples raise --rounds"
+        )
+    rounds = rounds or ROUNDS
     results: list[dict[str, Samples]] = []
     with tempfile.TemporaryDirectory() as folder:
-        options = _Options(rate, state_rate, joints, seconds, Path(folder), _environment())
-        try:
-            for number in range(rounds):
-                label = f"round {number + 1} of {rounds}"
-                results.append(_round(variants, options, label))
-        except KeyboardInterrupt:
-            _say(f"stopped; {len(results)} whole rounds are kept\n")
+        options = _Options(rate, state_rate, joints, seconds, Path(folder))
+        whole, loops = _turns(variants, rounds, options)
+        samples = {name: loop.samples() for name, loop in loops.items()}
+        results = [{name: each[i] for name, each in samples.items()} for i in range(whole)]
     bench = _bench(results, options)
     floor = c_level_floor(free_domain(), state_rate) if results else None
     if floor is not None:
@@ -153,75 +154,56 @@ def run(
     return bench
 
 
-def _round(variants: list[Variant], options: _Options, label: str) -> dict[str, Samples]:
-    samples = {}
-    for i, variant in enumerate(variants):
-        _say(f"\r{label}: {i + 1} of {len(variants)}, {variant.name}\x1b[K")
-        # A second try: discovery on a busy machine may outlast the patience once.
-        samples[variant.name] = _measure(variant, options) or _measure(variant, options) or {}
-    _say("\r\x1b[K")
-    return samples
+def _turns(variants: list[Variant], rounds: int, options: _Options) -> tuple[int, dict[str, Loop]]:
+    """Let the variants take their turns; return how many rounds are whole, and the ended loops."""
+    loops: dict[str, Loop] = {}
+    order, whole = np.random.default_rng(SEED), 0
+    try:
+        for i, variant in enumerate(variants):
+            _say(f"\rstart: {i + 1} of {len(variants)}, {variant.name}\x1b[K")
+            loops[variant.name] = loop = _loop(variant, i, options)
+            loop.start()
+        for number in range(rounds):
+            for i, which in enumerate(order.permutation(len(variants))):
+                name = variants[which].name
+                label = f"round {number + 1} of {rounds}"
+                _say(f"\r{label}: {i + 1} of {len(variants)}, {name}\x1b[K")
+                loops[name].run(options.seconds)
+            whole += 1
+    except KeyboardInterrupt:
+        _say(f"\r\x1b[Kstopped; {whole} whole rounds are kept\n")
+    finally:
+        for loop in loops.values():
+            loop.end()
+        for loop in loops.values():
+            loop.close()
+        _say("\r\x1b[K")
+    return whole, loops
 
 
-def _measure(variant: Variant, options: _Options) -> Samples | None:
-    """Run one variant once; None where it did not come to an end."""
-    options.environment["ROS_DOMAIN_ID"] = str(free_domain())
-    measured = options.folder / "measured.npz"
-    controlled = options.folder / "measured_controller.npz"
-    for path in (measured, controlled):
-        path.unlink(missing_ok=True)
-    with _process(variant.controller, controlled, variant, options) as controller:
-        with _process(variant.measuring, measured, variant, options) as measuring:
-            assert measuring is not None
-            try:
-                measuring.wait(PATIENCE)
-            except subprocess.TimeoutExpired:
-                return None
-        if controller is not None:
-            controller.send_signal(signal.SIGTERM)
-            controller.wait(PATIENCE)
-    if not measured.exists() or not controlled.exists():
-        return None
-    return _samples(variant, dict(np.load(measured)), dict(np.load(controlled)), options)
+def _loop(variant: Variant, number: int, options: _Options) -> Loop:
+    common = ["--rate", f"{options.rate * PHASE_DRIFT}", "--state-rate", f"{options.state_rate}"]
+    common += ["--joints", f"{options.joints}"]
+    common += ["--best-effort"] if variant.best_effort else []
 
+    def command(pipeline: tuple[str, str]) -> list[str]:
+        module, kind = pipeline
+        return [sys.executable, "-m", f"{PIPELINES}.{module}", "--variant", kind, *common]
 
-def _samples(
-    variant: Variant, measured: dict[str, Any], controlled: dict[str, Any], options: _Options
-) -> Samples:
-    """Return the rows of one variant in [µs]; the first half second, discovery, is left out."""
-    if not measured["received"].size:
-        return {}
-    start = int(measured["received"][0]) + 500_000_000
-    kept = measured["received"] >= start
-    latency = (measured["received"] - measured["stamp"])[kept] * 1e-3
-    share = np.array([float(controlled["cpu_share"]) * 100.0])
-    if variant.measuring[0] == "observer":
-        # Its controller's stamps are of the driver's clock, not of the wall.
-        settled = np.arange(controlled["end"].size) > options.rate  # a second
-        inside = (controlled["end"] - controlled["stamp"])[settled] * 1e-3
-        return {"mirror": latency, "state_to_command": inside, "cpu": share}
-    # What was sent when the robot had ended already is nobody's loss.
-    ticks = (controlled["end"] >= start) & (controlled["end"] <= measured["received"][-1])
-    part = {name: controlled[name][ticks] for name in ("stamp", "seen", "begin", "end")}
-    expected = max(len(part["stamp"]), 1)
-    lost = max(expected - len(latency), 0)
-    stale = int((np.diff(part["stamp"]) == 0).sum())
-    return {
-        "recv": (part["seen"] - part["stamp"]) * 1e-3,
-        "send": (part["end"] - part["begin"]) * 1e-3,
-        "state_to_command": (part["end"] - part["stamp"]) * 1e-3,
-        "end_to_end": latency,
-        "cpu": share,
-        "lost": np.array([100.0 * lost / expected]),
-        "stale": np.array([100.0 * stale / expected]),
-    }
+    return Loop(
+        variant.name,
+        command(variant.measuring),
+        None if variant.controller is None else command(variant.controller),
+        {**_environment(), "ROS_DOMAIN_ID": str(free_domain())},
+        options.folder / f"{number}.npz",
+    )
 
 
 UNITS = {"cpu": " [% of a core]", "lost": " [%]", "stale": " [%]"}
 
 
 def _bench(results: list[dict[str, Samples]], options: _Options) -> Bench:
-    bench = Bench("latency", seed=0, rounds=len(results))
+    bench = Bench("latency", seed=SEED, rounds=len(results))
     bench.facts.update(
         rate_hz=options.rate * PHASE_DRIFT,
         state_rate_hz=options.state_rate,
@@ -235,7 +217,8 @@ def _bench(results: list[dict[str, Samples]], options: _Options) -> Bench:
     if not results:
         return bench
     for variant in VARIANTS:
-        for row in results[0].get(variant.name, {}):
+        rows = dict.fromkeys(row for r in results for row in r.get(variant.name, {}))
+        for row in rows:
             parts = [r[variant.name][row] for r in results if row in r.get(variant.name, {})]
             bench.case(f"{variant.name}: {row}{UNITS.get(row, '')}", np.concatenate(parts))
     for name, row, ours, base_row, base, bar in RATIOS:
@@ -245,24 +228,17 @@ def _bench(results: list[dict[str, Samples]], options: _Options) -> Bench:
             if row in r.get(ours, {}) and base_row in r.get(base, {})
         ]
         if pairs:
-            value = float(np.median([np.median(a) / np.median(b) for a, b in pairs]))
-            bench.ratio(name, value, bar)
-            low, high = _interval(pairs)
+            ratios = np.array([np.median(a) / np.median(b) for a, b in pairs])
+            bench.ratio(name, float(np.median(ratios)), bar)
+            low, high = _interval(ratios)
             bench.fact(f"{name}, 95 % interval", f"{low:.3g} to {high:.3g}")
     return bench
 
 
-def _interval(pairs: list[tuple[NDArray[np.float64], NDArray[np.float64]]]) -> tuple[float, float]:
-    """Return the 95 % bootstrap interval of the ratio of medians, rounds resampled within."""
-    generator = np.random.default_rng(0)
-
-    def median(values: NDArray[np.float64]) -> float:
-        return float(np.median(generator.choice(values, len(values))))
-
-    draws = [
-        float(np.median([median(ours) / median(base) for ours, base in pairs])) for _ in range(500)
-    ]
-    low, high = np.percentile(draws, [2.5, 97.5])
+def _interval(ratios: NDArray[np.float64]) -> tuple[float, float]:
+    """Return the 95 % bootstrap interval of the median over rounds."""
+    draws = np.random.default_rng(SEED).choice(ratios, (1000, len(ratios)))
+    low, high = np.percentile(np.median(draws, axis=1), [2.5, 97.5])
     return float(low), float(high)
 
 
@@ -273,33 +249,6 @@ def _environment() -> dict[str, str]:
         values.pop("LD_LIBRARY_PATH", None)
     values["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     return values
-
-
-@contextmanager
-def _process(
-    pipeline: tuple[str, str] | None, out: Path, variant: Variant, options: _Options
-) -> Iterator[subprocess.Popen[bytes] | None]:
-    if pipeline is None:
-        yield None
-        return
-    module, kind = pipeline
-    command = [sys.executable, "-m", f"{PIPELINES}.{module}", "--variant", kind]
-    command += ["--rate", f"{options.rate * PHASE_DRIFT}", "--state-rate", f"{options.state_rate}"]
-    command += ["--joints", f"{options.joints}", "--seconds", f"{options.seconds}"]
-    command += ["--out", str(out)] + (["--best-effort"] if variant.best_effort else [])
-    process = subprocess.Popen(
-        command, env=options.environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-    )
-    try:
-        yield process
-    finally:
-        if process.poll() is None:
-            process.terminate()
-            deadline = time.monotonic() + 5.0
-            while process.poll() is None and time.monotonic() < deadline:
-                time.sleep(0.05)
-            process.kill()
-        process.wait()
 
 
 def _say(text: str) -> None:

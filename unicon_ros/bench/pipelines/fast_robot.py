@@ -36,7 +36,7 @@ subscribe:
 
 
 def main() -> None:
-    """Publish at `--state-rate` and note commands, until `--seconds` have been measured."""
+    """Publish at `--state-rate` and note commands, until SIGTERM."""
     options = arguments()
     n = options.joints
     names = [f"joint_{i}" for i in range(n)]
@@ -54,7 +54,7 @@ def main() -> None:
     command = Decoder.build(spec.subscribe[0], arrays, labels, variables)
 
     rclpy.init(signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
-    stop, log = Stop(), Log("stamp", "received")
+    stop, log = Stop(), Log(options.out, "stamp", "received")
     node = Node("robot")
     profile = qos(options.best_effort)
     publish_state, _ = compat.raw_publish(node.create_publisher(JointState, STATE, profile))
@@ -67,7 +67,7 @@ def main() -> None:
     waiter = compat.ReusedWaitSet([subscription], node.context)
     now, period = time.time_ns, round(1e9 / options.state_rate)
     stamp, position = arrays["stamp_ns"], arrays["joint_pos"]
-    due, end = now() + period, 0
+    due = now() + period
     while not stop:
         remaining = due - now()
         if remaining > 0 and not waiter.wait(remaining * 1e-9):
@@ -77,19 +77,14 @@ def main() -> None:
             received = now()
             if command.decode(raw):
                 log.add(int(arrays["command_stamp_ns"]), received)
-                if not end:
-                    end = received + 500_000_000 + round(options.seconds * 1e9)
-                    log.start_cpu()
         present = now()
         if present >= due:
-            due += period
+            due += period * ((present - due) // period + 1)
             stamp[...] = present
             position[0] = present * 1e-9 % 1.0
             publish_imu(imu.encode())
             publish_state(states.encode())
-        if end and present > end:
-            break
-    log.save(options.out)
+    log.save()
     waiter.close()
     node.destroy_node()
     rclpy.try_shutdown()

@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 import os
 import signal
-import time
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -27,7 +26,6 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--rate", type=float, default=50.0, help="commands per second")
     parser.add_argument("--state-rate", type=float, default=500.0)
     parser.add_argument("--joints", type=int, default=20)
-    parser.add_argument("--seconds", type=float, default=3.0, help="measured time (robot)")
     parser.add_argument("--best-effort", action="store_true")
     parser.add_argument("--variant", default="")
     parser.add_argument("--out", type=Path, required=True, help="log file, .npz")
@@ -48,37 +46,32 @@ class Log:
     """Rows of int64 in preallocated memory, written to a file at the end.
 
     Args:
+        path: of the file; beside it one with the suffix `.ready` appears with the first row.
         columns: their names.
         capacity: how many rows; later ones are dropped.
     """
 
-    def __init__(self, *columns: str, capacity: int = 100_000) -> None:
+    def __init__(self, path: Path, *columns: str, capacity: int = 200_000) -> None:
+        self.path = path
         self.columns = columns
         self.rows = np.zeros((capacity, len(columns)), dtype=np.int64)
         self.count = 0
-        self._cpu = time.process_time_ns()
-        self._wall = time.time_ns()
 
     def add(self, *values: int) -> None:
         """Add a row."""
+        if not self.count:
+            self.path.with_suffix(".ready").touch()
         if self.count < len(self.rows):
             self.rows[self.count] = values
             self.count += 1
 
-    def start_cpu(self) -> None:
-        """Count the process's CPU time from now on."""
-        self._cpu, self._wall = time.process_time_ns(), time.time_ns()
-
-    def save(self, path: Path, **facts: float) -> None:
-        """Write columns, CPU share and further facts; the file appears whole."""
-        wall = max(time.time_ns() - self._wall, 1)
-        facts["cpu_share"] = (time.process_time_ns() - self._cpu) / wall
-        partial = path.with_suffix(".partial.npz")
+    def save(self) -> None:
+        """Write the columns; the file appears whole."""
+        partial = self.path.with_suffix(".partial.npz")
         rows = self.rows[: self.count]
         values: dict[str, Any] = {name: rows[:, i] for i, name in enumerate(self.columns)}
-        values |= {name: np.float64(value) for name, value in facts.items()}
         np.savez(partial, **values)
-        os.replace(partial, path)
+        os.replace(partial, self.path)
 
 
 class Stop:

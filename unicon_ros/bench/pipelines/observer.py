@@ -15,10 +15,10 @@ from unicon_ros.bench.pipelines.plain_nodes import qos
 
 
 def main() -> None:
-    """Run until `--seconds` have been measured, or until SIGTERM."""
+    """Run until SIGTERM."""
     options = arguments()
     rclpy.init(signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
-    stop, log = Stop(), Log("stamp", "received")
+    stop, log = Stop(), Log(options.out, "stamp", "received")
     node = Node("observer")
 
     def on_message(message: Any) -> None:
@@ -27,14 +27,9 @@ def main() -> None:
     node.create_subscription(JointState, MIRROR, on_message, qos(options.best_effort))
     executor = SingleThreadedExecutor()
     executor.add_node(node)
-    end = 0
     while not stop:
         executor.spin_once(timeout_sec=0.1)
-        if log.count and not end:
-            end = time.time_ns() + 500_000_000 + round(options.seconds * 1e9)
-        if end and time.time_ns() > end:
-            break
-    log.save(options.out)
+    log.save()
     node.destroy_node()
     rclpy.try_shutdown()
 

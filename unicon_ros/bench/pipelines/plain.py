@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from typing import Any
 
 import rclpy
@@ -13,17 +12,17 @@ from unicon_ros.bench.pipelines.plain_nodes import PlainController, PlainRobot
 
 
 def main() -> None:
-    """Run until the robot has measured for `--seconds`, or until SIGTERM."""
+    """Run until SIGTERM."""
     options = arguments()
     rclpy.init(signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
     stop = Stop()
-    received = Log("stamp", "received")
-    sent = Log("stamp", "seen", "begin", "end")
-    robot: PlainRobot | None = None
+    received = Log(options.out, "stamp", "received")
+    both = options.variant == "both"
+    controlled = options.out.with_name(f"{options.out.stem}_controller.npz")
+    sent = Log(controlled if both else options.out, "stamp", "seen", "begin", "end")
     nodes: list[Any] = []
     if options.variant in ("robot", "both"):
-        robot = PlainRobot(options.joints, options.state_rate, options.best_effort, received)
-        nodes.append(robot)
+        nodes.append(PlainRobot(options.joints, options.state_rate, options.best_effort, received))
     if options.variant != "robot":
         triggered = options.variant == "triggered"
         every = round(options.state_rate / options.rate) if triggered else 0
@@ -37,22 +36,12 @@ def main() -> None:
         executor = EventsExecutor()
     for node in nodes:
         executor.add_node(node)
-    deadline = 0
     while not stop:
         executor.spin_once(timeout_sec=0.1)
-        # The measurement starts half a second after the first command: discovery is over then.
-        log = received if robot is not None else sent
-        if log.count and not deadline:
-            deadline = time.time_ns() + 500_000_000 + round(options.seconds * 1e9)
-            received.start_cpu()
-            sent.start_cpu()
-        if robot is not None and deadline and time.time_ns() > deadline:
-            break
-    if robot is not None:
-        received.save(options.out)
+    if options.variant in ("robot", "both"):
+        received.save()
     if options.variant != "robot":
-        name = f"{options.out.stem}_controller" if robot is not None else options.out.stem
-        sent.save(options.out.with_name(f"{name}.npz"))
+        sent.save()
     for node in nodes:
         node.destroy_node()
     rclpy.try_shutdown()

@@ -25,7 +25,7 @@ def main() -> None:
     """Run until SIGTERM."""
     options = arguments()
     rclpy.init(signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
-    stop, log = Stop(), Log("stamp", "seen", "begin", "end")
+    stop, log = Stop(), Log(options.out, "stamp", "seen", "begin", "end")
     node = Node("controller")
     profile = qos(options.best_effort, depth=10)
     out = node.create_publisher(JointState, COMMAND, profile)
@@ -55,7 +55,7 @@ def main() -> None:
     due = time.monotonic() + period
     while not stop:
         time.sleep(max(0.0, due - time.monotonic()))
-        due += period
+        due = max(due + period, time.monotonic())
         state = latest.get("state")
         if state is None:
             continue
@@ -64,11 +64,9 @@ def main() -> None:
         command.position = state.position
         out.publish(command)
         stamp = nanoseconds(state.header.stamp)
-        if not log.count:
-            log.start_cpu()
         log.add(stamp, latest["seen"], begin, time.time_ns())
     thread.join()
-    log.save(options.out)
+    log.save()
     node.destroy_node()
     rclpy.try_shutdown()
 

@@ -16,7 +16,7 @@ from unicon_ros.bench.pipelines.workflows import write_bridged
 def main() -> None:
     """Run until SIGTERM."""
     options = arguments()
-    log = Log("stamp", "seen", "begin", "end")
+    log = Log(options.out, "stamp", "seen", "begin", "end")
     seen_ns = 0
 
     def seen(workflow: Workflow) -> list[Block]:
@@ -32,8 +32,6 @@ def main() -> None:
         def note() -> None:
             now = time.time_ns()
             if stamp[()]:
-                if not log.count:
-                    log.start_cpu()
                 # What lies between is the identity copy: Send begins where Recv has ended.
                 log.add(int(stamp), seen_ns, seen_ns, now)
 
@@ -45,7 +43,7 @@ def main() -> None:
         )
         runner = Runner(load_workflow(path, inputs=[seen], observers=[sent]))
         runner.run()
-        log.save(options.out)
+        log.save()
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ from unicon_ros.bridge import RosSession
 def main() -> None:
     """Run until SIGTERM."""
     options = arguments()
-    log = Log("stamp", "end")
+    log = Log(options.out, "stamp", "end")
 
     def note(workflow: Workflow) -> list[Block]:
         # The first block after `send`: the command of this tick has just been handed over.
@@ -25,8 +25,9 @@ def main() -> None:
         every = max(1, round(options.state_rate / options.rate))
 
         def note_command() -> None:
-            if tick % every == 0:
-                log.add(int(stamp), now())
+            at = now()
+            if int(tick) % every == 0:
+                log.add(int(stamp), at)
 
         return [Block("note", note_command, reads=("stamp_ns", "tick"))]
 
@@ -40,9 +41,8 @@ def main() -> None:
         )
         runner = Runner(workflow)
         session.attach(runner)
-        log.start_cpu()
         runner.run()
-        log.save(options.out)
+        log.save()
         session.close()
 
 

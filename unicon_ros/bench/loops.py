@@ -1,0 +1,209 @@
+"""Loops: the processes of one pipeline, held still (SIGSTOP) but for the slices that are measured.
+
+A machine's speed changes by half within seconds (other tenants, clocks), so pipelines that are
+measured one after the other are not measured alike. Here all of them live at once, discovered and
+warm, and take turns of a second and less; whoever is not measured costs nothing.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.errors import UniconError
+
+__all__ = ["LEASE", "Loop", "Slice"]
+
+LEASE = 12.0
+"""s for which a loop may be held: after 20 its participants take each other for dead (Fast DDS)."""
+
+SETTLE = 0.15  # s of a slice until the loop runs steadily again
+PATIENCE = 30.0  # s until the first command must have come, and until a process must have ended
+GRACE_NS = 50_000_000  # a command that was sent later before the end of a slice may be under way
+_PR_SET_PDEATHSIG = 1  # linux/prctl.h
+
+
+@dataclass(frozen=True)
+class Slice:
+    """One turn of a loop, times in [ns] of the wall clock.
+
+    Attributes:
+        begin, end: what lies between is measured.
+        cpu_share: CPU time of the controller's process per time, of one core.
+    """
+
+    begin: int
+    end: int
+    cpu_share: float
+
+    def holds(self, times: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Return which times lie within."""
+        return (times >= self.begin) & (times <= self.end)
+
+
+@dataclass
+class Loop:
+    """Robot (or observer) and controller of a pipeline.
+
+    Args:
+        name: for messages.
+        measuring: command line of the process that notes what arrives.
+        controller: command line of the other; None where the first is both.
+        environment: of both.
+        log: file that the first writes at its end; the other's has `_controller` in its name.
+    """
+
+    name: str
+    measuring: list[str]
+    controller: list[str] | None
+    environment: dict[str, str]
+    log: Path
+    slices: list[Slice] = field(default_factory=list)
+    _processes: list[subprocess.Popen[bytes]] = field(default_factory=list)
+
+    @property
+    def controller_log(self) -> Path:
+        """Return the file of the controller's log."""
+        return self.log.with_name(f"{self.log.stem}_controller.npz")
+
+    def start(self) -> None:
+        """Start both, wait until what the controller sends arrives, and hold them.
+
+        Raises:
+            UniconError: nothing arrived, twice; or a process ended.
+        """
+        for attempt in (1, 2):  # discovery on a busy machine may outlast the patience once
+            for command, log in (
+                (self.controller, self.controller_log),
+                (self.measuring, self.log),
+            ):
+                if command is not None:
+                    self._processes.append(self._process([*command, "--out", str(log)]))
+            if self._ready():
+                time.sleep(2 * SETTLE)
+                self._hold()
+                return
+            self.close()
+            if attempt == 2:
+                raise UniconError(f"{self.name}: no command arrived within {PATIENCE:g} s")
+
+    def run(self, seconds: float) -> None:
+        """Let both go for a settling time and then `seconds`, and note the slice."""
+        for process in self._processes:
+            process.send_signal(signal.SIGCONT)
+        time.sleep(SETTLE)
+        controller = self._processes[0].pid
+        begin, cpu = time.time_ns(), _cpu_ns(controller)
+        time.sleep(seconds)
+        end, used = time.time_ns(), _cpu_ns(controller) - cpu
+        self._hold()
+        if any(process.poll() is not None for process in self._processes):
+            raise UniconError(f"{self.name}: one of its processes has ended")
+        self.slices.append(Slice(begin, end, used / (end - begin)))
+
+    def end(self) -> None:
+        """Ask both to write their logs and end."""
+        for process in self._processes:
+            process.send_signal(signal.SIGTERM)
+            process.send_signal(signal.SIGCONT)
+
+    def close(self) -> None:
+        """Wait until both have ended; what does not end is killed."""
+        self.end()
+        for process in self._processes:
+            try:
+                process.wait(PATIENCE)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+        self._processes = []
+
+    def samples(self) -> list[dict[str, NDArray[np.float64]]]:
+        """Return the rows of each slice in [µs] (`cpu`, `lost`, `stale` in %); after `close`."""
+        if not (self.log.exists() and self.controller_log.exists()):
+            return [{} for _ in self.slices]
+        measured, controlled = dict(np.load(self.log)), dict(np.load(self.controller_log))
+        if "seen" in controlled:
+            return [_bridged(each, measured, controlled) for each in self.slices]
+        # A driver's stamps, of the monotonic clock.
+        controlled["wall"] = controlled["end"] + (time.time_ns() - time.monotonic_ns())
+        return [_local(each, measured, controlled) for each in self.slices]
+
+    def _process(self, command: list[str]) -> subprocess.Popen[bytes]:
+        return subprocess.Popen(
+            command,
+            env=self.environment,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            # Held processes would outlive a parent that is killed.
+            preexec_fn=_die_with_parent if sys.platform == "linux" else None,
+        )
+
+    def _ready(self) -> bool:
+        flag = self.log.with_suffix(".ready")
+        end = time.monotonic() + PATIENCE
+        while not flag.exists():
+            if time.monotonic() > end or any(p.poll() is not None for p in self._processes):
+                return False
+            time.sleep(0.02)
+        return True
+
+    def _hold(self) -> None:
+        for process in reversed(self._processes):  # the source of states first
+            process.send_signal(signal.SIGSTOP)
+
+
+def _bridged(
+    each: Slice, measured: dict[str, Any], controlled: dict[str, Any]
+) -> dict[str, NDArray[np.float64]]:
+    ticks = each.holds(controlled["end"])
+    part = {name: controlled[name][ticks] for name in ("stamp", "seen", "begin", "end")}
+    arrived = each.holds(measured["received"])
+    latency = (measured["received"] - measured["stamp"])[arrived] * 1e-3
+    if not part["stamp"].size or not latency.size:
+        return {}
+    due = part["stamp"][part["end"] < each.end - GRACE_NS]
+    lost = ~np.isin(due, measured["stamp"])
+    return {
+        "recv": (part["seen"] - part["stamp"]) * 1e-3,
+        "send": (part["end"] - part["begin"]) * 1e-3,
+        "state_to_command": (part["end"] - part["stamp"]) * 1e-3,
+        "end_to_end": latency,
+        "cpu": np.array([100.0 * each.cpu_share]),
+        "lost": np.array([100.0 * lost.mean() if lost.size else 0.0]),
+        "stale": np.array([100.0 * (np.diff(part["stamp"]) == 0).sum() / part["stamp"].size]),
+    }
+
+
+def _local(
+    each: Slice, measured: dict[str, Any], controlled: dict[str, Any]
+) -> dict[str, NDArray[np.float64]]:
+    ticks, arrived = each.holds(controlled["wall"]), each.holds(measured["received"])
+    if not ticks.any() or not arrived.any():
+        return {}
+    return {
+        "mirror": (measured["received"] - measured["stamp"])[arrived] * 1e-3,
+        "state_to_command": (controlled["end"] - controlled["stamp"])[ticks] * 1e-3,
+        "cpu": np.array([100.0 * each.cpu_share]),
+    }
+
+
+def _cpu_ns(process: int) -> int:
+    """Return the CPU time of a process in [ns], all its threads: clock_getcpuclockid(3)."""
+    return time.clock_gettime_ns((~process << 3) | 2)
+
+
+def _die_with_parent() -> None:
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+    if os.getppid() == 1:  # it has died before
+        os._exit(1)
