@@ -38,7 +38,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 @pytest.mark.parametrize("code", PYTHON, ids=range(len(PYTHON)))
 def test_the_python_examples_run(code: str, folder: Path) -> None:
-    exec(compile(code, "docs/blocks.md", "exec"), {"__name__": "example"})
+    exec(compile(code, "docs/blocks.md", "exec"), {"__name__": __name__})
 
 
 def test_the_states_example_is_a_specification() -> None:

@@ -6,19 +6,13 @@ import numpy as np
 
 from unicon_core.blocks.joint_command import JointCommand, robot_gains, ticks_of
 from unicon_core.errors import WorkflowError
-from unicon_core.flow.block import Reads, Writes
 from unicon_core.robots import Robot
 
 __all__ = ["Damp", "Hold", "damp", "hold"]
 
 
 def hold(
-    joint_pos: Reads,
-    joint_pos_target: Writes,
-    joint_vel_target: Writes,
-    joint_effort_ff: Writes,
-    joint_stiffness: Writes,
-    joint_damping: Writes,
+    command: JointCommand,
     *,
     robot: Robot,
     period: float,
@@ -32,14 +26,6 @@ def hold(
         keep_gains: leave stiffness and damping as the block before set them (a policy's), instead
             of the robot file's.
     """
-    command = JointCommand(
-        joint_pos,
-        joint_pos_target,
-        joint_vel_target,
-        joint_effort_ff,
-        joint_stiffness,
-        joint_damping,
-    )
     return Hold(command, robot, ticks_of(duration, period, "duration"), keep_gains)
 
 
@@ -52,7 +38,7 @@ class Hold:
         self._command, self._ticks = command, ticks
         self.endless = ticks is None
         self._gains = None if keep_gains else robot_gains(robot, "hold")
-        self._held = np.zeros_like(command.target)
+        self._held = np.zeros_like(command.joint_pos_target)
         self._tick = 0
 
     def __call__(self) -> bool:
@@ -60,11 +46,11 @@ class Hold:
         if self._tick == 0:
             command.entry(self._held)
         self._tick += 1
-        command.target[...] = self._held
-        command.vel_target[...] = 0.0
-        command.effort_ff[...] = 0.0
+        command.joint_pos_target[...] = self._held
+        command.joint_vel_target[...] = 0.0
+        command.joint_effort_ff[...] = 0.0
         if self._gains is not None:
-            command.stiffness[...], command.damping[...] = self._gains
+            command.joint_stiffness[...], command.joint_damping[...] = self._gains
         return self._ticks is not None and self._tick >= self._ticks
 
     def reset(self) -> None:
@@ -73,12 +59,7 @@ class Hold:
 
 
 def damp(
-    joint_pos: Reads,
-    joint_pos_target: Writes,
-    joint_vel_target: Writes,
-    joint_effort_ff: Writes,
-    joint_stiffness: Writes,
-    joint_damping: Writes,
+    command: JointCommand,
     *,
     robot: Robot,
     period: float,
@@ -91,14 +72,6 @@ def damp(
         duration: in [s]; None never ends.
         damping: of every joint in [N·m·s/rad]; None for the robot file's.
     """
-    command = JointCommand(
-        joint_pos,
-        joint_pos_target,
-        joint_vel_target,
-        joint_effort_ff,
-        joint_stiffness,
-        joint_damping,
-    )
     if damping is None:
         gain = robot_gains(robot, "damp")[1]
     elif damping >= 0.0:
@@ -120,11 +93,11 @@ class Damp:
 
     def __call__(self) -> bool:
         command = self._command
-        command.target[...] = command.pos
-        command.vel_target[...] = 0.0
-        command.effort_ff[...] = 0.0
-        command.stiffness[...] = 0.0
-        command.damping[...] = self._gain
+        command.joint_pos_target[...] = command.joint_pos
+        command.joint_vel_target[...] = 0.0
+        command.joint_effort_ff[...] = 0.0
+        command.joint_stiffness[...] = 0.0
+        command.joint_damping[...] = self._gain
         self._tick += 1
         return self._ticks is not None and self._tick >= self._ticks
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from typing import Any
 
@@ -11,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import RobotError, WorkflowError, alternatives
+from unicon_core.flow.block import Bundle, Reads, Writes
 from unicon_core.robots import Robot
 
 __all__ = ["JointCommand", "joints_like", "named_pose", "robot_gains", "ticks_of"]
@@ -18,30 +20,25 @@ __all__ = ["JointCommand", "joints_like", "named_pose", "robot_gains", "ticks_of
 Float = NDArray[np.float32]
 
 
-class JointCommand:
-    """The five command states of the tick and where the joints are.
+@dataclass(frozen=True, eq=False)
+class JointCommand(Bundle):
+    """The command states of the tick and where the joints are, each of shape (..., n).
 
-    Args:
-        joint_pos: measured positions in [rad], shape (..., n).
-        joint_pos_target, joint_vel_target, joint_effort_ff, joint_stiffness, joint_damping: views
-            of the command states, shape (..., n).
+    Attributes:
+        joint_pos: measured positions in [rad].
+        joint_pos_target: in [rad].
+        joint_vel_target: in [rad/s].
+        joint_effort_ff: in [N·m].
+        joint_stiffness: in [N·m/rad].
+        joint_damping: in [N·m·s/rad].
     """
 
-    def __init__(
-        self,
-        joint_pos: NDArray[Any],
-        joint_pos_target: NDArray[Any],
-        joint_vel_target: NDArray[Any],
-        joint_effort_ff: NDArray[Any],
-        joint_stiffness: NDArray[Any],
-        joint_damping: NDArray[Any],
-    ) -> None:
-        self.pos = joint_pos
-        self.target = joint_pos_target
-        self.vel_target = joint_vel_target
-        self.effort_ff = joint_effort_ff
-        self.stiffness = joint_stiffness
-        self.damping = joint_damping
+    joint_pos: Reads
+    joint_pos_target: Writes
+    joint_vel_target: Writes
+    joint_effort_ff: Writes
+    joint_stiffness: Writes
+    joint_damping: Writes
 
     def entry(self, out: NDArray[Any]) -> None:
         """Write where a movement begins in [rad], shape (..., n).
@@ -49,7 +46,7 @@ class JointCommand:
         A joint that holds a target begins there, so that the torque does not jump; a limp one
         (stiffness 0) begins where it was measured.
         """
-        out[...] = np.where(self.stiffness > 0.0, self.target, self.pos)
+        out[...] = np.where(self.joint_stiffness > 0.0, self.joint_pos_target, self.joint_pos)
 
 
 def robot_gains(robot: Robot, needed_for: str) -> tuple[Float, Float]:

@@ -8,19 +8,13 @@ from collections.abc import Mapping
 import numpy as np
 
 from unicon_core.blocks.joint_command import JointCommand, named_pose, robot_gains, ticks_of
-from unicon_core.flow.block import Reads, Writes
 from unicon_core.robots import Robot
 
 __all__ = ["Pose", "pose"]
 
 
 def pose(
-    joint_pos: Reads,
-    joint_pos_target: Writes,
-    joint_vel_target: Writes,
-    joint_effort_ff: Writes,
-    joint_stiffness: Writes,
-    joint_damping: Writes,
+    command: JointCommand,
     *,
     robot: Robot,
     period: float,
@@ -43,14 +37,6 @@ def pose(
         stiffness_scale: factor on the robot file's stiffness.
         damping_scale: factor on the robot file's damping.
     """
-    command = JointCommand(
-        joint_pos,
-        joint_pos_target,
-        joint_vel_target,
-        joint_effort_ff,
-        joint_stiffness,
-        joint_damping,
-    )
     return Pose(command, robot, period, to, duration, fade_in, stiffness_scale, damping_scale)
 
 
@@ -74,8 +60,11 @@ class Pose:
         self._gains = stiffness * np.float32(stiffness_scale), damping * np.float32(damping_scale)
         self._ticks = ticks_of(duration, period, "duration") or 1
         self._fade_ticks = ticks_of(fade_in, period, "fade_in") or 1
-        self._start, self._way = (np.zeros_like(command.target) for _ in range(2))
-        self._first_gains = np.zeros_like(command.stiffness), np.zeros_like(command.damping)
+        self._start, self._way = (np.zeros_like(command.joint_pos_target) for _ in range(2))
+        self._first_gains = (
+            np.zeros_like(command.joint_stiffness),
+            np.zeros_like(command.joint_damping),
+        )
         self._tick = 0
 
     def __call__(self) -> bool:
@@ -84,15 +73,18 @@ class Pose:
             command.entry(self._start)
             np.subtract(self._goal, self._start, out=self._way)
             self._way *= self._said
-            for held, now in zip(self._first_gains, (command.stiffness, command.damping)):
+            for held, now in zip(
+                self._first_gains, (command.joint_stiffness, command.joint_damping)
+            ):
                 held[...] = now
         self._tick += 1
         done = self._tick >= self._ticks
         share = 1.0 if done else 0.5 - 0.5 * math.cos(math.pi * self._tick / self._ticks)
-        np.multiply(self._way, share, out=command.target)
-        command.target += self._start
-        command.vel_target[...] = 0.0
-        command.effort_ff[...] = 0.0
+        target = command.joint_pos_target
+        np.multiply(self._way, share, out=target)
+        target += self._start
+        command.joint_vel_target[...] = 0.0
+        command.joint_effort_ff[...] = 0.0
         self._write_gains()
         return done
 
@@ -100,7 +92,7 @@ class Pose:
         command = self._command
         faded = min(self._tick / self._fade_ticks, 1.0)
         for out, gain, first in zip(
-            (command.stiffness, command.damping), self._gains, self._first_gains
+            (command.joint_stiffness, command.joint_damping), self._gains, self._first_gains
         ):
             if faded == 1.0:
                 out[...] = gain

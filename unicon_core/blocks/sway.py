@@ -16,20 +16,15 @@ from unicon_core.blocks.joint_command import (
     ticks_of,
 )
 from unicon_core.errors import WorkflowError
-from unicon_core.flow.block import Reads, Writes
+from unicon_core.flow.block import Reads
 from unicon_core.robots import Robot
 
 __all__ = ["Sway", "sway"]
 
 
 def sway(
-    joint_pos: Reads,
+    command: JointCommand,
     velocity_command: Reads,
-    joint_pos_target: Writes,
-    joint_vel_target: Writes,
-    joint_effort_ff: Writes,
-    joint_stiffness: Writes,
-    joint_damping: Writes,
     *,
     robot: Robot,
     period: float,
@@ -53,14 +48,6 @@ def sway(
 
     The targets stay within the robot's joint limits.
     """
-    command = JointCommand(
-        joint_pos,
-        joint_pos_target,
-        joint_vel_target,
-        joint_effort_ff,
-        joint_stiffness,
-        joint_damping,
-    )
     matrix = np.zeros((robot.num_joints, 3), np.float32)
     for pattern, row in gains.items():
         if not isinstance(row, Sequence) or len(row) != 3:
@@ -109,8 +96,11 @@ class Sway:
         self._gains = robot_gains(robot, "sway")
         self._ticks, self._tick = ticks, 0
         self.endless = ticks is None
-        self._filtered, self._wanted = (np.zeros_like(command.target) for _ in range(2))
-        self._twist, self._moved = np.zeros_like(velocity_command), np.zeros_like(command.target)
+        self._filtered, self._wanted = (np.zeros_like(command.joint_pos_target) for _ in range(2))
+        self._twist, self._moved = (
+            np.zeros_like(velocity_command),
+            np.zeros_like(command.joint_pos_target),
+        )
         rows = np.ascontiguousarray(matrix.T)
         self._parts = [(self._twist[..., i : i + 1], row) for i, row in enumerate(rows)]
 
@@ -131,10 +121,10 @@ class Sway:
         wanted -= filtered
         wanted *= self._share
         filtered += wanted
-        command.target[...] = filtered
-        command.vel_target[...] = 0.0
-        command.effort_ff[...] = 0.0
-        command.stiffness[...], command.damping[...] = self._gains
+        command.joint_pos_target[...] = filtered
+        command.joint_vel_target[...] = 0.0
+        command.joint_effort_ff[...] = 0.0
+        command.joint_stiffness[...], command.joint_damping[...] = self._gains
         return self._ticks is not None and self._tick >= self._ticks
 
     def reset(self) -> None:

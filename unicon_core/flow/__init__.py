@@ -1,6 +1,6 @@
 """Flow: blocks composed by zip, chain and loop, checked and compiled, for workflow authors."""
 
-from unicon_core.flow.block import Access, Amends, Block, Reads, Tick, Writes, as_block
+from unicon_core.flow.block import Access, Amends, Block, Bundle, Reads, Tick, Writes, as_block
 from unicon_core.flow.checks import Finding, check_graph, raise_first
 from unicon_core.flow.compiler import CompiledGraph, compile_graph
 from unicon_core.flow.critical_path import CriticalPath, critical_path
@@ -26,6 +26,7 @@ __all__ = [
     "Amends",
     "Blender",
     "Block",
+    "Bundle",
     "Chain",
     "CompiledGraph",
     "CriticalPath",

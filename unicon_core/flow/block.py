@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from unicon_core.errors import WorkflowError
 from unicon_core.flow.linear import LinearMap, linear_of
 
-__all__ = ["Access", "Amends", "Block", "Reads", "Role", "Tick", "Writes", "as_block"]
+__all__ = ["Access", "Amends", "Block", "Bundle", "Reads", "Role", "Tick", "Writes", "as_block"]
 
 Tick: TypeAlias = Callable[[], object]
 """A parameter-less function; a true result means done."""
@@ -37,6 +37,13 @@ Writes: TypeAlias = Annotated[NDArray[Any], Access("writes")]
 """A state that the block writes in every tick before anybody reads it."""
 Amends: TypeAlias = Annotated[NDArray[Any], Access("amends")]
 """A state that another block writes and this one changes in place (limits, safety)."""
+
+
+class Bundle:
+    """Base of dataclasses that hand a factory several states as one parameter.
+
+    Its fields are named and annotated as the factory's own parameters would be.
+    """
 
 
 @dataclass(eq=False)

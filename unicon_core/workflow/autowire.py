@@ -1,8 +1,9 @@
 """Autowiring: calls a block factory with the states that its parameters name.
 
 A parameter annotated `Reads`, `Writes` or `Amends` gets the view of the state of its name (or of
-another label, where the workflow renames it); `states`, `robot`, `period` and `context` get those
-objects; all others are options of the YAML file.
+another label, where the workflow renames it); one annotated with a `Bundle` gets the views of its
+fields; `states`, `robot`, `period` and `context` get those objects; all others are options of the
+YAML file.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 from unicon_core.errors import StateError, UniconError, WorkflowError, alternatives
-from unicon_core.flow.block import Access, Block, as_block
+from unicon_core.flow.block import Access, Block, Bundle, as_block
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.workflow.registry import Factory
@@ -73,32 +74,19 @@ def autowire(
         WorkflowError: an unknown or missing option, or a state that does not exist.
     """
     rename = rename or {}
-    parameters, access = _signature(factory)
-    arguments: dict[str, Any] = {}
     used: dict[str, list[str]] = {"reads": [], "writes": [], "amends": []}
-    special = context.special()
-    for parameter, mode in access.items():
-        label = rename.get(parameter, parameter)
-        if label not in context.states:
-            raise WorkflowError(
-                f"block {name!r}: no state {label!r}; {alternatives(label, context.states)}; "
-                f"declare it under 'states:' or map it with 'states: {{{parameter}: LABEL}}'",
-                where,
-            )
-        view = context.states[label]
-        if mode == "reads":
-            view = view.view()
-            view.flags.writeable = False
-        arguments[parameter] = view
-        used[mode].append(label)
+    arguments = _states_of(factory, name, context, rename, where, used)
+    named = state_names(factory)
     for parameter in rename:
-        if parameter not in access:
+        if parameter not in named:
             raise WorkflowError(
                 f"block {name!r} has no state parameter {parameter!r}; "
-                f"{alternatives(parameter, access)}",
+                f"{alternatives(parameter, named)}",
                 where,
             )
-    free = _free(parameters, access, special)
+    parameters = inspect.signature(factory).parameters
+    special = context.special()
+    free = option_names(factory)
     open_ended = any(p.kind is p.VAR_KEYWORD for p in parameters.values())
     for option, value in options.items():
         if option not in free and not open_ended:
@@ -109,7 +97,7 @@ def autowire(
     for parameter, declared in parameters.items():
         if parameter in arguments:
             continue
-        if parameter in special and parameter not in access:
+        if parameter in special:
             arguments[parameter] = special[parameter]
         elif declared.default is declared.empty and parameter in free:
             raise WorkflowError(
@@ -134,41 +122,77 @@ def autowire(
 
 def option_names(factory: Factory) -> list[str]:
     """Return the names of a factory's options, without states and context."""
-    parameters, access = _signature(factory)
-    return sorted(_free(parameters, access, _SPECIAL))
+    access, bundles = _annotated(factory)
+    taken = {*access, *bundles, *_SPECIAL}
+    return sorted(
+        name
+        for name, parameter in inspect.signature(factory).parameters.items()
+        if name not in taken
+        and parameter.kind not in (parameter.VAR_KEYWORD, parameter.VAR_POSITIONAL)
+    )
 
 
 def state_names(factory: Factory) -> dict[str, str]:
     """Return the states that a factory's parameters name: to `reads`, `writes` or `amends`."""
-    return _signature(factory)[1]
+    access, bundles = _annotated(factory)
+    for bundle in bundles.values():
+        access.update(state_names(bundle))
+    return access
 
 
-_SPECIAL = dict.fromkeys(("states", "robot", "period", "relative_to", "context"))
+_SPECIAL = ("states", "robot", "period", "relative_to", "context")
 
 
-def _free(
-    parameters: Mapping[str, inspect.Parameter],
-    access: Mapping[str, str],
-    special: Mapping[str, Any],
-) -> list[str]:
-    return [
-        name
-        for name, parameter in parameters.items()
-        if name not in access
-        and name not in special
-        and parameter.kind not in (parameter.VAR_KEYWORD, parameter.VAR_POSITIONAL)
-    ]
+def _states_of(
+    factory: Factory,
+    name: str,
+    context: BuildContext,
+    rename: Mapping[str, str],
+    where: str,
+    used: Mapping[str, list[str]],
+) -> dict[str, Any]:
+    """Return the arguments that are states or bundles of them; add the labels to `used`."""
+    arguments: dict[str, Any] = {}
+    access, bundles = _annotated(factory)
+    for parameter, mode in access.items():
+        label = rename.get(parameter, parameter)
+        if label not in context.states:
+            raise WorkflowError(
+                f"block {name!r}: no state {label!r}; {alternatives(label, context.states)}; "
+                f"declare it under 'states:' or map it with 'states: {{{parameter}: LABEL}}'",
+                where,
+            )
+        view = context.states[label]
+        if mode == "reads":
+            view = view.view()
+            view.flags.writeable = False
+        arguments[parameter] = view
+        used[mode].append(label)
+    for parameter, bundle in bundles.items():
+        others = option_names(bundle)
+        if others:
+            raise WorkflowError(
+                f"block {name!r}: {bundle.__name__}.{others[0]} is no state; annotate it Reads, "
+                "Writes or Amends, or make it a parameter of the block",
+                where,
+            )
+        arguments[parameter] = bundle(**_states_of(bundle, name, context, rename, where, used))
+    return arguments
 
 
-def _signature(factory: Factory) -> tuple[Mapping[str, inspect.Parameter], dict[str, str]]:
-    parameters = inspect.signature(factory).parameters
+def _annotated(factory: Factory) -> tuple[dict[str, str], dict[str, type[Bundle]]]:
+    """Return the parameters that are states, with their mode, and those that are bundles."""
     target = factory.__init__ if inspect.isclass(factory) else factory
     hints = get_type_hints(target, include_extras=True)
     access: dict[str, str] = {}
-    for name in parameters:
+    bundles: dict[str, type[Bundle]] = {}
+    for name in inspect.signature(factory).parameters:
         hint = hints.get(name)
-        if get_origin(hint) is Annotated:
+        origin = get_origin(hint)
+        if origin is None and inspect.isclass(hint) and issubclass(hint, Bundle):
+            bundles[name] = hint
+        if origin is Annotated:
             for mark in get_args(hint)[1:]:
                 if isinstance(mark, Access):
                     access[name] = mark.mode
-    return parameters, access
+    return access, bundles
