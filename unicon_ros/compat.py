@@ -9,11 +9,12 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import importlib
+import itertools
 import os
 import platform
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from unicon_core.errors import MissingDependencyError, UniconError
@@ -21,7 +22,6 @@ from unicon_core.errors import MissingDependencyError, UniconError
 __all__ = [
     "Responses",
     "ReusedWaitSet",
-    "event_callbacks",
     "import_rclpy",
     "incompatible_policy",
     "message_class",
@@ -30,6 +30,7 @@ __all__ = [
     "raw_take",
     "serve_one",
     "wait_for_readers",
+    "with_events",
 ]
 
 _WHEELS = "pip install 'ros-rclpy[fastrtps]==7.1.6' ros-jazzy-common-interfaces"
@@ -65,18 +66,38 @@ def message_class(name: str) -> Any:
         return None
 
 
-def event_callbacks(kind: str, incompatible_qos: Callable[[Any], None]) -> Any:
-    """Return the `publisher` or `subscription` event callbacks with one for incompatible QoS.
+def with_events(
+    kind: str, callbacks: Mapping[str, Callable[[Any], None]], create: Callable[..., Any]
+) -> tuple[Any, list[str]]:
+    """Return what `create(**options)` makes with event callbacks, and the names of those left out.
 
-    Humble has the class in `rclpy.qos_event`, newer ones in `rclpy.event_handler`.
+    A middleware that lacks an event refuses the whole entity, without telling which event it was.
+    Humble has the classes in `rclpy.qos_event`, newer ones in `rclpy.event_handler`.
+
+    Args:
+        kind: `publisher` or `subscription`.
+        callbacks: by rclpy's names: `deadline`, `incompatible_qos`, `liveliness`, `message_lost`.
+        create: makes the entity; called anew with fewer events where it raises that one is lacked.
     """
-    name = {"publisher": "PublisherEventCallbacks", "subscription": "SubscriptionEventCallbacks"}
-    for module in ("rclpy.event_handler", "rclpy.qos_event"):
-        try:
-            make = getattr(importlib.import_module(module), name[kind])
-        except (ImportError, AttributeError):
-            continue
-        return make(incompatible_qos=incompatible_qos)
+    module = _event_module()
+    make = getattr(module, f"{kind.capitalize()}EventCallbacks", None)
+    lacked = getattr(module, "UnsupportedEventTypeError", ())
+    if make is None:
+        return create(), list(callbacks)
+    for number in range(len(callbacks), 0, -1):
+        for kept in itertools.combinations(callbacks, number):
+            try:
+                made = create(event_callbacks=make(**{name: callbacks[name] for name in kept}))
+            except lacked:
+                continue
+            return made, [name for name in callbacks if name not in kept]
+    return create(), list(callbacks)
+
+
+def _event_module() -> Any:
+    for name in ("rclpy.event_handler", "rclpy.qos_event"):
+        with contextlib.suppress(ImportError):
+            return importlib.import_module(name)
     return None
 
 
@@ -93,8 +114,8 @@ def incompatible_policy(event: Any) -> str:
 def polled_group() -> Any:
     """Return a callback group that keeps executors from taking messages that the tick polls.
 
-    Events of the same subscriptions (incompatible QoS) are served as usual. A public interface:
-    `rclpy.callback_groups.CallbackGroup` is made to be derived from.
+    Events of the same subscriptions (deadlines, liveliness, …) are served as usual. A public
+    interface: `rclpy.callback_groups.CallbackGroup` is made to be derived from.
     """
     from rclpy.callback_groups import ReentrantCallbackGroup
     from rclpy.subscription import Subscription

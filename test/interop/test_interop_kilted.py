@@ -26,6 +26,7 @@ safety: [finite]
 """
 TWIST = "geometry_msgs/msg/Twist"
 PRIVATE_NAMES = """\
+import functools
 import json
 import rclpy
 from sensor_msgs.msg import JointState
@@ -33,7 +34,9 @@ from unicon_ros import compat
 
 rclpy.init()
 node = rclpy.create_node("names")
-publisher = node.create_publisher(JointState, "x", 1)
+names = ("deadline", "incompatible_qos", "liveliness")
+create = functools.partial(node.create_publisher, JointState, "x", 1)
+publisher, lacking = compat.with_events("publisher", dict.fromkeys(names, print), create)
 subscription = node.create_subscription(JointState, "x", print, 1, raw=True)
 publish, _ = compat.raw_publish(publisher)
 take, _ = compat.raw_take(subscription)
@@ -45,7 +48,7 @@ print(json.dumps({
     "take": take is not None and take() is None,
     "serve": serve.__name__,
     "wait": waits.wait(0.01),
-    "events": compat.event_callbacks("publisher", print) is not None,
+    "events": not lacking and len(publisher.event_handlers) >= len(names),
 }))
 waits.close()
 """

@@ -92,6 +92,12 @@ class Diagnostics:
     def _topics(
         self, values: dict[str, str], seconds: float, level: bytes, message: str
     ) -> tuple[bytes, str]:
+        both: list[TopicOut | TopicIn] = [*self.outgoing, *self.incoming]
+        for each in both:
+            for name, count in each.events.counts().items():
+                values[f"{each.topic} {name}"] = str(count)
+            if each.events.trouble:
+                level, message = WARN, f"{each.topic}: {each.events.trouble}"
         for out in self.outgoing:
             values[f"{out.topic} hz"] = self._rate(f"> {out.topic}", out.published, seconds)
             if out.failed:

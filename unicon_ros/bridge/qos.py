@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 from unicon_msgs_map.spec import Qos
-from unicon_ros import compat
 
-__all__ = ["incompatibility", "qos_profile"]
+__all__ = ["qos_profile"]
 
 
 def qos_profile(qos: Qos) -> Any:
@@ -37,29 +35,3 @@ def qos_profile(qos: Qos) -> Any:
         if seconds is not None:
             values[name] = Duration(nanoseconds=round(seconds * 1e9))
     return QoSProfile(**values)
-
-
-def incompatibility(topic: str, qos: Qos, peer: str, warn: Callable[[str], None]) -> Any:
-    """Return event callbacks that tell once for each policy when a peer's QoS does not match.
-
-    Args:
-        topic: for the message.
-        qos: ours.
-        peer: what the other side is: `publisher` or `subscription`.
-        warn: takes the message.
-    """
-    told: set[str] = set()
-
-    def tell(event: Any) -> None:
-        policy = compat.incompatible_policy(event)
-        if policy not in told:
-            told.add(policy)
-            ours = getattr(qos, policy, None)
-            said = f" (ours: {ours})" if ours is not None else ""
-            warn(
-                f"topic {topic}: a {peer} has an incompatible {policy}{said}, so nothing passes "
-                f"between us; set qos.{policy} of the topic in the message map, or the peer's"
-            )
-
-    own = "subscription" if peer == "publisher" else "publisher"
-    return compat.event_callbacks(own, tell)

@@ -85,6 +85,7 @@ class RosSession:
         self._group = compat.polled_group()
         self._others: list[Callable[[], None]] = []
         self._services: list[Any] = []
+        self._timer: Any = None
         self._runner: Runner | None = None
         self._stamp: WallStamp | None = None
         self._closed = False
@@ -184,6 +185,12 @@ class RosSession:
         """Let services act on this runner, and its deadlines bound what they may take."""
         self._runner = self.controls.runner = self.slack.runner = runner
         calm_middleware_threads()
+        if self._timer is None and any(topic.events.declared for topic in self._topics()):
+            from rclpy.clock import Clock, ClockType
+
+            # The steady clock, so that it goes on where nobody publishes /clock.
+            steady = Clock(clock_type=ClockType.STEADY_TIME)
+            self._timer = self.node.create_timer(1.0, self._settle, self._group, steady)
 
     def counts(self) -> dict[str, Any]:
         """Return what passed: totals, and per topic `published`, or `received`, `rejected`, …"""
@@ -198,6 +205,9 @@ class RosSession:
                 rejected=topic.rejected,
                 stale=topic.stale,
             )
+        for each in self._topics():
+            told = each.events.counts()
+            topics[each.topic].update({name.replace(" ", "_"): n for name, n in told.items()})
         return {
             "published": sum(out.published for out in self.outgoing),
             "received": sum(topic.received for topic in self.incoming),
@@ -212,6 +222,8 @@ class RosSession:
         if self._closed:
             return
         self._closed = True
+        if self._timer is not None:
+            self.node.destroy_timer(self._timer)
         closers = [topic.close for topic in self.incoming]
         closers += [topic.close for topic in self.outgoing]
         for close in (*closers, *self._others):
@@ -220,6 +232,13 @@ class RosSession:
             self._own.close()
 
     # -- helpers --------------------------------------------------------------------------------
+
+    def _topics(self) -> list[TopicOut | TopicIn]:
+        return [*self.outgoing, *self.incoming]
+
+    def _settle(self) -> None:
+        for topic in self._topics():
+            topic.events.settle()
 
     def _message(self, spec: PublishSpec | SubscribeSpec, direction: str) -> Any:
         """Return the Python class of a topic's type; None where it is absent and optional."""

@@ -13,7 +13,8 @@ from typing import Any
 
 from unicon_msgs_map import Decoder
 from unicon_ros import compat
-from unicon_ros.bridge.qos import incompatibility, qos_profile
+from unicon_ros.bridge.qos import qos_profile
+from unicon_ros.bridge.qos_events import QosEvents
 
 __all__ = ["TopicIn"]
 
@@ -35,6 +36,7 @@ class TopicIn:
 
     Attributes:
         topic: full name, after namespace and remaps.
+        events: what its QoS events told.
         received: messages taken.
         dropped: of those, overtaken by a later one within the same tick.
         heard: a message has come.
@@ -58,22 +60,22 @@ class TopicIn:
         self._zero_when_stale = spec.on_timeout == "zero"
         self._pending: bytes | None = None
         options: dict[str, Any] = {"raw": True, "callback_group": group}
-        events = incompatibility(spec.topic, spec.qos, "publisher", warn)
-        if events is not None:
-            options["event_callbacks"] = events
         profile = qos_profile(spec.qos)
-        self.subscription = node.create_subscription(
-            message, spec.topic, self._called_back, profile, **options
-        )
+        self.events = QosEvents(spec.topic, spec.qos, "subscription", lambda: self.received, warn)
+
+        def create(**events: Any) -> Any:
+            return node.create_subscription(
+                message, spec.topic, self._called_back, profile, **options, **events
+            )
+
+        self.subscription = self.events.watch(create)
         take, self._release = compat.raw_take(self.subscription)
         self.polled = take is not None
         self._take = self._take_pending if take is None else take
         if take is None:  # no way to poll: subscribe again where executors may call us
             node.destroy_subscription(self.subscription)
             del options["callback_group"]
-            self.subscription = node.create_subscription(
-                message, spec.topic, self._called_back, profile, **options
-            )
+            self.subscription = self.events.watch(create)
         self.topic: str = self.subscription.topic_name
         self.received = self.dropped = 0
         self.heard = self.stale = False

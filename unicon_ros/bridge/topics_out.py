@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from unicon_core.flow import Block
 from unicon_msgs_map import Encoder
 from unicon_ros import compat
-from unicon_ros.bridge.qos import incompatibility, qos_profile
+from unicon_ros.bridge.qos import qos_profile
+from unicon_ros.bridge.qos_events import QosEvents
 
 __all__ = ["TopicOut"]
 
@@ -31,6 +33,7 @@ class TopicOut:
 
     Attributes:
         spec: what the map says of it.
+        events: what its QoS events told.
         topic: full name, after namespace and remaps.
         tap: gets the bytes of every message too, such as a recorder, or None.
         published: messages sent.
@@ -49,14 +52,11 @@ class TopicOut:
         prepare: Callable[[], None] | None = None,
     ) -> None:
         spec = encoder.spec
-        options: dict[str, Any] = {"callback_group": group}
-        events = incompatibility(spec.topic, spec.qos, "subscription", warn)
-        if events is not None:
-            options["event_callbacks"] = events
         self._node, self._warn = node, warn
-        self.publisher = node.create_publisher(
-            message, spec.topic, qos_profile(spec.qos), **options
-        )
+        self.events = QosEvents(spec.topic, spec.qos, "publisher", lambda: self.published, warn)
+        profile = qos_profile(spec.qos)
+        create = partial(node.create_publisher, message, spec.topic, profile, callback_group=group)
+        self.publisher = self.events.watch(create)
         self.spec = spec
         self.topic: str = self.publisher.topic_name
         self.tap: Callable[[bytes], object] | None = None
