@@ -2,36 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
-from typing import TYPE_CHECKING
+from collections.abc import Collection
 
 from unicon_core.flow import Block, Node
 from unicon_core.show.tree import LEGEND, branches, data_flow, is_critical, shortened, title
 from unicon_core.states import States
 
-if TYPE_CHECKING:
-    from unicon_core.policies import PolicyContract
-    from unicon_core.robots import Robot
-
 __all__ = ["show_mermaid"]
 
 
-def show_mermaid(
-    root: Node,
-    states: States,
-    critical: Collection[Block] = (),
-    *,
-    robot: Robot | None = None,
-    policy: PolicyContract | None = None,
-    policies: Mapping[str, PolicyContract] | None = None,
-) -> str:
+def show_mermaid(root: Node, states: States, critical: Collection[Block] = ()) -> str:
     """Return a Mermaid flowchart; blocks on the critical path have the class `critical`.
 
     Args:
         root: the graph.
         states: all states; those that nobody uses are left out.
         critical: blocks on the critical path.
-        robot, policy, policies: taken as by `show_text`; a flowchart does not show them.
     """
     chart = _Chart()
     chart.tree(root)

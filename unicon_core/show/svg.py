@@ -3,19 +3,14 @@ the state table. One file without scripts or fonts of its own."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from html import escape
-from typing import TYPE_CHECKING
 
 from unicon_core.flow import Block, Chain, Node, Switch
 from unicon_core.show.state_table import HEAD, state_rows
 from unicon_core.show.tree import LEGEND, branches, is_critical, shortened, title
 from unicon_core.states import States
-
-if TYPE_CHECKING:
-    from unicon_core.policies import PolicyContract
-    from unicon_core.robots import Robot
 
 __all__ = ["show_svg"]
 
@@ -53,22 +48,13 @@ class _Box:
         return isinstance(self.node, (Chain, Switch))
 
 
-def show_svg(
-    root: Node,
-    states: States,
-    critical: Collection[Block] = (),
-    *,
-    robot: Robot | None = None,
-    policy: PolicyContract | None = None,
-    policies: Mapping[str, PolicyContract] | None = None,
-) -> str:
+def show_svg(root: Node, states: States, critical: Collection[Block] = ()) -> str:
     """Return an SVG document of graph and states; the critical path has thick orange boxes.
 
     Args:
         root: the graph.
         states: all states.
         critical: blocks on the critical path.
-        robot, policy, policies: taken as by `show_text`; the picture does not show them.
     """
     box = _measured(root, "")
     parts = _drawn(box, PAD, PAD, critical)
