@@ -9,17 +9,15 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from unicon_core.errors import PlatformError, alternatives
 from unicon_core.flow import Block, blocks_of
 from unicon_core.policies import OnnxPolicy, PolicyContract
 from unicon_core.policies.observation import PackedStates
 from unicon_core.policies.prefixed import PrefixedStates
 from unicon_core.robots import Robot
 from unicon_core.workflow import Workflow
-from unicon_core.workflow.autowire import option_names
 from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.hardware import is_simulator
-from unicon_core.workflow.registry import find_factory
+from unicon_core.workflow.platforms import find_platform, platform_options
 from unicon_core.workflow.workflow import build_workflow
 
 __all__ = ["NOT_ON_HARDWARE", "PlatformFacts", "Subject", "build_subject", "platform_facts"]
@@ -106,29 +104,14 @@ def platform_facts(document: WorkflowDocument) -> PlatformFacts:
     """Return what is known of the workflow's platform, and check its options without building it.
 
     Raises:
-        PlatformError: no such platform.
+        WorkflowError: no such platform, or it has no such option.
         MissingDependencyError: it needs a package that is not installed.
-        WorkflowError: it has no such option.
     """
-    name = str(document.get("platform", str))
-    try:
-        factory = find_factory("platforms", name, PlatformError)
-    except PlatformError as error:
-        raise document.error(str(error), "platform") from error
-    simulated = is_simulator(name, factory)
-    writes = getattr(factory, "writes", None)
-    if simulated:
+    name, factory = find_platform(document)
+    if is_simulator(name, factory):
         return PlatformFacts(name, True, ())
-    options = document.get("platforms", dict, {}).get(name) or {}
-    free = option_names(factory)
-    for option in options:
-        if option not in free:
-            raise document.error(
-                f"platform {name!r} has no option {option!r}; {alternatives(option, free)}",
-                "platforms",
-                name,
-                option,
-            )
+    platform_options(document, name, factory)
+    writes = getattr(factory, "writes", None)
     unmeasured: tuple[str, ...] = NOT_ON_HARDWARE
     if writes is not None:
         unmeasured = tuple(state for state in NOT_ON_HARDWARE if state not in writes)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from unicon_core.errors import PlatformError, RobotError, UniconError, WorkflowError, alternatives
+from unicon_core.errors import RobotError, UniconError, WorkflowError, alternatives
 from unicon_core.flow import Blender, Block, Deferred, Every, Node, Switch, Zip
 from unicon_core.flow.checks import check_graph, raise_first
 from unicon_core.flow.critical_path import critical_path
@@ -21,7 +21,7 @@ from unicon_core.workflow.autowire import BuildContext, autowire, option_names
 from unicon_core.workflow.document import WorkflowDocument, load_document
 from unicon_core.workflow.expression import expression
 from unicon_core.workflow.flow_yaml import BlockUse, FlowReader
-from unicon_core.workflow.hardware import is_simulator, refuse_incomplete
+from unicon_core.workflow.platforms import build_platform
 from unicon_core.workflow.policies import (
     declared_states,
     load_policies,
@@ -126,7 +126,7 @@ def build_workflow(
     num_robots = document.get("num_robots", int)
     states = States(Layout(specs, num_robots))
     context = BuildContext(states, robot, period, policies, document.path.parent)
-    platform = _platform(document, context)
+    platform = build_platform(document, context)
     workflow = Workflow(document, robot, platform, states, period, policies, context)
     try:
         _assemble(workflow, inputs, observers)
@@ -313,54 +313,3 @@ def _at_its_period(block: Block, workflow: Workflow, use: BlockUse) -> Node:
             use.where,
         )
     return Every(n, block, where=use.where) if n > 1 else block
-
-
-def _platform(document: WorkflowDocument, context: BuildContext) -> Platform:
-    name = document.get("platform", str)
-    try:
-        factory = find_factory("platforms", name, PlatformError)
-    except PlatformError as error:
-        raise document.error(str(error), "platform") from error
-    options = document.get("platforms", dict, {}).get(name) or {}
-    if not isinstance(options, dict):
-        raise document.error(
-            f"platforms.{name}: {options!r} is not a mapping of options", "platforms", name
-        )
-    if not is_simulator(name, factory):
-        refuse_incomplete(context.robot, name)
-    free = option_names(factory)
-    for option in options:
-        if option not in free:
-            raise document.error(
-                f"platform {name!r} has no option {option!r}; {alternatives(option, free)}",
-                "platforms",
-                name,
-                option,
-            )
-    arguments = {key: _pose_of(value, document, context) for key, value in options.items()}
-    if "relative_to" in _parameters(factory):
-        arguments["relative_to"] = context.relative_to
-    try:
-        platform: Platform = factory(context.states, context.robot, context.period, **arguments)
-    except (TypeError, ValueError) as error:
-        raise document.error(
-            f"platform {name!r}: {error}; correct platforms.{name}", "platforms", name
-        ) from error
-    return platform
-
-
-def _pose_of(value: Any, document: WorkflowDocument, context: BuildContext) -> Any:
-    """Return `policy:NAME` as that policy's default pose, joint to [rad]; else the value."""
-    if not isinstance(value, str) or not value.startswith("policy:"):
-        return value
-    name = value.removeprefix("policy:")
-    if name not in context.policies:
-        raise document.error(
-            f"{value!r}: no policy {name!r}; {alternatives(name, context.policies)}", "platforms"
-        )
-    contract = context.policies[name]
-    return dict(zip(contract.joints, map(float, contract.default_joint_pos)))
-
-
-def _parameters(factory: Factory) -> Sequence[str]:
-    return list(inspect.signature(factory).parameters)

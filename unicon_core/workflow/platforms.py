@@ -1,0 +1,89 @@
+"""The platform of a workflow: found, its options checked, built; for builder and `check`."""
+
+from __future__ import annotations
+
+import inspect
+from typing import Any
+
+from unicon_core.errors import PlatformError, alternatives
+from unicon_core.platforms.platform import Platform
+from unicon_core.workflow.autowire import BuildContext, option_names
+from unicon_core.workflow.document import WorkflowDocument
+from unicon_core.workflow.hardware import is_simulator, refuse_incomplete
+from unicon_core.workflow.registry import Factory, find_factory
+
+__all__ = ["build_platform", "find_platform", "platform_options"]
+
+
+def build_platform(document: WorkflowDocument, context: BuildContext) -> Platform:
+    """Build the platform that a workflow names.
+
+    Raises:
+        PlatformError: no such platform, or it cannot be built.
+        RobotError: it moves motors, and the robot file lacks facts for that.
+        WorkflowError: wrong options.
+    """
+    name, factory = find_platform(document)
+    if not is_simulator(name, factory):
+        refuse_incomplete(context.robot, name)
+    options = platform_options(document, name, factory)
+    arguments = {key: _pose_of(value, document, context) for key, value in options.items()}
+    if "relative_to" in inspect.signature(factory).parameters:
+        arguments["relative_to"] = context.relative_to
+    try:
+        platform: Platform = factory(context.states, context.robot, context.period, **arguments)
+    except (TypeError, ValueError) as error:
+        raise document.error(
+            f"platform {name!r}: {error}; correct platforms.{name}", "platforms", name
+        ) from error
+    return platform
+
+
+def find_platform(document: WorkflowDocument) -> tuple[str, Factory]:
+    """Return the word that a workflow uses for its platform, and the factory behind it.
+
+    Raises:
+        WorkflowError: no such platform.
+        MissingDependencyError: it needs a package that is not installed.
+    """
+    name = document.get("platform", str)
+    try:
+        return name, find_factory("platforms", name, PlatformError)
+    except PlatformError as error:
+        raise document.error(str(error), "platform") from error
+
+
+def platform_options(document: WorkflowDocument, name: str, factory: Factory) -> dict[str, Any]:
+    """Return a platform's options of the workflow file.
+
+    Raises:
+        WorkflowError: they are no mapping, or the platform has no such option.
+    """
+    options = document.get("platforms", dict, {}).get(name) or {}
+    if not isinstance(options, dict):
+        raise document.error(
+            f"platforms.{name}: {options!r} is not a mapping of options", "platforms", name
+        )
+    free = option_names(factory)
+    for option in options:
+        if option not in free:
+            raise document.error(
+                f"platform {name!r} has no option {option!r}; {alternatives(option, free)}",
+                "platforms",
+                name,
+                option,
+            )
+    return options
+
+
+def _pose_of(value: Any, document: WorkflowDocument, context: BuildContext) -> Any:
+    """Return `policy:NAME` as that policy's default pose, joint to [rad]; else the value."""
+    if not isinstance(value, str) or not value.startswith("policy:"):
+        return value
+    name = value.removeprefix("policy:")
+    if name not in context.policies:
+        raise document.error(
+            f"{value!r}: no policy {name!r}; {alternatives(name, context.policies)}", "platforms"
+        )
+    contract = context.policies[name]
+    return dict(zip(contract.joints, map(float, contract.default_joint_pos)))
