@@ -7,7 +7,7 @@ from unicon_msgs_map.messages import Array, String, Struct, TypeRef
 from unicon_msgs_map.paths import Key, Selector
 from unicon_msgs_map.spec import FieldSpec, PublishSpec, SubscribeSpec
 
-__all__ = ["check_publish", "check_subscribe", "resolve"]
+__all__ = ["check_publish", "check_subscribe", "field_type", "resolve"]
 
 
 def check_publish(spec: PublishSpec) -> None:
@@ -77,31 +77,49 @@ def resolve(field: FieldSpec, message: Struct, *, receive: bool) -> TypeRef:
             raise MessageTypeError(
                 f"{field.path}: {field.steps[number - 1][0]} has no fields below it", field.where
             )
-        found = owner.field(name)
-        if found is None:
-            known = [f.name for f in owner.fields]
-            raise MessageTypeError(
-                f"{field.path}: {owner.name} has no field {name!r}; {alternatives(name, known)}",
-                field.where,
-            )
-        kind = found.type
-        last = number == len(field.steps) - 1
-        if isinstance(kind, Array):
-            if selector is None and not last:
-                raise MessageTypeError(
-                    f"{field.path}: {name} of {owner.name} is an array; "
-                    f"select elements, as in {name}[0] or {name}[:12]",
-                    field.where,
-                )
-            if selector is not None:
-                _check_selector(field, owner, name, selector, kind, receive=receive)
-                kind = kind.item
-        elif selector is not None:
-            raise MessageTypeError(
-                f"{field.path}: {name} of {owner.name} is no array; drop the [...]", field.where
-            )
+        kind = field_type(field, owner, name, selector, last=number == len(field.steps) - 1)
+        if isinstance(kind, Array) and selector is not None:
+            _check_selector(field, owner, name, selector, kind, receive=receive)
+            kind = kind.item
         owner = kind
     return kind
+
+
+def field_type(
+    field: FieldSpec, owner: Struct, name: str, selector: Selector | None, *, last: bool
+) -> TypeRef:
+    """Return the type that one step of a path leads to, before elements are selected.
+
+    Args:
+        field: the field, for its messages.
+        owner: where the step begins.
+        name: of the step.
+        selector: of the step.
+        last: whether the path ends with it.
+
+    Raises:
+        MessageTypeError: no such field, or elements are selected where there are none, or not
+            selected where there are some.
+    """
+    found = owner.field(name)
+    if found is None:
+        known = [f.name for f in owner.fields]
+        raise MessageTypeError(
+            f"{field.path}: {owner.name} has no field {name!r}; {alternatives(name, known)}",
+            field.where,
+        )
+    is_array = isinstance(found.type, Array)
+    if is_array and selector is None and not last:
+        raise MessageTypeError(
+            f"{field.path}: {name} of {owner.name} is an array; "
+            f"select elements, as in {name}[0] or {name}[:12]",
+            field.where,
+        )
+    if selector is not None and not is_array:
+        raise MessageTypeError(
+            f"{field.path}: {name} of {owner.name} is no array; drop the [...]", field.where
+        )
+    return found.type
 
 
 def _check_selector(

@@ -11,7 +11,8 @@ import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-from unicon_msgs_map.errors import MapStateError, MessageTypeError, alternatives, count_of
+from unicon_msgs_map.check import field_type
+from unicon_msgs_map.errors import MapStateError, MessageTypeError, count_of
 from unicon_msgs_map.messages import (
     DURATION,
     QUATERNION,
@@ -117,27 +118,10 @@ def _expand(
             f"{spec.path}: {parent} of {root.name} has no fields below it", spec.where
         )
     (name, selector), rest = steps[0], steps[1:]
-    found = owner.field(name)
-    if found is None:
-        known = [f.name for f in owner.fields]
-        raise MessageTypeError(
-            f"{spec.path}: {owner.name} has no field {name!r}; {alternatives(name, known)}",
-            spec.where,
-        )
-    here, kind = (*at, name), found.type
+    here, kind = (*at, name), field_type(spec, owner, name, selector, last=not rest)
     if not isinstance(kind, Array):
-        if selector is not None:
-            raise MessageTypeError(
-                f"{spec.path}: {name} of {owner.name} is no array; drop the [...]", spec.where
-            )
         return _expand(spec, root, rest, here, kind, available)
     if selector is None:
-        if rest:
-            raise MessageTypeError(
-                f"{spec.path}: {name} of {owner.name} is an array; "
-                f"select elements, as in {name}[0] or {name}[:12]",
-                spec.where,
-            )
         return [Leaf(here, kind)]
     if isinstance(selector, Key):
         raise MessageTypeError(
