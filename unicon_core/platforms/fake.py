@@ -13,23 +13,12 @@ from numpy.typing import NDArray
 from unicon_core.errors import Fault, PlatformError, alternatives
 from unicon_core.robots import Robot
 from unicon_core.states import States
-from unicon_core.states.standard import COMMAND_STATES
+from unicon_core.states.standard import BASE_STATES, COMMAND_STATES, JOINT_STATES
 
 __all__ = ["FakePlatform", "make"]
 
 _GRAVITY = 9.81  # [m/s²]
-_WRITES = (
-    "joint_pos",
-    "joint_vel",
-    "joint_effort",
-    "base_quat",
-    "base_ang_vel",
-    "base_lin_acc",
-    "projected_gravity",
-    "base_pos_w",
-    "base_lin_vel",
-    "stamp_ns",
-)
+_WRITES = (*JOINT_STATES, *BASE_STATES, "stamp_ns")
 
 
 def make(

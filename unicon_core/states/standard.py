@@ -9,7 +9,20 @@ from collections.abc import Sequence
 
 from unicon_core.states.spec import StateSpec
 
-__all__ = ["COMMAND_STATES", "standard_states"]
+__all__ = ["BASE_STATES", "COMMAND_STATES", "JOINT_STATES", "standard_states"]
+
+JOINT_STATES = ("joint_pos", "joint_vel", "joint_effort")
+"""What the motors tell of the joints."""
+
+BASE_STATES = (
+    "base_quat",
+    "base_ang_vel",
+    "base_lin_acc",
+    "projected_gravity",
+    "base_pos_w",
+    "base_lin_vel",
+)
+"""What is measured of a base that moves, the last two by simulators and trackers alone."""
 
 COMMAND_STATES = (
     "joint_pos_target",

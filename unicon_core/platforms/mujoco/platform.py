@@ -19,19 +19,9 @@ from unicon_core.platforms.mujoco.simulated_robot import Disturbances, Simulated
 from unicon_core.platforms.mujoco.viewer import Viewer
 from unicon_core.robots import Robot
 from unicon_core.states import States
-from unicon_core.states.standard import COMMAND_STATES
+from unicon_core.states.standard import BASE_STATES, COMMAND_STATES, JOINT_STATES
 
 __all__ = ["MujocoPlatform", "make"]
-
-_JOINT_STATES = ("joint_pos", "joint_vel", "joint_effort")
-_BASE_STATES = (
-    "base_quat",
-    "base_ang_vel",
-    "base_lin_acc",
-    "projected_gravity",
-    "base_pos_w",
-    "base_lin_vel",
-)
 
 
 def make(
@@ -117,7 +107,7 @@ class MujocoPlatform:
         self.period = period
         self.decimation = _decimation(period, float(model.opt.timestep), loaded.path)
         base = find_base(mujoco, model, loaded.joints[0])
-        names = _JOINT_STATES + (() if base is None else _BASE_STATES) + ("stamp_ns",)
+        names = JOINT_STATES + (() if base is None else BASE_STATES) + ("stamp_ns",)
         self.writes = tuple(name for name in names if name in states)
         self.reads = COMMAND_STATES
         for state in disturbances.noise or {}:
