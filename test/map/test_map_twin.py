@@ -189,18 +189,22 @@ class Reader:
             assert "none of the mapped" in self.decoder.last_error
 
 
-@quick
-@given(data=st.data(), little=st.booleans())
-def test_decoded_values_equal_those_of_rosbags(data: st.DataObject, little: bool) -> None:
+def drawn(data: st.DataObject, little: bool) -> tuple[Reader, bytes]:
+    """Return a reader of a random type, and a message that it is built for."""
     full = data.draw(random_types()).register(TWIN)
     message = TWIN.struct(full)
     first = data.draw(values(message, TWIN))
     assume(number_leaves(message, first))
-    reader = Reader(data, full, first)
-    raw = serialize(first, TWIN, little=little)
+    return Reader(data, full, first), serialize(first, TWIN, little=little)
+
+
+@quick
+@given(data=st.data(), little=st.booleans())
+def test_decoded_values_equal_those_of_rosbags(data: st.DataObject, little: bool) -> None:
+    reader, raw = drawn(data, little)
     reader.check(raw)
     reader.check(raw)  # the same layout: fast
-    for other in data.draw(st.lists(values(message, TWIN), max_size=3)):  # other lengths
+    for other in data.draw(st.lists(values(reader.message, TWIN), max_size=3)):  # other lengths
         reader.check(serialize(other, TWIN, little=data.draw(st.booleans())))
     reader.check(raw)
 
@@ -208,12 +212,7 @@ def test_decoded_values_equal_those_of_rosbags(data: st.DataObject, little: bool
 @quick
 @given(data=st.data(), little=st.booleans())
 def test_fast_and_careful_path_write_the_same(data: st.DataObject, little: bool) -> None:
-    full = data.draw(random_types()).register(TWIN)
-    message = TWIN.struct(full)
-    first = data.draw(values(message, TWIN))
-    assume(number_leaves(message, first))
-    reader = Reader(data, full, first)
-    raw = serialize(first, TWIN, little=little)
+    reader, raw = drawn(data, little)
     assert reader.decoder.decode(raw)
     kept = reader.decoder._layouts[0]
     for state in reader.arrays.values():
