@@ -29,14 +29,13 @@ def domain(monkeypatch: pytest.MonkeyPatch) -> int:
 
 
 @pytest.fixture
-def peers() -> Iterator[Callable[..., Peer]]:
-    """Starts plain rclpy scripts of `peers/`, and kills them at the end."""
+def processes() -> Iterator[Callable[..., Peer]]:
+    """Starts commands that say JSON lines, and kills them at the end."""
     started: list[Peer] = []
 
-    def start(script: str, *arguments: str, python: str = sys.executable) -> Peer:
-        peer = Peer(python, str(HERE / "peers" / f"{script}.py"), *arguments)
-        started.append(peer)
-        return peer
+    def start(*command: str) -> Peer:
+        started.append(Peer(*command))
+        return started[-1]
 
     yield start
     for peer in started:
@@ -44,20 +43,25 @@ def peers() -> Iterator[Callable[..., Peer]]:
 
 
 @pytest.fixture
-def nodes() -> Iterator[Callable[..., Peer]]:
-    """Starts unicon_node with ROS arguments, and kills it at the end."""
-    started: list[Peer] = []
+def peers(processes: Callable[..., Peer]) -> Callable[..., Peer]:
+    """Starts plain rclpy scripts of `peers/`."""
+
+    def start(script: str, *arguments: str, python: str = sys.executable) -> Peer:
+        return processes(python, str(HERE / "peers" / f"{script}.py"), *arguments)
+
+    return start
+
+
+@pytest.fixture
+def nodes(processes: Callable[..., Peer]) -> Callable[..., Peer]:
+    """Starts unicon_node with ROS arguments."""
     code = "import sys; from unicon_ros.node_main import main; sys.exit(main())"
 
     def start(*arguments: str) -> Peer:
         os.environ.setdefault("PYTHONPATH", str(ROOT))
-        peer = Peer(sys.executable, "-c", code, *arguments)
-        started.append(peer)
-        return peer
+        return processes(sys.executable, "-c", code, *arguments)
 
-    yield start
-    for peer in started:
-        peer.kill()
+    return start
 
 
 @pytest.fixture
