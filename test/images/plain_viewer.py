@@ -1,6 +1,6 @@
-"""A plain rclpy process: prints a summary of each Image or PointCloud2 that it hears.
+"""A plain rclpy process: prints a summary of each Image, PointCloud2 or CameraInfo that it hears.
 
-Usage: plain_viewer.py TOPIC Image|PointCloud2. Nothing of unicon is imported.
+Usage: plain_viewer.py TOPIC Image|PointCloud2|CameraInfo. Nothing of unicon is imported.
 """
 
 import json
@@ -22,7 +22,9 @@ def main():
             "frame": message.header.frame_id,
             "size": [message.width, message.height],
         }
-        if sys.argv[2] == "Image" and message.encoding == "rgb8":
+        if sys.argv[2] == "CameraInfo":
+            line |= {"k": message.k.tolist(), "model": message.distortion_model}
+        elif sys.argv[2] == "Image" and message.encoding == "rgb8":
             pixels = np.frombuffer(message.data, np.uint8).reshape(message.height, message.width, 3)
             line["upper"] = pixels[: message.height // 4].mean(axis=(0, 1)).tolist()
             line["lower"] = pixels[-message.height // 4 :].mean(axis=(0, 1)).tolist()

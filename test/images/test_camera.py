@@ -197,6 +197,29 @@ def test_depths_are_where_the_floor_is(
 
 
 @pytest.mark.usefixtures("gl")
+def test_the_camera_info_stands_beside_the_pictures_with_their_stamps(
+    write: Callable[..., Path], viewer: Callable[[str, str], subprocess.Popen[str]]
+) -> None:
+    pictures = viewer("front/image_raw", "Image")
+    infos = viewer("front/camera_info", "CameraInfo")
+    report, _ = run(write(topic="front/image_raw"), 3.0)
+    assert report.faults == []
+    seen = {line["stamp"]: line for line in lines(pictures)}
+    heard = {line["stamp"]: line for line in lines(infos)}
+    both = seen.keys() & heard.keys()
+    assert len(both) > 5
+    assert len(both) > 0.8 * max(len(seen), len(heard))
+    for stamp in both:
+        assert heard[stamp]["frame"] == seen[stamp]["frame"] == "base_link_camera_optical_frame"
+        assert heard[stamp]["size"] == seen[stamp]["size"] == [WIDTH, HEIGHT]
+        assert heard[stamp]["model"] == "plumb_bob"
+        focal = 0.5 * HEIGHT / np.tan(np.radians(0.5 * FOVY))
+        right, down = 0.5 * (WIDTH - 1), 0.5 * (HEIGHT - 1)
+        k = [focal, 0.0, right, 0.0, focal, down, 0.0, 0.0, 1.0]
+        assert heard[stamp]["k"] == pytest.approx(k)
+
+
+@pytest.mark.usefixtures("gl")
 def test_a_camera_process_that_is_killed_leaves_the_ticks_alone(write: Callable[..., Path]) -> None:
     killed: list[int] = []
 

@@ -7,7 +7,15 @@ import pytest
 from rosbags.typesys import Stores, get_typestore
 
 from unicon_core.errors import UniconError
-from unicon_ros.bridge.images import KINDS, frame_message, rays
+from unicon_ros.bridge.images import (
+    INFO,
+    KINDS,
+    STAMP,
+    Intrinsics,
+    frame_message,
+    info_message,
+    rays,
+)
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 
@@ -40,7 +48,7 @@ def test_rosbags_reads_what_was_laid_out(kind: str, width: int, height: int, fra
 
 def test_rays_open_as_wide_as_the_field_of_view() -> None:
     height, width, fovy = 240, 320, np.radians(60.0)
-    found = rays(width, height, fovy)
+    found = rays(width, height, Intrinsics.of_fovy(width, height, fovy))
     assert found.shape == (height, width, 3)
     np.testing.assert_allclose(found[..., 2], 1.0)
     # The image's upper edge is half a pixel above the uppermost ray.
@@ -48,6 +56,33 @@ def test_rays_open_as_wide_as_the_field_of_view() -> None:
     assert edge == pytest.approx(np.tan(fovy / 2))
     assert found[0, 0, 0] < 0 < found[0, -1, 0]  # x right
     assert found[0, 0, 1] < 0 < found[-1, 0, 1]  # y down
+
+
+@pytest.mark.parametrize("frame_id", ["", "a", "camera_optical_frame"])
+def test_rosbags_reads_the_camera_info_of_a_pinhole(frame_id: str) -> None:
+    raw = bytearray(info_message(320, 240, frame_id, Intrinsics(200.0, 201.0, 159.5, 119.5)))
+    image = bytearray(frame_message("color", 320, 240, frame_id).template)
+    frame_message("color", 320, 240, frame_id).stamp(image, 1_700_000_000_123_456_789)
+    raw[STAMP] = image[STAMP]
+    info = STORE.deserialize_cdr(bytes(raw), INFO)
+    assert bytes(STORE.serialize_cdr(info, INFO)) == bytes(raw)
+    assert (info.header.stamp.sec, info.header.stamp.nanosec) == (1_700_000_000, 123_456_789)
+    assert (info.header.frame_id, info.width, info.height) == (frame_id, 320, 240)
+    assert (info.distortion_model, info.d.tolist()) == ("plumb_bob", [0.0] * 5)
+    k = np.array([[200.0, 0.0, 159.5], [0.0, 201.0, 119.5], [0.0, 0.0, 1.0]])
+    assert info.k.reshape(3, 3).tolist() == k.tolist()
+    assert info.r.reshape(3, 3).tolist() == np.eye(3).tolist()
+    assert info.p.reshape(3, 4).tolist() == np.c_[k, np.zeros(3)].tolist()
+    assert (info.binning_x, info.binning_y) == (0, 0)
+    roi = info.roi
+    region = (roi.x_offset, roi.y_offset, roi.height, roi.width, roi.do_rectify)
+    assert region == (0, 0, 0, 0, False)
+
+
+def test_a_camera_that_is_no_pinhole_is_told_as_not_calibrated() -> None:
+    info = STORE.deserialize_cdr(info_message(4, 2, "a", Intrinsics(0.0, 0.0, 0.0, 0.0)), INFO)
+    assert not info.k.any()
+    assert not info.p.any()
 
 
 def test_an_unknown_kind_lists_the_known_ones() -> None:

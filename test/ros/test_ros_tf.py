@@ -82,3 +82,42 @@ def place(frame: str, transforms: dict[str, Any]) -> np.ndarray:
         position = np.array(line["at"]) + rotate(np.array(line["wxyz"]), position)
         frame = line["parent"]
     return position
+
+
+CAMERA = """\
+deferred:
+  - call:
+      function: unicon_ros.bridge.camera:camera
+      body: base_link
+      position: [0.3, 0.0, 0.05]
+      width: 32
+      height: 24
+      topic: front/image_raw
+"""
+
+
+def test_a_listener_finds_the_optical_frame_of_a_camera(
+    tf2_environment: dict[str, str],
+    peers: Callable[..., Any],
+    sway: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for name, value in tf2_environment.items():
+        monkeypatch.setenv(name, value)
+    sway.write_text(sway.read_text() + CAMERA)
+    run = Peer(sys.executable, "-m", "unicon_ros", "run", str(sway), "--duration", "6")
+    try:
+        listener = peers("tf_listener")
+        status, errors = run.end(60)
+        if "no offscreen OpenGL" in errors:
+            pytest.skip(errors)
+        assert status == 0, errors
+        (line,) = listener.of("static")
+        assert (line["parent"], line["child"]) == ("base_link", "base_link_camera_optical_frame")
+        assert line["at"] == pytest.approx([0.3, 0.0, 0.05])
+        # Its z axis is the body's x, its y is down.
+        turn = np.array(line["wxyz"])
+        np.testing.assert_allclose(rotate(turn, np.array((0.0, 0.0, 1.0))), (1, 0, 0), atol=1e-9)
+        np.testing.assert_allclose(rotate(turn, np.array((0.0, 1.0, 0.0))), (0, 0, -1), atol=1e-9)
+    finally:
+        run.kill()

@@ -11,6 +11,8 @@
 The picture is of the pose that the states tell, so it works beside any platform. The tick only
 hands over the pose (some µs at `rate`) and takes a handle: the state `camera_handle` numbers the
 newest frame in `Camera.ring`, and `Camera.frame(handle)` is that frame in place.
+
+Beside pictures and depths goes `camera_info`, and /tf_static tells the optical frame.
 """
 
 from __future__ import annotations
@@ -162,7 +164,7 @@ def camera(
         height: of the picture, [pixels].
         far: depth beyond which there is no measurement (NaN), [m].
         rate: pictures per second, at most.
-        topic: name; empty to publish nothing, for handles alone.
+        topic: name; `camera_info` stands beside it; empty to publish nothing, for handles alone.
         frame_id: optical frame of the header; made of the camera's name if empty.
         handle: state that takes the handle; `camera_handle` is declared by itself.
         reliability: of the topic: `best_effort` or `reliable`.
@@ -198,6 +200,7 @@ def camera(
         "body": body,
         "position": [float(x) for x in position],
         "fovy": float(fovy),
+        "robot": str(robot.path),
         "model": str(find_model(reference, relative_to)),
         "width": int(width),
         "height": int(height),
@@ -222,8 +225,11 @@ camera.declares = _declares  # type: ignore[attr-defined]
 
 def _start(options: dict[str, Any]) -> subprocess.Popen[bytes]:
     environment = dict(os.environ)
-    if environment.pop("_ROS_WHEELS_BOOTSTRAP_COMPLETE", None) is not None:
-        environment.pop("LD_LIBRARY_PATH", None)
+    guard, libraries = "_ROS_WHEELS_BOOTSTRAP_COMPLETE", "LD_LIBRARY_PATH"
+    ours = str(Path(sys.prefix, "lib")) in environment.get(libraries, "").split(os.pathsep)
+    if guard in environment and not ours:  # the ROS wheels of another venv have set both
+        del environment[guard]
+        environment.pop(libraries, None)
     environment["PYTHONPATH"] = os.pathsep.join(path for path in sys.path if path)
     profile = str(find_config("dds", "large_data", ".xml"))
     for variable in PROFILES:

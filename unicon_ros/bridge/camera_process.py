@@ -19,7 +19,10 @@ from numpy.typing import NDArray
 
 from unicon_core.errors import ModelError, UniconError, alternatives
 from unicon_core.handles import FrameRing
-from unicon_ros.bridge.images import FrameMessage, frame_message, rays
+from unicon_core.robots import load_robot
+from unicon_ros.bridge.camera_model import intrinsics, optical_frame
+from unicon_ros.bridge.camera_topics import CameraTopics
+from unicon_ros.bridge.images import frame_message, rays
 
 __all__ = ["main"]
 
@@ -38,7 +41,7 @@ def main() -> int:
     os.dup2(2, 1)  # what libraries print is not for the parent
     try:
         camera = _Camera(options)
-        publish = _publisher(options, camera.message)
+        publish = CameraTopics(options, camera) if options["topic"] else _nowhere
     except UniconError as error:
         print(json.dumps({"error": str(error)}), file=told, flush=True)
         return 1
@@ -62,7 +65,13 @@ def main() -> int:
 
 
 class _Camera:
-    """Renders one camera into a ring of messages."""
+    """Renders one camera into a ring of messages.
+
+    Attributes:
+        message: layout of a frame.
+        pinhole: what the pictures are taken with.
+        mount: parent frame of the optical frame, position [m] and quaternion wxyz, or None.
+    """
 
     def __init__(self, options: dict[str, Any]) -> None:
         try:
@@ -92,8 +101,13 @@ class _Camera:
             raise UniconError(NO_GL.format(reason=_one_line(error))) from error
         if self._kind != "color":
             self._renderer.enable_depth_rendering()
-        fovy = np.radians(float(model.cam_fovy[self._camera]))
-        self._rays = rays(width, height, fovy) if self._kind == "cloud" else None
+        self.pinhole = intrinsics(model, self._camera, width, height)
+        self._rays: NDArray[np.float32] | None = None
+        if self._kind == "cloud":
+            if not self.pinhole.fx:
+                raise ModelError(f"camera: {options['camera']!r} has no perspective, so no cloud")
+            self._rays = rays(width, height, self.pinhole)
+        self.mount = optical_frame(mujoco, model, load_robot(options["robot"]), self._camera)
         for _ in range(self.ring.slots):
             slot = self.ring.fill()
             slot[:] = np.frombuffer(self.message.template, np.uint8)
@@ -162,23 +176,8 @@ def _model(mujoco: Any, options: dict[str, Any], width: int, height: int) -> Any
     return spec.compile()
 
 
-def _publisher(options: dict[str, Any], message: FrameMessage) -> Any:
-    if not options["topic"]:
-        return lambda data: None
-    from unicon_ros import compat
-    from unicon_ros.bridge.own_node import OwnNode
-
-    own = OwnNode(options["node"], options["namespace"], options["ros_args"])
-    from rclpy.qos import QoSProfile, ReliabilityPolicy
-
-    reliability = ReliabilityPolicy[options["reliability"].upper()]
-    publisher = own.node.create_publisher(
-        compat.message_class(message.type),
-        options["topic"],
-        QoSProfile(depth=2, reliability=reliability),
-    )
-    publish, _ = compat.raw_publish(publisher)
-    return publish
+def _nowhere(message: bytes) -> None:
+    """Publish nothing: the frames are for handles alone."""
 
 
 def _one_line(error: BaseException) -> str:

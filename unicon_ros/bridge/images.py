@@ -1,6 +1,6 @@
 """Images and clouds as messages: bytes laid out once, so that a frame is rendered into its place.
 
-The layouts are those of sensor_msgs/Image and sensor_msgs/PointCloud2 in little-endian CDR; the
+The layouts are those of sensor_msgs/Image, PointCloud2 and CameraInfo in little-endian CDR; the
 tests hold them against rosbags' codec.
 """
 
@@ -15,14 +15,52 @@ from numpy.typing import NDArray
 
 from unicon_core.errors import UniconError, alternatives
 
-__all__ = ["KINDS", "FrameMessage", "frame_message", "rays"]
+__all__ = [
+    "INFO",
+    "KINDS",
+    "STAMP",
+    "FrameMessage",
+    "Intrinsics",
+    "frame_message",
+    "info_message",
+    "rays",
+]
 
 IMAGE, CLOUD = "sensor_msgs/msg/Image", "sensor_msgs/msg/PointCloud2"
+INFO = "sensor_msgs/msg/CameraInfo"
 KINDS = ("color", "depth", "cloud")
 """`color` rgb8; `depth` 32FC1 in [m] along the view axis (REP-118); `cloud` x, y, z in [m]."""
 
 _FLOAT32 = 7  # PointField.FLOAT32
-_STAMP = 4  # behind the encapsulation header
+STAMP = slice(4, 12)
+"""Where the header's stamp stands in all these messages: behind the encapsulation header."""
+
+
+@dataclass(frozen=True)
+class Intrinsics:
+    """A pinhole without distortion, in [pixels]; the middle of the first pixel is (0, 0).
+
+    Attributes:
+        fx, fy: focal lengths; 0 where the camera is no pinhole.
+        cx, cy: principal point.
+    """
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+    @classmethod
+    def of_fovy(cls, width: int, height: int, fovy: float) -> Intrinsics:
+        """Return those of square pixels and a principal point in the middle of the image.
+
+        Args:
+            width: in pixels.
+            height: in pixels.
+            fovy: vertical field of view, [rad].
+        """
+        focal = 0.5 * height / float(np.tan(0.5 * fovy))
+        return cls(focal, focal, 0.5 * (width - 1), 0.5 * (height - 1))
 
 
 @dataclass(frozen=True)
@@ -50,7 +88,7 @@ class FrameMessage:
 
     def stamp(self, buffer: Any, stamp_ns: int) -> None:
         """Write the header's stamp, [ns]."""
-        struct.pack_into("<iI", buffer, _STAMP, *divmod(stamp_ns, 1_000_000_000))
+        struct.pack_into("<iI", buffer, STAMP.start, *divmod(stamp_ns, 1_000_000_000))
 
 
 def frame_message(kind: str, width: int, height: int, frame_id: str) -> FrameMessage:
@@ -94,20 +132,46 @@ def frame_message(kind: str, width: int, height: int, frame_id: str) -> FrameMes
     return FrameMessage(CLOUD if kind == "cloud" else IMAGE, bytes(out.bytes), offset, shape, dtype)
 
 
-def rays(width: int, height: int, fovy: float) -> NDArray[np.float32]:
+def info_message(width: int, height: int, frame_id: str, pinhole: Intrinsics) -> bytes:
+    """Return a CameraInfo with stamp 0, for an image as `frame_message` lays it out.
+
+    Nothing is distorted or turned (D five zeros, R the identity, P as K), and binning and region
+    are left at 0, which stands for the whole image (REP-104). All of K is 0 where the camera is no
+    pinhole: that is how the message says "not calibrated".
+
+    Args:
+        width: in pixels.
+        height: in pixels.
+        frame_id: that of the image.
+        pinhole: of the whole image.
+    """
+    fx, fy, cx, cy = pinhole.fx, pinhole.fy, pinhole.cx, pinhole.cy
+    known = float(fx > 0.0)
+    out = _Cdr()
+    out.pack("iI", 0, 0)
+    out.text(frame_id)
+    out.pack("II", height, width)
+    out.text("plumb_bob")
+    out.pack("I", 5)
+    out.pack("d" * 5, *[0.0] * 5)
+    out.pack("d" * 9, fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, known)
+    out.pack("d" * 9, known, 0.0, 0.0, 0.0, known, 0.0, 0.0, 0.0, known)
+    out.pack("d" * 12, fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, known, 0.0)
+    out.pack("IIIIIIB", *[0] * 7)
+    return bytes(out.bytes)
+
+
+def rays(width: int, height: int, pinhole: Intrinsics) -> NDArray[np.float32]:
     """Return x, y, z per metre of depth of each pixel, optical frame, shape (height, width, 3).
 
     Args:
         width: in pixels.
         height: in pixels.
-        fovy: vertical field of view of a pinhole camera with square pixels, [rad].
+        pinhole: of the image.
     """
-    focal = 0.5 * height / np.tan(0.5 * fovy)  # pixels
-    right = (np.arange(width) + 0.5 - 0.5 * width) / focal
-    down = (np.arange(height) + 0.5 - 0.5 * height) / focal
     found = np.ones((height, width, 3), np.float32)
-    found[..., 0] = right
-    found[..., 1] = down[:, None]
+    found[..., 0] = (np.arange(width) - pinhole.cx) / pinhole.fx
+    found[..., 1] = ((np.arange(height) - pinhole.cy) / pinhole.fy)[:, None]
     return found
 
 
@@ -117,7 +181,7 @@ class _Cdr:
     def __init__(self) -> None:
         self.bytes = bytearray(b"\x00\x01\x00\x00")
 
-    def pack(self, codes: str, *values: int) -> None:
+    def pack(self, codes: str, *values: float) -> None:
         for code, value in zip(codes, values):
             size = struct.calcsize(code)
             self.bytes += bytes(-(len(self.bytes) - 4) % size)

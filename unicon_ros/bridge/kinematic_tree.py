@@ -20,7 +20,7 @@ from unicon_core.platforms.mujoco.load import import_mujoco, load_model
 from unicon_core.robots import Robot
 from unicon_core.workflow import Workflow
 
-__all__ = ["Geom", "Link", "multiply", "read_tree", "rotate", "tree_of"]
+__all__ = ["Geom", "Link", "frame_of", "multiply", "read_tree", "rotate", "tree_of"]
 
 Float = NDArray[np.float64]
 
@@ -111,6 +111,24 @@ def read_tree(model: Any, robot: Robot) -> list[Link]:
     return _Reader(import_mujoco(), model, robot).read()
 
 
+def frame_of(model: Any, robot: Robot, body: int) -> tuple[str, Float] | None:
+    """Return the name of the frame that a body carries and its origin in the body's frame, [m].
+
+    The frame is turned as the body. None where the body is no part of the robot.
+
+    Args:
+        model: an `MjModel` that has the robot's joints.
+        robot: as for `read_tree`.
+        body: number of the body in the model.
+    """
+    reader = _Reader(import_mujoco(), model, robot)
+    links = reader.read()
+    if body not in reader.of_body:
+        return None
+    number, origin = reader.of_body[body]
+    return links[number].name, origin
+
+
 class _Reader:
     def __init__(self, mujoco: Any, model: Any, robot: Robot) -> None:
         self._mujoco, self._model, self._robot = mujoco, model, robot
@@ -119,7 +137,7 @@ class _Reader:
         self._rank = {joint: rank for rank, joint in enumerate(joints)}
         self._root = self._base_body(joints[0])
         self._links: list[Link] = []
-        self._of_body: dict[int, tuple[int, Float]] = {}  # body -> last link, its shift
+        self.of_body: dict[int, tuple[int, Float]] = {}  # body -> last link, its shift
 
     def read(self) -> list[Link]:
         robot, model = self._robot, self._model
@@ -129,7 +147,7 @@ class _Reader:
         if robot.base_frame and robot.base_frame != BASE:
             self._links.append(Link(robot.base_frame, 0, none, same))
             root = 1
-        self._of_body[self._root] = (root, none)
+        self.of_body[self._root] = (root, none)
         if self._root:
             self._dress(self._links[root], self._root, none)
             if root == 0:  # tools refuse inertia at the root: a link of its own carries it
@@ -140,7 +158,7 @@ class _Reader:
                 self._links.append(carrier)
         for body in range(1, model.nbody):
             parent = int(model.body_parentid[body])
-            if body != self._root and parent in self._of_body and self._belongs(body):
+            if body != self._root and parent in self.of_body and self._belongs(body):
                 self._add_body(body, parent)
         imu = robot.imu
         taken = {link.name for link in self._links}
@@ -170,7 +188,7 @@ class _Reader:
 
     def _add_body(self, body: int, parent_body: int) -> None:
         model = self._model
-        parent, parent_shift = self._of_body[parent_body]
+        parent, parent_shift = self.of_body[parent_body]
         position = np.array(model.body_pos[body]) - parent_shift
         quat = np.array(model.body_quat[body])
         name = self._name("BODY", body) or f"body_{body}"
@@ -209,7 +227,7 @@ class _Reader:
             )
             parent, shift = len(self._links) - 1, anchor
             position, quat = np.zeros(3), np.array((1.0, 0.0, 0.0, 0.0))
-        self._of_body[body] = (len(self._links) - 1, shift)
+        self.of_body[body] = (len(self._links) - 1, shift)
         self._dress(self._links[-1], body, shift)
 
     def _is_simple(self, joint: int) -> bool:

@@ -6,7 +6,10 @@ from typing import Any
 
 from unicon_msgs_map.spec import Qos
 
-__all__ = ["qos_profile"]
+__all__ = ["LATCHED", "qos_profile"]
+
+LATCHED = Qos(durability="transient_local", depth=1)
+"""The last message goes to late joiners too."""
 
 
 def qos_profile(qos: Qos) -> Any:

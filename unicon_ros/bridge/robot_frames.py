@@ -13,10 +13,9 @@ from unicon_core.errors import UniconError
 from unicon_core.flow import Block
 from unicon_core.workflow import Workflow
 from unicon_msgs_map import Encoder, Messages, parse_map
-from unicon_msgs_map.spec import Qos
 from unicon_ros import compat
 from unicon_ros.bridge.kinematic_tree import Link, tree_of
-from unicon_ros.bridge.qos import qos_profile
+from unicon_ros.bridge.qos import LATCHED, qos_profile
 from unicon_ros.bridge.robot_description import urdf
 from unicon_ros.bridge.topics_out import TopicOut
 from unicon_ros.bridge.transforms import LinkTransforms, tf_map
@@ -25,7 +24,6 @@ __all__ = ["RobotFrames"]
 
 RATE = 50.0
 """Rate of the links' transforms in [Hz]: what a viewer needs, whatever the tick."""
-LATCHED = Qos(durability="transient_local", depth=1)
 
 
 class RobotFrames:
