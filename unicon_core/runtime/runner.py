@@ -11,8 +11,11 @@ from dataclasses import dataclass
 from types import FrameType
 from typing import Any, Literal
 
+import numpy as np
+
 from unicon_core.errors import Fault, PlatformError, UniconError
 from unicon_core.flow import Deferred, Zip, as_block, compile_graph
+from unicon_core.runtime.arrivals import Arrivals, Vigil
 from unicon_core.runtime.pacing import (
     DryRun,
     Pacing,
@@ -81,6 +84,8 @@ class Runner:
         self.interrupted = False
         self._between: deque[Callable[[], object]] = deque()
         self._platform_wait: Callable[[float], bool] | None = None
+        self._vigil: Vigil | None = None
+        self._spin_ns = round(self.pacing.spin_us * 1e3)
         if self.pacing.trigger == "state":
             self._platform_wait = getattr(workflow.platform, "wait", None)
             if self._platform_wait is None:
@@ -88,6 +93,8 @@ class Runner:
                     f"platform {workflow.platform.name!r} cannot tell when its data arrive; "
                     "set pacing.trigger: deadline"
                 )
+            arrived = getattr(workflow.platform, "arrived", None)
+            self._vigil = None if arrived is None else Vigil(arrived)
         self._tick = workflow.states["tick"]
         self._stop = False
         self._closed = False
@@ -227,62 +234,79 @@ class Runner:
     def _triggered(self, limit: int, status_every: int, wait: Callable[[float], bool]) -> None:
         """Tick when data arrive; without data at a slow pace, so that safety sees that they lack.
 
-        Where data come more often than ticks, the one is waited for that arrives nearest to the
-        deadline: half an interval of the data before it, what has come is taken in as old. The
-        state of a tick is then as fresh as a message can be, not up to an interval old. Deadlines
-        are absolute there, so that early and late arrivals do not add up to another rate.
+        Where data come more often than ticks, the one is waited for that is expected nearest to
+        the deadline; what has come before is taken in as old. The state of a tick is then as fresh
+        as a message can be, not up to an interval old. Deadlines are absolute there, so that early
+        and late arrivals do not add up to another rate.
         """
         statistics, now, period = self.statistics, time.perf_counter_ns, self.period_ns
         platform = self.workflow.platform
         until = self._dry_run(WallClock(0)).until
         patience = 3e-9 * period
-        interval = self._interval(wait, patience)
+        arrivals = self._arrivals(wait, patience)
         due = last = now()
         hasty = 0
         while not self._stop and statistics.count < limit:
             if self._between:
                 self._act()
                 last = now()
-            if 1.5 * interval < period:
-                due = max(due + period, now())
-                until(due - interval // 2)
-                platform.recv()
-            elif hasty >= 5:  # they come faster than was measured
-                interval, hasty = self._interval(wait, patience), 0
-                due = last = now()
-            if not wait(patience):
-                statistics.overruns += 1
+            if arrivals is None:
+                came = wait(patience)
+            else:
+                often = 1.5 * arrivals.interval_ns < period
+                due = max(due + period, now()) if often else last + round(arrivals.interval_ns)
+                expected, window = arrivals.nearest(due), arrivals.window_ns(self._spin_ns)
+                until(expected - 2 * window)
+                if often:
+                    platform.recv()
+                came = self._awaited(expected, window, wait, patience)
             before, last = last, now()
+            if not came:
+                statistics.overruns += 1
             hasty = hasty + 1 if last - before < 0.6 * period else 0
-            self.next_due_ns = (due if 1.5 * interval < period else last) + period
+            if hasty >= 5:  # they come faster than was measured
+                arrivals, hasty = self._arrivals(wait, patience), 0
+                due = last = now()
+            self.next_due_ns = (due if arrivals is not None else last) + period
             if self.tick(last):
                 self.done = True
                 break
+            if came and arrivals is not None:
+                arrivals.note(last)
             if statistics.count % status_every == 0:
                 self._status()
 
-    def _interval(self, wait: Callable[[float], bool], patience: float) -> int:
-        """Return the time between two arrivals of the platform's data in [ns], at most a period.
+    def _awaited(
+        self, expected: int, window: int, wait: Callable[[float], bool], patience: float
+    ) -> bool:
+        """Wait for data: asleep, but awake within a window [ns] around when they are expected."""
+        if self._vigil is None or not window:
+            return wait(patience)
+        early = expected - window - time.perf_counter_ns()
+        if early > 0 and wait(early * 1e-9):
+            return True
+        return self._vigil.until(expected + window) or wait(patience)
+
+    def _arrivals(self, wait: Callable[[float], bool], patience: float) -> Arrivals | None:
+        """Return what tells when the data come, or None where nothing is known of them.
 
         Every arrival is waited for: later, a queue of one forgets those between two ticks.
         """
-        platform, now, period = self.workflow.platform, time.perf_counter_ns, self.period_ns
+        platform, period = self.workflow.platform, self.period_ns
         if getattr(platform, "arrivals", None) is None:
-            return period
-        gaps: list[int] = []
+            return None
+        times: list[int] = []
         platform.recv()
-        last = 0
-        while len(gaps) < 9 and not self._stop:
+        while len(times) < 10 and not self._stop:
             if not wait(patience):
-                return period
-            present = now()
-            if last:
-                gaps.append(present - last)
-            last = present
+                return None
+            times.append(time.perf_counter_ns())
             platform.recv()
-            if len(gaps) == 3 and min(gaps) > 0.6 * period:
+            if len(times) == 4 and min(np.diff(times)) > 0.6 * period:
                 break
-        return min(sorted(gaps)[len(gaps) // 2], period) if gaps else period
+        if len(times) < 2:
+            return None
+        return Arrivals(times)
 
     def _dry_run(self, clock: WallClock) -> DryRun:
         able = any(block.dry_run is not None for block in self.graph.blocks)

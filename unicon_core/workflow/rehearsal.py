@@ -54,14 +54,21 @@ class Rehearsal:
             self._context = replace(self._context, states=self._copy)
         block.dry_run = _quiet(build(self._context).tick)
 
-    def refresh(self) -> Tick | None:
-        """Return what brings the present values into the copy, or None without any twin."""
+    def refresh(self, platform: Tick | None) -> Tick | None:
+        """Return what brings the present values into the copy, or None where nothing is rehearsed.
+
+        Args:
+            platform: what warms the platform's own way to the motors, called with it; or None.
+        """
         if self._copy is None:
-            return None
+            return None if platform is None else _quiet(platform)
         into, out_of = memoryview(self._copy.buffer.data), memoryview(self._states.buffer.data)
+        rehearse = None if platform is None else _quiet(platform)
 
         def refresh() -> None:
             into[:] = out_of
+            if rehearse is not None:
+                rehearse()
 
         return refresh
 

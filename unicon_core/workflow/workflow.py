@@ -162,7 +162,7 @@ def _assemble(workflow: Workflow, inputs: Sequence[Hook], observers: Sequence[Ho
     observed = [Deferred(block) for block in hooked(observers)]
     platform = workflow.platform
     recv = Block("recv", platform.recv, writes=tuple(platform.writes), role="recv")
-    recv.dry_run = rehearsal.refresh()
+    recv.dry_run = rehearsal.refresh(getattr(platform, "rehearse", None))
     send = Block("send", platform.send, reads=tuple(platform.reads), role="send")
     acting = (recv, *commands, *before, flow, *safety, send, *after)
     # Observers only look: what they would find missing is no reason not to run.

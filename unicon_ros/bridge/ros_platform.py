@@ -28,6 +28,7 @@ from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_msgs_map import Decoder, Encoder, MapError, MapStateError, load_map
 from unicon_ros import compat
+from unicon_ros.bridge.middleware_threads import calm_middleware_threads
 from unicon_ros.bridge.own_node import OwnNode
 from unicon_ros.bridge.topics_in import TopicIn
 from unicon_ros.bridge.topics_out import TopicOut
@@ -130,9 +131,11 @@ class RosPlatform:
         self.topics = (*heard, *said)
         written = dict.fromkeys(state for topic in self._in for state in topic.states)
         self._stamped = "stamp_ns" in written
-        self._gravity: Callable[[], None] | None = None
+        self._turned: TopicIn | None = None  # the topic whose messages turn gravity
+        self._turns = -1
         if "base_quat" in written and "projected_gravity" not in written:
             self._gravity = projected_gravity(states["base_quat"], states["projected_gravity"])
+            self._turned = next(topic for topic in self._in if "base_quat" in topic.states)
             written["projected_gravity"] = None
         self.writes = tuple(dict.fromkeys([*written, "stamp_ns"]))
         self.reads = tuple(
@@ -144,7 +147,7 @@ class RosPlatform:
             )
         )
         self._wait_set = compat.ReusedWaitSet([self._in[0].subscription], own.context)
-        self._ahead = False
+        self._beside = self._in[1:]
         self._closed = False
 
     def connect(self, timeout: float) -> None:
@@ -166,10 +169,16 @@ class RosPlatform:
                     f"remaps or the map {self._path}"
                 )
             self._own.executor.spin_once(0.005)  # tells what a peer's QoS does not match
+        calm_middleware_threads()
 
     def wait(self, timeout: float) -> bool:
         """Return True when the first topic of the map has a message, False after `timeout` [s]."""
-        return self._wait_set.wait(timeout)
+        return self._in[0].ahead or self._wait_set.wait(timeout)
+
+    def arrived(self) -> bool:
+        """Return whether it has one, at once; what the other topics have is decoded meanwhile."""
+        self._poll_beside()
+        return self._in[0].prefetch()
 
     def arrivals(self) -> int:
         """Return how many messages of that topic have come so far."""
@@ -181,15 +190,31 @@ class RosPlatform:
         Raises:
             Fault: a topic that the robot needs was silent for its time-out.
         """
-        for topic in self._in:
-            topic.poll()
-            if topic.stale and topic in self._needed:
-                raise Fault(f"{self._warnings[-1]}; the robot is silent")
-        if self._gravity is not None:
-            self._gravity()
+        self._in[0].accept()
+        self._check_silence()
+        self._poll_beside()
+        self._check_silence()
         if not self._stamped:
             self._states.stamp_ns[...] = time.monotonic_ns()
         return None
+
+    def _check_silence(self) -> None:
+        for topic in self._needed:
+            if topic.stale:
+                raise Fault(f"{self._warnings[-1]}; the robot is silent")
+
+    def _poll_beside(self) -> None:
+        for topic in self._beside:
+            topic.poll()
+        turned = self._turned
+        if turned is not None and turned.received != self._turns:
+            self._turns = turned.received
+            self._gravity()
+
+    def rehearse(self) -> None:
+        """Do what `send` does up to the publishing, to warm up."""
+        for out in self._out:
+            out.rehearse()
 
     def send(self) -> bool | None:
         """Publish the commands that are due."""

@@ -103,13 +103,27 @@ class TopicIn:
         """Why the last refused message was refused; empty if none was."""
         return self._decoder.last_error
 
-    def prefetch(self) -> None:
-        """Take a message ahead without touching a state: shortly before the tick, to warm up."""
+    @property
+    def ahead(self) -> bool:
+        """Whether a message was taken ahead."""
+        return self._ahead is not None
+
+    def prefetch(self) -> bool:
+        """Take a message ahead without touching a state; True if there is one, now or before."""
         raw = self._take()
         if raw is not None:
             self.received += 1
             self.dropped += self._ahead is not None
             self._ahead = raw
+        return self._ahead is not None
+
+    def accept(self) -> None:
+        """Use the message that was taken ahead just now; poll if there is none."""
+        raw, self._ahead = self._ahead, None
+        if raw is None:
+            self.poll()
+        else:
+            self._arrived(raw)
 
     def poll(self) -> None:
         """Take what has come and bring the states up to date; never raises."""

@@ -85,6 +85,11 @@ class TopicOut:
             self.published += 1
             self._in_a_row = 0
 
+    def rehearse(self) -> None:
+        """Encode without publishing, if the next tick does: code and constants get warm."""
+        if not self._wait:
+            self._encode()
+
     def flush(self, timeout: float = 0.1) -> None:
         """Publish at once, due or not, and wait until readers have it; never raises."""
         self._wait = 0

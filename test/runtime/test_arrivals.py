@@ -1,0 +1,101 @@
+"""Prediction of arrivals, on times that are made up; and the vigil for them."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from unicon_core.runtime import arrivals as module
+from unicon_core.runtime.arrivals import Arrivals, Vigil
+
+MS = 1_000_000
+
+
+def locked(interval: int, jitter_ns: float, steps: int, seed: int = 0, ticks: int = 200) -> float:
+    """Return the median error in [ns] of the predictions of the last half of the ticks."""
+    noise = np.random.default_rng(seed)
+
+    def arrival(number: int) -> int:
+        return number * interval + round(abs(noise.normal(0.0, jitter_ns)))
+
+    predicted = Arrivals([arrival(i) for i in range(10)])
+    errors = []
+    for number in range(10, 10 + ticks * steps, steps):
+        came = arrival(number)
+        errors.append(abs(predicted.nearest(number * interval) - came))
+        predicted.note(came)
+    return float(np.median(errors[ticks // 2 :]))
+
+
+@given(
+    interval=st.integers(MS // 2, 50 * MS),
+    jitter=st.floats(0.0, 0.04),
+    steps=st.integers(1, 12),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_predictions_err_by_no_more_than_the_sender(
+    interval: int, jitter: float, steps: int, seed: int
+) -> None:
+    assert locked(interval, jitter * interval, steps, seed) <= 1.5 * jitter * interval + 2000
+
+
+def test_a_drifting_clock_is_followed() -> None:
+    interval = 2 * MS * 1.0002  # 200 ppm beside what the first arrivals told
+    predicted = Arrivals([i * 2 * MS for i in range(10)])
+    last = 18 * MS
+    errors = []
+    for number in range(1, 2000):
+        came = round(last + number * 10 * interval)
+        errors.append(abs(predicted.nearest(came) - came))
+        predicted.note(came)
+    assert max(errors[100:]) < 20_000
+
+
+def test_a_late_message_does_not_move_the_phase_but_a_new_phase_is_found() -> None:
+    predicted = Arrivals([i * 2 * MS for i in range(10)])
+    for number in range(20, 420, 10):
+        predicted.note(number * 2 * MS)
+    predicted.note(420 * 2 * MS + 700_000)
+    assert predicted.nearest(430 * 2 * MS) == pytest.approx(430 * 2 * MS, abs=20_000)
+    shift = 900_000
+    for number in range(430, 470, 10):
+        predicted.note(number * 2 * MS + shift)
+    due = 470 * 2 * MS + shift
+    assert predicted.nearest(due) == pytest.approx(due, abs=20_000)
+
+
+def test_lost_messages_at_the_start_do_not_change_the_interval() -> None:
+    predicted = Arrivals([i * 2 * MS for i in (0, 1, 2, 4, 5, 6, 8, 9)])
+    assert predicted.interval_ns == 2 * MS
+
+
+def test_the_window_has_bounds() -> None:
+    predicted = Arrivals([i * 2 * MS for i in range(10)])
+    predicted.jitter_ns = 0.0
+    assert predicted.window_ns(100_000) == 100_000
+    predicted.jitter_ns = 1e9
+    assert predicted.window_ns(100_000) == 400_000
+    assert predicted.window_ns(1_000_000) == MS // 2
+    assert predicted.window_ns(0) == 0
+
+
+def test_a_vigil_ends_with_the_data_or_in_time() -> None:
+    answers = iter([False, False, True])
+    assert Vigil(lambda: next(answers)).until(time.perf_counter_ns() + 60_000 * MS)
+    end = time.perf_counter_ns() + MS
+    assert not Vigil(lambda: False).until(end)
+    assert time.perf_counter_ns() > end
+
+
+def test_a_vigil_that_loses_its_core_rests(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+    vigil = Vigil(lambda: bool(asked.append(1)))
+    monkeypatch.setattr(module, "_let_others", lambda: time.sleep(0.002))
+    assert not vigil.until(time.perf_counter_ns() + 1000 * MS)
+    assert len(asked) == 2  # the second time to see what came meanwhile
+    assert not vigil.until(time.perf_counter_ns() + 1000 * MS)
+    assert len(asked) == 3  # it rests: one look
