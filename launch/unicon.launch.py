@@ -1,9 +1,11 @@
 """Starts unicon_node with a workflow, for `ros2 launch unicon_ros unicon.launch.py`.
 
 `rviz:=true` opens RViz beside it. `remap` takes ROS's own notation, several separated by spaces:
-`remap:="cmd_vel:=teleop/cmd_vel joint_states:=robot/joint_states"`.
+`remap:="cmd_vel:=teleop/cmd_vel joint_states:=robot/joint_states"`. Several robots, each in a
+`namespace`, share /tf: give each its `frame_prefix`, as `namespace:=robot1 frame_prefix:=robot1/`.
 """
 
+import tempfile
 from pathlib import Path
 
 from launch import LaunchContext, LaunchDescription
@@ -16,6 +18,7 @@ ARGUMENTS = {
     "workflow": ("go2_stand", "name or path of the workflow to run"),
     "map": ("", "name or path of the message map; empty: the workflow's own"),
     "namespace": ("", "namespace of the node and of its topics"),
+    "frame_prefix": ("", "stands before the names of all frames, such as robot1/"),
     "use_sim_time": ("false", "follow /clock; a simulator in the workflow publishes it itself"),
     "autostart": ("true", "configure and activate at start; else by lifecycle transitions"),
     "record": ("", "file (.mcap) to record to; empty: no recording"),
@@ -44,6 +47,20 @@ def remaps(text: str) -> list[tuple[str, str]]:
     return pairs
 
 
+def rviz_config(prefix: str) -> Path:
+    """Return our view of RViz, or a copy of it that looks for frames with a prefix."""
+    if not prefix:
+        return RVIZ_CONFIG
+    # RViz puts the slash between its prefix and the name of a link by itself.
+    before, after = 'TF Prefix: ""', f"TF Prefix: {prefix.removesuffix('/')}"
+    text = RVIZ_CONFIG.read_text().replace(before, after)
+    for frame in ("odom", "base_link"):
+        text = text.replace(f"Frame: {frame}", f"Frame: {prefix}{frame}")
+    path = Path(tempfile.mkdtemp(prefix="unicon_rviz_"), RVIZ_CONFIG.name)
+    path.write_text(text)
+    return path
+
+
 def nodes(context: LaunchContext) -> list[Node]:
     """Return the nodes to start, once the arguments have their values."""
     value = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
@@ -53,7 +70,7 @@ def nodes(context: LaunchContext) -> list[Node]:
         "use_sim_time": use_sim_time,
         "autostart": truth(value["autostart"], "autostart"),
     }
-    for name in ("map", "record"):
+    for name in ("map", "record", "frame_prefix"):
         if value[name]:
             parameters[name] = ParameterValue(value[name], value_type=str)
     started = [
@@ -76,7 +93,7 @@ def nodes(context: LaunchContext) -> list[Node]:
                 package="rviz2",
                 executable="rviz2",
                 namespace=value["namespace"],
-                arguments=["--display-config", str(RVIZ_CONFIG)],
+                arguments=["--display-config", str(rviz_config(value["frame_prefix"]))],
                 parameters=[{"use_sim_time": use_sim_time}],
             )
         )

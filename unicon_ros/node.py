@@ -200,7 +200,13 @@ class UniconNode(LifecycleNode):
         warn = self.get_logger().warning
         document = settings.document()
         map_name = settings.map or document.get("map", str)
-        session = self.session = RosSession(map_name, warn=warn, node=self, executor=self._executor)
+        session = self.session = RosSession(
+            map_name,
+            warn=warn,
+            frame_prefix=settings.frame_prefix,
+            node=self,
+            executor=self._executor,
+        )
         observers: list[Hook] = [session.observers]
         if settings.record:
             from unicon_ros.recorder import recorder_hook

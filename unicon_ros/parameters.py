@@ -29,6 +29,11 @@ DECLARED: tuple[tuple[str, Any, str], ...] = (
     ("robot", "", f"robot file in place of the workflow's; {AT_CONFIGURE}"),
     ("platform", "", f"platform in place of the workflow's; {AT_CONFIGURE}"),
     ("overrides", [""], f"path=value texts as of `unicon run --set`; {AT_CONFIGURE}"),
+    (
+        "frame_prefix",
+        "",
+        f"stands before the names of all frames, such as robot1/; {AT_CONFIGURE}",
+    ),
     ("record", "", f"file (.mcap) to record to; empty: no recording; {AT_CONFIGURE}"),
     ("speed", "real", f"real: by the wall clock; max: as fast as it can; {AT_CONFIGURE}"),
     ("autostart", True, "configure and activate at start"),
@@ -84,6 +89,11 @@ class Parameters:
     def map(self) -> str:
         """Name or path of the message map; empty: the workflow's own."""
         return str(self._value("map"))
+
+    @property
+    def frame_prefix(self) -> str:
+        """What stands before the names of all frames."""
+        return str(self._value("frame_prefix"))
 
     @property
     def record(self) -> str:

@@ -121,6 +121,7 @@ def _blocks(
     from unicon_ros.bridge.bindings import arrays_of, names_of, variables_of
 
     arrays = arrays_of(workflow)
+    variables = variables_of(workflow, session.frame_prefix if session is not None else "")
     simulated, stamp = workflow.platform.simulated, workflow.states["stamp_ns"].reshape(-1)
 
     def now() -> int:
@@ -136,7 +137,7 @@ def _blocks(
             leaving[id(spec)].tap = partial(_stamped, write, now)
             continue
         try:
-            encoder = Encoder.build(spec, arrays, names_of(workflow), variables_of(workflow))
+            encoder = Encoder.build(spec, arrays, names_of(workflow), variables)
         except MapStateError:
             if not spec.optional:
                 raise

@@ -38,6 +38,7 @@ def test_every_argument_is_declared_with_a_default(launch_file: ModuleType) -> N
         "workflow",
         "map",
         "namespace",
+        "frame_prefix",
         "use_sim_time",
         "autostart",
         "record",
@@ -53,6 +54,17 @@ def test_the_node_starts_alone_by_default(launch_file: ModuleType) -> None:
 def test_rviz_starts_with_our_view(launch_file: ModuleType) -> None:
     assert [n.node_executable for n in started(launch_file, rviz="true")][1:] == ["rviz2"]
     assert launch_file.RVIZ_CONFIG.is_file()
+
+
+def test_the_view_of_a_robot_with_a_frame_prefix_looks_for_its_frames(
+    launch_file: ModuleType,
+) -> None:
+    assert launch_file.rviz_config("") == launch_file.RVIZ_CONFIG
+    text = launch_file.rviz_config("robot1/").read_text()
+    assert "Fixed Frame: robot1/odom" in text
+    assert "Reference Frame: robot1/odom" in text
+    assert "Target Frame: robot1/base_link" in text
+    assert "TF Prefix: robot1\n" in text
 
 
 def test_remaps_are_pairs(launch_file: ModuleType) -> None:

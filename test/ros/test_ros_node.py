@@ -47,6 +47,7 @@ def test_a_signal_ends_an_inactive_node_too(nodes: Start, peers: Start, react: P
         (ros_args("workflow:=nope"), "unknown workflow 'nope'; known: "),
         (ros_args("workflow:=go2_stand", "map:=nope"), "unknown map 'nope'"),
         (ros_args("workflow:=go2_stand", "overrides:=['rate=x']"), "rate: 'x' is not a number"),
+        (ros_args("workflow:=go2_stand", "frame_prefix:=/r/"), "frame prefix '/r/': tf2 takes no"),
         (["--ros-args", "-p", "foo"], "Couldn't parse parameter override rule: '-p foo'"),
         (ros_args("max_vx:=-1.0"), "max_vx"),
     ],

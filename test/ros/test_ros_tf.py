@@ -93,31 +93,64 @@ deferred:
       width: 32
       height: 24
       topic: front/image_raw
+      frame_prefix: robot1/
 """
 
 
 def test_a_listener_finds_the_optical_frame_of_a_camera(
     tf2_environment: dict[str, str],
     peers: Callable[..., Any],
+    processes: Callable[..., Any],
     sway: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     for name, value in tf2_environment.items():
         monkeypatch.setenv(name, value)
     sway.write_text(sway.read_text() + CAMERA)
-    run = Peer(sys.executable, "-m", "unicon_ros", "run", str(sway), "--duration", "6")
-    try:
-        listener = peers("tf_listener")
-        status, errors = run.end(60)
-        if "no offscreen OpenGL" in errors:
-            pytest.skip(errors)
-        assert status == 0, errors
-        (line,) = listener.of("static")
-        assert (line["parent"], line["child"]) == ("base_link", "base_link_camera_optical_frame")
-        assert line["at"] == pytest.approx([0.3, 0.0, 0.05])
-        # Its z axis is the body's x, its y is down.
-        turn = np.array(line["wxyz"])
-        np.testing.assert_allclose(rotate(turn, np.array((0.0, 0.0, 1.0))), (1, 0, 0), atol=1e-9)
-        np.testing.assert_allclose(rotate(turn, np.array((0.0, 1.0, 0.0))), (0, 0, -1), atol=1e-9)
-    finally:
-        run.kill()
+    run = processes(sys.executable, "-m", "unicon_ros", "run", str(sway), "--duration", "6")
+    listener = peers("tf_listener")
+    status, errors = run.end(60)
+    if "no offscreen OpenGL" in errors:
+        pytest.skip(errors)
+    assert status == 0, errors
+    (line,) = listener.of("static")
+    assert line["parent"] == "robot1/base_link"
+    assert line["child"] == "robot1/base_link_camera_optical_frame"
+    assert line["at"] == pytest.approx([0.3, 0.0, 0.05])
+    # Its z axis is the body's x, its y is down.
+    turn = np.array(line["wxyz"])
+    np.testing.assert_allclose(rotate(turn, np.array((0.0, 0.0, 1.0))), (1, 0, 0), atol=1e-9)
+    np.testing.assert_allclose(rotate(turn, np.array((0.0, 1.0, 0.0))), (0, 0, -1), atol=1e-9)
+
+
+def test_two_robots_in_two_namespaces_share_tf_without_a_frame_in_common(
+    tf2_environment: dict[str, str],
+    peers: Callable[..., Any],
+    nodes: Callable[..., Any],
+    processes: Callable[..., Any],
+    sway: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for name, value in tf2_environment.items():
+        monkeypatch.setenv(name, value)
+    parameters = ("-p", f"workflow:={sway}", "-p", "frame_prefix:=robot1/")
+    nodes("--ros-args", "-r", "__ns:=/robot1", *parameters)
+    command = ("-m", "unicon_ros", "run", str(sway), "--ros", "--duration", "60")
+    own = ("--namespace", "robot2", "--frame-prefix", "robot2/")
+    processes(sys.executable, *command, *own)
+    listener = peers("tf_listener")
+    robots = ("robot1/", "robot2/")
+
+    def parents(prefix: str) -> dict[str, str]:
+        """Return the parent of each frame that a robot tells, both without the prefix."""
+        told = [line for line in list(listener.lines) if line["child"].startswith(prefix)]
+        assert all(line["parent"].startswith(prefix) for line in told)
+        return {line["child"][len(prefix) :]: line["parent"][len(prefix) :] for line in told}
+
+    wanted = {"base_link", "FR_calf", "FR_foot", "imu_link"}
+    listener.wait_for(
+        lambda: all(wanted <= parents(prefix).keys() for prefix in robots), "all frames", 60.0
+    )
+    assert all(line["child"].startswith(robots) for line in listener.lines)
+    assert parents("robot1/") == parents("robot2/")
+    assert parents("robot1/")["base_link"] == "odom"

@@ -6,9 +6,10 @@ from typing import Any
 
 from numpy.typing import NDArray
 
+from unicon_core.errors import UniconError
 from unicon_core.workflow import Workflow
 
-__all__ = ["arrays_of", "names_of", "variables_of"]
+__all__ = ["arrays_of", "checked_prefix", "names_of", "variables_of"]
 
 
 def arrays_of(workflow: Workflow) -> dict[str, NDArray[Any]]:
@@ -25,14 +26,29 @@ def names_of(workflow: Workflow) -> dict[str, tuple[str, ...]]:
     return {name: spec.names for name, spec in specs.items() if spec.names}
 
 
-def variables_of(workflow: Workflow) -> dict[str, object]:
-    """Return what a map may call `$name`."""
+def variables_of(workflow: Workflow, frame_prefix: str = "") -> dict[str, object]:
+    """Return what a map may call `$name`; `frame_prefix` stands before the names of frames."""
     robot = workflow.robot
     return {
         "joint_names": list(robot.joint_names),
         "robot": robot.name,
-        "base_frame": robot.base_frame or "base_link",
-        "odom_frame": "odom",
-        "imu_frame": robot.imu.frame if robot.imu is not None else "imu_link",
+        "base_frame": frame_prefix + (robot.base_frame or "base_link"),
+        "odom_frame": frame_prefix + "odom",
+        "imu_frame": frame_prefix + (robot.imu.frame if robot.imu is not None else "imu_link"),
         "feet": list(robot.feet),
     }
+
+
+def checked_prefix(prefix: str) -> str:
+    """Return a prefix of frame names as it is.
+
+    Raises:
+        UniconError: tf2 would refuse such names.
+    """
+    if prefix.startswith("/") or any(sign.isspace() for sign in prefix):
+        right = "".join(prefix.split()).lstrip("/")
+        raise UniconError(
+            f"frame prefix {prefix!r}: tf2 takes no frames with a leading slash or spaces; "
+            f"write {right!r}"
+        )
+    return prefix

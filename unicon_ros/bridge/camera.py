@@ -35,6 +35,7 @@ from unicon_core.platforms.mujoco.find import find_model
 from unicon_core.resources import find_config
 from unicon_core.robots import Robot
 from unicon_core.states import States, StateSpec
+from unicon_ros.bridge.bindings import checked_prefix
 from unicon_ros.bridge.images import frame_message
 
 __all__ = ["Camera", "camera"]
@@ -141,6 +142,7 @@ def camera(
     rate: float = 10.0,
     topic: str = "camera/image_raw",
     frame_id: str = "",
+    frame_prefix: str = "",
     handle: str = "camera_handle",
     reliability: str = "best_effort",
     node: str = "camera",
@@ -166,6 +168,7 @@ def camera(
         rate: pictures per second, at most.
         topic: name; `camera_info` stands beside it; empty to publish nothing, for handles alone.
         frame_id: optical frame of the header; made of the camera's name if empty.
+        frame_prefix: stands before the names of its frames; that of the robot's node.
         handle: state that takes the handle; `camera_handle` is declared by itself.
         reliability: of the topic: `best_effort` or `reliable`.
         node: name of the process's node.
@@ -206,7 +209,8 @@ def camera(
         "height": int(height),
         "far": float(far),
         "topic": topic,
-        "frame_id": frame_id or f"{name}_optical_frame",
+        "frame_id": checked_prefix(frame_prefix) + (frame_id or f"{name}_optical_frame"),
+        "frame_prefix": frame_prefix,
         "reliability": reliability,
         "node": node,
         "namespace": namespace,

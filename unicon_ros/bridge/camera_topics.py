@@ -57,7 +57,8 @@ class CameraTopics:
             size = options["width"], options["height"]
             self._info = bytearray(info_message(*size, options["frame_id"], camera.pinhole))
         if camera.mount is not None:
-            self._tell_frame(options["frame_id"], *camera.mount)
+            parent, at, quat = camera.mount
+            self._tell_frame(options["frame_id"], options["frame_prefix"] + parent, at, quat)
 
     def _publisher(self, kind: str, topic: str) -> tuple[Callable[[bytes], object], str]:
         message = compat.message_class(kind)

@@ -37,6 +37,8 @@ class RobotFrames:
         stamp: `stamp_ns` as it is published, int64 scalar, read in place.
         group: callback group of the publishers' events.
         warn: takes notices.
+        frame_prefix: stands before the names of all frames; robot_description goes without, as
+            robot_state_publisher's does, since viewers add it (RViz: "TF Prefix").
 
     Attributes:
         description: the URDF; empty where there is none.
@@ -51,7 +53,9 @@ class RobotFrames:
         stamp: NDArray[Any],
         group: Any,
         warn: Callable[[str], None],
+        frame_prefix: str = "",
     ) -> None:
+        self._prefix = frame_prefix
         self.description = ""
         self.out: TopicOut | None = None
         self.block = Block("publish /tf", lambda: None)
@@ -85,7 +89,7 @@ class RobotFrames:
         names = [link.name for link in links]
         messages = Messages()
         if poses.fixed:
-            text = tf_map("/tf_static", poses.fixed, names, None)
+            text = tf_map("/tf_static", poses.fixed, names, None, self._prefix)
             arrays = {
                 "stamp_ns": np.zeros((), np.int64),
                 "positions": np.array([link.position for link in poses.fixed]),
@@ -95,7 +99,8 @@ class RobotFrames:
             self._latch(spec.topic, spec.type, Encoder.build(spec, arrays).encode())
         if not poses.moving:
             return
-        spec = parse_map(tf_map("/tf", poses.moving, names, RATE), messages, name="/tf").publish[0]
+        text = tf_map("/tf", poses.moving, names, RATE, self._prefix)
+        spec = parse_map(text, messages, name="/tf").publish[0]
         encoder = Encoder.build(
             spec, {"stamp_ns": stamp, "positions": poses.positions, "quats": poses.quats}
         )

@@ -27,7 +27,7 @@ from unicon_core.workflow import Workflow
 from unicon_msgs_map import Decoder, Encoder, MapError, MapStateError, MessageMap, load_map
 from unicon_msgs_map.spec import PublishSpec, SubscribeSpec
 from unicon_ros import compat
-from unicon_ros.bridge.bindings import arrays_of, names_of, variables_of
+from unicon_ros.bridge.bindings import arrays_of, checked_prefix, names_of, variables_of
 from unicon_ros.bridge.controls import SERVICES, Controls, add_services
 from unicon_ros.bridge.middleware_threads import calm_middleware_threads
 from unicon_ros.bridge.own_node import OwnNode, one_line
@@ -51,6 +51,8 @@ class RosSession:
         namespace: its namespace; topics of the map are relative to it.
         ros_args: ROS arguments (`-r a:=b`, `-p name:=value`), with or without `--ros-args`.
         warn: takes warnings, one line each.
+        frame_prefix: stands before the names of all frames, as of robot_state_publisher; such as
+            `robot1/` where several robots share /tf.
         node: an rclpy node to live in; then the caller owns it, its services and its context.
         executor: the executor of that node.
 
@@ -66,12 +68,14 @@ class RosSession:
         namespace: str | None = None,
         ros_args: Sequence[str] = (),
         warn: Callable[[str], None] = print,
+        frame_prefix: str = "",
         *,
         node: Any = None,
         executor: Any = None,
     ) -> None:
         compat.import_rclpy()
         self.map = _read_map(map)
+        self.frame_prefix = checked_prefix(frame_prefix)
         self.warn = warn
         self._own = OwnNode(node_name, namespace, ros_args) if node is None else None
         if self._own is not None:
@@ -99,7 +103,7 @@ class RosSession:
     def inputs(self, workflow: Workflow) -> list[Block]:
         """Return the block that polls the subscriptions; a hook of `load_workflow`."""
         arrays, names = arrays_of(workflow), names_of(workflow)
-        variables = variables_of(workflow)
+        variables = variables_of(workflow, self.frame_prefix)
         written = {s for block in workflow.blocks for s in (*block.writes, *block.amends)}
         taken = set(workflow.platform.writes)
         for spec in self.map.subscribe:
@@ -137,7 +141,7 @@ class RosSession:
     def observers(self, workflow: Workflow) -> list[Block]:
         """Return the blocks that publish and serve; a hook of `load_workflow`."""
         arrays, names = arrays_of(workflow), names_of(workflow)
-        variables = variables_of(workflow)
+        variables = variables_of(workflow, self.frame_prefix)
         blocks: list[Block] = []
         platform = workflow.platform
         if not platform.simulated:
@@ -173,7 +177,9 @@ class RosSession:
                 raise self._refused(spec, error) from error
             self.outgoing.append(topic)
             blocks.append(topic.block)
-        frames = RobotFrames(self.node, workflow, arrays["stamp_ns"], self._group, self.warn)
+        frames = RobotFrames(
+            self.node, workflow, arrays["stamp_ns"], self._group, self.warn, self.frame_prefix
+        )
         self._others.append(frames.close)
         if frames.out is not None:
             self.outgoing.append(frames.out)

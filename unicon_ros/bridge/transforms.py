@@ -59,7 +59,13 @@ class LinkTransforms:
             self.positions[row] = self._origin[row] + joint_pos[row] * direction
 
 
-def tf_map(topic: str, links: Sequence[Link], names: Sequence[str], rate: float | None) -> str:
+def tf_map(
+    topic: str,
+    links: Sequence[Link],
+    names: Sequence[str],
+    rate: float | None,
+    prefix: str = "",
+) -> str:
     """Return the message map of a topic that carries all these links.
 
     The arrays that it reads are `stamp_ns`, `positions` and `quats`, one row for each link.
@@ -69,6 +75,7 @@ def tf_map(topic: str, links: Sequence[Link], names: Sequence[str], rate: float 
         links: whose transforms are carried.
         names: names of all links, by number.
         rate: in [Hz], None for every tick.
+        prefix: stands before all names.
     """
     durability = "transient_local" if topic == "/tf_static" else "volatile"
     lines = [
@@ -84,8 +91,8 @@ def tf_map(topic: str, links: Sequence[Link], names: Sequence[str], rate: float 
         at = f"      transforms[{i}]"
         lines += [
             f"{at}.header.stamp: stamp_ns",
-            f'{at}.header.frame_id: "={names[link.parent]}"',
-            f'{at}.child_frame_id: "={link.name}"',
+            f'{at}.header.frame_id: "={prefix}{names[link.parent]}"',
+            f'{at}.child_frame_id: "={prefix}{link.name}"',
             f"{at}.transform.translation: positions[{3 * i}:{3 * i + 3}]",
             f"{at}.transform.rotation: quats[{4 * i}:{4 * i + 4}]",
         ]

@@ -36,6 +36,12 @@ def add(commands: Any) -> None:
     )
     parser.add_argument("--map", metavar="MAP", help="message map: name in config/maps/, or a path")
     parser.add_argument("--namespace", metavar="NS", help="ROS namespace")
+    parser.add_argument(
+        "--frame-prefix",
+        metavar="PREFIX",
+        default="",
+        help="what stands before the names of all ROS frames, such as robot1/",
+    )
     parser.add_argument("--record", metavar="FILE.mcap", help="record the states' messages")
     parser.add_argument("--trace", metavar="FILE.json", help="write every block of every tick")
     parser.add_argument("--report", metavar="FILE.json", help="write the report")
@@ -72,6 +78,7 @@ def run(arguments: argparse.Namespace) -> int:
             namespace=arguments.namespace,
             ros_args=arguments.ros_args,
             warn=_warn,
+            frame_prefix=arguments.frame_prefix,
         )
         inputs.append(session.inputs)
         observers.append(session.observers)
