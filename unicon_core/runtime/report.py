@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -107,11 +108,13 @@ class Monitor:
 
     def __init__(self, states: States) -> None:
         self._pos = states["base_pos_w"].reshape(-1, 3)
-        self._gravity = states["projected_gravity"].reshape(-1, 3)[:, 2]
+        gravity = states["projected_gravity"].reshape(-1, 3)[:, 2]
+        # `max` takes 1.3 µs where one number takes 0.1.
+        self._least_upright = partial(gravity.item, 0) if len(gravity) == 1 else gravity.max
         self._start = self._pos.copy()
         self._started = False
         self._hash = hashlib.sha256()
-        self._commands: list[Any] = [states[name].reshape(-1).data for name in COMMAND_STATES]
+        self._commands = _views(states, COMMAND_STATES)
         self.fell = False
 
     def __call__(self) -> None:
@@ -120,7 +123,7 @@ class Monitor:
             self._started = True
         for view in self._commands:
             self._hash.update(view)
-        if not self.fell and self._gravity.max() > -self.FALL_COSINE:
+        if not self.fell and self._least_upright() > -self.FALL_COSINE:
             self.fell = True
 
     def fill(self, report: Report) -> None:
@@ -129,3 +132,15 @@ class Monitor:
         report.base_displacement_m = [round(float(value), 6) for value in moved]
         report.fell = self.fell
         report.sha256_commands = self._hash.hexdigest()
+
+
+def _views(states: States, names: tuple[str, ...]) -> list[Any]:
+    """Return the memory of states one after the other: one view where they stand back to back."""
+    arrays = [states[name] for name in names]
+    first = states.offset(names[0])
+    at = first
+    for name, array in zip(names, arrays):
+        if array.dtype != np.float32 or states.offset(name) != at or states.num_robots is not None:
+            return [array.reshape(-1).data for array in arrays]
+        at += array.size
+    return [states.buffer_of(np.float32)[first:at].data]
