@@ -132,7 +132,7 @@ class RosSession:
             Block(
                 "ros inputs",
                 _poll_all(self.incoming, self.controls, self.warn),
-                dry_run=_prefetch_all(self.incoming),
+                dry_run=_warm_up(self.incoming, self.outgoing),
                 writes=tuple(sorted(states - written)),
                 amends=tuple(sorted(states & written)),
             )
@@ -300,14 +300,16 @@ def _poll_all(
     return poll
 
 
-def _prefetch_all(topics: list[TopicIn]) -> Callable[[], None]:
-    def prefetch() -> None:
+def _warm_up(incoming: list[TopicIn], outgoing: list[TopicOut]) -> Callable[[], None]:
+    def warm_up() -> None:
         # What fails here fails again in the tick, which tells it.
         with suppress(Exception):
-            for topic in topics:
+            for topic in incoming:
                 topic.prefetch()
+            for out in outgoing:
+                out.rehearse()
 
-    return prefetch
+    return warm_up
 
 
 def _read_map(name: str | Path | None) -> MessageMap:

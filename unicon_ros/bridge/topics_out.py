@@ -63,6 +63,7 @@ class TopicOut:
         self.published = 0
         self.failed = 0
         self._encode = encoder.encode if prepare is None else _after(prepare, encoder.encode)
+        self._prepared = prepare is not None  # costs more than it would save
         self._publish, self._release = compat.raw_publish(self.publisher)
         self._every, self._wait = every, phase % every
         self._in_a_row = 0
@@ -87,7 +88,7 @@ class TopicOut:
 
     def rehearse(self) -> None:
         """Encode without publishing, if the next tick does: code and constants get warm."""
-        if not self._wait:
+        if not self._wait and not self._prepared:
             self._encode()
 
     def flush(self, timeout: float = 0.1) -> None:
