@@ -28,8 +28,9 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 # ROS stays on this machine unless the user says otherwise.
 demo bench: export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 demo bench: export ROS_DOMAIN_ID ?= 42
-demo bench: export FASTRTPS_DEFAULT_PROFILES_FILE ?= $(CURDIR)/config/dds/fast_discovery.xml
-demo bench: export FASTDDS_DEFAULT_PROFILES_FILE ?= $(FASTRTPS_DEFAULT_PROFILES_FILE)
+# Plain pipelines find each other at once; our own nodes do so by themselves.
+bench: export FASTRTPS_DEFAULT_PROFILES_FILE ?= $(CURDIR)/config/dds/fast_discovery.xml
+bench: export FASTDDS_DEFAULT_PROFILES_FILE ?= $(FASTRTPS_DEFAULT_PROFILES_FILE)
 
 .PHONY: help venv demo test test-slow check format bench clean clean-venv
 .DEFAULT_GOAL := help

@@ -22,7 +22,9 @@ from unicon_core.errors import MissingDependencyError, UniconError
 __all__ = [
     "Responses",
     "ReusedWaitSet",
+    "fast_dds_profiles",
     "import_rclpy",
+    "imported_first",
     "incompatible_policy",
     "message_class",
     "polled_group",
@@ -36,6 +38,8 @@ __all__ = [
 _WHEELS = "pip install 'ros-rclpy[fastrtps]==7.1.6' ros-jazzy-common-interfaces"
 _SOURCE = "source /opt/ros/<distro>/setup.bash"
 
+_first: bool | None = None  # whether nobody had imported rclpy before us
+
 
 def import_rclpy(what: str = "the ROS 2 bridge") -> Any:
     """Return rclpy.
@@ -45,7 +49,10 @@ def import_rclpy(what: str = "the ROS 2 bridge") -> Any:
     """
     # Asynchronous writers delay the tick by up to 5.5 ms at p99; writing in the caller
     # is the default of rmw_fastrtps, held here against a profile that says otherwise.
+    global _first
     os.environ.setdefault("RMW_FASTRTPS_PUBLICATION_MODE", "SYNCHRONOUS")
+    if _first is None:
+        _first = "rclpy" not in sys.modules
     try:
         rclpy = importlib.import_module("rclpy")
         for module in ("executors", "node", "qos", "callback_groups", "signals"):
@@ -55,6 +62,26 @@ def import_rclpy(what: str = "the ROS 2 bridge") -> Any:
         install = f"{_SOURCE}, or {_WHEELS}" if wheels else _SOURCE
         raise MissingDependencyError(what, "rclpy", install) from error
     return rclpy
+
+
+def imported_first() -> bool:
+    """Tell whether nobody in this process can have used rclpy before us."""
+    return bool(_first)
+
+
+def fast_dds_profiles() -> str | None:
+    """Return the variable that names Fast DDS's profile file; None for other middlewares.
+
+    Kilted's Fast DDS 3 warns of the name that is the only one for Jazzy's 2.14.
+    """
+    if not _is_fast_dds():
+        return None
+    try:
+        with open("/proc/self/maps", encoding="utf-8") as libraries:
+            newer = any("/libfastdds.so" in line for line in libraries)
+    except OSError:  # not Linux
+        newer = False
+    return "FASTDDS_DEFAULT_PROFILES_FILE" if newer else "FASTRTPS_DEFAULT_PROFILES_FILE"
 
 
 def message_class(name: str) -> Any:
@@ -238,7 +265,7 @@ class Responses:
         for service in node.services:
             if id(service) not in self._wrapped:
                 self._wrapped[id(service)] = service
-                if _blocking_responses():
+                if _is_fast_dds():
                     self._wrap(node, service)
 
     def _wrap(self, node: Any, service: Any) -> None:
@@ -287,7 +314,7 @@ class Responses:
         self._wrapped = {}
 
 
-def _blocking_responses() -> bool:
+def _is_fast_dds() -> bool:
     try:
         from rclpy.utilities import get_rmw_implementation_identifier
     except ImportError:

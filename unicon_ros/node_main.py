@@ -61,13 +61,15 @@ def _refused(error: Exception) -> UniconError:
 
 def _spin(rclpy: Any, arguments: list[str]) -> int:
     from unicon_ros.node import UniconNode
+    from unicon_ros.transport import without_shared_memory
 
     context = rclpy.context.Context()
     try:
         # Signals are the node's: SIGINT has to damp before ROS goes away.
         no_signals = rclpy.signals.SignalHandlerOptions.NO
-        rclpy.init(args=arguments, context=context, signal_handler_options=no_signals)
-        node = UniconNode(context=context)
+        with without_shared_memory():
+            rclpy.init(args=arguments, context=context, signal_handler_options=no_signals)
+            node = UniconNode(context=context)
     except Exception as error:
         rclpy.try_shutdown(context=context)
         raise _refused(error) from error

@@ -139,7 +139,7 @@ def test_a_failing_callback_is_told_and_the_tick_goes_on(clock: Clock) -> None:
 @pytest.fixture
 def answering(monkeypatch: pytest.MonkeyPatch) -> Any:
     """A service of a made-up node; `sent` holds what went out, `readers` who would hear it."""
-    monkeypatch.setattr(compat, "_blocking_responses", lambda: True)
+    monkeypatch.setattr(compat, "_is_fast_dds", lambda: True)
     sent: list[str] = []
     readers: list[Any] = []
     service = SimpleNamespace(service_name="/n/reset", send_response=lambda r, h: sent.append(r))

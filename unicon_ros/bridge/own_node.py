@@ -7,6 +7,7 @@ from typing import Any
 
 from unicon_core.errors import UniconError
 from unicon_ros import compat
+from unicon_ros.transport import without_shared_memory
 
 __all__ = ["OwnNode", "one_line"]
 
@@ -37,12 +38,13 @@ class OwnNode:
         self.context: Any = rclpy.context.Context()
         self._closed = False
         try:
-            rclpy.init(
-                args=arguments,
-                context=self.context,
-                signal_handler_options=rclpy.signals.SignalHandlerOptions.NO,
-            )
-            self.node: Any = rclpy.node.Node(name, namespace=namespace, context=self.context)
+            with without_shared_memory():
+                rclpy.init(
+                    args=arguments,
+                    context=self.context,
+                    signal_handler_options=rclpy.signals.SignalHandlerOptions.NO,
+                )
+                self.node: Any = rclpy.node.Node(name, namespace=namespace, context=self.context)
         except Exception as error:
             rclpy.try_shutdown(context=self.context)
             raise UniconError(
