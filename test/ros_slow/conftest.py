@@ -22,16 +22,22 @@ ROOT = HERE.parent.parent
 
 @pytest.fixture
 def start() -> Iterator[Callable[..., subprocess.Popen[bytes]]]:
-    """Starts Python on a script of `processes/` or a module, in a domain; kills it at the end."""
+    """Starts Python on a script of `processes/` or a module, in a domain; kills it at the end.
+
+    Keywords are further environment variables.
+    """
     started: list[subprocess.Popen[bytes]] = []
 
-    def run(what: str, *arguments: Any, domain: int | None = None) -> subprocess.Popen[bytes]:
+    def run(
+        what: str, *arguments: Any, domain: int | None = None, **variables: str
+    ) -> subprocess.Popen[bytes]:
         environment = dict(os.environ)
         if environment.pop("_ROS_WHEELS_BOOTSTRAP_COMPLETE", None) is not None:
             environment.pop("LD_LIBRARY_PATH", None)
         environment.setdefault("PYTHONPATH", str(ROOT))
         if domain is not None:
             environment["ROS_DOMAIN_ID"] = str(domain)
+        environment |= variables
         script = HERE / "processes" / f"{what}.py"
         target = [str(script)] if script.exists() else ["-m", what]
         process = subprocess.Popen(
