@@ -375,12 +375,16 @@ class ReusedWaitSet:
                 f"this rclpy has no reusable wait set ({error}); set pacing.trigger: deadline"
             ) from error
 
-    def wait(self, timeout: float) -> bool:
-        """Return True when a message is there, False after `timeout` in [s]."""
+    def sleep(self, timeout: float) -> None:
+        """Return when a message is there, or after `timeout` in [s]."""
         self._clear()
         for handle in self._handles:
             self._add(handle)
         self._wait(round(timeout * 1e9))
+
+    def wait(self, timeout: float) -> bool:
+        """Return True when a message is there, False after `timeout` in [s]."""
+        self.sleep(timeout)
         return bool(self._ready("subscription"))
 
     def close(self) -> None:

@@ -1,16 +1,13 @@
-"""Prediction of arrivals, on times that are made up; and the vigil for them."""
+"""Prediction of arrivals, on times that are made up."""
 
 from __future__ import annotations
-
-import time
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from unicon_core.runtime import arrivals as module
-from unicon_core.runtime.arrivals import Arrivals, Vigil
+from unicon_core.runtime.arrivals import Arrivals
 
 MS = 1_000_000
 
@@ -73,29 +70,11 @@ def test_lost_messages_at_the_start_do_not_change_the_interval() -> None:
     assert predicted.interval_ns == 2 * MS
 
 
-def test_the_window_has_bounds() -> None:
+def test_the_lead_has_bounds() -> None:
     predicted = Arrivals([i * 2 * MS for i in range(10)])
     predicted.jitter_ns = 0.0
-    assert predicted.window_ns(100_000) == 100_000
+    assert predicted.lead_ns() == 150_000
+    predicted.jitter_ns = 100_000.0
+    assert predicted.lead_ns() == 400_000
     predicted.jitter_ns = 1e9
-    assert predicted.window_ns(100_000) == 400_000
-    assert predicted.window_ns(1_000_000) == MS // 2
-    assert predicted.window_ns(0) == 0
-
-
-def test_a_vigil_ends_with_the_data_or_in_time() -> None:
-    answers = iter([False, False, True])
-    assert Vigil(lambda: next(answers)).until(time.perf_counter_ns() + 60_000 * MS)
-    end = time.perf_counter_ns() + MS
-    assert not Vigil(lambda: False).until(end)
-    assert time.perf_counter_ns() > end
-
-
-def test_a_vigil_that_loses_its_core_rests(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked = []
-    vigil = Vigil(lambda: bool(asked.append(1)))
-    monkeypatch.setattr(module, "_let_others", lambda: time.sleep(0.002))
-    assert not vigil.until(time.perf_counter_ns() + 1000 * MS)
-    assert len(asked) == 2  # the second time to see what came meanwhile
-    assert not vigil.until(time.perf_counter_ns() + 1000 * MS)
-    assert len(asked) == 3  # it rests: one look
+    assert predicted.lead_ns() == MS

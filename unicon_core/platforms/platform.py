@@ -15,10 +15,8 @@ class Platform(Protocol):
     point group `unicon.platforms`). It aligns joints by name at build, pushes gains and limits by
     name, and imports what it needs inside the factory.
 
-    Further methods make it fit for `pacing.trigger: state`: `wait(timeout_s) -> bool`, True when
-    new data are there, `arrivals() -> int`, how many have come so far (where data come more often
-    than ticks), and `arrived() -> bool`, the same as `wait(0)` at the cost of a look: it is asked
-    without a pause shortly before data are expected, and may take them in ahead. A method
+    Two further methods make it fit for `pacing.trigger: state`: `wait(timeout_s) -> bool`, True
+    when new data are there, and `arrivals() -> int`, how many have come so far. A method
     `rehearse()` is called shortly before a tick and does what `send` does, but for the sending: to
     have code and data in the caches.
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from unicon_core.errors import Fault, PlatformError, UniconError
 from unicon_core.flow import Deferred, Zip, as_block, compile_graph
-from unicon_core.runtime.arrivals import Arrivals, Vigil
+from unicon_core.runtime.arrivals import Arrivals
 from unicon_core.runtime.pacing import (
     DryRun,
     Pacing,
@@ -84,8 +84,6 @@ class Runner:
         self.interrupted = False
         self._between: deque[Callable[[], object]] = deque()
         self._platform_wait: Callable[[float], bool] | None = None
-        self._vigil: Vigil | None = None
-        self._spin_ns = round(self.pacing.spin_us * 1e3)
         if self.pacing.trigger == "state":
             self._platform_wait = getattr(workflow.platform, "wait", None)
             if self._platform_wait is None:
@@ -93,8 +91,6 @@ class Runner:
                     f"platform {workflow.platform.name!r} cannot tell when its data arrive; "
                     "set pacing.trigger: deadline"
                 )
-            arrived = getattr(workflow.platform, "arrived", None)
-            self._vigil = None if arrived is None else Vigil(arrived)
         self._tick = workflow.states["tick"]
         self._stop = False
         self._closed = False
@@ -250,16 +246,13 @@ class Runner:
             if self._between:
                 self._act()
                 last = now()
-            if arrivals is None:
-                came = wait(patience)
-            else:
+            if arrivals is not None:
                 often = 1.5 * arrivals.interval_ns < period
                 due = max(due + period, now()) if often else last + round(arrivals.interval_ns)
-                expected, window = arrivals.nearest(due), arrivals.window_ns(self._spin_ns)
-                until(expected - 2 * window)
+                until(arrivals.nearest(due) - arrivals.lead_ns())
                 if often:
                     platform.recv()
-                came = self._awaited(expected, window, wait, patience)
+            came = wait(patience)
             before, last = last, now()
             if not came:
                 statistics.overruns += 1
@@ -275,17 +268,6 @@ class Runner:
                 arrivals.note(last)
             if statistics.count % status_every == 0:
                 self._status()
-
-    def _awaited(
-        self, expected: int, window: int, wait: Callable[[float], bool], patience: float
-    ) -> bool:
-        """Wait for data: asleep, but awake within a window [ns] around when they are expected."""
-        if self._vigil is None or not window:
-            return wait(patience)
-        early = expected - window - time.perf_counter_ns()
-        if early > 0 and wait(early * 1e-9):
-            return True
-        return self._vigil.until(expected + window) or wait(patience)
 
     def _arrivals(self, wait: Callable[[float], bool], patience: float) -> Arrivals | None:
         """Return what tells when the data come, or None where nothing is known of them.

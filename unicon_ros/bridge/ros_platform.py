@@ -131,11 +131,9 @@ class RosPlatform:
         self.topics = (*heard, *said)
         written = dict.fromkeys(state for topic in self._in for state in topic.states)
         self._stamped = "stamp_ns" in written
-        self._turned: TopicIn | None = None  # the topic whose messages turn gravity
-        self._turns = -1
+        self._gravity: Callable[[], None] | None = None
         if "base_quat" in written and "projected_gravity" not in written:
             self._gravity = projected_gravity(states["base_quat"], states["projected_gravity"])
-            self._turned = next(topic for topic in self._in if "base_quat" in topic.states)
             written["projected_gravity"] = None
         self.writes = tuple(dict.fromkeys([*written, "stamp_ns"]))
         self.reads = tuple(
@@ -147,7 +145,6 @@ class RosPlatform:
             )
         )
         self._wait_set = compat.ReusedWaitSet([self._in[0].subscription], own.context)
-        self._beside = self._in[1:]
         self._closed = False
 
     def connect(self, timeout: float) -> None:
@@ -173,11 +170,7 @@ class RosPlatform:
 
     def wait(self, timeout: float) -> bool:
         """Return True when the first topic of the map has a message, False after `timeout` [s]."""
-        return self._in[0].ahead or self._wait_set.wait(timeout)
-
-    def arrived(self) -> bool:
-        """Return whether it has one, at once; what the other topics have is decoded meanwhile."""
-        self._poll_beside()
+        self._wait_set.sleep(timeout)
         return self._in[0].prefetch()
 
     def arrivals(self) -> int:
@@ -191,25 +184,16 @@ class RosPlatform:
             Fault: a topic that the robot needs was silent for its time-out.
         """
         self._in[0].accept()
-        self._check_silence()
-        self._poll_beside()
-        self._check_silence()
+        for topic in self._in[1:]:
+            topic.poll()
+        for topic in self._needed:
+            if topic.stale:
+                raise Fault(f"{topic.silence}; the robot is silent")
+        if self._gravity is not None:
+            self._gravity()
         if not self._stamped:
             self._states.stamp_ns[...] = time.monotonic_ns()
         return None
-
-    def _check_silence(self) -> None:
-        for topic in self._needed:
-            if topic.stale:
-                raise Fault(f"{self._warnings[-1]}; the robot is silent")
-
-    def _poll_beside(self) -> None:
-        for topic in self._beside:
-            topic.poll()
-        turned = self._turned
-        if turned is not None and turned.received != self._turns:
-            self._turns = turned.received
-            self._gravity()
 
     def rehearse(self) -> None:
         """Do what `send` does up to the publishing, to warm up."""

@@ -104,9 +104,13 @@ class TopicIn:
         return self._decoder.last_error
 
     @property
-    def ahead(self) -> bool:
-        """Whether a message was taken ahead."""
-        return self._ahead is not None
+    def silence(self) -> str:
+        """What its time-out means, as a message."""
+        what = "zero" if self._zero_when_stale else "held"
+        return (
+            f"topic {self.topic}: no message for {self._timeout_ns * 1e-9:g} s, "
+            f"{', '.join(self.states)} {what}"
+        )
 
     def prefetch(self) -> bool:
         """Take a message ahead without touching a state; True if there is one, now or before."""
@@ -166,11 +170,7 @@ class TopicIn:
     def _lapsed(self) -> None:
         if not self.stale:
             self.stale = True
-            what = "zero" if self._zero_when_stale else "held"
-            self._warn(
-                f"topic {self.topic}: no message for {self._timeout_ns * 1e-9:g} s, "
-                f"{', '.join(self._decoder.spec.states)} {what}"
-            )
+            self._warn(self.silence)
         if self._zero_when_stale:
             self._decoder.zero()
         elif self._contested:
