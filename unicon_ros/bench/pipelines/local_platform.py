@@ -31,6 +31,7 @@ class LocalPlatform:
         self._driver_in = np.zeros(3 * n, np.float32)
         self._target = states["joint_pos_target"]
         self._driver_out = np.zeros(n, np.float32)
+        self._scratch_in, self._scratch_out = np.zeros_like(self._driver_in), np.zeros(n, "f4")
 
     def recv(self) -> None:
         self._stamp[...] = time.monotonic_ns()
@@ -38,6 +39,11 @@ class LocalPlatform:
 
     def send(self) -> None:
         self._driver_out[...] = self._target
+
+    def rehearse(self) -> None:
+        time.monotonic_ns()
+        self._scratch_in[...] = self._driver_in
+        self._scratch_out[...] = self._target
 
     def close(self) -> None:
         self._driver_out[...] = 0.0
