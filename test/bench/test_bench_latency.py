@@ -39,6 +39,15 @@ def test_plain_and_our_own_pipelines_close_the_loop() -> None:
     assert result.facts["joints"] == 20
 
 
+def test_turns_that_would_let_peers_take_each_other_for_dead_are_refused(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["bench", "latency", "--seconds", "3"]) != 0
+    told = capsys.readouterr().err
+    assert "--seconds 3: with 11 variants in turn give more than 0 and at most" in told
+    assert "raise --rounds" in told
+
+
 def test_ctrl_c_ends_it_with_a_result_and_no_process_left(tmp_path: Path) -> None:
     file = tmp_path / "bench.json"
     arguments = [sys.executable, "-m", "unicon_ros", "bench", "latency", "--json", str(file)]

@@ -4,7 +4,7 @@ Every variant is real processes on this host: a robot with states at 500 Hz and 
 identity control (q_d = q) at 50 Hz, as in the UniCon paper's table of latencies. The controller's
 rate is off by a third of a percent, so that the phase between states and commands sweeps through
 all its values: locked, it alone would decide the result. All variants live at once and take turns
-in many short rounds, each in an order of its own: a machine's speed changes within seconds.
+in many short rounds: a machine's speed changes within seconds.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from unicon_core.errors import UniconError
 from unicon_ros import compat
 from unicon_ros.bench.domains import free_domain
 from unicon_ros.bench.floor import c_level_floor
-from unicon_ros.bench.loops import LEASE, Loop
+from unicon_ros.bench.loops import LEASE, SETTLE, Loop
 from unicon_ros.bench.report import Bench
 
 __all__ = ["VARIANTS", "Variant", "run"]
@@ -141,10 +141,11 @@ def run(
     """
     compat.import_rclpy("unicon bench latency")
     variants = [variant for variant in VARIANTS if only is None or only(variant)]
-    if seconds * len(variants) > LEASE:
+    longest = LEASE / max(len(variants), 1) - SETTLE
+    if not 0.0 < seconds <= longest:
         raise UniconError(
-            f"--seconds {seconds:g}: with {len(variants)} variants in turn give at most "
-            f"{LEASE / len(variants):.2g}; for more samples raise --rounds"
+            f"--seconds {seconds:g}: with {len(variants)} variants in turn give more than 0 and at "
+            f"most {longest:.2g}; for more samples raise --rounds"
         )
     rounds = rounds or ROUNDS
     results: list[dict[str, Samples]] = []
@@ -163,18 +164,17 @@ def run(
 def _turns(variants: list[Variant], rounds: int, options: _Options) -> tuple[int, dict[str, Loop]]:
     """Let the variants take their turns; return how many rounds are whole, and the ended loops."""
     loops: dict[str, Loop] = {}
-    order, whole = np.random.default_rng(SEED), 0
+    whole = 0
     try:
         for i, variant in enumerate(variants):
             _say(f"\rstart: {i + 1} of {len(variants)}, {variant.name}\x1b[K")
             loops[variant.name] = loop = _loop(variant, i, options)
             loop.start()
         for number in range(rounds):
-            for i, which in enumerate(order.permutation(len(variants))):
-                name = variants[which].name
+            for i, (name, loop) in enumerate(loops.items()):
                 label = f"round {number + 1} of {rounds}"
                 _say(f"\r{label}: {i + 1} of {len(variants)}, {name}\x1b[K")
-                loops[name].run(options.seconds)
+                loop.run(options.seconds)
             whole += 1
     except KeyboardInterrupt:
         _say(f"\r\x1b[Kstopped; {whole} whole rounds are kept\n")

@@ -22,10 +22,11 @@ from numpy.typing import NDArray
 
 from unicon_core.errors import UniconError
 
-__all__ = ["LEASE", "Loop", "Slice"]
+__all__ = ["LEASE", "SETTLE", "Loop", "Slice"]
 
-LEASE = 12.0
-"""s for which a loop may be held: after 20 its participants take each other for dead (Fast DDS)."""
+LEASE = 9.0
+"""s for which a loop may be held: after 10 participants with `config/dds/no_shared_memory.xml` take
+each other for dead, and commands are lost until they have met again (Fast DDS's own lease: 20)."""
 
 SETTLE = 0.15  # s of a slice until the loop runs steadily again
 PATIENCE = 30.0  # s until the first command must have come, and until a process must have ended
