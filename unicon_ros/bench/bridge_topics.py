@@ -27,6 +27,10 @@ WAIT = 5.0  # s for a reader and a writer of one process to find each other
 Step = Callable[[], object]
 
 
+RECEIVED = 10
+"""Topics that are received from in a row: the first evicts what publishing left in the caches."""
+
+
 @dataclass
 class Received:
     """One way to receive: what makes a message arrive, and what is timed."""
@@ -64,22 +68,28 @@ class Desk:
         return {"ours": out.tick, "new message": lambda: publisher.publish(plain())}
 
     def receivers(self, joints: int) -> dict[str, Received]:
-        """Return our and the typed way to receive joint states."""
+        """Return our and the typed way to receive joint states, from `RECEIVED` topics each."""
         states, source = bench_states(joints), bench_states(joints)
         spec = load_map(find_config("maps", "joint_state_in")).subscribe[0]
-        ours_topic, typed_topic, drained_topic = (self._name() for _ in range(3))
-        received = self._in(replace(spec, topic=ours_topic, timeout=None), states, joints)
-        cases = {
-            "receive JointState: ours": Received(self._feed(ours_topic, source), received.poll)
+
+        def ours(topic: str) -> Step:
+            return self._in(replace(spec, topic=topic, timeout=None), states, joints).poll
+
+        ways: dict[str, Callable[[str], Step]] = {
+            "receive JointState: ours": ours,
+            "receive JointState: typed": partial(self._typed, states=states, drain=False),
+            "receive JointState: typed, drained": partial(self._typed, states=states, drain=True),
         }
-        for name, topic, drain in (
-            ("receive JointState: typed", typed_topic, False),
-            ("receive JointState: typed, drained", drained_topic, True),
-        ):
-            step = self._typed(topic, states, drain)
-            cases[name] = Received(self._feed(topic, source), step)
-        for case in cases.values():
-            _until(partial(_arrives, case, states, source))
+        cases = {}
+        for name, way in ways.items():
+            topics = [self._name() for _ in range(RECEIVED)]
+            singles = [Received(self._feed(topic, source), way(topic)) for topic in topics]
+            for single in singles:
+                _until(partial(_arrives, single, states, source))
+            cases[name] = Received(
+                _all([single.arrive for single in singles]),
+                _all([single.step for single in singles]),
+            )
         return cases
 
     def heard_senders(self, joints: int) -> dict[str, Received]:
@@ -185,6 +195,14 @@ class Desk:
 
         self._closers.append(close)
         return take
+
+
+def _all(steps: list[Step]) -> Step:
+    def run() -> None:
+        for step in steps:
+            step()
+
+    return run
 
 
 def _until(passes: Callable[[], bool]) -> None:

@@ -55,6 +55,7 @@ class TopicIn:
     ) -> None:
         spec = decoder.spec
         self._node, self._warn, self._decoder = node, warn, decoder
+        self._decode = decoder.decode
         self._contested = contested
         self._timeout_ns = 0 if spec.timeout is None else round(spec.timeout * 1e9)
         self._zero_when_stale = spec.on_timeout == "zero"
@@ -123,30 +124,49 @@ class TopicIn:
 
     def accept(self) -> None:
         """Use the message that was taken ahead just now; poll if there is none."""
-        raw, self._ahead = self._ahead, None
+        raw = self._ahead
         if raw is None:
             self.poll()
         else:
+            self._ahead = None
             self._arrived(raw)
 
     def poll(self) -> None:
         """Take what has come and bring the states up to date; never raises."""
         raw = self._take()
-        if raw is None:
-            raw = self._ahead
-        else:
-            self.received += 1
-            self.dropped += self._ahead is not None
         if raw is not None:
-            self._ahead = None
+            self.received += 1
+            if self._ahead is not None:
+                self.dropped += 1
+                self._ahead = None
             self._arrived(raw)
+        elif self._ahead is not None:
+            self.accept()
         elif self.heard:
             if self._timeout_ns and time.monotonic_ns() - self._at_ns > self._timeout_ns:
                 self._lapsed()
             elif self._contested:
-                self._decoder.decode(self._latest)
+                self._decode(self._latest)
 
     def _arrived(self, raw: bytes) -> None:
+        if self._drain:
+            raw = self._drained(raw)
+        if self._decode(raw):
+            if self.stale:
+                self._warn(f"topic {self.topic}: messages come again")
+                self.stale = False
+            self.heard, self._latest = True, raw
+            if self._timeout_ns:
+                self._at_ns = time.monotonic_ns()
+            return
+        reason = self._decoder.last_error
+        if reason != self._told_rejected:  # once for each reason, not for each message
+            self._told_rejected = reason
+            self._warn(f"a message was refused: {reason}")
+        if self.heard and self._contested:
+            self._decode(self._latest)
+
+    def _drained(self, raw: bytes) -> bytes:
         for _ in range(self._drain):
             newer = self._take()
             if newer is None:
@@ -154,18 +174,7 @@ class TopicIn:
             raw = newer
             self.received += 1
             self.dropped += 1
-        if self._decoder.decode(raw):
-            if self.stale:
-                self._warn(f"topic {self.topic}: messages come again")
-            self.heard, self.stale, self._latest = True, False, raw
-            self._at_ns = time.monotonic_ns()
-            return
-        reason = self._decoder.last_error
-        if reason != self._told_rejected:  # once for each reason, not for each message
-            self._told_rejected = reason
-            self._warn(f"a message was refused: {reason}")
-        if self.heard and self._contested:
-            self._decoder.decode(self._latest)
+        return raw
 
     def _lapsed(self) -> None:
         if not self.stale:
@@ -174,7 +183,7 @@ class TopicIn:
         if self._zero_when_stale:
             self._decoder.zero()
         elif self._contested:
-            self._decoder.decode(self._latest)
+            self._decode(self._latest)
 
     def _called_back(self, raw: bytes) -> None:
         self._pending = raw
