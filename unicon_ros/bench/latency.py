@@ -148,7 +148,6 @@ def run(
             f"most {longest:.2g}; for more samples raise --rounds"
         )
     rounds = rounds or ROUNDS
-    results: list[dict[str, Samples]] = []
     with tempfile.TemporaryDirectory() as folder:
         options = _Options(rate, state_rate, joints, seconds, Path(folder))
         whole, loops = _turns(variants, rounds, options)

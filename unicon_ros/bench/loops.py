@@ -77,13 +77,18 @@ class Loop:
         """Return the file of the controller's log."""
         return self.log.with_name(f"{self.log.stem}_controller.npz")
 
+    @property
+    def _flag(self) -> Path:
+        return self.log.with_suffix(".ready")
+
     def start(self) -> None:
         """Start both, wait until what the controller sends arrives, and hold them.
 
         Raises:
             UniconError: nothing arrived, twice; or a process ended.
         """
-        for attempt in (1, 2):  # discovery on a busy machine may outlast the patience once
+        for _ in range(2):  # discovery on a busy machine may outlast the patience once
+            self._flag.unlink(missing_ok=True)
             for command, log in (
                 (self.controller, self.controller_log),
                 (self.measuring, self.log),
@@ -94,9 +99,9 @@ class Loop:
                 time.sleep(2 * SETTLE)
                 self._hold()
                 return
+            self.end()
             self.close()
-            if attempt == 2:
-                raise UniconError(f"{self.name}: no command arrived within {PATIENCE:g} s")
+        raise UniconError(f"{self.name}: no command arrived within {PATIENCE:g} s")
 
     def run(self, seconds: float) -> None:
         """Let both go for a settling time and then `seconds`, and note the slice."""
@@ -113,14 +118,13 @@ class Loop:
         self.slices.append(Slice(begin, end, used / (end - begin)))
 
     def end(self) -> None:
-        """Ask both to write their logs and end."""
+        """Ask both to write their logs and end; once, since a second signal may end them sooner."""
         for process in self._processes:
             process.send_signal(signal.SIGTERM)
             process.send_signal(signal.SIGCONT)
 
     def close(self) -> None:
-        """Wait until both have ended; what does not end is killed."""
-        self.end()
+        """Wait until both have ended, as `end` asked them to; what does not end is killed."""
         for process in self._processes:
             try:
                 process.wait(PATIENCE)
@@ -146,14 +150,14 @@ class Loop:
             env=self.environment,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
+            start_new_session=True,  # the terminal's Ctrl-C is ours: they are asked to end
             # Held processes would outlive a parent that is killed.
             preexec_fn=_die_with_parent if sys.platform == "linux" else None,
         )
 
     def _ready(self) -> bool:
-        flag = self.log.with_suffix(".ready")
         end = time.monotonic() + PATIENCE
-        while not flag.exists():
+        while not self._flag.exists():
             if time.monotonic() > end or any(p.poll() is not None for p in self._processes):
                 return False
             time.sleep(0.02)
