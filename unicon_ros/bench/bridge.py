@@ -10,7 +10,6 @@ in a row. The cost with a reader in this process is told beside it, as a fact.
 from __future__ import annotations
 
 import os
-import random
 import time
 
 import numpy as np
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 
 from unicon_ros import compat
 from unicon_ros.bench.bridge_topics import RECEIVED, Desk, Received, Step
+from unicon_ros.bench.domains import free_domain
 from unicon_ros.bench.report import Bench
 
 __all__ = ["run"]
@@ -39,7 +39,7 @@ def run(rounds: int | None = None) -> Bench:
         MissingDependencyError: rclpy is not installed.
     """
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    os.environ.setdefault("ROS_DOMAIN_ID", str(random.SystemRandom().randint(1, 101)))
+    os.environ.setdefault("ROS_DOMAIN_ID", str(free_domain()))
     rclpy = compat.import_rclpy("unicon bench bridge")
     rounds = rounds or 9
     bench = Bench("bridge", seed=0, rounds=rounds)
