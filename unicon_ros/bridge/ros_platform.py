@@ -170,8 +170,10 @@ class RosPlatform:
 
     def wait(self, timeout: float) -> bool:
         """Return True when the first topic of the map has a message, False after `timeout` [s]."""
-        self._wait_set.sleep(timeout)
-        return self._in[0].prefetch()
+        first = self._in[0]
+        if not first.prefetch():
+            self._wait_set.sleep(timeout)
+        return first.prefetch()
 
     def arrivals(self) -> int:
         """Return how many messages of that topic have come so far."""
