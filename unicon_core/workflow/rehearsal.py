@@ -60,10 +60,10 @@ class Rehearsal:
         Args:
             platform: what warms the platform's own way to the motors, called with it; or None.
         """
-        if self._copy is None:
-            return None if platform is None else _quiet(platform)
-        into, out_of = memoryview(self._copy.buffer.data), memoryview(self._states.buffer.data)
         rehearse = None if platform is None else _quiet(platform)
+        if self._copy is None:
+            return rehearse
+        into, out_of = memoryview(self._copy.buffer.data), memoryview(self._states.buffer.data)
 
         def refresh() -> None:
             into[:] = out_of
