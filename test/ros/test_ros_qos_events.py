@@ -107,13 +107,18 @@ def status(run: Run) -> tuple[bytes, str, dict[str, str]]:
     return found
 
 
-def test_a_late_publisher_is_told_once_for_each_episode(
-    run_with: Callable[..., Run], twists: Callable[..., Twists]
-) -> None:
+@pytest.fixture
+def heard(run_with: Callable[..., Run], twists: Callable[..., Twists]) -> tuple[Run, Any, Twists]:
+    """A run with a deadline of 0.4 s, its topic, and a publisher that keeps it so far."""
     run = run_with("subscribe", f"{TWIST} qos: {{deadline: 0.4}}}}")
     (topic,) = run.session.incoming
     peer = twists(deadline=seconds(0.4))
     peer.until(lambda: topic.received > 5, "messages", beat=True)
+    return run, topic, peer
+
+
+def test_a_late_publisher_is_told_once_for_each_episode(heard: tuple[Run, Any, Twists]) -> None:
+    run, topic, peer = heard
     assert not told(run, "deadline")
     for episode in (1, 2):
         before = topic.events.counts()["deadlines missed"]
@@ -136,13 +141,8 @@ def test_a_late_publisher_is_told_once_for_each_episode(
     assert counted == topic.events.counts()["deadlines missed"]
 
 
-def test_the_diagnostics_warn_while_deadlines_are_missed(
-    run_with: Callable[..., Run], twists: Callable[..., Twists]
-) -> None:
-    run = run_with("subscribe", f"{TWIST} qos: {{deadline: 0.4}}}}")
-    (topic,) = run.session.incoming
-    peer = twists(deadline=seconds(0.4))
-    peer.until(lambda: topic.received > 5, "messages", beat=True)
+def test_the_diagnostics_warn_while_deadlines_are_missed(heard: tuple[Run, Any, Twists]) -> None:
+    run, topic, peer = heard
     assert status(run)[2]["/cmd_vel deadlines missed"] == "0"
     peer.until(lambda: bool(topic.events.trouble), "a missed deadline", beat=False)
     level, message, values = status(run)

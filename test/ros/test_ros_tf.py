@@ -42,14 +42,17 @@ def tf2_environment() -> dict[str, str]:
     return values
 
 
-def test_a_listener_finds_the_feet_where_the_simulator_has_them(
-    tf2_environment: dict[str, str],
-    peers: Callable[..., Any],
-    sway: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+@pytest.fixture(autouse=True)
+def tf2(tf2_environment: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the processes that a test starts import tf2_msgs."""
     for name, value in tf2_environment.items():
         monkeypatch.setenv(name, value)
+
+
+def test_a_listener_finds_the_feet_where_the_simulator_has_them(
+    peers: Callable[..., Any],
+    sway: Path,
+) -> None:
     robot = Peer(sys.executable, str(HERE / "feet_of_the_simulator.py"), str(sway), "8")
     try:
         robot.wait_for(lambda: len(robot.of("feet")) > 50, "the simulator")
@@ -98,14 +101,10 @@ deferred:
 
 
 def test_a_listener_finds_the_optical_frame_of_a_camera(
-    tf2_environment: dict[str, str],
     peers: Callable[..., Any],
     processes: Callable[..., Any],
     sway: Path,
-    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    for name, value in tf2_environment.items():
-        monkeypatch.setenv(name, value)
     sway.write_text(sway.read_text() + CAMERA)
     run = processes(sys.executable, "-m", "unicon_ros", "run", str(sway), "--duration", "6")
     listener = peers("tf_listener")
@@ -124,15 +123,11 @@ def test_a_listener_finds_the_optical_frame_of_a_camera(
 
 
 def test_two_robots_in_two_namespaces_share_tf_without_a_frame_in_common(
-    tf2_environment: dict[str, str],
     peers: Callable[..., Any],
     nodes: Callable[..., Any],
     processes: Callable[..., Any],
     sway: Path,
-    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    for name, value in tf2_environment.items():
-        monkeypatch.setenv(name, value)
     parameters = ("-p", f"workflow:={sway}", "-p", "frame_prefix:=robot1/")
     nodes("--ros-args", "-r", "__ns:=/robot1", *parameters)
     command = ("-m", "unicon_ros", "run", str(sway), "--ros", "--duration", "60")
