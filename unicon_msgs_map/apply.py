@@ -55,9 +55,7 @@ class Run:
     flat: Any
 
 
-def select(
-    found: Found, spec: SubscribeSpec, targets: list[Target], stamp: memoryview
-) -> list[Run]:
+def select(found: Found, spec: SubscribeSpec, targets: list[Target], stamp: list[int]) -> list[Run]:
     """Return what to read and where to write it.
 
     Raises:

@@ -78,7 +78,7 @@ class Decoder:
         stamp = _stamp_path(message)
         if stamp:
             self._want.add(STAMP, stamp, message)
-        self._stamp = np.zeros(1, dtype=np.int64).data
+        self._stamp = [0]
         self._layouts: list[_Layout] = []
         self._fast: _Fast = _miss
         self._loose = False
@@ -111,7 +111,7 @@ class Decoder:
     @property
     def stamp_ns(self) -> int:
         """Stamp of the last accepted message in [ns]; 0 where the type carries none."""
-        return int(self._stamp[0])
+        return self._stamp[0]
 
     def decode(self, raw: bytes) -> bool:
         """Write the states that a message carries.

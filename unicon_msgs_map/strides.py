@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import sys
+from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
@@ -10,7 +13,24 @@ from numpy.lib.stride_tricks import as_strided
 from unicon_msgs_map.apply import Run
 from unicon_msgs_map.binding import AnyArray
 
-__all__ = ["address", "fuse", "line", "plain", "step"]
+__all__ = ["Grid", "address", "fuse", "grid_of", "high_byte", "line", "plain", "spans", "step"]
+
+GAP = 16  # bytes between two arrays of a message that are looked at along
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Where the numbers of a group lie in a payload, [B].
+
+    Attributes:
+        start: of the first number.
+        between: from a run to the next.
+        step: from a number to the next.
+    """
+
+    start: int
+    between: int
+    step: int
 
 
 def plain(run: Run) -> bool:
@@ -67,3 +87,32 @@ def step(elements: tuple[int, ...]) -> int | None:
     """Return the distance of evenly spaced elements; None for others."""
     steps = {b - a for a, b in pairwise(elements)}
     return steps.pop() if len(steps) == 1 else None
+
+
+def grid_of(group: list[Run]) -> Grid | None:
+    """Return how the numbers of runs of equal form lie in the payload; None if unevenly."""
+    steps = {step(run.offsets) for run in group}
+    distances = {b.offsets[0] - a.offsets[0] for a, b in pairwise(group)} or {0}
+    if len(steps) > 1 or len(distances) > 1:
+        return None
+    spacing = steps.pop()
+    return None if spacing is None else Grid(group[0].offsets[0], distances.pop(), spacing)
+
+
+def high_byte(wire: np.dtype[Any]) -> int:
+    """Return which byte of a number in this machine's order has the sign."""
+    return wire.itemsize - 1 if sys.byteorder == "little" else 0
+
+
+def spans(slices: list[slice]) -> list[slice]:
+    """Unite slices of one rhythm with little between them: fewer, perhaps with some bytes more."""
+    united: list[slice] = []
+    for each in sorted(slices, key=lambda each: each.start):
+        last = united[-1] if united else None
+        if last is not None and last.step == each.step:
+            apart = each.start - last.stop
+            if apart <= GAP and (each.start - last.start) % each.step == 0:
+                united[-1] = slice(last.start, max(last.stop, each.stop), each.step)
+                continue
+        united.append(each)
+    return united

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
 from typing import Any
 
 import numpy as np
@@ -436,6 +438,78 @@ def test_padding_between_many_names_may_be_anything() -> None:
         decoder.decode(bytes(changed))
         assert (decoder.derived, decoder.rejected) != (derived, rejected), k
         assert decoder.decode(bytes(raw))
+
+
+class Twelve:
+    """A decoder of twelve joints, whose numbers come evenly spaced, and messages for it."""
+
+    def __init__(self) -> None:
+        self.names = tuple(f"joint_{k:02d}" for k in range(12))
+        self.buffer = np.zeros((3, 12), np.float32)
+        arrays = dict(zip(("position", "velocity", "effort"), self.buffer))
+        mapping: dict[str, object] = {"name": "$names"} | {k: k for k in arrays}
+        self.decoder = Decoder.build(
+            subscribe(JOINT_STATE, mapping), arrays, None, {"names": self.names}
+        )
+
+    def message(self, values: Any, order: list[int]) -> bytearray:
+        message = zero_message(JOINT_STATE)
+        message.name[:] = [self.names[k] for k in order]
+        for part, row in zip(("position", "velocity", "effort"), values):
+            object.__setattr__(message, part, row[order])
+        return bytearray(serialize(message))
+
+
+@pytest.mark.parametrize("order", [range(12), range(11, -1, -1), (*range(6, 12), *range(6))])
+def test_garbage_between_evenly_spaced_numbers_changes_nothing(order: Any) -> None:
+    joints, order = Twelve(), list(order)
+    values = np.random.default_rng(0).standard_normal((3, 12))
+    raw = joints.message(values, order)
+    # Three arrays end the message: 12 doubles each, a length and its padding before each.
+    gaps = [len(raw) - k * 96 - (k - 1) * 8 - 4 for k in (1, 2)]
+    assert all(raw[gap - 4 : gap + 4] == bytes([12, 0, 0, 0, 0, 0, 0, 0]) for gap in gaps)
+    for filled in (0x00, 0x7F, 0xFF):  # of a number these would make one too large
+        for gap in gaps:
+            raw[gap : gap + 4] = bytes([filled] * 4)
+        joints.buffer[...] = 0
+        assert joints.decoder.decode(bytes(raw))
+        np.testing.assert_array_equal(joints.buffer, values.astype(np.float32))
+        assert joints.decoder._fast(bytes(raw))
+    assert joints.decoder.derived == 1
+
+
+@pytest.mark.parametrize("garbage", [False, True])
+@pytest.mark.parametrize("wrong", [np.nan, -np.inf, 1e39])
+def test_one_wrong_number_among_evenly_spaced_ones_is_found(wrong: float, garbage: bool) -> None:
+    joints, order = Twelve(), list(range(12))
+    assert joints.decoder.decode(bytes(joints.message(np.ones((3, 12)), order)))
+    for place in [(0, 0), (0, 11), (1, 5), (2, 0), (2, 11)]:
+        values = np.full((3, 12), 2.0)
+        values[place] = wrong
+        raw = joints.message(values, order)
+        if garbage:
+            raw[-100:-96] = bytes([0x7F] * 4)
+        rejected = joints.decoder.rejected
+        assert not joints.decoder.decode(bytes(raw))
+        assert joints.decoder.rejected == rejected + 1
+        np.testing.assert_array_equal(joints.buffer, 1.0)
+
+
+def test_states_outlive_their_names_while_a_decoder_writes_them() -> None:
+    arrays = {name: np.zeros(12, np.float32) for name in ("a", "b")}
+    mapping: dict[str, object] = {"position": "a", "velocity": "b"}
+    decoder = Decoder.build(subscribe(JOINT_STATE, mapping), arrays)
+    message = zero_message(JOINT_STATE)
+    for part in ("position", "velocity"):
+        object.__setattr__(message, part, np.arange(12.0))
+    raw = serialize(message)
+    assert decoder.decode(raw)
+    function = decoder._fast
+    alive = [weakref.ref(array) for array in arrays.values()]
+    del arrays, decoder
+    gc.collect()
+    assert function(raw)
+    assert all(ref() is not None for ref in alive)
 
 
 def test_room_that_rclpy_leaves_behind_empty_sequences_is_accepted() -> None:
