@@ -23,7 +23,13 @@ pytestmark = pytest.mark.ros
 def test_plain_and_our_own_pipelines_close_the_loop() -> None:
     from unicon_ros.bench import latency
 
-    chosen = ("plain, two processes", "unicon, on state", "unicon, local, ROS a mirror")
+    chosen = (
+        "plain, two processes",
+        "unicon, on state",
+        "unicon, local, ROS a mirror",
+        "plain, a mirror alone",
+        "unicon, local, observed by us",
+    )
     result = latency.run(1, seconds=0.6, only=lambda variant: variant.name in chosen)
     for name in chosen[:2]:
         for row in ("recv", "send", "state_to_command", "end_to_end"):
@@ -34,6 +40,9 @@ def test_plain_and_our_own_pipelines_close_the_loop() -> None:
         sent, arrived = (result.cases[f"{name}: {r}"]["p50"] for r in ("recv", "end_to_end"))
         assert sent < arrived
     assert result.cases["unicon, local, ROS a mirror: mirror"]["samples"] > 100
+    for name in chosen[3:]:
+        assert result.cases[f"{name}: mirror"]["samples"] > 100
+    assert "mirror, of that of a plain node that publishes nothing else" in result.facts
     assert set(result.ratios) == {"end_to_end", "local", "mirror", "cpu"}
     assert all(ratio["value"] > 0.0 for ratio in result.ratios.values())
     assert result.facts["joints"] == 20
@@ -44,7 +53,7 @@ def test_turns_that_would_let_peers_take_each_other_for_dead_are_refused(
 ) -> None:
     assert main(["bench", "latency", "--seconds", "3"]) != 0
     told = capsys.readouterr().err
-    assert "--seconds 3: with 11 variants in turn give more than 0 and at most" in told
+    assert "--seconds 3: with 13 variants in turn give more than 0 and at most" in told
     assert "raise --rounds" in told
 
 

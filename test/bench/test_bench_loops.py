@@ -32,6 +32,19 @@ columns = dict.fromkeys(("stamp", "seen", "begin", "end", "received"), np.array(
 np.savez(path, **columns)
 """
 
+# Is ready late, and grows a file for as long as it runs.
+PULSE = """
+import sys, time
+from pathlib import Path
+log = Path(sys.argv[-1])
+pulse = log.with_name("pulse").open("ab", buffering=0)
+for i in range(100_000):
+    pulse.write(b".")
+    time.sleep(0.01)
+    if i == 50:
+        log.with_suffix(".ready").touch()
+"""
+
 
 def test_a_loop_costs_nothing_while_it_is_held_and_ends_with_both_logs(tmp_path: Path) -> None:
     command = [sys.executable, "-c", NOTES]
@@ -57,3 +70,29 @@ def test_a_loop_whose_process_ends_is_told(tmp_path: Path, monkeypatch: pytest.M
     loop = Loop("short", command, None, dict(os.environ), tmp_path / "short.npz")
     with pytest.raises(UniconError, match=r"^short: no command arrived"):
         loop.start()
+
+
+def test_who_waits_for_a_turn_is_held_and_breathes_meanwhile(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(loops, "BREATHS", 0.1)
+    breaths: list[float] = []
+    pulse = tmp_path / "pulse"
+    command = [sys.executable, "-c", PULSE]
+    loop = Loop("one", command, None, dict(os.environ), tmp_path / "log.npz")
+    try:
+        loop.start(meanwhile=lambda: breaths.append(time.monotonic()))
+        assert len(breaths) >= 3
+        time.sleep(0.05)
+        before = pulse.stat().st_size
+        time.sleep(0.2)
+        assert pulse.stat().st_size == before  # held
+        loops.breathe([loop])
+        time.sleep(0.05)
+        after = pulse.stat().st_size
+        assert after > before
+        time.sleep(0.2)
+        assert pulse.stat().st_size == after
+    finally:
+        loop.end()
+        loop.close()

@@ -2,9 +2,9 @@
 
 Every variant is real processes on this host: a robot with states at 500 Hz and a controller with
 identity control (q_d = q) at 50 Hz, as in the UniCon paper's table of latencies. The controller's
-rate is off by a third of a percent, so that the phase between states and commands sweeps through
-all its values: locked, it alone would decide the result. All variants live at once and take turns
-in many short rounds: a machine's speed changes within seconds.
+rate is off by so much that the phase between states and commands sweeps through all its values in
+every turn: locked, it alone would decide the result. All variants live at once and take turns in
+many short rounds: a machine's speed changes within seconds.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import sys
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -23,15 +24,15 @@ from unicon_core.errors import UniconError
 from unicon_ros import compat
 from unicon_ros.bench.domains import free_domain
 from unicon_ros.bench.floor import c_level_floor
-from unicon_ros.bench.loops import LEASE, SETTLE, Loop
+from unicon_ros.bench.loops import LEASE, SETTLE, Loop, breathe
 from unicon_ros.bench.report import Bench
 
 __all__ = ["VARIANTS", "Variant", "run"]
 
 PIPELINES = "unicon_ros.bench.pipelines"
-PHASE_DRIFT = 1.0033
-ROUNDS = 18
-SECONDS = 0.5
+SWEEPS = 2  # of all phases in one turn: 0.9 % of the rate
+ROUNDS = 20
+SECONDS = 0.45
 SEED = 0
 
 Samples = dict[str, NDArray[np.float64]]
@@ -72,7 +73,9 @@ VARIANTS = (
         ("unicon_bridged", "state"),
         shared_memory=True,
     ),
-    Variant("unicon, local, ROS a mirror", ("observer", ""), ("unicon_local", "")),
+    Variant("plain, a mirror alone", ("observer", "rclpy"), ("plain_mirror", "")),
+    Variant("unicon, local, ROS a mirror", ("observer", "rclpy"), ("unicon_local", "")),
+    Variant("unicon, local, observed by us", ("observer", "bridge"), ("unicon_local", "")),
 )
 
 RATIOS = (
@@ -102,8 +105,26 @@ RATIOS = (
         "plain, two processes",
         0.01,
     ),
-    ("mirror", "mirror", "unicon, local, ROS a mirror", "recv", "plain, two processes", 0.7),
+    ("mirror", "mirror", "unicon, local, ROS a mirror", "one_way", "plain, two processes", 0.7),
     ("cpu", "cpu", "unicon, on state", "cpu", "plain, two processes", 0.3),
+)
+
+SHARES = (
+    # as above, told without a bar: an rclpy observer takes longer than what it observes
+    (
+        "mirror, of that of a plain node that publishes nothing else",
+        "mirror",
+        "unicon, local, ROS a mirror",
+        "mirror",
+        "plain, a mirror alone",
+    ),
+    (
+        "mirror to our own bridge, of plain's one-way",
+        "mirror",
+        "unicon, local, observed by us",
+        "one_way",
+        "plain, two processes",
+    ),
 )
 
 
@@ -114,6 +135,11 @@ class _Options:
     joints: int
     seconds: float
     folder: Path
+
+    @property
+    def swept_rate(self) -> float:
+        """Return the rate at which a turn sees commands at all phases between two states."""
+        return self.rate * self.state_rate / (self.state_rate + SWEEPS / self.seconds)
 
 
 def run(
@@ -128,7 +154,7 @@ def run(
     """Run the comparison; Ctrl-C ends it with the rounds that are whole.
 
     Args:
-        rounds: interleaved rounds, 18 unless told.
+        rounds: interleaved rounds, 20 unless told.
         rate: commands per second.
         state_rate: states per second.
         joints: number of joints.
@@ -167,8 +193,10 @@ def _turns(variants: list[Variant], rounds: int, options: _Options) -> tuple[int
     try:
         for i, variant in enumerate(variants):
             _say(f"\rstart: {i + 1} of {len(variants)}, {variant.name}\x1b[K")
+            held = list(loops.values())
             loops[variant.name] = loop = _loop(variant, i, options)
-            loop.start()
+            loop.start(meanwhile=partial(breathe, held))
+            breathe(held)
         for number in range(rounds):
             for i, (name, loop) in enumerate(loops.items()):
                 label = f"round {number + 1} of {rounds}"
@@ -187,7 +215,7 @@ def _turns(variants: list[Variant], rounds: int, options: _Options) -> tuple[int
 
 
 def _loop(variant: Variant, number: int, options: _Options) -> Loop:
-    common = ["--rate", f"{options.rate * PHASE_DRIFT}", "--state-rate", f"{options.state_rate}"]
+    common = ["--rate", f"{options.swept_rate}", "--state-rate", f"{options.state_rate}"]
     common += ["--joints", f"{options.joints}"]
     common += ["--best-effort"] if variant.best_effort else []
 
@@ -213,7 +241,7 @@ UNITS = {"cpu": " [% of a core]", "lost": " [%]", "stale": " [%]"}
 def _bench(results: list[dict[str, Samples]], options: _Options) -> Bench:
     bench = Bench("latency", seed=SEED, rounds=len(results))
     bench.facts.update(
-        rate_hz=options.rate * PHASE_DRIFT,
+        rate_hz=options.swept_rate,
         state_rate_hz=options.state_rate,
         joints=options.joints,
         seconds=options.seconds,
@@ -230,25 +258,38 @@ def _bench(results: list[dict[str, Samples]], options: _Options) -> Bench:
         for row in rows:
             parts = [r[variant.name][row] for r in results if row in r.get(variant.name, {})]
             bench.case(f"{variant.name}: {row}{UNITS.get(row, '')}", np.concatenate(parts))
-    for name, row, ours, base_row, base, bar in RATIOS:
-        pairs = [
-            (r[ours][row], r[base][base_row])
-            for r in results
-            if row in r.get(ours, {}) and base_row in r.get(base, {})
-        ]
-        if pairs:
-            ratios = np.array([np.median(a) / np.median(b) for a, b in pairs])
+    for name, *pair, bar in RATIOS:
+        ratios = _ratios(results, *pair)
+        if ratios.size:
             bench.ratio(name, float(np.median(ratios)), bar)
-            low, high = _interval(ratios)
-            bench.fact(f"{name}, 95 % interval", f"{low:.3g} to {high:.3g}")
+            bench.fact(f"{name}, 95 % interval", _interval(ratios))
+    for name, *pair in SHARES:
+        ratios = _ratios(results, *pair)
+        if ratios.size:
+            bench.fact(name, f"{np.median(ratios):.3g} ({_interval(ratios)})")
     return bench
 
 
-def _interval(ratios: NDArray[np.float64]) -> tuple[float, float]:
+def _ratios(
+    results: list[dict[str, Samples]], row: str, ours: str, base_row: str, base: str
+) -> NDArray[np.float64]:
+    """Return the ratio of the means of each round that has both.
+
+    Means: latencies of an executor have several humps, between which a median jumps.
+    """
+    pairs = [
+        (r[ours][row], r[base][base_row])
+        for r in results
+        if row in r.get(ours, {}) and base_row in r.get(base, {})
+    ]
+    return np.array([np.mean(a) / np.mean(b) for a, b in pairs])
+
+
+def _interval(ratios: NDArray[np.float64]) -> str:
     """Return the 95 % bootstrap interval of the median over rounds."""
     draws = np.random.default_rng(SEED).choice(ratios, (1000, len(ratios)))
     low, high = np.percentile(np.median(draws, axis=1), [2.5, 97.5])
-    return float(low), float(high)
+    return f"{low:.3g} to {high:.3g}"
 
 
 def _environment() -> dict[str, str]:

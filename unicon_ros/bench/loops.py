@@ -2,7 +2,8 @@
 
 A machine's speed changes by half within seconds (other tenants, clocks), so pipelines that are
 measured one after the other are not measured alike. Here all of them live at once, discovered and
-warm, and take turns of a second and less; whoever is not measured costs nothing.
+warm, and take turns of a second and less; whoever is not measured costs nothing. Nobody is held as
+long as a lease: peers of which only one takes the other for dead do not meet again (Fast DDS 2.14).
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -22,13 +24,14 @@ from numpy.typing import NDArray
 
 from unicon_core.errors import UniconError
 
-__all__ = ["LEASE", "SETTLE", "Loop", "Slice"]
+__all__ = ["LEASE", "SETTLE", "Loop", "Slice", "breathe"]
 
 LEASE = 9.0
 """s for which a loop may be held: after 10 participants with `config/dds/no_shared_memory.xml` take
 each other for dead, and commands are lost until they have met again (Fast DDS's own lease: 20)."""
 
 SETTLE = 0.15  # s of a slice until the loop runs steadily again
+BREATHS = 2.0  # s between two short times in which those that wait are let go
 PATIENCE = 30.0  # s until the first command must have come, and until a process must have ended
 GRACE_NS = 50_000_000  # a command that was sent later before the end of a slice may be under way
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
@@ -81,8 +84,11 @@ class Loop:
     def _flag(self) -> Path:
         return self.log.with_suffix(".ready")
 
-    def start(self) -> None:
+    def start(self, meanwhile: Callable[[], object] = lambda: None) -> None:
         """Start both, wait until what the controller sends arrives, and hold them.
+
+        Args:
+            meanwhile: called now and then; lets those breathe that are held.
 
         Raises:
             UniconError: nothing arrived, twice; or a process ended.
@@ -95,9 +101,9 @@ class Loop:
             ):
                 if command is not None:
                     self._processes.append(self._process([*command, "--out", str(log)]))
-            if self._ready():
+            if self._ready(meanwhile):
                 time.sleep(2 * SETTLE)
-                self._hold()
+                self.hold()
                 return
             self.end()
             self.close()
@@ -105,17 +111,26 @@ class Loop:
 
     def run(self, seconds: float) -> None:
         """Let both go for a settling time and then `seconds`, and note the slice."""
-        for process in self._processes:
-            process.send_signal(signal.SIGCONT)
+        self.let_go()
         time.sleep(SETTLE)
         controller = self._processes[0].pid
         begin, cpu = time.time_ns(), _cpu_ns(controller)
         time.sleep(seconds)
         end, used = time.time_ns(), _cpu_ns(controller) - cpu
-        self._hold()
+        self.hold()
         if any(process.poll() is not None for process in self._processes):
             raise UniconError(f"{self.name}: one of its processes has ended")
         self.slices.append(Slice(begin, end, used / (end - begin)))
+
+    def let_go(self) -> None:
+        """Let both run."""
+        for process in self._processes:
+            process.send_signal(signal.SIGCONT)
+
+    def hold(self) -> None:
+        """Stop both."""
+        for process in reversed(self._processes):  # the source of states first
+            process.send_signal(signal.SIGSTOP)
 
     def end(self) -> None:
         """Ask both to write their logs and end; once, since a second signal may end them sooner."""
@@ -138,11 +153,18 @@ class Loop:
         if not (self.log.exists() and self.controller_log.exists()):
             return [{} for _ in self.slices]
         measured, controlled = dict(np.load(self.log)), dict(np.load(self.controller_log))
+        heard = self.controller_log.with_name(f"{self.controller_log.stem}_heard.npz")
+        if heard.exists():
+            states = dict(np.load(heard))
+            return [
+                {**_bridged(each, measured, controlled), **_one_way(each, states)}
+                for each in self.slices
+            ]
         if "seen" in controlled:
             return [_bridged(each, measured, controlled) for each in self.slices]
-        # A driver's stamps, of the monotonic clock.
-        controlled["wall"] = controlled["end"] + (time.time_ns() - time.monotonic_ns())
-        return [_local(each, measured, controlled) for each in self.slices]
+        if "stamp" in controlled:  # a driver's, of the monotonic clock
+            controlled["wall"] = controlled["end"] + (time.time_ns() - time.monotonic_ns())
+        return [_mirrored(each, measured, controlled) for each in self.slices]
 
     def _process(self, command: list[str]) -> subprocess.Popen[bytes]:
         return subprocess.Popen(
@@ -155,17 +177,28 @@ class Loop:
             preexec_fn=_die_with_parent if sys.platform == "linux" else None,
         )
 
-    def _ready(self) -> bool:
-        end = time.monotonic() + PATIENCE
+    def _ready(self, meanwhile: Callable[[], object]) -> bool:
+        now = time.monotonic()
+        end, breath = now + PATIENCE, now + BREATHS
         while not self._flag.exists():
-            if time.monotonic() > end or any(p.poll() is not None for p in self._processes):
+            now = time.monotonic()
+            if now > end or any(p.poll() is not None for p in self._processes):
                 return False
+            if now > breath:
+                meanwhile()
+                breath = now + BREATHS
             time.sleep(0.02)
         return True
 
-    def _hold(self) -> None:
-        for process in reversed(self._processes):  # the source of states first
-            process.send_signal(signal.SIGSTOP)
+
+def breathe(loops: Iterable[Loop]) -> None:
+    """Let held loops go for a moment, in which peers tell each other that they live."""
+    held = list(loops)
+    for loop in held:
+        loop.let_go()
+    time.sleep(SETTLE)
+    for loop in held:
+        loop.hold()
 
 
 def _bridged(
@@ -190,15 +223,24 @@ def _bridged(
     }
 
 
-def _local(
+def _one_way(each: Slice, heard: dict[str, Any]) -> dict[str, NDArray[np.float64]]:
+    arrived = each.holds(heard["received"])
+    latency = (heard["received"] - heard["stamp"])[arrived] * 1e-3
+    return {"one_way": latency} if latency.size else {}
+
+
+def _mirrored(
     each: Slice, measured: dict[str, Any], controlled: dict[str, Any]
 ) -> dict[str, NDArray[np.float64]]:
-    ticks, arrived = each.holds(controlled["wall"]), each.holds(measured["received"])
+    local = "stamp" in controlled
+    ticks = each.holds(controlled["wall" if local else "end"])
+    arrived = each.holds(measured["received"])
     if not ticks.any() or not arrived.any():
         return {}
+    row, since = ("state_to_command", "stamp") if local else ("send", "begin")
     return {
         "mirror": (measured["received"] - measured["stamp"])[arrived] * 1e-3,
-        "state_to_command": (controlled["end"] - controlled["stamp"])[ticks] * 1e-3,
+        row: (controlled["end"] - controlled[since])[ticks] * 1e-3,
         "cpu": np.array([100.0 * each.cpu_share]),
     }
 

@@ -39,7 +39,12 @@ def plot(bench: Bench, path: Path) -> None:
     axes.hlines(labels, p50, p99, color="black", linewidth=1.0)
     axes.plot(p99, labels, "|", color="black")
     for place, value in enumerate(p50):
-        axes.annotate(f" {value:.3g}", (value, place), va="bottom", fontsize=7)
+        axes.annotate(
+            f" {value:,.0f}" if value >= 100 else f" {value:.3g}",
+            (value, place),
+            va="bottom",
+            fontsize=7,
+        )
     axes.set_xscale("log")
     axes.set_xlabel("µs (bar: p50, whisker: p99), log scale")
     axes.set_title(f"unicon bench {bench.name}, {bench.rounds} rounds")

@@ -20,6 +20,7 @@ def main() -> None:
     both = options.variant == "both"
     controlled = options.out.with_name(f"{options.out.stem}_controller.npz")
     sent = Log(controlled if both else options.out, "stamp", "seen", "begin", "end")
+    heard = Log(sent.path.with_name(f"{sent.path.stem}_heard.npz"), "stamp", "received")
     nodes: list[Any] = []
     if options.variant in ("robot", "both"):
         nodes.append(PlainRobot(options.joints, options.state_rate, options.best_effort, received))
@@ -27,7 +28,7 @@ def main() -> None:
         triggered = options.variant == "triggered"
         every = round(options.state_rate / options.rate) if triggered else 0
         nodes.append(
-            PlainController(options.joints, options.rate, every, options.best_effort, sent)
+            PlainController(options.joints, options.rate, every, options.best_effort, sent, heard)
         )
     executor: Any = SingleThreadedExecutor()
     if options.variant == "events":
@@ -42,6 +43,7 @@ def main() -> None:
         received.save()
     if options.variant != "robot":
         sent.save()
+        heard.save()
     for node in nodes:
         node.destroy_node()
     rclpy.try_shutdown()

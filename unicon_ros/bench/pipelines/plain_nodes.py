@@ -59,11 +59,15 @@ class PlainController(Node):
 
     Args:
         every: answer every n-th state in its callback; 0: by a timer.
+        log: gets the commands.
+        heard: gets all states.
     """
 
-    def __init__(self, joints: int, rate: float, every: int, best_effort: bool, log: Log) -> None:
+    def __init__(
+        self, joints: int, rate: float, every: int, best_effort: bool, log: Log, heard: Log
+    ) -> None:
         super().__init__("controller")
-        self.log = log
+        self.log, self.heard = log, heard
         profile = qos(best_effort)
         self.command_out = self.create_publisher(JointState, COMMAND, profile)
         self.command = JointState(name=[f"joint_{i}" for i in range(joints)])
@@ -81,6 +85,7 @@ class PlainController(Node):
 
     def on_state(self, state: Any) -> None:
         self.seen_ns = time.time_ns()
+        self.heard.add(nanoseconds(state.header.stamp), self.seen_ns)
         self.state = state
         self.states += 1
         if self.every and self.states % self.every == 0:
