@@ -21,9 +21,10 @@ from unicon_msgs_map.spec import SubscribeSpec
 from unicon_msgs_map.targets import Target
 from unicon_msgs_map.walker import Found
 
-__all__ = ["Rejected", "Run", "apply", "limits", "select"]
+__all__ = ["DOUBLE_MAX", "SINGLE_MAX", "Rejected", "Run", "apply", "limits", "select"]
 
 SINGLE_MAX = float(np.finfo(np.float32).max)
+DOUBLE_MAX = float(np.finfo(np.float64).max)
 
 
 class Rejected(ValueError):

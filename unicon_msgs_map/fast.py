@@ -12,7 +12,6 @@ cold, the `take` costs three times that; joints in the robot's own order do with
 
 from __future__ import annotations
 
-import math
 import struct
 from bisect import bisect_left
 from collections.abc import Callable
@@ -22,27 +21,17 @@ from typing import Any
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
 
-from unicon_msgs_map.apply import SINGLE_MAX, Run, limits
+from unicon_msgs_map.apply import DOUBLE_MAX, SINGLE_MAX, Run, limits
 from unicon_msgs_map.binding import AnyArray
+from unicon_msgs_map.magnitudes import high_byte, largest_of, ordinary_bytes, spans
 from unicon_msgs_map.messages import Primitive
-from unicon_msgs_map.strides import (
-    Grid,
-    address,
-    fuse,
-    grid_of,
-    high_byte,
-    line,
-    plain,
-    spans,
-    step,
-)
+from unicon_msgs_map.strides import Grid, address, fuse, grid_of, line, plain, step
 
 __all__ = ["compile_fast", "merge"]
 
 SCALAR_LIMIT = 8  # numbers of one field that are still read one by one
 PIECES_LIMIT = 8  # structural pieces that are still compared one by one
 BRIDGE = 16  # padding and unread bytes between structural ones that are compared along, [B]
-DOUBLE_MAX = float(np.finfo(np.float64).max)
 
 
 def compile_fast(
@@ -292,7 +281,7 @@ class _Fast:
         if wire.kind == "f":
             self.space[f"room{number}"] = room
             whole = [slice(high_byte(wire), None, wire.itemsize)]
-            self._bounded(number, wire, f"room{number}", whole, whole, self._bound(runs, wire))
+            self._bounded(number, wire, f"room{number}", whole, whole, runs)
         result = self._convert(number, runs) if converted else read
         start = 0
         for group in groups:
@@ -312,8 +301,8 @@ class _Fast:
                 for group, grid in zip(groups, grids)
                 for run in group
             ]
-            bound = self._bound([run for group in groups for run in group], wire)
-            self._bounded(number, wire, "room", spans(exact), exact, bound)
+            runs = [run for group in groups for run in group]
+            self._bounded(number, wire, "room", spans(exact), exact, runs)
         for index, (group, grid) in enumerate(zip(groups, grids)):
             first = stage[grid.start : grid.start + wire.itemsize].view(wire)
             shape = (len(group), len(group[0].offsets))
@@ -382,28 +371,24 @@ class _Fast:
         room: str,
         quick: list[slice],
         exact: list[slice],
-        bound: float | None,
+        runs: list[Run],
     ) -> None:
         """Send a payload to the careful path if any number read may be beyond the bound.
 
-        The byte with the sign and the upper seven bits of the exponent tells, without a floating
-        point flag that could warn or raise: those that are surely small are deleted, and nothing
-        must be left.
+        The high bytes of numbers that are surely small are deleted, and nothing must be left.
 
         Args:
             number: of the bulk.
             wire: type of the numbers.
             room: name of the bytes.
-            quick: those bytes, perhaps with some of the padding between the numbers.
+            quick: the high bytes, perhaps with some of the padding between the numbers.
             exact: those bytes alone.
-            bound: None where any number will do.
+            runs: where the numbers go.
         """
+        bound = largest_of(runs, wire, self.reject)
         if bound is None:
             return
-        bias, spare = (1023, 4) if wire.itemsize == 8 else (127, 1)  # of the exponent; lower bits
-        largest = math.log2(max(bound, 5e-324))
-        ordinary = [high for high in range(128) if ((high + 1) << spare) - bias <= largest]
-        self.space[f"ordinary{number}"] = bytes([*ordinary, *(128 + high for high in ordinary)])
+        self.space[f"ordinary{number}"] = ordinary_bytes(wire, bound)
         tests = []
         for kind, slices in (("quick", quick), ("exact", exact)):
             for i, highs in enumerate(slices):
@@ -415,18 +400,3 @@ class _Fast:
             tests.append(" or ".join(left))
         test = tests[0] if quick == exact else f"({tests[0]}) and ({tests[1]})"
         self.work.append(f"if {test}: return False")
-
-    def _bound(self, runs: list[Run], wire: np.dtype[Any]) -> float | None:
-        """Return the size up to which every number is acceptable; None where any is."""
-        bound = math.inf
-        for run in runs:
-            assert run.target is not None
-            pair, single = run.target.conversion, run.flat.dtype == np.float32
-            if not self.reject and pair is None and not (single and wire.itemsize == 8):
-                continue
-            largest = SINGLE_MAX if single or wire.itemsize == 4 else DOUBLE_MAX
-            if pair is not None:  # with room for rounding; beyond it the careful path decides
-                scale = max(float(np.abs(pair[0]).max()), 1.0)
-                largest = max(largest / 2 - float(np.abs(pair[1]).max()), 0.0) / scale
-            bound = min(bound, largest)
-        return None if bound == math.inf else bound

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
@@ -13,9 +11,7 @@ from numpy.lib.stride_tricks import as_strided
 from unicon_msgs_map.apply import Run
 from unicon_msgs_map.binding import AnyArray
 
-__all__ = ["Grid", "address", "fuse", "grid_of", "high_byte", "line", "plain", "spans", "step"]
-
-GAP = 16  # bytes between two arrays of a message that are looked at along
+__all__ = ["Grid", "address", "fuse", "grid_of", "line", "plain", "step"]
 
 
 @dataclass(frozen=True)
@@ -97,22 +93,3 @@ def grid_of(group: list[Run]) -> Grid | None:
         return None
     spacing = steps.pop()
     return None if spacing is None else Grid(group[0].offsets[0], distances.pop(), spacing)
-
-
-def high_byte(wire: np.dtype[Any]) -> int:
-    """Return which byte of a number in this machine's order has the sign."""
-    return wire.itemsize - 1 if sys.byteorder == "little" else 0
-
-
-def spans(slices: list[slice]) -> list[slice]:
-    """Unite slices of one rhythm with little between them: fewer, perhaps with some bytes more."""
-    united: list[slice] = []
-    for each in sorted(slices, key=lambda each: each.start):
-        last = united[-1] if united else None
-        if last is not None and last.step == each.step:
-            apart = each.start - last.stop
-            if apart <= GAP and (each.start - last.start) % each.step == 0:
-                united[-1] = slice(last.start, max(last.stop, each.stop), each.step)
-                continue
-        united.append(each)
-    return united

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import UniconError
+from unicon_ros.bench.pipelines.log import beside
 
 __all__ = ["LEASE", "SETTLE", "Loop", "Slice", "breathe"]
 
@@ -78,7 +79,7 @@ class Loop:
     @property
     def controller_log(self) -> Path:
         """Return the file of the controller's log."""
-        return self.log.with_name(f"{self.log.stem}_controller.npz")
+        return beside(self.log, "controller")
 
     @property
     def _flag(self) -> Path:
@@ -153,18 +154,14 @@ class Loop:
         if not (self.log.exists() and self.controller_log.exists()):
             return [{} for _ in self.slices]
         measured, controlled = dict(np.load(self.log)), dict(np.load(self.controller_log))
-        heard = self.controller_log.with_name(f"{self.controller_log.stem}_heard.npz")
+        rows = _bridged if "seen" in controlled else _mirrored
+        samples = [rows(each, measured, controlled) for each in self.slices]
+        heard = beside(self.controller_log, "heard")
         if heard.exists():
             states = dict(np.load(heard))
-            return [
-                {**_bridged(each, measured, controlled), **_one_way(each, states)}
-                for each in self.slices
-            ]
-        if "seen" in controlled:
-            return [_bridged(each, measured, controlled) for each in self.slices]
-        if "stamp" in controlled:  # a driver's, of the monotonic clock
-            controlled["wall"] = controlled["end"] + (time.time_ns() - time.monotonic_ns())
-        return [_mirrored(each, measured, controlled) for each in self.slices]
+            for sample, each in zip(samples, self.slices):
+                sample.update(_one_way(each, states))
+        return samples
 
     def _process(self, command: list[str]) -> subprocess.Popen[bytes]:
         return subprocess.Popen(
@@ -232,12 +229,13 @@ def _one_way(each: Slice, heard: dict[str, Any]) -> dict[str, NDArray[np.float64
 def _mirrored(
     each: Slice, measured: dict[str, Any], controlled: dict[str, Any]
 ) -> dict[str, NDArray[np.float64]]:
-    local = "stamp" in controlled
-    ticks = each.holds(controlled["wall" if local else "end"])
+    row, since, to_wall = "send", "begin", 0
+    if "stamp" in controlled:  # a driver's, of the monotonic clock
+        row, since, to_wall = "state_to_command", "stamp", time.time_ns() - time.monotonic_ns()
+    ticks = each.holds(controlled["end"] + to_wall)
     arrived = each.holds(measured["received"])
     if not ticks.any() or not arrived.any():
         return {}
-    row, since = ("state_to_command", "stamp") if local else ("send", "begin")
     return {
         "mirror": (measured["received"] - measured["stamp"])[arrived] * 1e-3,
         row: (controlled["end"] - controlled[since])[ticks] * 1e-3,

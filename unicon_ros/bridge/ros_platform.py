@@ -171,8 +171,9 @@ class RosPlatform:
     def wait(self, timeout: float) -> bool:
         """Return True when the first topic of the map has a message, False after `timeout` [s]."""
         first = self._in[0]
-        if not first.prefetch():
-            self._wait_set.sleep(timeout)
+        if first.prefetch():
+            return True
+        self._wait_set.sleep(timeout)
         return first.prefetch()
 
     def arrivals(self) -> int:

@@ -15,7 +15,18 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["COMMAND", "IMU", "STATE", "Log", "Stop", "arguments", "nanoseconds", "set_stamp"]
+__all__ = [
+    "COMMAND",
+    "IMU",
+    "MIRROR",
+    "STATE",
+    "Log",
+    "Stop",
+    "arguments",
+    "beside",
+    "nanoseconds",
+    "set_stamp",
+]
 
 STATE, IMU, COMMAND, MIRROR = "joint_states", "imu/data", "joint_command", "mirror"
 
@@ -30,6 +41,11 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--variant", default="")
     parser.add_argument("--out", type=Path, required=True, help="log file, .npz")
     return parser.parse_args()
+
+
+def beside(log: Path, what: str) -> Path:
+    """Return the file of another log of the same pipeline."""
+    return log.with_name(f"{log.stem}_{what}.npz")
 
 
 def set_stamp(stamp: Any, time_ns: int) -> None:

@@ -20,6 +20,7 @@ from unicon_msgs_map import Decoder, parse_map
 from unicon_ros import compat
 from unicon_ros.bench.pipelines.log import MIRROR, Log, Stop, arguments, nanoseconds
 from unicon_ros.bench.pipelines.plain_nodes import qos
+from unicon_ros.bench.pipelines.workflows import joint_states_entry
 from unicon_ros.bridge.topics_in import TopicIn
 
 LONGEST = 0.1  # s of one wait, so that SIGTERM is heard
@@ -44,15 +45,7 @@ def main() -> None:
 
 
 def _bridge(node: Node, log: Log, joints: int, best_effort: bool) -> tuple[Step, Step]:
-    reliability = "best_effort" if best_effort else "reliable"
-    spec = parse_map(f"""
-subscribe:
-  - topic: {MIRROR}
-    type: sensor_msgs/msg/JointState
-    qos: {{reliability: {reliability}, depth: 1}}
-    fields: {{header.stamp: stamp_ns, name: $joint_names, position: joint_pos,
-             velocity: joint_vel, effort: joint_effort}}
-""").subscribe[0]
+    (spec,) = parse_map(f"subscribe:\n{joint_states_entry(MIRROR, best_effort)}").subscribe
     arrays: dict[str, Any] = {
         name: np.zeros(joints, np.float32) for name in ("joint_pos", "joint_vel", "joint_effort")
     }

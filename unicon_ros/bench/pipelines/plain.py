@@ -7,7 +7,7 @@ from typing import Any
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 
-from unicon_ros.bench.pipelines.log import Log, Stop, arguments
+from unicon_ros.bench.pipelines.log import Log, Stop, arguments, beside
 from unicon_ros.bench.pipelines.plain_nodes import PlainController, PlainRobot
 
 
@@ -18,9 +18,10 @@ def main() -> None:
     stop = Stop()
     received = Log(options.out, "stamp", "received")
     both = options.variant == "both"
-    controlled = options.out.with_name(f"{options.out.stem}_controller.npz")
-    sent = Log(controlled if both else options.out, "stamp", "seen", "begin", "end")
-    heard = Log(sent.path.with_name(f"{sent.path.stem}_heard.npz"), "stamp", "received")
+    sent = Log(
+        beside(options.out, "controller") if both else options.out, "stamp", "seen", "begin", "end"
+    )
+    heard = Log(beside(sent.path, "heard"), "stamp", "received")
     nodes: list[Any] = []
     if options.variant in ("robot", "both"):
         nodes.append(PlainRobot(options.joints, options.state_rate, options.best_effort, received))

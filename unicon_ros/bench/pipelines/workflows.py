@@ -6,7 +6,7 @@ from pathlib import Path
 
 from unicon_ros.bench.pipelines.log import COMMAND, IMU, MIRROR, STATE
 
-__all__ = ["write_bridged", "write_local"]
+__all__ = ["joint_states_entry", "write_bridged", "write_local"]
 
 PLATFORM = "unicon_ros.bridge.ros_platform:make"
 
@@ -49,16 +49,7 @@ def write_local(
     platform = "unicon_ros.bench.pipelines.local_platform:make"
     every = max(1, round(state_rate / rate))
     workflow = _workflow(platform, "", rate * every, "deadline", every)
-    reliability = "best_effort" if best_effort else "reliable"
-    mirror = f"""\
-publish:
-  - topic: {MIRROR}
-    type: sensor_msgs/msg/JointState
-    qos: {{reliability: {reliability}, depth: 1}}
-    fields: {{header.stamp: stamp_ns, name: $joint_names, position: joint_pos,
-             velocity: joint_vel, effort: joint_effort}}
-"""
-    return _written(folder, workflow, mirror)
+    return _written(folder, workflow, f"publish:\n{joint_states_entry(MIRROR, best_effort)}")
 
 
 def write_bridged(
@@ -74,15 +65,10 @@ def write_bridged(
     """
     _write_robot(folder, joints)
     workflow = _workflow(PLATFORM, f"'{PLATFORM}': {{map: ./robot.yaml}}", rate, trigger)
-    reliability = "best_effort" if best_effort else "reliable"
-    qos = f"{{reliability: {reliability}, depth: 1}}"
+    qos = _qos(best_effort)
     topics = f"""\
 subscribe:
-  - topic: {STATE}
-    type: sensor_msgs/msg/JointState
-    qos: {qos}
-    fields: {{header.stamp: stamp_ns, name: $joint_names, position: joint_pos,
-             velocity: joint_vel, effort: joint_effort}}
+{joint_states_entry(STATE, best_effort)}
   - topic: {IMU}
     type: sensor_msgs/msg/Imu
     qos: {qos}
@@ -95,6 +81,20 @@ publish:
     fields: {{header.stamp: stamp_ns, name: $joint_names, position: joint_pos_target}}
 """
     return _written(folder, workflow, topics)
+
+
+def joint_states_entry(topic: str, best_effort: bool) -> str:
+    """Return the map's entry of a topic that carries the measured joint states and their stamp."""
+    return f"""\
+  - topic: {topic}
+    type: sensor_msgs/msg/JointState
+    qos: {_qos(best_effort)}
+    fields: {{header.stamp: stamp_ns, name: $joint_names, position: joint_pos,
+             velocity: joint_vel, effort: joint_effort}}"""
+
+
+def _qos(best_effort: bool) -> str:
+    return f"{{reliability: {'best_effort' if best_effort else 'reliable'}, depth: 1}}"
 
 
 def _workflow(platform: str, options: str, rate: float, trigger: str, every: int = 1) -> str:
