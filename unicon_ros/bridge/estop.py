@@ -18,7 +18,10 @@ from unicon_core.flow import Block
 from unicon_ros import compat
 from unicon_ros.bridge.services import Answer, add_services
 
-__all__ = ["FAULT", "REFUSAL", "EmergencyStop"]
+__all__ = ["FAULT", "REFUSAL", "STOP_SERVICES", "EmergencyStop"]
+
+STOP_SERVICES = ("estop", "clear_estop")
+"""Names of the services, each `~/<name>` of type std_srvs/srv/Trigger."""
 
 FAULT = "emergency stop by the service ~/estop"
 REFUSAL = "the emergency stop is latched; call ~/clear_estop when it is safe to start again"
@@ -50,9 +53,8 @@ class EmergencyStop:
         self._running, self._warn = running, warn
         self._pressed_at = 0.0
         self._unanswered: list[Any] = []
-        handlers = {"estop": self.press, "clear_estop": self.clear}
-        self._services = add_services(node, handlers)
-        self._service = self._services[0]
+        handlers = dict(zip(STOP_SERVICES, (self.press, self.clear)))
+        self._service = add_services(node, handlers)[0]
         taking, self._let_go = compat.request_take(self._service)
         self.polled = taking is not None
         self._take: Callable[[], Any] = taking or _nothing
