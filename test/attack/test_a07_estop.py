@@ -5,7 +5,9 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
+from unittest.mock import MagicMock
 
 import pytest
 
@@ -13,6 +15,9 @@ pytest.importorskip("rclpy")
 
 from estop_platform import events
 from robot_host import Caller, Host, wait_for, write_workflow
+
+from unicon_core.errors import Fault
+from unicon_ros.bridge.estop import EmergencyStop
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]
 
@@ -65,13 +70,13 @@ def test_no_command_leaves_once_the_tick_of_the_press_is_over(
     answer = caller.wait(future)
     assert answer is not None
     assert answer.success
-    assert "latched until ~/clear_estop" in answer.message
     wait_for(lambda: events(log, "close"), "the damping")
     after = [stamp for stamp in events(log, "send") if stamp > pressed]
     tick = max(20.0, 1e3 * recv_s)
     # One command may be on its way, two more and 20 ms are for a machine that is busy otherwise.
     assert len(after) <= 3, [(stamp - pressed) / MS for stamp in after]
     assert (events(log, "close")[0] - pressed) / MS < 3 * tick + 20
+    assert "latched until ~/clear_estop" in answer.message
     if kind == "run":
         assert host.end() == 3
     else:
@@ -188,6 +193,53 @@ def test_nothing_clears_it_right_after_the_press_or_without_one(
     assert "call ~/clear_estop again" in answer.message
     assert not caller.call("start").success
     assert host.interrupt() == 0
+
+
+class NoNode:
+    """A node whose services nobody can call, and whose queue holds what `takes` says."""
+
+    def __init__(self, *takes: Any) -> None:
+        self.takes = list(takes)
+        self.sent: list[Any] = []
+
+    def create_service(self, kind: Any, name: str, callback: Any) -> Any:
+        def take(request: Any) -> tuple[Any, Any]:
+            taken = self.takes.pop(0) if self.takes else None
+            if isinstance(taken, Exception):
+                raise taken
+            return None, taken
+
+        handle = MagicMock()
+        handle.service_take_request = take
+        service = SimpleNamespace(handle=handle, srv_type=kind)
+        service.send_response = lambda response, header: self.sent.append(header)
+        return service
+
+
+def test_a_request_that_cannot_be_read_does_not_make_it_deaf() -> None:
+    told: list[str] = []
+    node = NoNode(RuntimeError("garbage"), RuntimeError("garbage"), "a press")
+    estop = EmergencyStop(node, lambda: True, told.append)
+    estop.look()
+    estop.look()
+    assert not estop.latched
+    with pytest.raises(Fault, match=FAULT):
+        estop.look()
+    assert len(told) == 1
+    assert "RuntimeError: garbage" in told[0]
+
+
+def test_a_press_is_answered_after_the_damping_and_only_once() -> None:
+    node = NoNode("first", None, "second")
+    estop = EmergencyStop(node, lambda: True)
+    with pytest.raises(Fault):
+        estop.look()
+    assert node.sent == []
+    close = estop.before_send().close
+    assert close is not None
+    close()
+    close()
+    assert node.sent == ["first", "second"]
 
 
 def test_diagnostics_tell_the_latch(start: Start, caller: Caller, tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -89,14 +90,32 @@ def test_a_build_that_raises_leaves_the_node_unconfigured(
     assert "no such port" in node.said
 
 
-def test_a_callback_that_raises_in_an_idle_node_is_told(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_a_service_that_raises_answers_with_the_reason() -> None:
+    from std_srvs.srv import Trigger
+
+    from unicon_ros.bridge.services import add_services
+
+    made: list[Any] = []
+    node = SimpleNamespace(
+        create_service=lambda kind, name, callback: made.append(callback),
+        get_logger=lambda: SimpleNamespace(error=lambda text: None),
+    )
+
+    def act() -> tuple[bool, str]:
+        raise ValueError("mine")
+
+    add_services(node, {"act": act})
+    response = made[0](Trigger.Request(), Trigger.Response())
+    assert not response.success
+    assert response.message == "~/act failed: ValueError: mine"
+
+
+def test_a_callback_that_raises_in_an_idle_node_does_not_end_it() -> None:
+    import rclpy
+
     from unicon_ros.node import UniconNode
 
     context = Context()
-    import rclpy
-
     rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
     executor = SingleThreadedExecutor(context=context)
     mine = Node("mine", context=context)

@@ -16,7 +16,7 @@ from typing import Any
 from unicon_core.errors import Fault
 from unicon_core.flow import Block
 from unicon_ros import compat
-from unicon_ros.bridge.services import Answer, add_services
+from unicon_ros.bridge.services import Answer, add_services, explained
 
 __all__ = ["FAULT", "REFUSAL", "STOP_SERVICES", "EmergencyStop"]
 
@@ -51,6 +51,7 @@ class EmergencyStop:
     ) -> None:
         self.latched = False
         self._running, self._warn = running, warn
+        self._failed = False
         self._pressed_at = 0.0
         self._unanswered: list[Any] = []
         handlers = dict(zip(STOP_SERVICES, (self.press, self.clear)))
@@ -87,12 +88,13 @@ class EmergencyStop:
         """Take a request, if there is one, and latch; it is answered later."""
         try:
             header = self._take()
-        except Exception as error:  # the middleware is gone; nobody can call any more
-            self._take = _nothing
-            self._warn(
-                f"~/estop cannot be heard any more ({' '.join(str(error).split())}); "
-                "stop by a signal, such as Ctrl-C"
-            )
+        except Exception as error:  # garbage in the queue, or the middleware is gone: listen on
+            if not self._failed:
+                self._failed = True
+                self._warn(
+                    f"~/estop could not be looked at ({explained(error)}); it is tried "
+                    "again in every tick, but a signal such as Ctrl-C is a surer way to stop"
+                )
             return
         if header is not None:
             self._unanswered.append(header)
