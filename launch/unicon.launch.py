@@ -1,10 +1,14 @@
 """Starts unicon_node with a workflow, for `ros2 launch unicon_ros unicon.launch.py`.
 
+Everything is decided before anything starts, so that a wrong argument or a missing program never
+leaves a controller behind; and the node damps and ends when this launch ends, however it does.
+
 `rviz:=true` opens RViz beside it. `remap` takes ROS's own notation, several separated by spaces:
 `remap:="cmd_vel:=teleop/cmd_vel joint_states:=robot/joint_states"`. Several robots, each in a
 `namespace`, share /tf: give each its `frame_prefix`, as `namespace:=robot1 frame_prefix:=robot1/`.
 """
 
+import os
 import tempfile
 from pathlib import Path
 
@@ -61,9 +65,28 @@ def rviz_config(prefix: str) -> Path:
     return path
 
 
+def refuse_missing(package: str, executable: str, remedy: str) -> None:
+    """Raise a RuntimeError where launch would not find an executable of a package.
+
+    Launch itself notices only when it comes to start it, with other processes running already, and
+    may then lose those.
+    """
+    prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+    paths = [Path(prefix, "lib", package, executable) for prefix in prefixes if prefix]
+    if not any(os.access(path, os.X_OK) for path in paths):
+        raise RuntimeError(
+            f"no executable {executable!r} of package {package!r} in AMENT_PREFIX_PATH; {remedy}"
+        )
+
+
 def nodes(context: LaunchContext) -> list[Node]:
-    """Return the nodes to start, once the arguments have their values."""
+    """Return the nodes to start, once the arguments have their values and all is there."""
     value = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+    rviz = truth(value["rviz"], "rviz")
+    if rviz:
+        distro = os.environ.get("ROS_DISTRO", "<distro>")
+        install = f"sudo apt install ros-{distro}-rviz2"
+        refuse_missing("rviz2", "rviz2", f"install it ({install}), or leave rviz:=true out")
     use_sim_time = truth(value["use_sim_time"], "use_sim_time")
     parameters = {
         "workflow": ParameterValue(value["workflow"], value_type=str),
@@ -80,6 +103,8 @@ def nodes(context: LaunchContext) -> list[Node]:
             name="unicon",
             namespace=value["namespace"],
             parameters=[parameters],
+            # Launch leaves its processes running when it is killed, or gets SIGTERM (systemd does).
+            arguments=["--end-with", str(os.getpid())],
             remappings=remaps(value["remap"]),
             output="screen",
             # The node damps the motors on SIGINT: give it time before the harder signals.
@@ -87,7 +112,7 @@ def nodes(context: LaunchContext) -> list[Node]:
             sigkill_timeout="10",
         )
     ]
-    if truth(value["rviz"], "rviz"):
+    if rviz:
         started.append(
             Node(
                 package="rviz2",

@@ -11,6 +11,7 @@ import sys
 import threading
 from collections.abc import Callable
 from queue import SimpleQueue
+from typing import Generic, TypeVar
 
 __all__ = ["Outlet", "to_stderr"]
 
@@ -18,7 +19,10 @@ CAPACITY = 256
 """Lines that may wait."""
 
 
-class Outlet:
+Line = TypeVar("Line")
+
+
+class Outlet(Generic[Line]):
     """A function that takes lines and returns at once.
 
     Args:
@@ -29,14 +33,14 @@ class Outlet:
         dropped: lines that were lost, since the sink blocked or failed.
     """
 
-    def __init__(self, sink: Callable[[str], object], capacity: int = CAPACITY) -> None:
+    def __init__(self, sink: Callable[[Line], object], capacity: int = CAPACITY) -> None:
         self._sink, self._capacity = sink, capacity
         # `put` of a SimpleQueue never blocks and may be called by signal handlers.
-        self._lines: SimpleQueue[str | threading.Event | None] = SimpleQueue()
+        self._lines: SimpleQueue[Line | threading.Event | None] = SimpleQueue()
         self._thread: threading.Thread | None = None
         self.dropped = 0
 
-    def __call__(self, line: str) -> None:
+    def __call__(self, line: Line) -> None:
         """Hand a line over; never blocks, never raises."""
         if self._lines.qsize() >= self._capacity:
             self.dropped += 1

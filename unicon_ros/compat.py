@@ -22,6 +22,7 @@ from unicon_core.errors import MissingDependencyError, UniconError
 __all__ = [
     "Responses",
     "ReusedWaitSet",
+    "answer_refused_transitions",
     "fast_dds_profiles",
     "import_rclpy",
     "imported_first",
@@ -30,6 +31,7 @@ __all__ = [
     "polled_group",
     "raw_publish",
     "raw_take",
+    "request_take",
     "serve_one",
     "wait_for_readers",
     "with_events",
@@ -82,6 +84,35 @@ def fast_dds_profiles() -> str | None:
     except OSError:  # not Linux
         newer = False
     return "FASTDDS_DEFAULT_PROFILES_FILE" if newer else "FASTRTPS_DEFAULT_PROFILES_FILE"
+
+
+def answer_refused_transitions(node: Any, told: Callable[[Exception], None]) -> None:
+    """Let a lifecycle node answer `success=False` where rclpy raises at a transition.
+
+    rclpy answers so for a label that it does not know, and raises for every other transition that
+    is not registered or not allowed in the present state: an idle node ends, an active one never
+    answers.
+
+    Args:
+        node: lifecycle node.
+        told: takes what was raised.
+    """
+    from lifecycle_msgs.srv import ChangeState
+
+    def guarded(callback: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+        def answer(request: Any, response: Any) -> Any:
+            try:
+                return callback(request, response)
+            except Exception as error:  # rclpy's RCLError
+                told(error)
+                response.success = False
+                return response
+
+        return answer
+
+    for service in node.services:
+        if service.srv_type is ChangeState:
+            service.callback = guarded(service.callback)
 
 
 def message_class(name: str) -> Any:
@@ -208,6 +239,27 @@ def raw_take(subscription: Any) -> tuple[Callable[[], bytes | None] | None, Call
     return poll, lambda: leave(None, None, None)
 
 
+def request_take(service: Any) -> tuple[Callable[[], Any] | None, Callable[[], None]]:
+    """Return a function that takes one request's header or None, and one that lets go.
+
+    For services whose requests say nothing but that they came. A request is given once, here or to
+    an executor. Without the private way the first function is None, as with `raw_take`. Where
+    nothing came it takes 1 to 2 µs warm, 55 after caches were swept.
+    """
+    handle = getattr(service, "handle", None)
+    take = getattr(handle, "service_take_request", None)
+    enter, leave = getattr(handle, "__enter__", None), getattr(handle, "__exit__", None)
+    if not (callable(take) and callable(enter) and callable(leave)):
+        return None, lambda: None
+    enter()
+    request = service.srv_type.Request
+
+    def poll() -> Any:
+        return take(request)[1]
+
+    return poll, lambda: leave(None, None, None)
+
+
 def serve_one(executor: Any) -> Callable[[], bool]:
     """Return a function that runs one ready callback without waiting; False if there was none.
 
@@ -306,9 +358,14 @@ class Responses:
                 self.dropped += 1
 
     def release(self) -> None:
-        """Let services answer by themselves again: no ticks are in the way any more."""
+        """Let services answer by themselves again: no ticks are in the way any more.
+
+        What is still kept is waited for, at most as long as in ticks.
+        """
         self.retry()
-        self._kept = []
+        while self._kept:
+            time.sleep(0.005)
+            self.retry()
         for service in self._wrapped.values():
             service.__dict__.pop("send_response", None)
         self._wrapped = {}

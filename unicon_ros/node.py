@@ -2,7 +2,8 @@
 
 unconfigured → configure (builds the workflow) → inactive → activate (ticks) → active. When the flow
 is done, `~/stop` is called or a block trips, the platform damps and closes and the node is inactive
-again; `~/start` or activate builds the workflow anew and runs it.
+again; `~/start` or activate builds the workflow anew and runs it, unless `~/estop` was pressed and
+not cleared. Whatever raises in a build, a run or a callback is told, and the node lives on.
 
 Ticks run in the thread that calls `spin`. While active, the executor is served in the slack between
 ticks only; otherwise as usual. To share a process and an executor with nodes of your own:
@@ -14,19 +15,24 @@ ticks only; otherwise as usual. To share a process and an executor with nodes of
 
 from __future__ import annotations
 
-import signal
 from collections.abc import Callable
 from typing import Any
 
 from rclpy.clock import Clock, ClockType
+from rclpy.executors import ExternalShutdownException
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
 from unicon_core.errors import UniconError
 from unicon_core.runtime import Runner, RunOptions
+from unicon_core.signals import SIGNALS
 from unicon_core.workflow import Hook, load_workflow
+from unicon_ros import compat
 from unicon_ros.bridge import RosSession
-from unicon_ros.bridge.controls import SERVICES, Answer, add_services
+from unicon_ros.bridge.controls import SERVICES
 from unicon_ros.bridge.diagnostics import Diagnostics
+from unicon_ros.bridge.estop import FAULT, EmergencyStop
+from unicon_ros.bridge.node_log import NodeLog
+from unicon_ros.bridge.services import Answer, add_services, explained
 from unicon_ros.bridge.tuning import Tuning
 from unicon_ros.parameters import Parameters
 
@@ -45,6 +51,8 @@ class UniconNode(LifecycleNode):
     Attributes:
         runner: the present or last run; None before the first.
         session: its bridge; None before the first.
+        log: what it says; no tick waits for it.
+        estop: its emergency stop, which stays latched from run to run.
         error: why the last transition failed, one line; "" if it did not.
         fault: why the last run was cut off, one line; "" if it was not.
     """
@@ -63,8 +71,12 @@ class UniconNode(LifecycleNode):
         handlers: dict[str, Callable[[], Answer]] = {
             word: getattr(self, f"_{word}", None) or self._delegate(word) for word in SERVICES
         }
-        self._own_services = add_services(self, handlers)
-        self.diagnostics = Diagnostics(self)
+        # Before all other services, so that it is served first of those that came together.
+        self.log = NodeLog(self.get_logger())
+        self.estop = EmergencyStop(self, lambda: self._running, self.log.warning)
+        add_services(self, handlers, self.log.error)
+        compat.answer_refused_transitions(self, self._transition_refused)
+        self.diagnostics = Diagnostics(self, self.estop)
         # The steady clock, so that diagnostics come even where nobody publishes /clock.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = self.create_timer(1.0, self.diagnostics.publish, clock=steady)
@@ -72,23 +84,29 @@ class UniconNode(LifecycleNode):
     # -- the host's loop ------------------------------------------------------------------------
 
     def spin(self, executor: Any) -> int:
-        """Run until SIGINT, SIGTERM or a shutdown; return the exit status: 0, 1 bad input, 3 fault.
+        """Run until a signal or a shutdown; return the exit status: 0, 1 bad input, 3 fault.
 
         Args:
             executor: that this node (and others) was added to.
         """
         self._executor = executor
-        with _Signals(self._end):
+        # A second signal damps at once, in the middle of a tick or of a build.
+        with SIGNALS, SIGNALS.guard(self._end, self._damp_now):
+            self._ending |= bool(SIGNALS.asked)
             try:
                 if self.settings.autostart and not self._autostart():
-                    return 1
+                    if not self.estop.latched:
+                        return 1
+                    self.fault = self.diagnostics.fault = FAULT  # pressed during the build
+                    if self.settings.exit_on_fault:
+                        return 3
                 while not self._ending and self.context.ok():
                     if self._wanted:
                         self._run()
                         if self.fault and self.settings.exit_on_fault:
                             return 3
                     else:
-                        executor.spin_once(0.1)
+                        self._serve(executor)
             finally:
                 self._release()
         return 0
@@ -100,8 +118,22 @@ class UniconNode(LifecycleNode):
         self._starting = False
         return started
 
+    def _serve(self, executor: Any) -> None:
+        """Wait for a callback and run it."""
+        try:
+            executor.spin_once(0.1)
+        except ExternalShutdownException:
+            self._ending = True
+        except Exception as error:  # of a callback, ours or that of a node beside us
+            self.log.error(f"a ROS callback failed: {explained(error)}")
+
     def _end(self) -> None:
         self._ending = True
+
+    def _damp_now(self) -> bool:
+        """Close the workflow that is open, if it is not running: a run closes itself."""
+        runner = self.runner
+        return runner is not None and not self._running and runner.workflow.damp_now()
 
     def _run(self) -> None:
         """Tick until something ends the run, then let the lifecycle follow."""
@@ -117,26 +149,29 @@ class UniconNode(LifecycleNode):
         self._running, self._fresh, self.fault = True, False, ""
         self.diagnostics.fault = ""
         self.diagnostics.runner = runner
-        self.get_logger().info(
+        self.log.info(
             f"running {runner.workflow.name} on {runner.workflow.robot.name} "
             f"({runner.workflow.platform.name}) at {1.0 / runner.workflow.period:g} Hz"
         )
         try:
             report = runner.run()
+            faults = report.faults
+            counts = session.counts()
+            self.log.info(
+                f"ended after {report.ticks} ticks, {report.overruns} overruns; "
+                f"published {counts['published']}, received {counts['received']}"
+            )
+        except Exception as error:  # the runner damps and closes whatever raises
+            faults = [*runner.faults, explained(error)]
         finally:
             self._running = False
             self.diagnostics.runner = None
             session.controls.runner = None
             session.slack.rest()
         self._ending |= runner.interrupted
-        if report.faults:
-            self.fault = self.diagnostics.fault = report.faults[0]
-            self.get_logger().error(f"fault: {self.fault}")
-        counts = session.counts()
-        self.get_logger().info(
-            f"ended after {report.ticks} ticks, {report.overruns} overruns; "
-            f"published {counts['published']}, received {counts['received']}"
-        )
+        if faults:
+            self.fault = self.diagnostics.fault = "; ".join(faults)
+            self.log.error(f"fault: {self.fault}")
         if self._activations == activation:  # nobody activated it again meanwhile
             self._wanted = False
             if self._label() == "active":
@@ -151,8 +186,14 @@ class UniconNode(LifecycleNode):
         return SUCCESS if self._build() else FAILURE
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Begin to tick; after a run the workflow is built anew."""
-        if not self._running and not self._fresh and not self._build():
+        """Begin to tick, unless ~/estop is latched; after a run the workflow is built anew."""
+        refused = self.estop.refusal()
+        if not refused and not self._running and not self._fresh and not self._build():
+            return FAILURE
+        refused = refused or self.estop.refusal()  # a build takes its time
+        if refused:
+            self.error = refused
+            self.log.error(f"not activated: {refused}")
             return FAILURE
         self._activations += 1
         self._wanted = True
@@ -175,29 +216,42 @@ class UniconNode(LifecycleNode):
         self._ending = True
         return SUCCESS
 
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Let everything go after a transition that raised; the node is unconfigured then."""
+        self._halt()
+        if not self._running:
+            self._release()
+        return SUCCESS
+
+    def destroy_node(self) -> None:
+        """Let the services go, then the node."""
+        self.estop.close()
+        self.log.close()
+        super().destroy_node()
+
     def _halt(self) -> None:
         self._wanted = False
         if self.runner is not None and self._running:
             self.runner.stop()
 
     def _build(self) -> bool:
-        """Build workflow, bridge and runner; on bad input tell it and return False."""
+        """Build workflow, bridge and runner; what goes wrong is told, and False returned."""
         self._release()
         self.error = ""
         try:
             self._build_or_raise()
-        except UniconError as error:
+        except Exception as error:
             self._release()
-            self.error = str(error)
+            self.error = str(error) if isinstance(error, UniconError) else explained(error)
             if not self._starting:
-                self.get_logger().error(self.error)
+                self.log.error(self.error)
             return False
         self._fresh = True
         return True
 
     def _build_or_raise(self) -> None:
         settings = self.settings
-        warn = self.get_logger().warning
+        warn = self.log.warning
         document = settings.document()
         map_name = settings.map or document.get("map", str)
         session = self.session = RosSession(
@@ -206,6 +260,7 @@ class UniconNode(LifecycleNode):
             frame_prefix=settings.frame_prefix,
             node=self,
             executor=self._executor,
+            estop=self.estop,
         )
         observers: list[Hook] = [session.observers]
         if settings.record:
@@ -219,7 +274,6 @@ class UniconNode(LifecycleNode):
             observers=observers,
         )
         try:
-            self.tuning.insert(workflow)
             self.runner = Runner(workflow, RunOptions(speed=settings.speed, warn=warn))
         except BaseException:
             workflow.close()
@@ -229,11 +283,14 @@ class UniconNode(LifecycleNode):
 
     def _release(self) -> None:
         """Close what was built; the platform damps first."""
-        if self.runner is not None:
-            self.runner.close()
-        if self.session is not None:
-            self.session.close()
+        runner, session = self.runner, self.session
         self.runner, self.session, self._fresh = None, None, False
+        for what in (runner, session):
+            try:
+                if what is not None:
+                    what.close()
+            except Exception as error:  # everything is closed, and each error told
+                self.log.error(f"closing failed: {explained(error)}")
         self.diagnostics.outgoing, self.diagnostics.incoming = [], []
 
     def _label(self) -> str:
@@ -243,13 +300,21 @@ class UniconNode(LifecycleNode):
         try:
             return bool(transition() == SUCCESS)
         except Exception as error:  # rclpy's RCLError: not allowed in this state
-            self.get_logger().warning(f"transition refused: {' '.join(str(error).split())}")
+            self._transition_refused(error)
             return False
+
+    def _transition_refused(self, error: Exception) -> None:
+        """Tell of a transition that another process asked for and rclpy raised at."""
+        reason = " ".join(str(error).split()).split(", at /")[0]
+        self.log.warning(f"transition refused in state {self._label()!r}: {reason}")
 
     # -- services -------------------------------------------------------------------------------
 
     def _start(self) -> Answer:
         """Configure and activate as needed; after a pause go on."""
+        refused = self.estop.refusal()
+        if refused:
+            return False, refused
         if self._label() == "active":
             return self._delegate("start")()
         if self._label() == "unconfigured" and not self._change(self.trigger_configure):
@@ -266,22 +331,3 @@ class UniconNode(LifecycleNode):
             return answer
 
         return act
-
-
-class _Signals:
-    """Calls a function on SIGINT and SIGTERM, where handlers may be set."""
-
-    def __init__(self, action: Callable[[], None]) -> None:
-        self._action = action
-        self._before: dict[int, Any] = {}
-
-    def __enter__(self) -> None:
-        try:
-            for number in (signal.SIGINT, signal.SIGTERM):
-                self._before[number] = signal.signal(number, lambda *_: self._action())
-        except ValueError:  # not the main thread: the process handles signals
-            pass
-
-    def __exit__(self, *_: object) -> None:
-        for number, before in self._before.items():
-            signal.signal(number, before)

@@ -6,19 +6,24 @@ parameter `exit_on_fault`.
 
 from __future__ import annotations
 
+import ctypes
+import os
+import signal
 import sys
 from collections.abc import Sequence
 from typing import Any
 
 from unicon_core.errors import UniconError
+from unicon_core.signals import SIGNALS, Interrupted
 from unicon_ros import compat
 
 __all__ = ["main"]
 
 USAGE = """\
-usage: unicon_node --ros-args -p workflow:=NAME [-p name:=value …] [-r from:=to …]
+usage: unicon_node [--end-with PID] --ros-args -p workflow:=NAME [-p name:=value …] [-r from:=to …]
 
-Runs a workflow as a ROS 2 lifecycle node. Parameters, with descriptions and ranges:
+Runs a workflow as a ROS 2 lifecycle node. With --end-with it gets SIGTERM, which damps, when the
+process that started it (its id is PID) ends. Parameters, with descriptions and ranges:
   ros2 param describe /unicon PARAMETER, or unicon_ros/parameters.py.
 """
 
@@ -29,22 +34,49 @@ def main(args: Sequence[str] | None = None) -> int:
     Args:
         args: command line without the program's name; that of the process if None.
     """
-    arguments = list(sys.argv[1:] if args is None else args)
+    with SIGNALS:  # before anything is imported or opened
+        return _main(list(sys.argv[1:] if args is None else args))
+
+
+def _main(arguments: list[str]) -> int:
     try:
         rclpy = compat.import_rclpy("unicon_node")
         own = _without_ros(rclpy, arguments)
         if own:
+            if own[0] == "--end-with" and len(own) == 2 and own[1].isdecimal():
+                _end_with(int(own[1]))
+                return _spin(rclpy, arguments)
             if own[0] in ("-h", "--help"):
                 print(USAGE, end="")
                 return 0
             print(f"unicon_node: unknown argument {own[0]!r}\n{USAGE}", end="", file=sys.stderr)
             return 2
         return _spin(rclpy, arguments)
-    except KeyboardInterrupt:  # before anything moved
+    except Interrupted:  # while building: nothing has moved, and all is closed
         return 0
     except UniconError as error:
         print(f"unicon_node: error: {error}", file=sys.stderr)
         return 1
+
+
+def _end_with(parent: int) -> None:
+    """Let the kernel send us SIGTERM when our parent ends, by whatever signal.
+
+    Raises:
+        UniconError: that process is not our parent, or not any more.
+    """
+    set_parent_death_signal = 1  # PR_SET_PDEATHSIG, linux/prctl.h
+    try:
+        status = ctypes.CDLL(None).prctl(set_parent_death_signal, signal.SIGTERM)
+    except AttributeError:  # not Linux
+        status = -1
+    if status != 0:
+        raise UniconError("--end-with: this system has no prctl(PR_SET_PDEATHSIG); leave it out")
+    if os.getppid() != parent:
+        raise UniconError(
+            f"--end-with {parent}: that process has ended, or is not the one that started this "
+            f"({os.getppid()}); nothing was started"
+        )
 
 
 def _without_ros(rclpy: Any, arguments: list[str]) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any, Literal
 
@@ -12,8 +13,9 @@ from rcl_interfaces.msg import (
     SetParametersResult,
 )
 
+from unicon_core.errors import UniconError
 from unicon_core.workflow.document import WorkflowDocument, load_document
-from unicon_ros.bridge.tuning import NO_LIMIT, Tuning
+from unicon_ros.bridge.tuning import NO_LIMIT, Tuning, too_little_damping
 
 __all__ = ["Parameters"]
 
@@ -39,14 +41,25 @@ DECLARED: tuple[tuple[str, Any, str], ...] = (
     ("autostart", True, "configure and activate at start"),
     ("exit_on_fault", False, "end the process with status 3 after a fault"),
 )
-RANGED: tuple[tuple[str, float, float, str], ...] = (
-    ("rate", 0.0, 10_000.0, f"ticks per second in [Hz], 0: the workflow's own; {AT_CONFIGURE}"),
-    ("stiffness_scale", 1.0, 2.0, "factor of all joint stiffnesses, at once"),
-    ("damping_scale", 1.0, 5.0, "factor of all joint dampings, at once"),
-    ("max_vx", NO_LIMIT, NO_LIMIT, "largest forward and backward command in [m/s], at once"),
-    ("max_vy", NO_LIMIT, NO_LIMIT, "largest sideward command in [m/s], at once"),
-    ("max_wz", NO_LIMIT, NO_LIMIT, "largest turning command in [rad/s], at once"),
+RANGED: tuple[tuple[str, float, tuple[float, float], str], ...] = (
+    (
+        "rate",
+        0.0,
+        (0.0, 10_000.0),
+        f"ticks per second in [Hz], 0: the workflow's own; {AT_CONFIGURE}",
+    ),
+    ("stiffness_scale", 1.0, (0.0, 2.0), "factor of all joint stiffnesses, at once"),
+    (
+        "damping_scale",
+        1.0,
+        (0.1, 5.0),
+        "factor of all joint dampings, at once; at least 0.5 √stiffness_scale",
+    ),
+    ("max_vx", NO_LIMIT, (0.0, NO_LIMIT), "largest |forward command| in [m/s], at once"),
+    ("max_vy", NO_LIMIT, (0.0, NO_LIMIT), "largest |sideward command| in [m/s], at once"),
+    ("max_wz", NO_LIMIT, (0.0, NO_LIMIT), "largest |turning command| in [rad/s], at once"),
 )
+SCALES = ("stiffness_scale", "damping_scale")
 LIMITS = ("max_vx", "max_vy", "max_wz")
 WORDS = {"speed": ("real", "max")}
 
@@ -57,6 +70,9 @@ class Parameters:
     Args:
         node: rclpy node.
         tuning: gets the numbers that may change while ticks run.
+
+    Raises:
+        UniconError: numbers that were given at start do not go together.
     """
 
     def __init__(self, node: Any, tuning: Tuning) -> None:
@@ -68,13 +84,17 @@ class Parameters:
             if name in WORDS:
                 descriptor.additional_constraints = f"one of {', '.join(WORDS[name])}"
             node.declare_parameter(name, value, descriptor)
-        for name, number, highest, description in RANGED:
-            span = FloatingPointRange(from_value=0.0, to_value=highest, step=0.0)
+        for name, number, (lowest, highest), description in RANGED:
+            span = FloatingPointRange(from_value=lowest, to_value=highest, step=0.0)
             descriptor = ParameterDescriptor(
                 name=name, description=description, floating_point_range=[span]
             )
             node.declare_parameter(name, number, descriptor)
-        self._apply({name: self._value(name) for name, *_ in RANGED})
+        given = {name: self._value(name) for name, *_ in RANGED}
+        refusal = self._refusal(given)
+        if refusal:
+            raise UniconError(refusal)
+        self._apply(given)
         node.add_on_set_parameters_callback(self._set)
 
     def _value(self, name: str) -> Any:
@@ -138,8 +158,23 @@ class Parameters:
             if words and parameter.value not in words:
                 reason = f"{parameter.name} is one of {', '.join(words)}, not {parameter.value!r}"
                 return SetParametersResult(successful=False, reason=reason)
-        self._apply({parameter.name: parameter.value for parameter in parameters})
+        values = {parameter.name: parameter.value for parameter in parameters}
+        refusal = self._refusal(values)
+        if refusal:
+            return SetParametersResult(successful=False, reason=refusal)
+        self._apply(values)
         return SetParametersResult(successful=True)
+
+    def _refusal(self, values: dict[str, Any]) -> str:
+        """Return why these numbers cannot be set together with the present ones, or ""."""
+        for name, *_ in RANGED:
+            if not math.isfinite(values.get(name, 0.0)):
+                return f"{name} is {values[name]}; give a finite number"
+        if values.keys().isdisjoint(SCALES):
+            return ""
+        return too_little_damping(
+            *(values.get(name, getattr(self._tuning, name)) for name in SCALES)
+        )
 
     def _apply(self, values: dict[str, Any]) -> None:
         tuning = self._tuning

@@ -97,9 +97,10 @@ def test_every_topic_of_the_default_map_is_in_the_table_with_its_type() -> None:
 
 def test_every_service_is_in_the_table() -> None:
     from unicon_ros.bridge.controls import SERVICES
+    from unicon_ros.bridge.estop import STOP_SERVICES
 
     rows = re.findall(r"^\| `~/.*?\|", text_of("README.md"), re.MULTILINE)
-    assert set(re.findall(r"~/(\w+)", "".join(rows))) == set(SERVICES)
+    assert set(re.findall(r"~/(\w+)", "".join(rows))) == {*SERVICES, *STOP_SERVICES}
 
 
 def test_every_parameter_of_the_node_is_in_the_table() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -51,7 +52,13 @@ def test_the_node_starts_alone_by_default(launch_file: ModuleType) -> None:
     assert [node.node_executable for node in started(launch_file)] == ["unicon_node"]
 
 
-def test_rviz_starts_with_our_view(launch_file: ModuleType) -> None:
+def test_rviz_starts_with_our_view(
+    launch_file: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    program = tmp_path / "lib" / "rviz2" / "rviz2"
+    program.parent.mkdir(parents=True)
+    program.touch(0o755)
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
     assert [n.node_executable for n in started(launch_file, rviz="true")][1:] == ["rviz2"]
     assert launch_file.RVIZ_CONFIG.is_file()
 

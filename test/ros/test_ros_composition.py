@@ -81,7 +81,7 @@ def test_diagnostics_tell_rate_overruns_topics_and_then_the_fault(
     robot = UniconNode(context=context, parameter_overrides=overrides)
     executor.add_node(robot)
     teleop.robot = robot
-    teleop.create_timer(2.5, lambda: robot.session and robot.session.controls.estop())
+    teleop.create_timer(2.5, lambda: robot.session and robot.estop.press())
     assert robot.spin(executor) == 0
     statuses = [status for array in teleop.diagnostics for status in array.status]
     running = [status for status in statuses if status.message != "inactive"]
@@ -95,7 +95,11 @@ def test_diagnostics_tell_rate_overruns_topics_and_then_the_fault(
     assert float(values["/joint_states hz"]) > 0.0
     assert "/cmd_vel hz" in values
     assert statuses[-1].level == b"\x02"
-    assert statuses[-1].message == "emergency stop by the service ~/estop"
+    assert statuses[-1].message == (
+        "emergency stop by the service ~/estop; latched until ~/clear_estop"
+    )
+    values = {value.key: value.value for value in statuses[-1].values}
+    assert values["estop"] == "latched"
     executor.shutdown()
     robot.destroy_node()
     teleop.destroy_node()

@@ -82,8 +82,9 @@ def test_lifecycle_is_clean_in_every_order(nodes: Start, peers: Start, react: Pa
         "?",
         "start",
         "estop",
-        "wait=0.3",
+        "wait=0.6",
         "?",
+        "clear_estop",
         "start",
         "+shutdown",
     ]

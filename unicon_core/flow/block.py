@@ -21,7 +21,7 @@ __all__ = ["Access", "Amends", "Block", "Bundle", "Reads", "Role", "Tick", "Writ
 Tick: TypeAlias = Callable[[], object]
 """A parameter-less function; a true result means done."""
 
-Role = Literal["", "recv", "send", "safety"]
+Role = Literal["", "recv", "tune", "safety", "send"]
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,8 @@ class Block:
         dry_run: the same arithmetic on scratch memory, called shortly before the deadline to warm
             the caches; changes nothing observable; or None.
         close: called once at the end, in reverse order of building, or None.
-        role: what the graph check needs to know: `recv`, `send`, `safety` or nothing.
+        role: what the graph check needs to know: `recv`, `send`, `safety`, or `tune` for what
+            changes commands at the host's wish, between flow and safety; or nothing.
         where: `file:line` of its declaration, for messages.
         endless: True where the block can never be done; what it returns is not even looked at.
         expects: what it needs states to be: name to `shape`, `dtype`, `unit` or `frame`.

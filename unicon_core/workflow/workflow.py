@@ -37,7 +37,11 @@ from unicon_core.workflow.rehearsal import Rehearsal
 __all__ = ["Hook", "Workflow", "build_workflow", "load_workflow"]
 
 Hook = Callable[["Workflow"], Sequence[Block]]
-"""Builds blocks once states and platform exist: a bridge, a recorder, a viewer."""
+"""Builds blocks once states and platform exist: a bridge, a recorder, a viewer.
+
+Blocks of an `inputs` hook run before the flow, but those of role `tune` between flow and safety,
+and those of role `safety` behind the workflow's own safety, as the last before `send`.
+"""
 
 GIVEN = ("tick", "velocity_command", "joint_vel_target", "joint_effort_ff")
 """States that may be read though no block writes them: the runner does, or zero is meant."""
@@ -56,8 +60,8 @@ class Workflow:
         states: all states.
         period: tick period in [s].
         policies: name to policy contract.
-        root: the whole tree: recv, commands, inputs, flow, safety, send, deferred; what the
-            command does not depend on is put off, and neighbouring copies are fused.
+        root: the whole tree: recv, commands, inputs, flow, tuning, safety, send, deferred; what
+            the command does not depend on is put off, and neighbouring copies are fused.
         critical: the blocks that the command depends on.
         blocks: all blocks in order of building, for closing.
         gate: what every command passes last.
@@ -125,7 +129,7 @@ def load_workflow(
     Args:
         name_or_path: a name in `config/workflows/`, or a path.
         overrides: `path=value` texts as of `--set`, or a mapping.
-        inputs: hooks whose blocks run after `commands:` and before `flow:`.
+        inputs: hooks whose blocks run after `commands:` and before `flow:`, or where `Hook` says.
         observers: hooks whose blocks run after `send`.
 
     Raises:
@@ -185,6 +189,9 @@ def _assemble(workflow: Workflow, inputs: Sequence[Hook], observers: Sequence[Ho
         return blocks
 
     before = hooked(inputs)
+    tuning = [block for block in before if block.role == "tune"]
+    last = [block for block in before if block.role == "safety"]
+    before = [block for block in before if block not in tuning and block not in last]
     observed = [Deferred(block) for block in hooked(observers)]
     platform = workflow.platform
     recv = Block("recv", platform.recv, writes=tuple(platform.writes), role="recv")
@@ -192,7 +199,7 @@ def _assemble(workflow: Workflow, inputs: Sequence[Hook], observers: Sequence[Ho
     send = Block(
         "send", workflow.gate.before(platform.send), reads=tuple(platform.reads), role="send"
     )
-    acting = (recv, *commands, *before, flow, *safety, send, *after)
+    acting = (recv, *commands, *before, flow, *tuning, *safety, *last, send, *after)
     # Observers only look: what they would find missing is no reason not to run.
     raise_first(check_graph(Zip(*acting), workflow.states, given=GIVEN))
     path = critical_path(Zip(*acting, *observed))

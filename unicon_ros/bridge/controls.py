@@ -1,20 +1,18 @@
-"""Controls: what the services start, stop, estop, reset, pause and step do to a workflow."""
+"""Controls: what the services start, stop, reset, pause and step do to a workflow."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import Any
 
-from unicon_core.errors import Fault
 from unicon_core.runtime import Runner
+from unicon_ros.bridge.estop import EmergencyStop
+from unicon_ros.bridge.services import Answer
 
-__all__ = ["SERVICES", "Controls", "add_services"]
+__all__ = ["SERVICES", "Controls"]
 
-SERVICES = ("estop", "stop", "start", "reset", "pause", "step")
+SERVICES = ("stop", "start", "reset", "pause", "step")
 """Names of the services, each `~/<name>` of type std_srvs/srv/Trigger."""
-
-Answer = tuple[bool, str]
 
 
 class Controls:
@@ -22,36 +20,19 @@ class Controls:
 
     Args:
         serve: serves callbacks for up to a time in [s]; keeps services alive during a pause.
+        estop: the emergency stop, which ends a pause too; None where the host has none.
 
     Attributes:
         runner: the run; None before `attach`.
-        stopped: an emergency stop was asked for.
         paused: ticks are paused.
     """
 
-    def __init__(self, serve: Callable[[float], None]) -> None:
+    def __init__(self, serve: Callable[[float], None], estop: EmergencyStop | None = None) -> None:
         self.runner: Runner | None = None
-        self.stopped = False
         self.paused = False
         self._steps = 0
         self._serve = serve
-
-    def check(self) -> None:
-        """Called in every tick before anything is sent.
-
-        Raises:
-            Fault: an emergency stop was asked for.
-        """
-        if self.stopped:
-            raise Fault("emergency stop by the service ~/estop")
-
-    def estop(self) -> Answer:
-        """Stop before the next command is sent; the platform damps; it counts as a fault."""
-        self.stopped = True
-        if self.runner is None:
-            return False, "nothing runs"
-        self.paused = False
-        return True, "emergency stop: the platform damps"
+        self._estop = estop
 
     def stop(self) -> Answer:
         """End the run after the present tick; the platform damps."""
@@ -65,6 +46,9 @@ class Controls:
         """Go on after a pause."""
         if self.runner is None:
             return False, "nothing runs"
+        refusal = self._estop.refusal() if self._estop else ""
+        if refusal:
+            return False, refusal
         if not self.paused:
             return False, "it runs already"
         self.paused = False
@@ -110,27 +94,12 @@ class Controls:
         runner = self.runner
         assert runner is not None
         while self.paused and not runner.stopping:
-            self._serve(0.02)
+            self._serve(0.005)
+            if self._estop is not None:
+                self._estop.look()
             if self._steps:
                 self._steps -= 1
                 if runner.tick(time.perf_counter_ns()):
                     runner.done = True
                     runner.stop()
         self.paused = False
-
-
-def add_services(node: Any, handlers: dict[str, Callable[[], Answer]]) -> list[Any]:
-    """Create `~/<name>` of type std_srvs/srv/Trigger for each handler; return the services."""
-    from std_srvs.srv import Trigger
-
-    def callback(handler: Callable[[], Answer]) -> Callable[[Any, Any], Any]:
-        def answer(_: Any, response: Any) -> Any:
-            response.success, response.message = handler()
-            return response
-
-        return answer
-
-    return [
-        node.create_service(Trigger, f"~/{name}", callback(handler))
-        for name, handler in handlers.items()
-    ]

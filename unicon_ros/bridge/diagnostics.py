@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from unicon_core.runtime import Runner, TickStatistics, percentiles
+from unicon_ros.bridge.estop import FAULT, EmergencyStop
 from unicon_ros.bridge.topics_in import TopicIn
 from unicon_ros.bridge.topics_out import TopicOut
 
@@ -23,6 +24,7 @@ class Diagnostics:
 
     Args:
         node: rclpy node.
+        estop: its emergency stop, whose latch is told.
 
     Attributes:
         runner: what is told about; None while nothing runs.
@@ -30,10 +32,10 @@ class Diagnostics:
         fault: why the last run ended, "" if it ended well.
     """
 
-    def __init__(self, node: Any) -> None:
+    def __init__(self, node: Any, estop: EmergencyStop) -> None:
         from diagnostic_msgs.msg import DiagnosticArray
 
-        self._node = node
+        self._node, self._estop = node, estop
         self._publisher = node.create_publisher(DiagnosticArray, TOPIC, 10)
         self.runner: Runner | None = None
         self.outgoing: list[TopicOut] = []
@@ -48,6 +50,9 @@ class Diagnostics:
         from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
         level, message, values = self.status()
+        if self._estop.latched:
+            level, message = ERROR, f"{self.fault or FAULT}; latched until ~/clear_estop"
+        values["estop"] = "latched" if self._estop.latched else "clear"
         status = DiagnosticStatus(level=level, name=f"{self._node.get_name()}: tick")
         status.message = message
         if self.runner is not None:

@@ -28,10 +28,12 @@ from unicon_msgs_map import Decoder, Encoder, MapError, MapStateError, MessageMa
 from unicon_msgs_map.spec import PublishSpec, SubscribeSpec
 from unicon_ros import compat
 from unicon_ros.bridge.bindings import arrays_of, checked_prefix, names_of, variables_of
-from unicon_ros.bridge.controls import SERVICES, Controls, add_services
+from unicon_ros.bridge.controls import SERVICES, Controls
+from unicon_ros.bridge.estop import EmergencyStop
 from unicon_ros.bridge.middleware_threads import calm_middleware_threads
 from unicon_ros.bridge.own_node import OwnNode, one_line
 from unicon_ros.bridge.robot_frames import RobotFrames
+from unicon_ros.bridge.services import add_services
 from unicon_ros.bridge.slack import SlackServer
 from unicon_ros.bridge.stamps import WallStamp
 from unicon_ros.bridge.topics_in import TopicIn
@@ -55,6 +57,8 @@ class RosSession:
             `robot1/` where several robots share /tf.
         node: an rclpy node to live in; then the caller owns it, its services and its context.
         executor: the executor of that node.
+        estop: the emergency stop of that node; without one the session has none, and the caller
+            has to stop the runner by other means.
 
     Raises:
         MissingDependencyError: rclpy is not installed.
@@ -72,6 +76,7 @@ class RosSession:
         *,
         node: Any = None,
         executor: Any = None,
+        estop: EmergencyStop | None = None,
     ) -> None:
         compat.import_rclpy()
         self.map = _read_map(map)
@@ -82,26 +87,27 @@ class RosSession:
             node, executor = self._own.node, self._own.executor
         self.node = node
         self.slack = SlackServer(executor, warn)
-        self.controls = Controls(self.slack.spin)
+        if self._own is not None:
+            estop = EmergencyStop(node, self._runs, warn)
+        self.estop = estop
+        self.controls = Controls(self.slack.spin, estop)
         self.outgoing: list[TopicOut] = []
         self.incoming: list[TopicIn] = []
         self.skipped: list[str] = []
         self._group = compat.polled_group()
         self._others: list[Callable[[], None]] = []
-        self._services: list[Any] = []
         self._timer: Any = None
         self._runner: Runner | None = None
         self._stamp: WallStamp | None = None
         self._closed = False
         self._started_ns = time.perf_counter_ns()
         if self._own is not None:
-            handlers = {name: getattr(self.controls, name) for name in SERVICES}
-            self._services = add_services(node, handlers)
+            add_services(node, {name: getattr(self.controls, name) for name in SERVICES}, warn)
 
     # -- hooks ----------------------------------------------------------------------------------
 
     def inputs(self, workflow: Workflow) -> list[Block]:
-        """Return the block that polls the subscriptions; a hook of `load_workflow`."""
+        """Return the blocks that poll subscriptions and ~/estop; a hook of `load_workflow`."""
         arrays, names = arrays_of(workflow), names_of(workflow)
         variables = variables_of(workflow, self.frame_prefix)
         written = {s for block in workflow.blocks for s in (*block.writes, *block.amends)}
@@ -128,15 +134,14 @@ class RosSession:
             self.incoming.append(topic)
             self.slack.always |= not topic.polled
         states = {state for topic in self.incoming for state in topic.states}
-        return [
-            Block(
-                "ros inputs",
-                _poll_all(self.incoming, self.controls, self.warn),
-                dry_run=_warm_up(self.incoming, self.outgoing),
-                writes=tuple(sorted(states - written)),
-                amends=tuple(sorted(states & written)),
-            )
-        ]
+        poll = Block(
+            "ros inputs",
+            _poll_all(self.incoming, self.warn),
+            dry_run=_warm_up(self.incoming, self.outgoing),
+            writes=tuple(sorted(states - written)),
+            amends=tuple(sorted(states & written)),
+        )
+        return [poll] if self.estop is None else [poll, self.estop.before_send()]
 
     def observers(self, workflow: Workflow) -> list[Block]:
         """Return the blocks that publish and serve; a hook of `load_workflow`."""
@@ -185,6 +190,9 @@ class RosSession:
             self.outgoing.append(frames.out)
             blocks.append(frames.block)
         blocks.append(Block(self.slack.name, self.slack))
+        if self.estop is not None:
+            self.slack.always |= not self.estop.polled
+            blocks.append(self.estop.after_send())
         return blocks
 
     def attach(self, runner: Runner) -> None:
@@ -228,6 +236,7 @@ class RosSession:
         if self._closed:
             return
         self._closed = True
+        self.slack.rest()
         if self._timer is not None:
             self.node.destroy_timer(self._timer)
         closers = [topic.close for topic in self.incoming]
@@ -235,9 +244,14 @@ class RosSession:
         for close in (*closers, *self._others):
             close()
         if self._own is not None:
+            if self.estop is not None:
+                self.estop.close()
             self._own.close()
 
     # -- helpers --------------------------------------------------------------------------------
+
+    def _runs(self) -> bool:
+        return self.controls.runner is not None and not self._closed
 
     def _topics(self) -> list[TopicOut | TopicIn]:
         return [*self.outgoing, *self.incoming]
@@ -283,12 +297,8 @@ class RosSession:
         )
 
 
-def _poll_all(
-    topics: list[TopicIn], controls: Controls, warn: Callable[[str], None]
-) -> Callable[[], None]:
+def _poll_all(topics: list[TopicIn], warn: Callable[[str], None]) -> Callable[[], None]:
     def poll() -> None:
-        if controls.stopped:
-            controls.check()
         for topic in topics:
             try:
                 topic.poll()

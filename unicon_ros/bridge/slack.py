@@ -23,7 +23,7 @@ BUSY_NS = 5_000_000
 PATIENCE_NS = 250_000_000
 """After so long without enough slack, the dry run's share is used too."""
 LAST_NS = 1_000_000_000
-"""After so long, look once whatever the slack: an overloaded loop must still hear ~/estop."""
+"""After so long, look once whatever the slack: an overloaded loop must still hear its services."""
 ROUNDS = 16
 """Callbacks served in one look at most."""
 

@@ -6,15 +6,36 @@ costs one comparison each.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from unicon_core.flow import Block, Zip
+from unicon_core.flow import Block, Tick
 from unicon_core.workflow import Workflow
 
-__all__ = ["NO_LIMIT", "Tuning"]
+__all__ = ["NO_LIMIT", "Tuning", "too_little_damping"]
 
 NO_LIMIT = 100.0
 """A command limit from here on does nothing, [m/s] and [rad/s]."""
+
+
+LEAST_DAMPING_RATIO = 0.5
+"""The damping ratio, as a part of that which the gains were made for, may not fall below this."""
+
+
+def too_little_damping(stiffness_scale: float, damping_scale: float) -> str:
+    """Return why two gain scales go together badly, or "".
+
+    A joint's damping ratio kd / (2 √(kp · inertia)) goes with damping_scale / √stiffness_scale.
+    """
+    least = LEAST_DAMPING_RATIO * math.sqrt(stiffness_scale)
+    if damping_scale >= least:
+        return ""
+    return (
+        f"damping_scale {damping_scale:g} is too little for stiffness_scale {stiffness_scale:g}: "
+        f"joints would ring; give at least {math.ceil(1e3 * least) / 1e3:g} "
+        f"({LEAST_DAMPING_RATIO:g} · √stiffness_scale), or less stiffness"
+    )
 
 
 class Tuning:
@@ -31,9 +52,9 @@ class Tuning:
         self.command_limit = np.full(3, NO_LIMIT, np.float32)
 
     def inputs(self, workflow: Workflow) -> list[Block]:
-        """Return the block that limits the velocity command; a hook of `load_workflow`.
+        """Return the blocks that limit the velocity command and scale the gains.
 
-        Place it after the hook that receives commands.
+        A hook of `load_workflow`; place it after the hook that receives commands.
         """
         command = workflow.states["velocity_command"]
         limit = self.command_limit
@@ -42,24 +63,44 @@ class Tuning:
             if limit.min() < NO_LIMIT:
                 np.clip(command, -limit, limit, out=command)
 
-        return [Block("command limits", limited, amends=("velocity_command",))]
+        unscaled, scaled = self._gain_scale(workflow)
+        return [
+            Block("command limits", limited, amends=("velocity_command",), endless=True),
+            # Declares nothing: it takes back what `gain scale` did, and no more.
+            Block("gains unscaled", unscaled, endless=True),
+            Block(
+                "gain scale",
+                scaled,
+                amends=("joint_stiffness", "joint_damping"),
+                role="tune",
+                endless=True,
+            ),
+        ]
 
-    def insert(self, workflow: Workflow) -> None:
-        """Put the block that scales the gains before the safety blocks, the last word."""
-        stiffness = workflow.states["joint_stiffness"]
-        damping = workflow.states["joint_damping"]
+    def _gain_scale(self, workflow: Workflow) -> tuple[Tick, Tick]:
+        """Return what takes the scales out of the gains before the flow, and puts them in after.
+
+        A flow need not write its gains in every tick (a policy that runs every fourth does not), so
+        without the former the factors would add up.
+        """
+        live = (workflow.states["joint_stiffness"], workflow.states["joint_damping"])
+        own = tuple(array.copy() for array in live)
+        changed = False
+
+        def unscaled() -> None:
+            nonlocal changed
+            if changed:
+                changed = False
+                for array, kept in zip(live, own):
+                    array[...] = kept
 
         def scaled() -> None:
-            if self.stiffness_scale != 1.0:
-                np.multiply(stiffness, self.stiffness_scale, out=stiffness, casting="unsafe")
-            if self.damping_scale != 1.0:
-                np.multiply(damping, self.damping_scale, out=damping, casting="unsafe")
+            nonlocal changed
+            scales = (self.stiffness_scale, self.damping_scale)
+            if scales != (1.0, 1.0):
+                changed = True
+                for array, kept, scale in zip(live, own, scales):
+                    kept[...] = array
+                    np.multiply(array, scale, out=array, casting="unsafe")
 
-        block = Block("gain scale", scaled, amends=("joint_stiffness", "joint_damping"))
-        root = workflow.root
-        assert isinstance(root, Zip)
-        children = list(root.children)
-        roles = [child.role if isinstance(child, Block) else "" for child in children]
-        at = next(i for i, role in enumerate(roles) if role in ("safety", "send"))
-        children.insert(at, block)
-        workflow.root = Zip(*children)
+        return unscaled, scaled

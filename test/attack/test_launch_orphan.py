@@ -1,0 +1,173 @@
+"""Launch never leaves a controller behind: all is decided before, and the node ends with it."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import pytest
+from robot_host import HERE, ROOT, wait_for, write_workflow
+
+LAUNCH_FILE = ROOT / "launch" / "unicon.launch.py"
+IMPORTS = {
+    "launch": ("LaunchContext", "LaunchDescription"),
+    "launch.actions": ("DeclareLaunchArgument", "OpaqueFunction"),
+    "launch.substitutions": ("LaunchConfiguration",),
+    "launch_ros": (),
+    "launch_ros.actions": ("Node",),
+    "launch_ros.parameter_descriptions": ("ParameterValue",),
+}
+
+
+@pytest.fixture
+def launch_file(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """The launch file with stand-ins for ROS's launch: `nodes` takes a mapping of arguments."""
+    for name, attributes in IMPORTS.items():
+        module = ModuleType(name)
+        for attribute in attributes:
+            setattr(module, attribute, lambda *_, **options: SimpleNamespace(**options))
+        monkeypatch.setitem(sys.modules, name, module)
+
+    def configuration(name: str) -> Any:
+        return SimpleNamespace(perform=lambda values: values[name])
+
+    sys.modules["launch.substitutions"].LaunchConfiguration = configuration  # type: ignore[attr-defined]
+    spec = importlib.util.spec_from_file_location("unicon_launch", LAUNCH_FILE)
+    assert spec is not None
+    assert spec.loader is not None
+    loaded = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(loaded)
+    return loaded
+
+
+def prefix(folder: Path, *programs: str) -> Path:
+    """Make an install prefix with executables PACKAGE/NAME that say that they were started."""
+    for program in programs:
+        path = folder / "lib" / program
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(f"#!/bin/sh\ntouch {folder}/started_{path.name}\nsleep 20\n")
+        path.chmod(0o755)
+        index = folder / "share" / "ament_index" / "resource_index" / "packages"
+        index.mkdir(parents=True, exist_ok=True)
+        (index / path.parent.name).touch()
+    return folder
+
+
+def decided(launch_file: ModuleType, **arguments: str) -> list[str]:
+    defaults = {name: default for name, (default, _) in launch_file.ARGUMENTS.items()}
+    return [node.executable for node in launch_file.nodes({**defaults, **arguments})]
+
+
+def test_without_rviz2_nothing_is_started_and_the_remedy_named(
+    launch_file: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(prefix(tmp_path, "unicon_ros/unicon_node")))
+    monkeypatch.setenv("ROS_DISTRO", "jazzy")
+    assert decided(launch_file) == ["unicon_node"]
+    with pytest.raises(RuntimeError) as error:
+        decided(launch_file, rviz="true")
+    assert str(error.value) == (
+        "no executable 'rviz2' of package 'rviz2' in AMENT_PREFIX_PATH; install it "
+        "(sudo apt install ros-jazzy-rviz2), or leave rviz:=true out"
+    )
+
+
+def test_with_rviz2_both_are_started(
+    launch_file: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    other = prefix(tmp_path / "other", "rviz2/rviz2")
+    monkeypatch.setenv("AMENT_PREFIX_PATH", f"{tmp_path}{os.pathsep}{other}")
+    assert decided(launch_file, rviz="true") == ["unicon_node", "rviz2"]
+
+
+def test_the_node_is_told_to_end_with_the_launch(launch_file: ModuleType) -> None:
+    defaults = {name: default for name, (default, _) in launch_file.ARGUMENTS.items()}
+    node = launch_file.nodes(defaults)[0]
+    assert node.arguments == ["--end-with", str(os.getpid())]
+
+
+def test_launch_itself_starts_nothing_without_rviz2(tmp_path: Path) -> None:
+    pytest.importorskip("launch_ros.actions", reason="no launch_ros: source a ROS 2 installation")
+    code = (
+        "import sys, launch\n"
+        "from launch.actions import IncludeLaunchDescription as Include\n"
+        "from launch.launch_description_sources import PythonLaunchDescriptionSource as Source\n"
+        "service = launch.LaunchService()\n"
+        "included = Include(Source(sys.argv[1]), launch_arguments=[('rviz', 'true')])\n"
+        "service.include_launch_description(launch.LaunchDescription([included]))\n"
+        "sys.exit(service.run())\n"
+    )
+    environment = dict(os.environ)
+    environment["AMENT_PREFIX_PATH"] = str(prefix(tmp_path, "unicon_ros/unicon_node"))
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(LAUNCH_FILE)],
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 1
+    assert "sudo apt install" in done.stdout + done.stderr
+    assert not (tmp_path / "started_unicon_node").exists()
+
+
+PARENT = """\
+import os, subprocess, sys
+code = "import sys; from unicon_ros.node_main import main; sys.exit(main(sys.argv[1:]))"
+arguments = ["--end-with", str(os.getpid()), "--ros-args", "-p", f"workflow:={sys.argv[1]}"]
+subprocess.Popen([sys.executable, "-c", code, *arguments]).wait()
+"""
+
+
+@pytest.fixture
+def parent() -> Iterator[Any]:
+    started: list[subprocess.Popen[str]] = []
+
+    def start(path: Path) -> subprocess.Popen[str]:
+        environment = dict(os.environ)
+        environment["PYTHONPATH"] = os.pathsep.join((str(HERE), str(ROOT)))
+        command = [sys.executable, "-c", PARENT, str(path)]
+        pipe = subprocess.PIPE
+        started.append(
+            subprocess.Popen(command, env=environment, stderr=pipe, stdout=pipe, text=True)
+        )
+        return started[-1]
+
+    yield start
+    for each in started:
+        each.kill()
+
+
+@pytest.mark.ros
+@pytest.mark.timeout(90)
+@pytest.mark.skipif(sys.platform != "linux", reason="prctl is Linux's")
+def test_a_node_whose_launch_is_killed_damps_and_ends(tmp_path: Path, parent: Any) -> None:
+    pytest.importorskip("rclpy")
+    from estop_platform import events
+
+    path, log = write_workflow(tmp_path)
+    started = parent(path)
+    wait_for(lambda: len(events(log, "send")) > 10, "commands")
+    started.kill()
+    _, errors = started.communicate(timeout=20)  # ends when the node has let the pipe go
+    assert "ended after" in errors
+    assert len(events(log, "close")) == 1
+
+
+@pytest.mark.ros
+@pytest.mark.skipif(sys.platform != "linux", reason="prctl is Linux's")
+def test_a_node_whose_parent_is_another_one_does_not_start(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    pytest.importorskip("rclpy")
+    from unicon_ros.node_main import main
+
+    assert main(["--end-with", "1"]) == 1
+    assert "--end-with 1: that process has ended, or is not the one" in capsys.readouterr().err

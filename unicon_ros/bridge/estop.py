@@ -1,0 +1,151 @@
+"""EmergencyStop: ~/estop and its latch, for the ticks of a session and for the node around them.
+
+Ticks take its requests directly from the middleware, right before `send` and once more after it,
+about 2 µs each, so that no load of the executor and no length of a tick stands between a press and
+the motors. An executor may serve it as well, while nothing runs or in the slack: a request is taken
+once, by whoever comes first, and either way it latches. Only `~/clear_estop` lets go.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+from unicon_core.errors import Fault
+from unicon_core.flow import Block
+from unicon_ros import compat
+from unicon_ros.bridge.services import Answer, add_services, explained
+
+__all__ = ["FAULT", "REFUSAL", "STOP_SERVICES", "EmergencyStop"]
+
+STOP_SERVICES = ("estop", "clear_estop")
+"""Names of the services, each `~/<name>` of type std_srvs/srv/Trigger."""
+
+FAULT = "emergency stop by the service ~/estop"
+REFUSAL = "the emergency stop is latched; call ~/clear_estop when it is safe to start again"
+PRESSED = "emergency stop: the platform damps; latched until ~/clear_estop"
+
+DELIBERATE_S = 0.5
+"""So long after a press nothing clears it: of two requests that came together, the stop wins."""
+QUEUED = 100
+"""Requests taken at once at most, more than a queue holds."""
+
+
+class EmergencyStop:
+    """The services `~/estop` and `~/clear_estop` of one node, alive as long as the node.
+
+    Args:
+        node: rclpy node.
+        running: tells whether a run is on; until it has ended nothing is cleared.
+        warn: takes warnings, one line each.
+
+    Attributes:
+        latched: it was pressed and not cleared: nothing may start, what runs must end.
+        polled: ticks can look by themselves; else an executor has to.
+    """
+
+    def __init__(
+        self, node: Any, running: Callable[[], bool], warn: Callable[[str], None] = print
+    ) -> None:
+        self.latched = False
+        self._running, self._warn = running, warn
+        self._failed = False
+        self._pressed_at = 0.0
+        self._unanswered: list[Any] = []
+        handlers = dict(zip(STOP_SERVICES, (self.press, self.clear)))
+        self._service = add_services(node, handlers, warn)[0]
+        taking, self._let_go = compat.request_take(self._service)
+        self.polled = taking is not None
+        self._take: Callable[[], Any] = taking or _nothing
+
+    # -- in ticks -------------------------------------------------------------------------------
+
+    def before_send(self) -> Block:
+        """Return the look right before `send`; it answers once the platform is closed."""
+        # Between two ticks the dry run hears it as well, and keeps the look warm.
+        return Block(
+            "estop", self.look, close=self.answer, dry_run=self.hear, role="safety", endless=True
+        )
+
+    def after_send(self) -> Block:
+        """Return the look at the end of a tick: the next one begins at once where ticks overrun."""
+        return Block("estop after send", self.look, endless=True)
+
+    def look(self) -> None:
+        """Hear a request, if there is one.
+
+        Raises:
+            Fault: it is pressed.
+        """
+        if self._take is not _nothing:
+            self.hear()
+        if self.latched:
+            raise Fault(FAULT)
+
+    def hear(self) -> None:
+        """Take a request, if there is one, and latch; it is answered later."""
+        try:
+            header = self._take()
+        except Exception as error:  # garbage in the queue, or the middleware is gone: listen on
+            if not self._failed:
+                self._failed = True
+                self._warn(
+                    f"~/estop could not be looked at ({explained(error)}); it is tried "
+                    "again in every tick, but a signal such as Ctrl-C is a surer way to stop"
+                )
+            return
+        if header is not None:
+            self._unanswered.append(header)
+            self._latch()
+
+    # -- between runs ---------------------------------------------------------------------------
+
+    def refusal(self) -> str:
+        """Return why nothing may start, or ""; a press that waits is heard and answered first."""
+        self.answer()
+        return REFUSAL if self.latched else ""
+
+    def answer(self) -> None:
+        """Hear what waits and answer it all; may block, so never while the motors wait."""
+        for _ in range(QUEUED):
+            heard = len(self._unanswered)
+            self.hear()
+            if len(self._unanswered) == heard:
+                break
+        headers, self._unanswered = self._unanswered, []
+        for header in headers:
+            response = self._service.srv_type.Response(success=True, message=PRESSED)
+            with suppress(Exception):  # the client or the middleware is gone
+                self._service.send_response(response, header)
+
+    def press(self) -> Answer:
+        """Stop before the next command is sent; counts as a fault; nothing starts until cleared."""
+        running = self._running()
+        self._latch()
+        return True, PRESSED if running else "nothing runs; latched until ~/clear_estop"
+
+    def clear(self) -> Answer:
+        """Let go of the latch, once the run has ended."""
+        if not self.latched:
+            return True, "the emergency stop was not latched"
+        if self._running():
+            return False, "the run has not ended yet; call ~/clear_estop again"
+        if time.monotonic() - self._pressed_at < DELIBERATE_S:
+            return False, "it was pressed just now; if it is safe, call ~/clear_estop again"
+        self.latched = False
+        return True, "cleared: ~/start may start again"
+
+    def close(self) -> None:
+        """Let the service go; before its node is destroyed."""
+        self._take = _nothing
+        self._let_go()
+
+    def _latch(self) -> None:
+        self.latched = True
+        self._pressed_at = time.monotonic()
+
+
+def _nothing() -> None:
+    return None
