@@ -68,6 +68,7 @@ class Runner:
     def __init__(self, workflow: Workflow, options: RunOptions | None = None) -> None:
         self.workflow = workflow
         self.options = options or RunOptions()
+        workflow.warn = self.options.warn
         try:
             self.pacing = Pacing.from_dict(workflow.document.get("pacing", dict, {}))
         except UniconError as error:

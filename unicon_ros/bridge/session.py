@@ -131,7 +131,7 @@ class RosSession:
         return [
             Block(
                 "ros inputs",
-                _poll_all(self.incoming, self.controls, self.warn),
+                _poll_all(self.incoming, self.controls),
                 dry_run=_warm_up(self.incoming, self.outgoing),
                 writes=tuple(sorted(states - written)),
                 amends=tuple(sorted(states & written)),
@@ -283,19 +283,12 @@ class RosSession:
         )
 
 
-def _poll_all(
-    topics: list[TopicIn], controls: Controls, warn: Callable[[str], None]
-) -> Callable[[], None]:
+def _poll_all(topics: list[TopicIn], controls: Controls) -> Callable[[], None]:
     def poll() -> None:
         if controls.stopped:
             controls.check()
         for topic in topics:
-            try:
-                topic.poll()
-            except Exception as error:  # the middleware is gone: the tick goes on
-                topics.remove(topic)
-                warn(f"topic {topic.topic}: given up ({one_line(error)})")
-                return
+            topic.poll()
 
     return poll
 
