@@ -14,12 +14,11 @@ import yaml
 from unicon_core.check import check_workflow
 from unicon_core.errors import RobotError
 from unicon_core.flow import Block
-from unicon_core.flow.block import Amends, Tick
+from unicon_core.flow.block import Amends, Reads, Tick, Writes
 from unicon_core.resources import find_config
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import Workflow, load_workflow
-from unicon_core.workflow.command_bounds import command_bounds
 
 SWAY = """\
 schema: unicon.workflow/1
@@ -44,6 +43,15 @@ def full_speed(velocity_command: Amends) -> Tick:
 
     def step() -> None:
         velocity_command[...] = (50.0, -1e30, 2.0)
+
+    return step
+
+
+def lean(velocity_command: Reads, lean: Writes) -> Tick:
+    """Somebody's own block that makes another command of it."""
+
+    def step() -> None:
+        lean[...] = velocity_command[0]
 
     return step
 
@@ -119,6 +127,15 @@ def test_a_block_of_ones_own_is_bounded_before_and_within_the_flow(
     assert np.abs(targets - go2.default_joint_pos).max() <= 1.0 + 1e-6
 
 
+def test_a_block_that_reads_it_among_the_commands_gets_it_bounded(
+    seen: Callable[..., Seen],
+) -> None:
+    reader = {"call": {"function": f"{__name__}:lean"}}
+    run = seen(SWAY, {"commands": [*SCRIPT, reader], "states": {"lean": {"shape": [1]}}})
+    run.after(3)
+    assert run.workflow.states.lean.tolist() == [1.0]
+
+
 def test_the_robot_file_is_asked_where_the_policy_says_nothing(
     seen: Callable[..., Seen], tmp_path: Path
 ) -> None:
@@ -138,6 +155,8 @@ def test_the_robot_file_is_asked_where_the_policy_says_nothing(
 
 
 def test_of_several_policies_the_tightest_holds_and_zero_is_always_allowed() -> None:
+    from unicon_core.workflow.command_bounds import command_bounds
+
     class Contract:
         def __init__(self, **ranges: tuple[float, float]) -> None:
             self.command_ranges = ranges

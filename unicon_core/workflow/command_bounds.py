@@ -20,7 +20,15 @@ from unicon_core.flow.nodes import blocks_of, children_of, with_children
 from unicon_core.policies import PolicyContract
 from unicon_core.robots import Robot
 
-__all__ = ["CAUTIOUS", "COMMAND", "CommandBound", "CommandBounds", "bounded_flow", "command_bounds"]
+__all__ = [
+    "CAUTIOUS",
+    "COMMAND",
+    "CommandBound",
+    "CommandBounds",
+    "bounded_flow",
+    "command_bounds",
+    "reads_command",
+]
 
 COMMAND = "velocity_command"
 
@@ -177,10 +185,10 @@ class CommandBounds:
 
 
 def bounded_flow(flow: Node, make: Callable[[], Block]) -> Node:
-    """Return the flow with bounds behind every block in it that gives commands itself.
+    """Return a tree with bounds behind every block in it that gives commands itself.
 
     Args:
-        flow: of a workflow.
+        flow: of a workflow, or one of its `commands:`.
         make: makes a block of bounds.
     """
     if isinstance(flow, Block):
@@ -194,5 +202,5 @@ def bounded_flow(flow: Node, make: Callable[[], Block]) -> Node:
 
 
 def reads_command(nodes: list[Node]) -> bool:
-    """Return whether any block in these nodes reads the command."""
-    return any(COMMAND in (*b.reads, *b.amends) for node in nodes for b in blocks_of(node))
+    """Return whether any block in these nodes reads the command, beyond changing it."""
+    return any(COMMAND in block.reads for node in nodes for block in blocks_of(node))

@@ -176,7 +176,8 @@ def _assemble(workflow: Workflow, inputs: Sequence[Hook], observers: Sequence[Ho
         return blocks
 
     before: list[Block] = hooked(inputs)
-    if reads_command([flow, *safety]):
+    early = reads_command(commands)
+    if early or reads_command([flow, *safety]):
         states, readers = (
             workflow.states,
             policies_reading(COMMAND, workflow.blocks, workflow.policies),
@@ -191,6 +192,8 @@ def _assemble(workflow: Workflow, inputs: Sequence[Hook], observers: Sequence[Ho
 
         before.append(bounds())
         flow = bounded_flow(flow, bounds)
+        if early:
+            commands = [bounded_flow(node, bounds) for node in commands]
     observed = [Deferred(block) for block in hooked(observers)]
     platform = workflow.platform
     recv = Block("recv", platform.recv, writes=tuple(platform.writes), role="recv")
