@@ -83,6 +83,8 @@ def make(
     """
     if states.num_robots is not None:
         raise PlatformError("platform 'ros' has one robot; leave num_robots out")
+    if not 0.0 < connect < float("inf"):
+        raise PlatformError(f"platform 'ros': connect is {connect} s; give a time above 0")
     if not 0.0 <= damping <= LONGEST_DAMPING:
         raise PlatformError(f"platform 'ros': damping is {damping} s; give 0 to {LONGEST_DAMPING}")
     path = find_config("maps", map, error=PlatformError, relative_to=relative_to)
