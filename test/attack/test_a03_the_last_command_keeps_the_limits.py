@@ -146,3 +146,24 @@ def test_a_publication_that_fails_at_the_end_does_not_keep_the_rest_open(
         with pytest.raises(RuntimeError, match="no memory left"):
             runner.close()
         assert not platform._own.context.ok()  # let go all the same
+
+
+def test_a_close_in_the_middle_of_a_send_has_the_last_word(tmp_path: Path, gains: Path) -> None:
+    """As from a signal handler: nothing of the command that was under way leaves behind it."""
+    with robot("none", 0.0) as peer:
+        workflow, runner = ticked(behind_topics(tmp_path, "finite", map=gains), peer)
+        (out,) = workflow.platform._out
+        encode = out._encode
+
+        def interrupted() -> bytes:
+            raw: bytes = encode()
+            out._encode = encode
+            workflow.platform.close()
+            return raw
+
+        out._encode = interrupted
+        runner.tick(0)
+        runner.close()
+        _, command = last(peer, 30)
+    assert not command[2].any()
+    assert command[1] == pytest.approx(load_robot("go2").joint_damping)

@@ -212,3 +212,39 @@ def test_check_notes_who_has_no_ranges(tmp_path: Path) -> None:
     assert "give command_ranges in policy.yaml" in note.remedy
     path.write_text(WALK)
     assert not [note for note in check_workflow(path).notes if note.code == "command.bounds"]
+
+
+@pytest.mark.ros
+@pytest.mark.timeout(60)
+def test_a_topic_is_bounded_and_told_by_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ros_attack = pytest.importorskip("ros_attack")
+    from geometry_msgs.msg import Twist
+
+    from unicon_ros.bench.domains import free_domain
+
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(free_domain()))
+    path = tmp_path / "sway.yaml"
+    path.write_text(SWAY)
+    with ros_attack.running(path) as run:
+        told: list[str] = []
+        run.workflow.warn = told.append
+        publisher = run.session.node.create_publisher(Twist, "cmd_vel", 10)
+        twist = Twist()
+        twist.linear.x, twist.angular.z = 1e30, -50.0
+        targets, default = run.workflow.states.joint_pos_target, load_robot("go2").default_joint_pos
+
+        def driven() -> bool:
+            publisher.publish(twist)
+            return len(told) == 2
+
+        ros_attack.wait_for(driven, "the bounds")
+        ticks = run.runner.statistics.count
+        ros_attack.wait_for(lambda: run.runner.statistics.count > ticks + 5, "ticks")
+        assert np.abs(targets - default).max() <= 1.0 + 1e-6
+        assert run.end().faults == []
+    assert told == [
+        f"velocity_command vx is 1e+30, held to 1 m/s ({CAUTIOUS})",
+        f"velocity_command wz is -50, held to -1 rad/s ({CAUTIOUS})",
+    ]
