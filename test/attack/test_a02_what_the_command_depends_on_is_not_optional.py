@@ -8,6 +8,7 @@ import pytest
 from ros_attack import Run, behind_topics, robot, wait_for
 
 from unicon_core.errors import PlatformError
+from unicon_core.robots import load_robot
 from unicon_core.workflow import load_workflow
 from unicon_ros.bench.domains import free_domain
 
@@ -111,3 +112,22 @@ def test_silence_is_a_fault_where_the_map_gives_no_time_out(tmp_path: Path) -> N
         finally:
             report = run.end()
     assert report.faults[0].startswith("topic /joint_states: no message for 0.5 s")
+
+
+def test_a_joint_that_no_message_tells_is_not_taken_for_zero(tmp_path: Path) -> None:
+    held = tmp_path / "held.yaml"  # `missing: hold` is the default
+    held.write_text(
+        "subscribe:\n"
+        "  - {topic: joint_states, type: sensor_msgs/msg/JointState, timeout: 0.5,\n"
+        "     fields: {name: $joint_names, position: joint_pos}}\n"
+        "publish:\n"
+        "  - {topic: joint_commands, type: sensor_msgs/msg/JointState,\n"
+        "     fields: {position: joint_pos_target}}\n"
+    )
+    limits = "finite, {rate_limit: {max_rate: 1.0}}"
+    with robot("few joints", -1.0), pytest.raises(PlatformError) as error:
+        load_workflow(behind_topics(tmp_path, limits, map=held, connect=3.0)).close()
+    told = load_robot("go2").joint_names[:5]
+    untold = load_robot("go2").joint_names[5]
+    assert untold not in told
+    assert f"no message tells joint_pos of {untold} within 3 s" in str(error.value)

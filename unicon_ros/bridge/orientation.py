@@ -32,9 +32,10 @@ class OrientationDecoder(Decoder):
         strict: whether messages without an orientation are refused.
     """
 
-    __slots__ = ("_covariance", "_parts", "_quat", "_whole", "strict")
+    __slots__ = ("_copies", "_covariance", "_parts", "_quat", "_whole", "strict")
 
     strict: bool
+    _copies: dict[str, AnyArray]
     _covariance: AnyArray
     _parts: list[tuple[AnyArray, AnyArray, AnyArray]]
     _quat: AnyArray
@@ -62,7 +63,7 @@ class OrientationDecoder(Decoder):
         decoder.spec = spec
         decoder.strict = False
         decoder._covariance, decoder._quat = covariance, copies[STATE]
-        decoder._whole, decoder._parts = [], []
+        decoder._copies, decoder._whole, decoder._parts = copies, [], []
         for name, copy in copies.items():
             elements = sorted(decoder.elements(name))
             flat, own = arrays[name].reshape(-1), copy.reshape(-1)
@@ -90,6 +91,11 @@ class OrientationDecoder(Decoder):
         """Set every element that this decoder writes to zero, time stamps excepted."""
         super().zero()
         self._write()
+
+    def forget(self, state: str) -> None:
+        """Let a state's elements be NaN until messages have told them."""
+        if self._copies[state].dtype.kind == "f":
+            self._copies[state][...] = np.nan
 
     def _write(self) -> None:
         for state, copy in self._whole:  # 60 ns each, an array's assignment takes twice that

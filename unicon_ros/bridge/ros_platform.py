@@ -137,6 +137,7 @@ class RosPlatform:
         self._out: list[TopicOut] = []
         self._needed: list[TopicIn] = []
         self._decoders: list[Decoder] = []
+        self._awaited: list[str] = []
         for given in mapping.subscribe:
             # Silence is a fault here; zeros in its place would be commanded by the last damping.
             spec = replace(given, on_timeout="hold", timeout=given.timeout or TIMEOUT)
@@ -192,28 +193,40 @@ class RosPlatform:
             PlatformError: none came in time.
         """
         end = time.monotonic() + self._patience
-        while missing := [topic for topic in self._needed if not topic.heard]:
+        while missing := self._missing():
             for topic in self._in:
                 topic.poll()
             if time.monotonic() > end:
-                silent = missing[0]
-                said = "; ".join(dict.fromkeys([*self._warnings, silent.last_error])).strip("; ")
+                errors = [topic.last_error for topic in self._needed]
+                said = "; ".join(each for each in dict.fromkeys([*self._warnings, *errors]) if each)
                 raise PlatformError(
-                    f"platform 'ros': no message on {silent.topic} within {self._patience:g} s"
+                    f"platform 'ros': no message {missing} within {self._patience:g} s"
                     f"{f' ({said})' if said else ''}; start the robot, or correct namespace, "
                     f"remaps or the map {self._path}"
                 )
             self._own.executor.spin_once(0.005)  # tells what a peer's QoS does not match
         calm_middleware_threads()
 
+    def _missing(self) -> str:
+        """Return what no message has told yet, in the words of an error; empty if all is there."""
+        silent = [topic for topic in self._needed if not topic.heard]
+        if silent:
+            return f"on {silent[0].topic}"
+        for name in self._awaited:
+            untold = np.flatnonzero(np.isnan(self._states[name]))
+            if len(untold):
+                names = self._states.layout.specs[name].names
+                return f"tells {name} of {names[untold[0]] if names else f'element {untold[0]}'}"
+        return ""
+
     def require(self, states: Mapping[str, str]) -> None:
-        """Need what the critical path reads, optional or not, and wait for its first messages.
+        """Need what the critical path reads, optional or not, and wait until messages told all.
 
         Args:
             states: each state that a block on the critical path reads, and that block's name.
 
         Raises:
-            PlatformError: the map writes some elements of a state only, or no message came in time.
+            PlatformError: the map writes some elements of a state only, or messages do.
         """
         wanted = {name: reader for name, reader in states.items() if name in self.writes}
         if self._gravity is not None and "projected_gravity" in wanted:
@@ -229,11 +242,15 @@ class RosPlatform:
                 )
             for i in sources:
                 topic, decoder = self._in[i], self._decoders[i]
-                if name == STATE and isinstance(decoder, OrientationDecoder):
-                    decoder.strict = True
-                    topic.heard = False  # by now perhaps by a message without an orientation
+                if isinstance(decoder, OrientationDecoder):
+                    decoder.strict |= name == STATE
+                    decoder.forget(name)
+                topic.heard = False  # what came so far may have told less than is needed
                 if topic not in self._needed:
                     self._needed.append(topic)
+            if sources and self._states[name].dtype.kind == "f":
+                self._states[name][...] = np.nan
+                self._awaited.append(name)
         self.connect()
 
     def wait(self, timeout: float) -> bool:
