@@ -113,6 +113,11 @@ class Decoder:
         """Stamp of the last accepted message in [ns]; 0 where the type carries none."""
         return self._stamp[0]
 
+    def elements(self, state: str) -> set[int]:
+        """Return which elements of a state, in C order, a message may write."""
+        bounds = [target.bound for target in self._targets if target.bound is not None]
+        return {e for bound in bounds if bound.field.source.name == state for e in bound.elements}
+
     def decode(self, raw: bytes) -> bool:
         """Write the states that a message carries.
 

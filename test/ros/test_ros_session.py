@@ -107,12 +107,12 @@ def test_the_queue_is_drained_to_the_latest_message(react: Path, plain: Any) -> 
     plain.spin_until(lambda: topic.subscription.get_publisher_count() == 1, "the other way")
     for i in range(5):
         message = Twist()
-        message.linear.x = float(i)
+        message.linear.x = 0.1 * i
         publisher.publish(message)
 
     def latest() -> bool:
         block.tick()
-        return bool(workflow.states.velocity_command[0] == 4.0)
+        return bool(workflow.states.velocity_command[0] == np.float32(0.4))
 
     plain.spin_until(latest, "the latest message")
     assert topic.received == 5

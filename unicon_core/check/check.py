@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from unicon_core.check.action import check_action, check_timing
+from unicon_core.check.commands import check_commands
 from unicon_core.check.files import check_files, check_robot
 from unicon_core.check.gains import check_gains, check_limits
 from unicon_core.check.graph import check_blocks
@@ -82,6 +83,7 @@ def check_workflow(
         check_observation(subject, result)
         check_action(subject, result)
         check_timing(subject, result)
+        check_commands(subject, result)
         check_pose(subject, result)
         check_frames(subject, result)
         check_files(subject, result)

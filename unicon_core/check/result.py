@@ -34,6 +34,7 @@ CODES = {
     "observation.frame": "the platform's orientation and gravity contradict each other",
     "timing.period": "the control period is not plausible",
     "command.range": "the workflow commands more than the policy was trained for",
+    "command.bounds": "nobody says how much may be commanded (a note)",
     "pose.differ": "the policy's default pose is not the robot file's (a note)",
     "pose.limits": "the default pose is outside the limits",
     "pose.symmetry": "the default pose is not the same on both sides",

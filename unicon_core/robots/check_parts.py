@@ -9,7 +9,16 @@ from unicon_core.located_yaml import Located, Where
 from unicon_core.robots.checks import check_keys, check_number, check_text
 from unicon_core.robots.robot import JOINT_FIELDS
 
-__all__ = ["IMU_KEYS", "NOT_NEGATIVE", "check_contacts", "check_imu", "check_joints"]
+__all__ = [
+    "IMU_KEYS",
+    "NOT_NEGATIVE",
+    "check_command_ranges",
+    "check_contacts",
+    "check_imu",
+    "check_joints",
+]
+
+COMMAND_AXES = ("vx", "vy", "wz")
 
 IMU_KEYS = ("frame", "position", "quat")
 NOT_NEGATIVE = ("stiffness", "damping")
@@ -123,3 +132,25 @@ def check_contacts(located: Located, document: dict[str, Any]) -> None:
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise located.error((key,), f"{key}: {twice[0]!r} stands twice; name each once")
+
+
+def check_command_ranges(located: Located, ranges: Any) -> None:
+    """`{vx: [lowest, highest], …}`, zero within; whatever is left out is not known."""
+    if ranges is None:
+        return
+    if not isinstance(ranges, dict):
+        raise located.error(
+            ("command_ranges",),
+            f"command_ranges is {ranges!r}; write {{vx: [lowest, highest], vy: …, wz: …}}",
+        )
+    check_keys(located, ("command_ranges",), ranges, (), COMMAND_AXES)
+    for axis, pair in ranges.items():
+        numbers = isinstance(pair, list) and all(
+            isinstance(v, (int, float)) and not isinstance(v, bool) and math.isfinite(v)
+            for v in pair
+        )
+        if not numbers or len(pair) != 2 or not pair[0] <= 0.0 <= pair[1]:
+            raise located.error(
+                ("command_ranges", axis),
+                f"command_ranges: {axis} is {pair!r}; write [lowest, highest] with 0 between them",
+            )

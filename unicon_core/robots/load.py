@@ -56,6 +56,10 @@ def load_robot(name_or_path: str | Path) -> Robot:
         transport=document["transport"],
         sources=document["sources"],
         unknown=tuple(document.get("unknown") or ()),
+        command_ranges={
+            axis: (float(low), float(high))
+            for axis, (low, high) in (document.get("command_ranges") or {}).items()
+        },
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -83,6 +83,8 @@ class Robot:
     """Where each group of facts was taken from."""
     unknown: tuple[str, ...]
     """Dotted facts that were not found, such as `joints.velocity`."""
+    command_ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """`vx`, `vy` in [m/s] and `wz` in [rad/s] to the lowest and highest allowed command."""
 
     @property
     def num_joints(self) -> int:

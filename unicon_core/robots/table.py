@@ -60,6 +60,9 @@ def robot_table(robot: Robot) -> str:
         ("imu", _imu(robot)),
         ("fingertips" if robot.kind == "hand" else "feet", ", ".join(robot.feet) or "-"),
     ]
+    if robot.command_ranges:
+        ranges = [f"{k} {low:g}…{high:g}" for k, (low, high) in robot.command_ranges.items()]
+        head.append(("commands", ", ".join(ranges)))
     parts = [_wrapped(head), _joints(robot)]
     parts.append("transport\n" + _wrapped(_flat(robot.transport), indent="  "))
     parts.append("sources\n" + _wrapped(list(robot.sources.items()), indent="  "))

@@ -9,6 +9,7 @@ from unicon_core.located_yaml import Located, Where
 from unicon_core.robots.check_parts import (
     IMU_KEYS,
     NOT_NEGATIVE,
+    check_command_ranges,
     check_contacts,
     check_imu,
     check_joints,
@@ -36,7 +37,7 @@ _REQUIRED = (
     "transport",
     "sources",
 )
-_OPTIONAL = ("feet", "fingertips", "unknown")
+_OPTIONAL = ("feet", "fingertips", "command_ranges", "unknown")
 
 
 def validate(located: Located) -> None:
@@ -71,6 +72,7 @@ def validate(located: Located) -> None:
     check_joints(located, document["joints"])
     check_imu(located, document["imu"])
     check_contacts(located, document)
+    check_command_ranges(located, document.get("command_ranges"))
     _transport(located, document["transport"])
     _unknown(located, document)
     _sources(located, document)
@@ -166,6 +168,7 @@ def _sources(located: Located, document: dict[str, Any]) -> None:
         "imu": document["imu"] is not None,
         "feet": bool(document.get("feet")),
         "fingertips": bool(document.get("fingertips")),
+        "command_ranges": bool(document.get("command_ranges")),
         "transport": True,
     }
     for group, needed in given.items():

@@ -83,6 +83,7 @@ class Runner:
             raise UniconError(f"workflow {workflow.name} is closed; build it anew to run it again")
         self.workflow = workflow
         self.options = options or RunOptions()
+        workflow.warn = self.options.warn
         try:
             self.pacing = Pacing.from_dict(workflow.document.get("pacing", dict, {}))
         except UniconError as error:

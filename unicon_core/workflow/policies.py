@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 from unicon_core.errors import PolicyError, WorkflowError, alternatives
+from unicon_core.flow import Block
 from unicon_core.policies import OnnxPolicy, PolicyContract, load_policy, policy_states
 from unicon_core.policies.joint_command import lacking_joints
 from unicon_core.robots import Robot
@@ -15,7 +16,7 @@ from unicon_core.workflow.autowire import BuildContext
 from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.flow_yaml import BlockUse
 
-__all__ = ["declared_states", "load_policies", "policy_factory"]
+__all__ = ["declared_states", "load_policies", "policies_reading", "policy_factory"]
 
 
 def load_policies(document: WorkflowDocument, robot: Robot) -> dict[str, PolicyContract]:
@@ -73,6 +74,15 @@ def used_policy(use: BlockUse, policies: Mapping[str, Any]) -> str:
             f"no policy {name!r} under 'policies:'; {declared}; write policy: NAME", use.where
         )
     return name
+
+
+def policies_reading(
+    state: str, blocks: Iterable[Block], policies: Mapping[str, PolicyContract]
+) -> dict[str, PolicyContract]:
+    """Return the policies that run in one of the blocks and read a state, by name."""
+    ticks = [block.tick for block in blocks if state in block.reads]
+    used = [tick.contract for tick in ticks if isinstance(tick, OnnxPolicy)]
+    return {name: contract for name, contract in policies.items() if contract in used}
 
 
 def declared_states(

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from unicon_core.errors import RobotError, UniconError, WorkflowError, alternatives
-from unicon_core.flow import Blender, Block, Deferred, Every, Node, Switch, Zip
+from unicon_core.flow import Blender, Block, Deferred, Every, Node, Switch, Zip, as_block
 from unicon_core.flow.checks import check_graph, raise_first
 from unicon_core.flow.critical_path import critical_path
 from unicon_core.flow.fuse import fuse
@@ -20,6 +20,14 @@ from unicon_core.signals import SIGNALS
 from unicon_core.states import Layout, States, StateSpec, standard_states
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_core.workflow.autowire import BuildContext, autowire, option_names
+from unicon_core.workflow.command_bounds import (
+    COMMAND,
+    CommandBound,
+    CommandBounds,
+    bounded_flow,
+    command_bounds,
+    reads_command,
+)
 from unicon_core.workflow.document import WorkflowDocument, load_document
 from unicon_core.workflow.expression import expression
 from unicon_core.workflow.flow_yaml import BlockUse, FlowReader
@@ -28,6 +36,7 @@ from unicon_core.workflow.platforms import build_platform
 from unicon_core.workflow.policies import (
     declared_states,
     load_policies,
+    policies_reading,
     policy_factory,
     used_policy,
 )
@@ -65,6 +74,8 @@ class Workflow:
         critical: the blocks that the command depends on.
         blocks: all blocks in order of building, for closing.
         gate: what every command passes last.
+        command_bounds: what the velocity command is held to; empty where nobody reads it.
+        warn: takes what blocks tell while they tick, one line each; the runner sets its own.
     """
 
     document: WorkflowDocument
@@ -79,11 +90,17 @@ class Workflow:
     blocks: list[Block] = field(default_factory=list)
     gate: Gate = field(default_factory=Gate)
     _closed: bool = field(default=False, init=False)
+    command_bounds: tuple[CommandBound, ...] = ()
+    warn: Callable[[str], None] = print
 
     @property
     def name(self) -> str:
         """Name of the workflow."""
         return self.document.name
+
+    def tell(self, message: str) -> None:
+        """Hand on what a block tells, to whoever listens by then."""
+        self.warn(message)
 
     def close(self) -> None:
         """Close the platform first (it damps), then the blocks in reverse order of building, once.
@@ -188,10 +205,28 @@ def _assemble(workflow: Workflow, inputs: Sequence[Hook], observers: Sequence[Ho
         workflow.blocks += blocks
         return blocks
 
-    before = hooked(inputs)
-    tuning = [block for block in before if block.role == "tune"]
-    last = [block for block in before if block.role == "safety"]
-    before = [block for block in before if block not in tuning and block not in last]
+    asked = hooked(inputs)
+    tuning = [block for block in asked if block.role == "tune"]
+    last = [block for block in asked if block.role == "safety"]
+    before = [block for block in asked if block not in tuning and block not in last]
+    early = reads_command(commands)
+    if early or reads_command([flow, *safety]):
+        states, readers = (
+            workflow.states,
+            policies_reading(COMMAND, workflow.blocks, workflow.policies),
+        )
+        workflow.command_bounds = command_bounds(readers, workflow.robot)
+
+        def bounds() -> Block:
+            found, period = workflow.command_bounds, workflow.period
+            return as_block(
+                CommandBounds(states[COMMAND], found, states["tick"], period, workflow.tell)
+            )
+
+        before.append(bounds())
+        flow = bounded_flow(flow, bounds)
+        if early:
+            commands = [bounded_flow(node, bounds) for node in commands]
     observed = [Deferred(block) for block in hooked(observers)]
     platform = workflow.platform
     recv = Block("recv", platform.recv, writes=tuple(platform.writes), role="recv")
@@ -205,6 +240,10 @@ def _assemble(workflow: Workflow, inputs: Sequence[Hook], observers: Sequence[Ho
     path = critical_path(Zip(*acting, *observed))
     workflow.critical = path.critical
     workflow.root = fuse(path.root, workflow.states)
+    require = getattr(platform, "require", None)
+    if require is not None:
+        blocks = sorted(path.critical, key=lambda block: block.name)
+        require({state: b.name for b in blocks for state in (*b.reads, *b.amends)})
 
 
 def load_robot_of(document: WorkflowDocument) -> Robot:

@@ -6,13 +6,16 @@
     pacing: {trigger: state}      # tick when joint states arrive
 
 What the map subscribes is what `recv` writes, polled raw and drained to the latest; what it
-publishes is what `send` reads. A topic that is silent for its `timeout` is a fault.
+publishes is what `send` reads. A topic that is needed and silent for its `timeout` is a fault, and
+so are commands that cannot be published. Needed is what the map does not call optional, and what
+the workflow's critical path reads, whatever the map says.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -21,19 +24,32 @@ from typing import Any
 import numpy as np
 
 from unicon_core.blocks.projected_gravity import projected_gravity
+from unicon_core.blocks.stops import finite
 from unicon_core.errors import Fault, MissingDependencyError, PlatformError, UniconError
+from unicon_core.platforms.damping import DAMPING_TIME, damping_command, repeated
 from unicon_core.resources import find_config
 from unicon_core.robots import Robot
+from unicon_core.signals import SIGNALS
 from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_msgs_map import Decoder, Encoder, MapError, MapStateError, load_map
 from unicon_ros import compat
 from unicon_ros.bridge.middleware_threads import calm_middleware_threads
+from unicon_ros.bridge.orientation import STATE, OrientationDecoder
 from unicon_ros.bridge.own_node import OwnNode
 from unicon_ros.bridge.topics_in import TopicIn
 from unicon_ros.bridge.topics_out import TopicOut
 
 __all__ = ["RosPlatform", "make"]
+
+TIMEOUT = 0.5
+"""Silence that is a fault where the map gives no `timeout`, [s]."""
+
+SEND_FAILURES = 5
+"""So many failures in a row to publish a command are a fault."""
+
+LONGEST_DAMPING = 0.8
+"""Largest option `damping`, [s]: whoever asks a run to end waits for it."""
 
 
 def make(
@@ -46,6 +62,7 @@ def make(
     namespace: str | None = None,
     ros_args: Sequence[str] = (),
     connect: float = 5.0,
+    damping: float = DAMPING_TIME,
     relative_to: Path | None = None,
 ) -> RosPlatform:
     """Build the platform and wait for the robot.
@@ -58,6 +75,7 @@ def make(
         namespace: of that node.
         ros_args: ROS arguments of that node, such as remaps.
         connect: how long to wait for the first message of each topic in [s].
+        damping: how long the last command is repeated at the end in [s], at most 0.8.
         relative_to: folder of the workflow, for a relative map path.
 
     Raises:
@@ -66,10 +84,14 @@ def make(
     """
     if states.num_robots is not None:
         raise PlatformError("platform 'ros' has one robot; leave num_robots out")
+    if not 0.0 < connect < float("inf"):
+        raise PlatformError(f"platform 'ros': connect is {connect} s; give a time above 0")
+    if not 0.0 <= damping <= LONGEST_DAMPING:
+        raise PlatformError(f"platform 'ros': damping is {damping} s; give 0 to {LONGEST_DAMPING}")
     path = find_config("maps", map, error=PlatformError, relative_to=relative_to)
     own = OwnNode(node_name, namespace, ros_args)
     try:
-        platform = RosPlatform(states, robot, period, path, own)
+        platform = RosPlatform(states, robot, period, path, own, connect, damping)
     except MissingDependencyError:
         own.close()
         raise
@@ -77,7 +99,7 @@ def make(
         own.close()
         raise PlatformError(f"platform 'ros': {error}") from error
     try:
-        platform.connect(connect)
+        platform.connect()
     except BaseException:
         platform.close()
         raise
@@ -95,9 +117,17 @@ class RosPlatform:
     simulated = False
 
     def __init__(
-        self, states: States, robot: Robot, period: float, path: Path, own: OwnNode
+        self,
+        states: States,
+        robot: Robot,
+        period: float,
+        path: Path,
+        own: OwnNode,
+        connect: float,
+        damping: float,
     ) -> None:
         self._states, self._robot, self._own, self._path = states, robot, own, path
+        self._period, self._patience, self._damping = period, connect, damping
         mapping = load_map(path)
         arrays = {name: states[name] for name in states}
         names = {name: spec.names for name, spec in states.layout.specs.items() if spec.names}
@@ -107,12 +137,16 @@ class RosPlatform:
         self._in: list[TopicIn] = []
         self._out: list[TopicOut] = []
         self._needed: list[TopicIn] = []
+        self._decoders: list[Decoder] = []
+        self._awaited: list[str] = []
         for given in mapping.subscribe:
             # Silence is a fault here; zeros in its place would be commanded by the last damping.
-            spec = replace(given, on_timeout="hold")
-            made = _made(spec, partial(Decoder.build, spec, arrays, names, variables))
+            spec = replace(given, on_timeout="hold", timeout=given.timeout or TIMEOUT)
+            kind = OrientationDecoder if STATE in spec.states else Decoder
+            made = _made(spec, partial(kind.build, spec, arrays, names, variables))
             if made is not None:
                 decoder, message = made
+                self._decoders.append(decoder)
                 topic = TopicIn(own.node, decoder, message, False, group, self._warnings.append)
                 self._in.append(topic)
                 if not spec.optional:
@@ -144,29 +178,82 @@ class RosPlatform:
                 if state not in self.writes or state in COMMAND_STATES
             )
         )
+        # A map without gains moves motors that look at nothing but their targets.
+        self._hold = {"joint_stiffness", "joint_damping"}.isdisjoint(self.reads)
+        self._finite = finite(*(states[name] for name in COMMAND_STATES), robot=robot)
+        self._target = states["joint_pos_target"]
+        self._last_target = np.zeros_like(self._target)
+        self._sent = False
         self._wait_set = compat.ReusedWaitSet([self._in[0].subscription], own.context)
         self._closed = False
 
-    def connect(self, timeout: float) -> None:
-        """Wait for the first message of every topic that is not optional.
+    def connect(self) -> None:
+        """Wait for the first message of every topic that is needed.
 
         Raises:
-            PlatformError: none came within `timeout` in [s].
+            PlatformError: none came in time.
         """
-        end = time.monotonic() + timeout
-        while missing := [topic for topic in self._needed if not topic.heard]:
+        end = time.monotonic() + self._patience
+        while missing := self._missing():
+            SIGNALS.check()
             for topic in self._in:
                 topic.poll()
             if time.monotonic() > end:
-                silent = missing[0]
-                said = "; ".join(dict.fromkeys([*self._warnings, silent.last_error])).strip("; ")
+                errors = [topic.last_error for topic in self._needed]
+                said = "; ".join(each for each in dict.fromkeys([*self._warnings, *errors]) if each)
                 raise PlatformError(
-                    f"platform 'ros': no message on {silent.topic} within {timeout:g} s"
+                    f"platform 'ros': no message {missing} within {self._patience:g} s"
                     f"{f' ({said})' if said else ''}; start the robot, or correct namespace, "
                     f"remaps or the map {self._path}"
                 )
             self._own.executor.spin_once(0.005)  # tells what a peer's QoS does not match
         calm_middleware_threads()
+
+    def _missing(self) -> str:
+        """Return what no message has told yet, in the words of an error; empty if all is there."""
+        silent = [topic for topic in self._needed if not topic.heard]
+        if silent:
+            return f"on {silent[0].topic}"
+        for name in self._awaited:
+            untold = np.flatnonzero(np.isnan(self._states[name]))
+            if len(untold):
+                names = self._states.layout.specs[name].names
+                return f"tells {name} of {names[untold[0]] if names else f'element {untold[0]}'}"
+        return ""
+
+    def require(self, states: Mapping[str, str]) -> None:
+        """Need what the critical path reads, optional or not, and wait until messages told all.
+
+        Args:
+            states: each state that a block on the critical path reads, and that block's name.
+
+        Raises:
+            PlatformError: the map writes some elements of a state only, or messages do.
+        """
+        wanted = {name: reader for name, reader in states.items() if name in self.writes}
+        if self._gravity is not None and "projected_gravity" in wanted:
+            wanted.setdefault(STATE, wanted["projected_gravity"])
+        for name, reader in wanted.items():
+            sources = [i for i, topic in enumerate(self._in) if name in topic.states]
+            written = set().union(*(self._decoders[i].elements(name) for i in sources))
+            size = self._states[name].size
+            if sources and len(written) < size:
+                raise PlatformError(
+                    f"platform 'ros': the map {self._path} writes {len(written)} of {size} "
+                    f"elements of {name}, which block {reader!r} reads; map the others too"
+                )
+            for i in sources:
+                topic, decoder = self._in[i], self._decoders[i]
+                if isinstance(decoder, OrientationDecoder):
+                    decoder.strict |= name == STATE
+                    decoder.forget(name)
+                topic.heard = False  # what came so far may have told less than is needed
+                if topic not in self._needed:
+                    self._needed.append(topic)
+            if sources and self._states[name].dtype.kind == "f":
+                self._states[name][...] = np.nan
+                self._awaited.append(name)
+        self.connect()
 
     def wait(self, timeout: float) -> bool:
         """Return True when the first topic of the map has a message, False after `timeout` [s]."""
@@ -204,31 +291,50 @@ class RosPlatform:
             out.rehearse()
 
     def send(self) -> bool | None:
-        """Publish the commands that are due."""
+        """Publish the commands that are due.
+
+        Raises:
+            Fault: a command is not finite, or commands cannot be published.
+        """
+        self._finite()
         for out in self._out:
             out.tick()
+            if out.failing >= SEND_FAILURES:
+                raise Fault(
+                    f"topic {out.topic}: {out.failing} commands in a row were not published "
+                    f"({out.last_error})"
+                )
+        self._last_target[...] = self._target
+        self._sent = True
         return None
 
     def close(self) -> None:
-        """Send a damping command (no stiffness, targets where the joints are), then let go."""
+        """Send a damping command for a while (no stiffness, targets within limits), then let go.
+
+        Where the map carries no gains, the targets are those that were sent last.
+        """
         if self._closed:
             return
         self._closed = True
-        states, damping = self._states, np.nan_to_num(self._robot.joint_damping)
-        if any(topic.heard for topic in self._in):
-            states.joint_pos_target[...] = states.joint_pos
-            states.joint_vel_target[...] = 0.0
-            states.joint_effort_ff[...] = 0.0
-            states.joint_stiffness[...] = 0.0
-            states.joint_damping[...] = damping
-            for out in self._out:
-                out.flush()
-        self._wait_set.close()
-        for topic in self._in:
-            topic.close()
+        with ExitStack() as rest:  # all of it, whatever fails
+            rest.callback(self._own.close)
+            for heard in self._in:
+                rest.callback(heard.close)
+            for said in self._out:
+                rest.callback(said.close)
+            rest.callback(self._wait_set.close)
+            # A robot that was never heard is not there; a target of ours would be its first step.
+            if any(topic.heard for topic in self._in) and (self._sent or not self._hold):
+                last = self._last_target if self._sent else None
+                damping_command(self._states, self._robot, last, hold=self._hold)
+                repeated(self._send_again, self._period, self._damping)
+                for out in self._out:
+                    out.flush()
+
+    def _send_again(self) -> None:
+        self._states["stamp_ns"][...] += round(self._period * 1e9)  # or a reader takes it for old
         for out in self._out:
-            out.close()
-        self._own.close()
+            out.now()
 
     def reset(self) -> None:
         """Nothing: a robot is not put back."""

@@ -136,7 +136,7 @@ class RosSession:
         states = {state for topic in self.incoming for state in topic.states}
         poll = Block(
             "ros inputs",
-            _poll_all(self.incoming, self.warn),
+            _poll_all(self.incoming),
             dry_run=_warm_up(self.incoming, self.outgoing),
             writes=tuple(sorted(states - written)),
             amends=tuple(sorted(states & written)),
@@ -297,15 +297,10 @@ class RosSession:
         )
 
 
-def _poll_all(topics: list[TopicIn], warn: Callable[[str], None]) -> Callable[[], None]:
+def _poll_all(topics: list[TopicIn]) -> Callable[[], None]:
     def poll() -> None:
         for topic in topics:
-            try:
-                topic.poll()
-            except Exception as error:  # the middleware is gone: the tick goes on
-                topics.remove(topic)
-                warn(f"topic {topic.topic}: given up ({one_line(error)})")
-                return
+            topic.poll()
 
     return poll
 

@@ -9,6 +9,7 @@ from typing import Any
 from unicon_core.flow import Block
 from unicon_msgs_map import Encoder
 from unicon_ros import compat
+from unicon_ros.bridge.own_node import one_line
 from unicon_ros.bridge.qos import qos_profile
 from unicon_ros.bridge.qos_events import QosEvents
 
@@ -38,6 +39,8 @@ class TopicOut:
         tap: gets the bytes of every message too, such as a recorder, or None.
         published: messages sent.
         failed: messages that the middleware refused.
+        failing: of those, how many in a row until now.
+        last_error: what it said last; empty if it never did.
     """
 
     def __init__(
@@ -61,12 +64,12 @@ class TopicOut:
         self.topic: str = self.publisher.topic_name
         self.tap: Callable[[bytes], object] | None = None
         self.published = 0
-        self.failed = 0
+        self.failed = self.failing = 0
+        self.last_error = ""
         self._encode = encoder.encode if prepare is None else _after(prepare, encoder.encode)
         self._prepared = prepare is not None  # costs more than it would save
         self._publish, self._release = compat.raw_publish(self.publisher)
         self._every, self._wait = every, phase % every
-        self._in_a_row = 0
         self.block = Block(f"publish {spec.topic}", self.tick, reads=spec.states)
 
     def tick(self) -> None:
@@ -84,25 +87,30 @@ class TopicOut:
             self._refused(error)
         else:
             self.published += 1
-            self._in_a_row = 0
+            self.failing = 0
 
     def rehearse(self) -> None:
         """Encode without publishing, if the next tick does: code and constants get warm."""
         if not self._wait and not self._prepared:
             self._encode()
 
-    def flush(self, timeout: float = 0.1) -> None:
-        """Publish at once, due or not, and wait until readers have it; never raises."""
+    def now(self) -> None:
+        """Publish at once, due or not; never raises."""
         self._wait = 0
         self.tick()
+
+    def flush(self, timeout: float = 0.1) -> None:
+        """Publish at once and wait until readers have it; never raises."""
+        self.now()
         compat.wait_for_readers(self.publisher, timeout)
 
     def _refused(self, error: Exception) -> None:
         self.failed += 1
-        self._in_a_row += 1
+        self.failing += 1
+        self.last_error = one_line(error)
         if self.failed == 1:
-            self._warn(f"topic {self.topic}: a message was not published ({error})")
-        if self._in_a_row == GIVE_UP:
+            self._warn(f"topic {self.topic}: a message was not published ({self.last_error})")
+        if self.failing == GIVE_UP:
             self._warn(f"topic {self.topic}: given up after {GIVE_UP} messages were not published")
             self._wait = 1 << 62
 

@@ -1,0 +1,71 @@
+"""What attacks through ROS share: peers of our own, runs in threads, a robot behind topics."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE.parent / "ros"))
+
+from ros_helpers import Peer, Run, wait_for  # noqa: E402
+
+from unicon_core.robots import load_robot  # noqa: E402
+
+__all__ = ["HERE", "Peer", "Run", "behind_topics", "peer", "robot", "running", "wait_for"]
+
+MAKE = "unicon_ros.bridge.ros_platform:make"
+BEHIND = """\
+schema: unicon.workflow/1
+robot: go2
+platform: {make}
+platforms: {{"{make}": {{connect: {connect}, map: {map}}}}}
+rate: 100
+flow: {{hold: {{}}}}
+safety: [{safety}]
+"""
+
+
+@contextmanager
+def peer(script: str, *arguments: str) -> Iterator[Peer]:
+    """A plain rclpy script of `peers/`, killed at the end."""
+    process = Peer(sys.executable, str(HERE / "peers" / f"{script}.py"), *arguments)
+    try:
+        yield process
+    finally:
+        process.kill()
+
+
+@contextmanager
+def robot(lie: str, seconds: float) -> Iterator[Peer]:
+    """A Go2 behind topics that tells the truth for so long from its first command on."""
+    with peer("lying_robot", lie, str(seconds), *load_robot("go2").joint_names) as process:
+        yield process
+
+
+@contextmanager
+def running(path: Path | str, **options: Any) -> Iterator[Run]:
+    """A workflow with its bridge in a thread, ended at the end."""
+    run = Run(path, **options).start()
+    try:
+        yield run
+    finally:
+        if run.alive:
+            run.end()
+        run.session.close()
+
+
+def behind_topics(
+    folder: Path, safety: str, map: str | Path = "ros_robot", connect: float = 10.0
+) -> Path:
+    """Write a workflow of a robot behind topics that holds its pose."""
+    path = folder / "behind_topics.yaml"
+    path.write_text(BEHIND.format(make=MAKE, safety=safety, map=map, connect=connect))
+    return path

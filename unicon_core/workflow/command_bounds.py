@@ -1,0 +1,206 @@
+"""Command bounds: the largest velocity command that the flow ever sees, for the workflow builder.
+
+Whoever gives it (`commands:`, a topic, a block of one's own), the last thing before a reader is a
+clip: to the `command_ranges` of the policies in use that read it, else of the robot file, else to
+`CAUTIOUS`. Zero is always allowed: it is what silence commands.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.flow import Block, Deferred, Node, Zip
+from unicon_core.flow.nodes import blocks_of, children_of, with_children
+from unicon_core.policies import PolicyContract
+from unicon_core.robots import Robot
+
+__all__ = [
+    "CAUTIOUS",
+    "COMMAND",
+    "CommandBound",
+    "CommandBounds",
+    "bounded_flow",
+    "command_bounds",
+    "reads_command",
+]
+
+COMMAND = "velocity_command"
+
+CAUTIOUS = {"vx": 1.0, "vy": 0.5, "wz": 1.0}
+"""Largest magnitudes where nobody says any, [m/s], [m/s], [rad/s]."""
+
+CALM = 2.0
+"""Time within the bounds after which an episode is over, [s]: each is told once."""
+
+_POLICY_KEYS = {"vx": "lin_vel_x", "vy": "lin_vel_y", "wz": "ang_vel_z"}
+_UNITS = {"vx": "m/s", "vy": "m/s", "wz": "rad/s"}
+
+
+@dataclass(frozen=True)
+class CommandBound:
+    """What one element of the command is held to.
+
+    Attributes:
+        axis: `vx`, `vy` or `wz`.
+        low, high: in [m/s] or [rad/s]; zero lies between them.
+        sources: who says low and high.
+        given: whether a policy or the robot file says them.
+    """
+
+    axis: str
+    low: float
+    high: float
+    sources: tuple[str, str]
+    given: bool
+
+    @property
+    def unit(self) -> str:
+        """Its unit."""
+        return _UNITS[self.axis]
+
+
+def command_bounds(
+    policies: Mapping[str, PolicyContract], robot: Robot
+) -> tuple[CommandBound, ...]:
+    """Return the bounds of vx, vy and wz; of several policies the tightest.
+
+    Args:
+        policies: those in use that read the command, by the workflow's name for them.
+        robot: what its file says counts for policies that say nothing.
+    """
+    return tuple(_bound(axis, policies, robot) for axis in CAUTIOUS)
+
+
+def _bound(axis: str, policies: Mapping[str, PolicyContract], robot: Robot) -> CommandBound:
+    cautious = CAUTIOUS[axis]
+    said = f"neither policy nor {robot.path.name} has command_ranges"
+    fallback = (-cautious, cautious), said, False
+    if axis in robot.command_ranges:
+        fallback = robot.command_ranges[axis], f"command_ranges of robot {robot.name}", True
+    found: list[tuple[tuple[float, float], str, bool]] = []
+    for name, contract in policies.items():
+        pair = contract.command_ranges.get(_POLICY_KEYS[axis])
+        if pair is None or not all(map(math.isfinite, pair)):
+            found.append(fallback)
+        else:
+            found.append((pair, f"command_ranges of policy {name!r}", True))
+    found = found or [fallback]
+    low = max(found, key=lambda each: each[0][0])
+    high = min(found, key=lambda each: each[0][1])
+    return CommandBound(
+        axis,
+        min(float(np.float32(low[0][0])), 0.0),
+        max(float(np.float32(high[0][1])), 0.0),
+        (low[1], high[1]),
+        low[2] and high[2],
+    )
+
+
+class CommandBounds:
+    """The tick: clips in place. What is not finite commands nothing that is known: it becomes zero.
+
+    Args:
+        command: vx, vy [m/s], wz [rad/s], shape (..., 3).
+        bounds: of vx, vy and wz.
+        tick: number of the present tick.
+        period: of a tick in [s].
+        warn: gets one line for each episode.
+    """
+
+    name = "command bounds"
+    amends = (COMMAND,)
+    endless = True
+
+    def __init__(
+        self,
+        command: NDArray[np.float32],
+        bounds: tuple[CommandBound, ...],
+        tick: NDArray[Any],
+        period: float,
+        warn: Callable[[str], None],
+    ) -> None:
+        self._command, self._rows = command, command.reshape(-1, 3)
+        self._bounds, self._tick, self._warn = bounds, tick, warn
+        self._calm = max(1, round(CALM / period))
+        self._low = np.array([each.low for each in bounds], np.float32)
+        self._high = np.array([each.high for each in bounds], np.float32)
+        (self._x0, self._x1), (self._y0, self._y1), (self._z0, self._z1) = (
+            (each.low, each.high) for each in bounds
+        )
+        self._last: dict[tuple[str, bool], int] = {}
+        if len(self._rows) > 1:
+            self.dry_run = self.within = self._all_within  # type: ignore[method-assign]
+
+    def __call__(self) -> None:
+        if not self.within():
+            self._amend()
+
+    def within(self) -> bool:
+        """Return whether all is within its bounds: 0.3 µs, of Python's own numbers."""
+        command: list[float] = self._command.tolist()
+        x, y, z = command
+        return self._x0 <= x <= self._x1 and self._y0 <= y <= self._y1 and self._z0 <= z <= self._z1
+
+    dry_run = within
+
+    def _all_within(self) -> bool:
+        rows = self._rows
+        return bool((rows >= self._low).all() and (rows <= self._high).all())
+
+    def _amend(self) -> None:
+        for row in self._rows:
+            values = row.tolist()
+            finite = all(map(math.isfinite, values))
+            for bound, value in zip(self._bounds, values):
+                beyond = finite and not bound.low <= value <= bound.high
+                if beyond or not math.isfinite(value):
+                    self._tell(bound, value)
+            if finite:
+                np.maximum(row, self._low, out=row)
+                np.minimum(row, self._high, out=row)
+            else:
+                row[...] = 0.0
+
+    def _tell(self, bound: CommandBound, value: float) -> None:
+        tick = int(self._tick.flat[0])  # of a batch all have the same
+        finite = math.isfinite(value)
+        last = self._last.get((bound.axis, finite))
+        self._last[bound.axis, finite] = tick
+        if last is not None and 0 <= tick - last <= self._calm:
+            return
+        if not finite:
+            self._warn(f"{COMMAND} {bound.axis} is {value}: the whole command is zero")
+            return
+        low = value < bound.low
+        limit, source = (bound.low, bound.sources[0]) if low else (bound.high, bound.sources[1])
+        self._warn(
+            f"{COMMAND} {bound.axis} is {value:g}, held to {limit:g} {bound.unit} ({source})"
+        )
+
+
+def bounded_flow(flow: Node, make: Callable[[], Block]) -> Node:
+    """Return a tree with bounds behind every block in it that gives commands itself.
+
+    Args:
+        flow: of a workflow, or one of its `commands:`.
+        make: makes a block of bounds.
+    """
+    if isinstance(flow, Block):
+        gives = COMMAND in (*flow.writes, *flow.amends)
+        return Zip(flow, make(), where=flow.where) if gives else flow
+    if isinstance(flow, Deferred):
+        return flow
+    old = children_of(flow)
+    new = tuple(bounded_flow(child, make) for child in old)
+    return with_children(flow, new) if any(a is not b for a, b in zip(old, new)) else flow
+
+
+def reads_command(nodes: list[Node]) -> bool:
+    """Return whether any block in these nodes reads the command, beyond changing it."""
+    return any(COMMAND in block.reads for node in nodes for block in blocks_of(node))
