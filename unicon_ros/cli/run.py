@@ -69,6 +69,7 @@ def run(arguments: argparse.Namespace) -> int:
     with_ros = document.get("ros", bool, False) if arguments.ros is None else arguments.ros
     session: Any = None
     picture: Any = None
+    recording: Any = None
     if with_ros:
         from unicon_ros.bridge import RosSession
 
@@ -84,10 +85,12 @@ def run(arguments: argparse.Namespace) -> int:
         observers.append(session.observers)
     try:
         if arguments.record:
-            from unicon_ros.recorder import recorder_hook
+            from unicon_ros.recorder import Recording
 
             map_name = arguments.map or document.get("map", str)
-            observers.append(recorder_hook(arguments.record, map_name, session))
+            patient = arguments.speed == "max"
+            recording = Recording(arguments.record, map_name, session, _warn, patient)
+            observers.append(recording.hook)
         if arguments.picture:
             from unicon_ros.picture import Picture
 
@@ -112,10 +115,12 @@ def run(arguments: argparse.Namespace) -> int:
         report = runner.run()
         if session is not None:
             report.bridge = session.counts()
+        if recording is not None:
+            report.extra["recording"] = recording.counts()
     finally:
         if session is not None:
             session.close()
-    status = _tell(arguments, report, runner)
+    status = _tell(arguments, report, runner, recording)
     if picture is not None:
         picture.draw(f"{report.workflow} on {report.robot} ({report.platform})")
         print(f"picture       {arguments.picture}")
@@ -131,7 +136,7 @@ def _viewer(workflow: Workflow) -> list[Block]:
     return [as_block(make())]
 
 
-def _tell(arguments: argparse.Namespace, report: Report, runner: Any) -> int:
+def _tell(arguments: argparse.Namespace, report: Report, runner: Any, recording: Any) -> int:
     if not arguments.quiet:
         if sys.stderr.isatty():
             print(file=sys.stderr)
@@ -142,8 +147,8 @@ def _tell(arguments: argparse.Namespace, report: Report, runner: Any) -> int:
         if arguments.trace:
             runner.statistics.write_trace(arguments.trace, f"unicon {report.workflow}")
             print(f"trace         {arguments.trace} (open it in ui.perfetto.dev)")
-        if arguments.record:
-            print(f"recording     {arguments.record}")
+        if recording is not None:
+            print(f"recording     {recording.summary()}")
         if arguments.report:
             report.write(arguments.report)
             print(f"report        {arguments.report}")
