@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import os
+import random
 import resource
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -150,6 +152,36 @@ def test_rubble_behind_the_last_chunk_is_cut_away(tmp_path: Path) -> None:
         found = recover(partial)
         assert found is not None
         assert read_by_both(found[0]) == {"/topic": [1]}
+
+
+def test_a_broken_file_is_recovered_or_refused_and_never_more(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "run.mcap")
+    write = recorder.channel("/topic", KIND)
+    recorder.start()
+    partial = tmp_path / "run.mcap.partial"
+    for number in range(3):
+        write(number + 1, message(number))
+        grown(partial, partial.stat().st_size + 1)
+    raw = partial.read_bytes()
+    recorder.close()
+    rng = random.Random(1)
+    counts = set()
+    for _ in range(300):
+        broken = bytearray(raw)
+        for _ in range(rng.choice((1, 1, 5))):
+            at = rng.randrange(len(raw))
+            broken[at : at + rng.choice((1, 1, 8))] = rng.randbytes(rng.choice((1, 1, 8)))
+        partial.write_bytes(broken)
+        try:
+            found = recover(partial)
+        except UniconError:
+            counts.add(-1)
+            partial.unlink()
+            continue
+        counts.add(found[1] if found else 0)
+        if found:
+            found[0].unlink()
+    assert counts == {-1, 0, 1, 2, 3}
 
 
 def limit_files() -> None:
@@ -368,11 +400,30 @@ def test_what_is_not_a_recording_is_left_alone(tmp_path: Path) -> None:
         assert partial.read_bytes() == content
 
 
-def test_a_run_that_is_not_built_leaves_no_file(tmp_path: Path) -> None:
-    file = tmp_path / "run.mcap"
-    where = ["--record", str(file), "--map", "nonesuch"]
-    assert main([*RUN, *where]) == 1
+def test_where_nothing_can_be_written_the_run_does_not_begin(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_bytes(b"")
+    (tmp_path / "run.mcap.partial").mkdir()
+    for name, line in (
+        ("file/run.mcap", "cannot record to "),
+        ("run.mcap", "run.mcap.partial is not a recording that a killed run left; move it away"),
+        ("", " exists; move it away or give another name"),
+    ):
+        assert main([*RUN, "--duration", "1", "--record", str(tmp_path / name)]) == 1
+        told = capsys.readouterr().err
+        assert line in told
+        assert told.count("\n") == 1
+
+
+@pytest.mark.parametrize("why", [["--map", "nonesuch"], ["--view"]])
+def test_a_run_that_is_not_built_leaves_no_file_and_no_thread(
+    why: list[str], tmp_path: Path
+) -> None:
+    before = threading.active_count()
+    assert main([*RUN, "--record", str(tmp_path / "run.mcap"), *why]) == 1
     assert paths(tmp_path) == []
+    assert threading.active_count() == before
 
 
 def test_others_read_what_is_written(tmp_path: Path) -> None:

@@ -117,9 +117,11 @@ class Background:
         self._ending = True
         self._wake.set()
         self._ended.set()
-        if not self._threads[0].is_alive():
+        if not any(thread.is_alive() for thread in self._threads):
             return
-        self._threads[0].join(CLOSE_S)
+        end = time.monotonic() + CLOSE_S
+        for thread in self._threads:
+            thread.join(max(end - time.monotonic(), 0.0))
         if self._threads[0].is_alive():
             self._fail(f"the medium took nothing for {CLOSE_S:g} s")
 

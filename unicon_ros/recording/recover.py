@@ -11,8 +11,9 @@ import argparse
 import struct
 import sys
 import zlib
-from collections import Counter
 from pathlib import Path
+
+import numpy as np
 
 from unicon_core.errors import UniconError
 from unicon_ros.recording.mcap_file import McapFile, Taken
@@ -22,9 +23,12 @@ from unicon_ros.recording.records import (
     CHUNK_HEAD,
     HEADER,
     MAGIC,
-    MESSAGE_INDEX,
+    MESSAGE,
+    MESSAGE_HEAD,
+    ROW,
     SCHEMA,
     Chunk,
+    message_indexes,
 )
 
 __all__ = ["recover", "salvage"]
@@ -73,32 +77,29 @@ def salvage(file: McapFile) -> None:
 
 def _chunk(file: McapFile, record: bytes, start: int) -> Chunk | None:
     """Return what is known of a chunk, None where it or its indexes are not whole."""
-    if len(record) < CHUNK_HEAD.size:
-        return None
-    _, _, first, last, size, crc, _, _ = CHUNK_HEAD.unpack_from(record)
-    records = memoryview(record)[CHUNK_HEAD.size :]
-    if len(records) != size or zlib.crc32(records) != crc:
-        return None
-    messages: Counter[int] = Counter()
-    position = 0
-    while position < size:
-        (length,) = struct.unpack_from("<Q", records, position + 1)
-        messages.update(struct.unpack_from("<H", records, position + 9))
-        position += 9 + length
-    offsets: dict[int, int] = {}
-    end = start + len(record)
-    position = end
-    for _ in messages:
-        head = file.read(15, position)
-        if len(head) < 15:
+    try:
+        _, _, _, _, size, crc, _, _ = CHUNK_HEAD.unpack_from(record)
+        records = memoryview(record)[CHUNK_HEAD.size :]
+        if len(records) != size or zlib.crc32(records) != crc:
             return None
-        opcode, length, channel, entries = struct.unpack("<BQHI", head)
-        index = file.read(9 + length, position) if length <= LONGEST else b""
-        if (opcode, len(index), entries) != (MESSAGE_INDEX, 9 + length, 16 * messages[channel]):
-            return None
-        offsets[channel] = position - end
-        position += len(index)
-    return Chunk(start, len(record), size, first, last, offsets, position - end, messages)
+        found: list[tuple[int, int, int]] = []
+        position = 0
+        while position < size:
+            opcode, length, channel, _, time, _ = MESSAGE_HEAD.unpack_from(records, position)
+            if opcode != MESSAGE:
+                return None
+            found.append((channel, time, position))
+            position += 9 + length
+    except struct.error:
+        return None
+    if not found:
+        return None
+    rows = np.array(found, ROW)
+    indexes, offsets, counts = message_indexes(rows)
+    if file.read(len(indexes), start + len(record)) != indexes:
+        return None
+    first, last = int(rows["time"].min()), int(rows["time"].max())
+    return Chunk(start, len(record), size, first, last, offsets, len(indexes), counts)
 
 
 def recover(path: str | Path) -> tuple[Path, int] | None:
@@ -119,9 +120,7 @@ def recover(path: str | Path) -> tuple[Path, int] | None:
     path = Path(path)
     final = path.with_name(path.name.removesuffix(".partial"))
     if final == path or not path.is_file():
-        raise UniconError(
-            f"{path} is not an unfinished recording; give the FILE.mcap.partial of a killed run"
-        )
+        raise UniconError(_no_recording(path))
     try:
         file = McapFile(final)
     except Taken:
@@ -146,14 +145,16 @@ def recover(path: str | Path) -> tuple[Path, int] | None:
         file.finish(target)
     except ValueError:
         file.leave()
-        raise UniconError(
-            f"{path} is not a recording that a killed run left; move it away or give another name"
-        ) from None
+        raise UniconError(_no_recording(path)) from None
     except OSError as error:
         raise UniconError(
             f"cannot recover {path}: {error.strerror}; make room or give another name"
         ) from error
     return target, file.messages
+
+
+def _no_recording(path: Path) -> str:
+    return f"{path} is not a recording that a killed run left; move it away or give another name"
 
 
 def main() -> int:
