@@ -73,3 +73,10 @@ def test_a_module_that_remembers_drives_one_robot(folder: Path) -> None:
     specs = standard_states(machine.joint_names) | policy_states(contract, machine)
     with pytest.raises(PolicyError, match=r"recurrent \(cell_state, hidden_state\) and can drive"):
         OnnxPolicy(contract, States(specs, 3), machine)
+
+
+@pytest.mark.parametrize("folder", ["Asking"], indirect=True)
+def test_a_reset_memory_that_wants_arguments_is_one_line(folder: Path) -> None:
+    with pytest.raises(PolicyError, match=r"policy\.pt: its reset_memory does not run") as caught:
+        policy_of(folder)
+    assert "\n" not in str(caught.value)

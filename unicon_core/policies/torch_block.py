@@ -56,8 +56,14 @@ class TorchNetwork:
             raise PolicyError(f"{contract.model}: torch cannot load it: {reason}") from error
         self._label = f"policy {contract.name}"
         if hasattr(self._module, "reset_memory"):  # exporters of recurrent policies have it
-            with torch.inference_mode():
-                self._module.reset_memory()
+            try:
+                with torch.inference_mode():
+                    self._module.reset_memory()
+            except RuntimeError as error:
+                reason = " ".join(str(error).split())[:200]
+                raise PolicyError(
+                    f"{contract.model}: its reset_memory does not run without arguments: {reason}"
+                ) from error
         self._memory = TorchMemory(torch, self._module)
         self.inputs = tuple(
             OnnxTensor(name, "float32", ("", "")) for name in contract.inputs.values()
