@@ -35,6 +35,7 @@ EXTRAS = {
         "pytest-timeout",
         "hypothesis",
         "jsonschema",
+        "mcap-ros2-support",
         "onnx",
         "psutil",
         "colcon-common-extensions",

@@ -264,9 +264,11 @@ class UniconNode(LifecycleNode):
         )
         observers: list[Hook] = [session.observers]
         if settings.record:
-            from unicon_ros.recorder import recorder_hook
+            from unicon_ros.recorder import Recording
 
-            observers.append(recorder_hook(settings.record, map_name, session))
+            patient = settings.speed == "max"
+            recording = Recording(settings.record, map_name, session, warn, patient)
+            observers.append(recording.hook)
         workflow = load_workflow(
             settings.workflow,
             settings.overrides,

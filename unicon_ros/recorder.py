@@ -1,13 +1,14 @@
 """Recorder: writes the messages of a map into an MCAP file, for `unicon run --record`.
 
-The file is a plain rosbag2 recording: `ros2 bag play`, rosbags and Foxglove read it. While it is
-open it grows in a folder `FILE.partial/` beside its place, so that a killed run leaves its data.
+`ros2 bag play`, rosbags and Foxglove read it. While it grows it is called `FILE.partial`; what a
+killed run left of that name is finished as `FILE.recovered-N.mcap` when the next one begins.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,12 +18,15 @@ from unicon_core.flow import Block
 from unicon_core.resources import find_config
 from unicon_msgs_map import Encoder, MapStateError, load_map
 from unicon_msgs_map.messages import message_definition
+from unicon_ros.recording import Background, McapFile, recover
+from unicon_ros.recording.mcap_file import Taken
+from unicon_ros.recording.records import Channel
 
 if TYPE_CHECKING:
-    from unicon_core.workflow import Hook, Workflow
+    from unicon_core.workflow import Workflow
     from unicon_ros.bridge import RosSession
 
-__all__ = ["Recorder", "recorder_hook"]
+__all__ = ["Recorder", "Recording"]
 
 
 class Recorder:
@@ -30,88 +34,141 @@ class Recorder:
 
     Args:
         path: of the file, must not exist; folders are made.
+        warn: takes warnings, one line each, from a thread.
+        patient: wait for a slow disk rather than drop messages.
 
     Raises:
         MissingDependencyError: rosbags is not installed.
         UniconError: the file exists, or cannot be written.
     """
 
-    def __init__(self, path: str | Path) -> None:
-        try:
-            from rosbags.rosbag2 import StoragePlugin, Writer
-        except ModuleNotFoundError as error:
-            raise MissingDependencyError(
-                "--record", "rosbags", "pip install 'unicon_ros[bags]'"
-            ) from error
+    def __init__(
+        self, path: str | Path, warn: Callable[[str], None] = print, patient: bool = False
+    ) -> None:
         self.path = Path(path)
-        self._partial = self.path.with_name(f"{self.path.name}.partial")
-        for taken in (self.path, self._partial):
-            if taken.exists():
-                raise UniconError(f"recording {taken} exists; move it away or give another name")
-        self._writer: Any = Writer(self._partial, version=9, storage_plugin=StoragePlugin.MCAP)
+        if self.path.exists():
+            raise UniconError(f"recording {path} exists; move it away or give another name")
+        self._file = self._create(warn)
+        self._background = Background(self._file, warn, patient)
+
+    def _create(self, warn: Callable[[str], None]) -> McapFile:
+        rest = self.path.with_name(f"{self.path.name}.partial")
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            self._writer.open()
-        except OSError as error:
+            if rest.exists():
+                found = recover(rest)
+                if found is not None:
+                    warn(
+                        f"an earlier run was cut off while it recorded to {self.path}; its "
+                        f"{found[1]} messages are in {found[0]} now"
+                    )
+            file = McapFile(self.path)
+        except Taken:
             raise UniconError(
-                f"cannot record to {self.path}: {error.strerror}; give a path in a writable folder"
-            ) from error
-        self._closed = False
-        self.messages = 0
+                f"recording {self.path} is being written by another run; give another name"
+            ) from None
+        except OSError as error:
+            raise self._cannot(error) from error
+        try:
+            file.begin()
+        except OSError as error:
+            file.discard()
+            raise self._cannot(error) from error
+        return file
+
+    def _cannot(self, error: OSError) -> UniconError:
+        return UniconError(
+            f"cannot record to {self.path}: {error.strerror}; give a path in a writable folder "
+            "with room"
+        )
 
     def channel(self, topic: str, kind: str) -> Callable[[int, bytes], None]:
-        """Add a topic and return what writes a message of it: `write(stamp_ns, cdr)`.
+        """Add a topic, before `start`, and return what takes its messages: `write(stamp_ns, cdr)`.
 
         Args:
             topic: its name.
             kind: its message type, `sensor_msgs/msg/JointState`.
         """
-        definition = message_definition(kind)
-        connection = self._writer.add_connection(
-            f"/{topic.lstrip('/')}", kind, msgdef=definition.text, rihs01=definition.rihs
-        )
-        write = self._writer.write
+        known = message_definition(kind)
+        number = self._file.channels + 1
+        name = f"/{topic.lstrip('/')}"
+        try:
+            return self._background.channel(
+                Channel(number, name, kind, known.text, known.encoding, known.rihs)
+            )
+        except OSError as error:
+            raise self._cannot(error) from error
 
-        def record(stamp_ns: int, raw: bytes) -> None:
-            write(connection, stamp_ns, raw)
-            self.messages += 1
+    def start(self) -> None:
+        """Begin to write, in a thread."""
+        self._background.start()
 
-        return record
+    def discard(self) -> None:
+        """Delete the file, where `start` was not called."""
+        self._file.discard()
+
+    def counts(self) -> dict[str, Any]:
+        """Return messages in the file, those dropped, bytes, and the error or ""."""
+        return asdict(self._background.counts())
 
     def close(self) -> None:
-        """Finish the file and put it in its place; safe to call twice."""
-        if self._closed:
-            return
-        self._closed = True
-        self._writer.close()
-        for written in self._partial.glob("*.mcap"):
-            written.replace(self.path)
-        for rest in self._partial.iterdir():
-            rest.unlink()
-        self._partial.rmdir()
+        """Finish the file and give it its name, within 5 s; safe to call twice, never raises."""
+        self._background.close()
 
 
-def recorder_hook(
-    path: str | Path, map_name: str | None, session: RosSession | None = None
-) -> Hook:
-    """Return the hook that records what the map publishes, at its rates, after `send`.
+class Recording:
+    """Records what a map publishes, at its rates, after `send`: a recorder as a hook.
 
     Args:
         path: of the MCAP file.
         map_name: message map, name or path; `default` if None.
         session: where ROS is on, its messages are recorded as they leave, encoded once; the hook
             must then stand behind the session's own.
+        warn: takes warnings, one line each, from a thread.
+        patient: wait for a slow disk rather than drop messages: for runs at full speed.
     """
 
-    def hook(workflow: Workflow) -> list[Block]:
-        recorder = Recorder(path)
+    def __init__(
+        self,
+        path: str | Path,
+        map_name: str | None = None,
+        session: RosSession | None = None,
+        warn: Callable[[str], None] = print,
+        patient: bool = False,
+    ) -> None:
         try:
-            return _blocks(recorder, workflow, map_name, session)
-        except BaseException:
-            recorder.close()
-            raise
+            import rosbags  # noqa: F401  (the texts of the message types are its)
+        except ModuleNotFoundError as error:
+            raise MissingDependencyError(
+                "--record", "rosbags", "pip install 'unicon_ros[bags]'"
+            ) from error
+        self._path, self._map_name, self._session = path, map_name, session
+        self._warn, self._patient = warn, patient
+        self._recorder: Recorder | None = None
 
-    return hook
+    def counts(self) -> dict[str, Any]:
+        """Return messages in the file, those dropped, bytes, and the error or ""."""
+        return {} if self._recorder is None else self._recorder.counts()
+
+    def summary(self) -> str:
+        """Return what became of it, for the end of a run."""
+        counts = self.counts()
+        text = f"{self._path}: {counts['messages']} messages"
+        if counts["dropped"]:
+            text += f", {counts['dropped']} lost"
+        return text + (f" ({counts['error']})" if counts["error"] else "")
+
+    def hook(self, workflow: Workflow) -> list[Block]:
+        """Return the block that records."""
+        recorder = Recorder(self._path, self._warn, self._patient)
+        try:
+            blocks = _blocks(recorder, workflow, self._map_name, self._session)
+        except BaseException:
+            recorder.discard()
+            raise
+        recorder.start()
+        self._recorder = recorder
+        return blocks
 
 
 def _blocks(

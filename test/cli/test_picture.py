@@ -72,12 +72,12 @@ def test_with_ros_the_recording_holds_the_very_messages_that_left(tmp_path: Path
     from unicon_core.runtime import Runner, RunOptions
     from unicon_core.workflow import load_workflow
     from unicon_ros.bridge import RosSession
-    from unicon_ros.recorder import recorder_hook
+    from unicon_ros.recorder import Recording
 
     file = tmp_path / "run.mcap"
     session = RosSession(map="default", warn=lambda line: None)
     try:
-        recorder = recorder_hook(file, "default", session)
+        recorder = Recording(file, "default", session).hook
         workflow = load_workflow(
             "go2_stand", inputs=[session.inputs], observers=[session.observers, recorder]
         )

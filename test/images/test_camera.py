@@ -239,21 +239,33 @@ def test_a_camera_process_that_is_killed_leaves_the_ticks_alone(write: Callable[
     assert report.ticks == 150
 
 
+@pytest.mark.usefixtures("gl")  # a model is read where it is drawn
 @pytest.mark.parametrize(
     ("where", "message"),
     [
-        (
-            "{body: nose}",
-            r"camera: no body 'nose' in .*go2\.xml; ",
-        ),
+        ("{body: nose}", r"camera: no body 'nose' in .*go2\.xml; "),
         ("{camera: front}", r"camera: no camera 'front' in .*; or mount one: body: NAME"),
+    ],
+)
+def test_what_is_not_in_the_model_is_one_line(
+    write: Callable[..., Path], where: str, message: str
+) -> None:
+    refused(write(where=where), message)
+
+
+@pytest.mark.parametrize(
+    ("where", "message"),
+    [
         ("{far: 3}", r"camera: give either camera: NAME of the model, or body: NAME to mount"),
         ("{body: base_link, reliability: sure}", r"camera: reliability 'sure'"),
         ("{body: base_link, fovy: 0}", r"camera: fovy is 0; give more than 0"),
     ],
 )
 def test_what_is_wrong_is_one_line(write: Callable[..., Path], where: str, message: str) -> None:
-    path = write(where=where.replace(", ", "\n      "))
+    refused(write(where=where.replace(", ", "\n      ")), message)
+
+
+def refused(path: Path, message: str) -> None:
     with pytest.raises(UniconError, match=message) as caught:
         load_workflow(path).close()
     assert "\n" not in str(caught.value)

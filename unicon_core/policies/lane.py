@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from unicon_core.errors import PolicyError
 from unicon_core.policies.contract import ObservationSpec, ObservationTerm, PolicyContract
-from unicon_core.policies.network import Network
+from unicon_core.policies.network import Network, Remembering
 from unicon_core.policies.observation import Observation, PackedStates
 from unicon_core.policies.onnx_file import OnnxTensor
 
@@ -75,6 +75,7 @@ class Lane:
         self._memory = tuple(memory)
         self._runs = tuple(runs)
         self._run = runs[0] if len(runs) == 1 else self._run_rows
+        self._remembering = tuple(run for run in runs if isinstance(run, Remembering))
         self._write, self._advance = _nothing, _nothing
         if observation is not None:
             self._write, self._advance = observation.bind_parts(obs)
@@ -107,8 +108,13 @@ class Lane:
         if dry:
             return
         self._advance()
+        self._remember()
+
+    def _remember(self) -> None:
         for source, target in self._memory:
             target[...] = source
+        for run in self._remembering:
+            run.commit()
         self._steps += 1.0
 
     def prime(self) -> None:
@@ -117,9 +123,7 @@ class Lane:
         for item in self._inputs:
             item.values[...] = 0.0
         self.infer()
-        for source, target in self._memory:
-            target[...] = source
-        self._steps += 1.0
+        self._remember()
         self.action[...] = 0.0
         for view, values in self.published:
             view[...] = values
@@ -131,6 +135,8 @@ class Lane:
         for source, target in self._memory:
             source[...] = 0
             target[...] = 0
+        for run in self._remembering:
+            run.reset()
         self.action[...] = 0.0
         self._steps = 0.0
 

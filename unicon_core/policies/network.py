@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from numpy.typing import NDArray
 
 from unicon_core.errors import MissingDependencyError, PolicyError
 from unicon_core.policies.onnx_file import OnnxFile, OnnxTensor, read_onnx
 
-__all__ = ["INSTALL", "Network", "OnnxNetwork", "load_session"]
+__all__ = ["INSTALL", "Network", "OnnxNetwork", "Remembering", "load_session"]
 
 INSTALL = "pip install 'unicon_ros[sim]'"
 
@@ -25,7 +25,27 @@ class Network(Protocol):
     def bind(
         self, inputs: Mapping[str, NDArray[Any]], outputs: Mapping[str, NDArray[Any]]
     ) -> Callable[[], None]:
-        """Return a function that reads `inputs` and writes `outputs`, which stay where they are."""
+        """Return a function that reads `inputs` and writes `outputs`, which stay where they are.
+
+        Where the network remembers inside itself, the function is `Remembering`.
+        """
+        ...
+
+
+@runtime_checkable
+class Remembering(Protocol):
+    """A bound network with a memory of its own: a call begins with what was kept last."""
+
+    def __call__(self) -> None:
+        """Run the network; what it remembers of this is lost unless it is kept."""
+        ...
+
+    def commit(self) -> None:
+        """Keep what the last call left."""
+        ...
+
+    def reset(self) -> None:
+        """Keep what the network was loaded with."""
         ...
 
 

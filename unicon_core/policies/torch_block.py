@@ -11,12 +11,16 @@ from numpy.typing import NDArray
 from unicon_core.errors import MissingDependencyError, PolicyError
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.onnx_file import OnnxTensor
+from unicon_core.policies.torch_memory import TorchMemory
 
 __all__ = ["TorchNetwork"]
 
 
 class TorchNetwork:
     """A TorchScript module that takes one tensor and returns one.
+
+    What it remembers from call to call in its buffers, as exporters of recurrent policies have it,
+    goes on with ticks only: not when it is tried, not in dry runs.
 
     A TorchScript file says nothing of its sizes: the input is called `observation`, the output
     `action`, and a wrong size shows when the network is tried once at build.
@@ -51,6 +55,16 @@ class TorchNetwork:
             reason = " ".join(str(error).split())[:200]
             raise PolicyError(f"{contract.model}: torch cannot load it: {reason}") from error
         self._label = f"policy {contract.name}"
+        if hasattr(self._module, "reset_memory"):  # exporters of recurrent policies have it
+            try:
+                with torch.inference_mode():
+                    self._module.reset_memory()
+            except RuntimeError as error:
+                reason = " ".join(str(error).split())[:200]
+                raise PolicyError(
+                    f"{contract.model}: its reset_memory does not run without arguments: {reason}"
+                ) from error
+        self._memory = TorchMemory(torch, self._module)
         self.inputs = tuple(
             OnnxTensor(name, "float32", ("", "")) for name in contract.inputs.values()
         )
@@ -64,14 +78,24 @@ class TorchNetwork:
         """Return a function that runs the module on these arrays; it is tried once.
 
         Raises:
-            PolicyError: the module does not take the input, or gives another size.
+            PolicyError: the module does not take the input, or gives another size, or remembers
+                and shall drive several robots.
         """
         torch, module = self._torch, self._module
+        memory = self._memory.share() if self._memory.names else None
+        rows = max((len(array) for array in inputs.values()), default=1)
+        if memory is not None and rows > 1:
+            raise PolicyError(
+                f"{self._label}: it is recurrent ({', '.join(memory.names)}) and can drive one "
+                f"robot, not num_robots {rows}; run one workflow for each robot"
+            )
         tensors = [torch.from_numpy(array) for array in inputs.values()]
         targets = [torch.from_numpy(array) for array in outputs.values()]
 
         def run() -> None:
             with torch.inference_mode():
+                if memory is not None:
+                    memory.recall()
                 result = module(*tensors)
                 results = result if isinstance(result, (tuple, list)) else (result,)
                 for target, value in zip(targets, results):
@@ -89,4 +113,15 @@ class TorchNetwork:
             ) from error
         for array, value in zip(outputs.values(), before):
             array[...] = value
-        return run
+        return run if memory is None else _Remembering(run, memory)
+
+
+class _Remembering:
+    """A bound module and what it remembers."""
+
+    def __init__(self, run: Callable[[], None], memory: TorchMemory) -> None:
+        self._run = run
+        self.commit, self.reset = memory.commit, memory.reset
+
+    def __call__(self) -> None:
+        self._run()

@@ -201,9 +201,10 @@ def _assemble(workflow: Workflow, inputs: Sequence[Hook], observers: Sequence[Ho
     after = [Deferred(node) for node in section("deferred")]
 
     def hooked(hooks: Sequence[Hook]) -> list[Block]:
-        blocks = [block for hook in hooks for block in hook(workflow)]
-        workflow.blocks += blocks
-        return blocks
+        first = len(workflow.blocks)
+        for hook in hooks:  # one by one: what a hook has opened is closed when the next one fails
+            workflow.blocks += hook(workflow)
+        return workflow.blocks[first:]
 
     asked = hooked(inputs)
     tuning = [block for block in asked if block.role == "tune"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from contextlib import suppress
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -72,15 +73,25 @@ def run(arguments: argparse.Namespace) -> int:
     # From here on a signal ends what is open, one step after the other, and is never lost.
     try:
         with SIGNALS.guard() as guard:
-            report, runner, picture = _run(arguments, document, console, guard)
+            ended = _run(arguments, document, console, guard)
     finally:
         console.close()
-    return _tell(arguments, report, runner, picture)
+    return _tell(arguments, ended)
+
+
+@dataclass(frozen=True)
+class _Ended:
+    """What a run leaves."""
+
+    report: Report
+    runner: Runner
+    picture: Any
+    recording: Any
 
 
 def _run(
     arguments: argparse.Namespace, document: WorkflowDocument, console: Console, guard: Guard
-) -> tuple[Report, Runner, Any]:
+) -> _Ended:
     from unicon_core.runtime import Runner, RunOptions
     from unicon_core.workflow import build_workflow
 
@@ -89,6 +100,7 @@ def _run(
     with_ros = document.get("ros", bool, False) if arguments.ros is None else arguments.ros
     session: Any = None
     picture: Any = None
+    recording: Any = None
     if with_ros:
         from unicon_ros.bridge import RosSession
 
@@ -104,10 +116,12 @@ def _run(
         observers.append(session.observers)
     try:
         if arguments.record:
-            from unicon_ros.recorder import recorder_hook
+            from unicon_ros.recorder import Recording
 
             map_name = arguments.map or document.get("map", str)
-            observers.append(recorder_hook(arguments.record, map_name, session))
+            patient = arguments.speed == "max"
+            recording = Recording(arguments.record, map_name, session, console.warn, patient)
+            observers.append(recording.hook)
         if arguments.picture:
             from unicon_ros.picture import Picture
 
@@ -135,10 +149,12 @@ def _run(
         guard.damp = None
         if session is not None:
             report.bridge = session.counts()
+        if recording is not None:
+            report.extra["recording"] = recording.counts()
     finally:
         if session is not None:
             session.close()
-    return report, runner, picture
+    return _Ended(report, runner, picture, recording)
 
 
 def _viewer(workflow: Workflow) -> list[Block]:
@@ -150,10 +166,11 @@ def _viewer(workflow: Workflow) -> list[Block]:
     return [as_block(make())]
 
 
-def _tell(arguments: argparse.Namespace, report: Report, runner: Runner, picture: Any) -> int:
+def _tell(arguments: argparse.Namespace, ended: _Ended) -> int:
     """Write the files, then print; a fault stays a fault whatever becomes of the output."""
+    report, runner = ended.report, ended.runner
     status = 3 if report.faults else 0
-    written, problems = _write(arguments, report, runner, picture)
+    written, problems = _write(arguments, ended)
     try:
         if not arguments.quiet:
             print(runner.statistics.table(runner.workflow.period * 1e6))
@@ -171,10 +188,9 @@ def _tell(arguments: argparse.Namespace, report: Report, runner: Runner, picture
     return status or int(bool(problems))
 
 
-def _write(
-    arguments: argparse.Namespace, report: Report, runner: Runner, picture: Any
-) -> tuple[list[str], list[str]]:
+def _write(arguments: argparse.Namespace, ended: _Ended) -> tuple[list[str], list[str]]:
     """Write trace, report and picture; return a line for each, and what went wrong."""
+    report, runner = ended.report, ended.runner
     written: list[str] = []
     problems: list[str] = []
     title = f"{report.workflow} on {report.robot} ({report.platform})"
@@ -186,7 +202,11 @@ def _write(
             partial(report.write, arguments.report),
             f"report        {arguments.report}",
         ),
-        (arguments.picture, partial(_draw, picture, title), f"picture       {arguments.picture}"),
+        (
+            arguments.picture,
+            lambda: ended.picture.draw(title),
+            f"picture       {arguments.picture}",
+        ),
     ):
         if not path:
             continue
@@ -200,13 +220,9 @@ def _write(
             )
         except UniconError as error:
             problems.append(str(error))
-    if arguments.record:
-        written.append(f"recording     {arguments.record}")
+    if ended.recording is not None:
+        written.append(f"recording     {ended.recording.summary()}")
     return written, problems
-
-
-def _draw(picture: Any, title: str) -> None:
-    picture.draw(title)
 
 
 def _seconds(text: str) -> float:

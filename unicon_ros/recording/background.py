@@ -1,0 +1,264 @@
+"""Background writing: the tick copies messages into memory, a thread brings them into the file.
+
+The tick never waits for the disk: where eight blocks of 1 MiB are full, messages are dropped and
+counted. Nothing is done per message in the thread, which would hold the interpreter's lock: a chunk
+is one system call on the memory that the tick wrote. Every 0.4 s what is there goes to the kernel
+(a kill loses no more), every second the kernel is told to bring it to the medium (a power loss
+loses up to 1.5 s, and longer where the medium is slow).
+"""
+
+from __future__ import annotations
+
+import errno
+import struct
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from unicon_ros.recording.mcap_file import McapFile
+from unicon_ros.recording.records import MESSAGE, MESSAGE_HEAD, ROW, Channel
+
+__all__ = ["Background", "Counts"]
+
+FLUSH_S = 0.4
+SYNC_S = 1.0
+CLOSE_S = 5.0
+BLOCKS, BLOCK_BYTES, BLOCK_ROWS = 8, 1 << 20, 1 << 14
+
+_ROW = struct.Struct("<HQQ")
+
+
+@dataclass
+class Counts:
+    """What became of the messages.
+
+    Attributes:
+        messages: in the file.
+        dropped: not in the file.
+        bytes: of the file without its summary.
+        error: why not all are in the file, one line; "" where they are.
+    """
+
+    messages: int = 0
+    dropped: int = 0
+    bytes: int = 0
+    error: str = ""
+
+
+class _Block:
+    """Memory that the tick appends to and the thread reads.
+
+    Attributes:
+        mark: bytes and messages that are complete; set as one, so that they agree.
+        taken: those of them that the thread has dealt with.
+    """
+
+    def __init__(self, size: int = BLOCK_BYTES) -> None:
+        # Written once, so that no page of it is new to the tick.
+        self.data = bytearray(b"\xff") * size
+        self.rows = bytearray(b"\xff") * (BLOCK_ROWS * _ROW.size)
+        self.mark = self.taken = (0, 0)
+
+
+class Background:
+    """Writes a file from a thread of its own.
+
+    Args:
+        file: open and begun; channels are added here.
+        warn: takes warnings, from the thread.
+        patient: where all blocks are full wait for the disk up to 5 s, once: for simulations that
+            run as fast as they can.
+    """
+
+    def __init__(self, file: McapFile, warn: Callable[[str], None], patient: bool = False) -> None:
+        self._file, self._warn, self._patient = file, warn, patient
+        self._label = f"recording {file.path}"
+        self._block = _Block()
+        self._queue = deque([self._block])
+        self._free = deque(_Block() for _ in range(BLOCKS - 1))
+        self._overflow = self._discarded = 0
+        self._error = ""
+        self._open = True
+        self._ending = False
+        self._wake, self._ended = threading.Event(), threading.Event()
+        self._file_in_use = threading.Lock()
+        self._threads = [
+            threading.Thread(target=work, name=f"recorder {name}", daemon=True)
+            for name, work in (("writer", self._work), ("sync", self._sync))
+        ]
+
+    def channel(self, channel: Channel) -> Callable[[int, bytes], None]:
+        """Add a topic, before `start`, and return what takes its messages: `write(stamp_ns, cdr)`.
+
+        Raises:
+            OSError: it cannot be written.
+        """
+        self._file.add(channel)
+        return partial(self._put, channel.number)
+
+    def start(self) -> None:
+        """Start the threads."""
+        for thread in self._threads:
+            thread.start()
+
+    def counts(self) -> Counts:
+        """Return what became of the messages so far."""
+        dropped = self._overflow + self._discarded
+        return Counts(self._file.messages, dropped, self._file.size, self._error)
+
+    def close(self) -> None:
+        """Write the rest, finish the file; at most 5 s. Never raises, and safe to call twice."""
+        self._ending = True
+        self._wake.set()
+        self._ended.set()
+        if not any(thread.is_alive() for thread in self._threads):
+            return
+        end = time.monotonic() + CLOSE_S
+        for thread in self._threads:
+            thread.join(max(end - time.monotonic(), 0.0))
+        if self._threads[0].is_alive():
+            self._fail(f"the medium took nothing for {CLOSE_S:g} s")
+
+    # -- the tick's side ------------------------------------------------------------------------
+
+    def _put(self, channel: int, stamp_ns: int, raw: bytes) -> None:
+        """Take a message; it is copied."""
+        block = self._block
+        begin, count = block.mark
+        body = begin + MESSAGE_HEAD.size
+        end = body + len(raw)
+        if end > len(block.data) or count == BLOCK_ROWS:
+            if not self._turn(end - begin):
+                self._overflow += 1
+                return
+            block = self._block
+            begin, count, body, end = 0, 0, MESSAGE_HEAD.size, end - begin
+        if stamp_ns < 0:  # times in MCAP are unsigned
+            stamp_ns = 0
+        data = block.data
+        MESSAGE_HEAD.pack_into(
+            data, begin, MESSAGE, end - begin - 9, channel, 0, stamp_ns, stamp_ns
+        )
+        data[body:end] = raw
+        _ROW.pack_into(block.rows, count * _ROW.size, channel, stamp_ns, begin)
+        block.mark = (end, count + 1)
+
+    def _turn(self, size: int) -> bool:
+        """Go on to a block that is free and has room for a message; False where there is none."""
+        if not self._free and self._patient and not self._ending:
+            self._wake.set()
+            patience = time.monotonic() + CLOSE_S
+            while not self._free and self._patient:
+                time.sleep(0.001)
+                self._patient = time.monotonic() < patience
+        try:
+            block = self._free.popleft()
+        except IndexError:
+            return False
+        if size > len(block.data):
+            block = _Block(size)
+        self._queue.append(block)
+        self._block = block
+        self._wake.set()
+        return True
+
+    # -- the threads' side ----------------------------------------------------------------------
+
+    def _work(self) -> None:
+        lost = 0
+        while True:
+            self._wake.wait(FLUSH_S)
+            self._wake.clear()
+            ending = self._ending
+            self._drain()
+            if self._overflow and not lost:
+                lost = self._overflow
+                self._fail(
+                    "the medium is too slow; messages are dropped, the report tells how many",
+                    over=False,
+                )
+            if ending:
+                break
+        with self._file_in_use:
+            if self._open and (trouble := self._finish()):
+                self._fail(trouble)
+
+    def _drain(self) -> None:
+        """Write what the tick has completed; blocks that it has left become free."""
+        while True:
+            block = self._queue[0]
+            left = len(self._queue) > 1  # asked before the mark is read: then the mark is final
+            (begin, first), (end, last) = block.taken, block.mark
+            if last > first:
+                self._chunk(block, begin, end, first, last)
+                block.taken = (end, last)
+            if not left:
+                return
+            self._queue.popleft()
+            if len(block.data) == BLOCK_BYTES:
+                block.mark = block.taken = (0, 0)
+                self._free.append(block)
+            else:
+                self._free.append(_Block())
+
+    def _chunk(self, block: _Block, begin: int, end: int, first: int, last: int) -> None:
+        if not self._open:
+            self._discarded += last - first
+            return
+        rows = np.frombuffer(block.rows, ROW, last - first, first * _ROW.size).copy()
+        rows["offset"] -= np.uint64(begin)
+        lost = last - first
+        try:
+            self._file.write(memoryview(block.data)[begin:end], rows)
+            if self._file.gone():
+                lost = self._file.messages
+                raise FileNotFoundError(errno.ENOENT, "somebody deleted it")
+        except Exception as error:  # whatever it is, the run goes on
+            with self._file_in_use:
+                self._stop(error, lost)
+
+    def _stop(self, error: Exception, lost: int) -> None:
+        """Finish the file as far as it is whole; what comes after is dropped and counted."""
+        reason = str(getattr(error, "strerror", None) or error)
+        if isinstance(error, FileNotFoundError):
+            self._file.forget()
+            self._open = False
+        self._discarded += lost
+        trouble = self._finish() if self._open else ""
+        kept = f"the {self._file.messages} messages before are kept"
+        self._fail(f"{reason}: {trouble or kept}; the run goes on without it")
+
+    def _finish(self) -> str:
+        """Finish the file and return what went wrong, "" where nothing did."""
+        self._open = False
+        if not self._file.messages:
+            self._file.discard()
+            return self._error or "nothing was recorded"
+        try:
+            self._discarded += self._file.finish()
+        except OSError as error:
+            return f"{error.strerror}; what was recorded is in {self._file.partial}"
+        return ""
+
+    def _sync(self) -> None:
+        while not self._ended.wait(SYNC_S):
+            with self._file_in_use:
+                if not self._open:
+                    return
+                try:
+                    self._file.sync()
+                except OSError as error:
+                    self._fail(f"not on the medium ({error.strerror})", over=False)
+                    return
+
+    def _fail(self, reason: str, over: bool = True) -> None:
+        if over or not self._error:
+            self._error = reason
+        with suppress(Exception):  # a terminal that is gone
+            self._warn(f"{self._label}: {reason}")
