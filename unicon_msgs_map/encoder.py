@@ -114,8 +114,7 @@ class Encoder:
         for field in spec.fields:
             if field.checksum is not None:
                 checksum = unitree_crc(field, message, template.data)
-        title = f"{spec.type} on {spec.topic}"
-        encode, source = generate(title, template, bounds, conversions, checksum)
+        encode, source = generate(template, bounds, conversions, checksum)
         return cls(spec, encode, source, len(template.data))
 
 
