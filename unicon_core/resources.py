@@ -16,6 +16,7 @@ from unicon_core.errors import UniconError, alternatives
 __all__ = [
     "assets_root",
     "config_roots",
+    "file_beside",
     "find_config",
     "find_resource",
     "list_config",
@@ -146,3 +147,32 @@ def find_resource(
     below = ", ".join(dict.fromkeys(map(str, bases)))
     looked = "" if given.is_absolute() else f"; looked below {below}"
     raise error(f"{what} {text!r}: no such file{looked}; correct the path or put the file there")
+
+
+def file_beside(file: Path, reference: str | Path, what: str, *, error: type[UniconError]) -> Path:
+    """Return the file that a data file names: in its own folder or below, wherever links lead.
+
+    Data files come from anybody, so they reach nothing outside the folder that was handed over. A
+    folder whose files are all links to one other folder, as colcon installs them, is that folder.
+
+    Args:
+        file: the data file.
+        reference: what it names; need not exist.
+        what: for the message, such as `"onnx"`.
+        error: the class to raise.
+
+    Raises:
+        error: an absolute path, or one that leads out of the folder.
+    """
+    text = str(reference)
+    remedy = f"put it into {file.parent} and name it from there"
+    try:
+        folders = (file.parent.resolve(), file.resolve().parent)
+        path = file.parent / text
+        target = path.resolve()
+    except (OSError, RuntimeError, ValueError) as wrong:  # endless links, a NUL
+        raise error(f"{what} {text[:80]!r} is no path ({wrong}); {remedy}") from wrong
+    inside = any(target.is_relative_to(folder) for folder in folders)
+    if not text or Path(text).is_absolute() or ".." in Path(text).parts or not inside:
+        raise error(f"{what} {text[:80]!r} is not in the folder of {file.name}; {remedy}")
+    return path

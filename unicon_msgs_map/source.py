@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import isfinite
 from pathlib import Path
 
 from unicon_core.bounded_yaml import MAX_SIZE, Node, YamlError, compose
@@ -57,7 +58,7 @@ class Entry:
     def number(self, what: str, *, positive: bool = False) -> float:
         """Return the value as a number."""
         value = self.value
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or value != value:
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not isfinite(value):
             raise self.fail(f"{what} must be a number, not {self.plain()!r}")
         if positive and not value > 0:
             raise self.fail(f"{what} must be above 0, not {value}")

@@ -14,6 +14,7 @@ import numpy as np
 
 from unicon_core.errors import PolicyError, alternatives
 from unicon_core.policies.tolerant_yaml import Where
+from unicon_core.resources import file_beside
 
 __all__ = ["Facts", "dotted", "merge_given", "missing_facts", "term_state"]
 
@@ -69,6 +70,8 @@ class Facts:
             there is to choose from, or "".
         notes: what to tell the user, such as rounding.
         tolerance: relative and absolute rounding of the source's numbers.
+        network: the network's file where the importer found it or the workflow names it; None
+            where the source names it, which then lies in the source's folder.
     """
 
     path: Path
@@ -79,6 +82,27 @@ class Facts:
     asks: dict[str, str] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
     tolerance: tuple[float, float] = (1e-6, 1e-9)
+    network: Path | None = None
+
+    def model(self) -> Path:
+        """Return the network's file, which need not exist.
+
+        Raises:
+            PolicyError: none is named, or one outside the folder of the source.
+        """
+        if self.network is not None:
+            return self.network
+        for key in ("onnx", "torchscript"):
+            name = self.values.get(key)
+            if name is None:
+                continue
+            if not isinstance(name, str):
+                raise self.error((key,), f"{key} is {_show(name)}; name a file")
+            try:
+                return file_beside(self.path, name, key, error=PolicyError)
+            except PolicyError as error:
+                raise self.error((key,), str(error)) from error
+        raise self.error((), "no network is named; add 'onnx: policy.onnx'")
 
     def error(self, where: Where, message: str) -> PolicyError:
         """Return the error with `file:line` of a value, or of its parent if it has no line."""

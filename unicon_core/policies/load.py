@@ -184,10 +184,13 @@ def _read(reference: str | Path, robot: NamedJoints | None, given: Mapping[str, 
     path = _locate(reference)
     facts, onnx = _facts_of(path, robot, given)
     merge_given(facts, given)
+    for key in ("onnx", "torchscript"):
+        if isinstance(given.get(key), str):  # of the workflow, which may name any file
+            named = Path(given[key]).expanduser()
+            facts.network = named if named.is_absolute() else facts.path.parent / named
     facts.values.setdefault("name", _name_of(path))
     if "onnx" in facts.values and "torchscript" not in facts.values:
-        model = Path(str(facts.values["onnx"])).expanduser()
-        model = model if model.is_absolute() else facts.path.parent / model
+        model = facts.model()
         if onnx is None or onnx.path != model:
             onnx = read_onnx(model)
         lost = onnx.missing_external()
@@ -249,8 +252,7 @@ def _motors(robot: NamedJoints) -> dict[int, str]:
 
 
 def _names_model(facts: Facts, model: Path) -> bool:
-    named = facts.values.get("onnx")
-    return named is not None and (facts.path.parent / str(named)).resolve() == model.resolve()
+    return "onnx" in facts.values and facts.model().resolve() == model.resolve()
 
 
 def _add_model(facts: Facts) -> None:
@@ -260,7 +262,8 @@ def _add_model(facts: Facts) -> None:
         for suffix, key in ((".onnx", "onnx"), (".pt", "torchscript")):
             models = sorted(place.glob(f"*{suffix}"))
             if len(models) == 1:
-                facts.values[key] = str(models[0])
+                facts.values[key] = models[0].name
+                facts.network = models[0]
                 return
     facts.asks["onnx"] = f"no single network is beside {facts.path.name}"
 

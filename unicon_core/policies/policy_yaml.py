@@ -86,7 +86,7 @@ def write_partial_yaml(facts: Facts, missing: Mapping[str, str], out_dir: str | 
     model = None
     values: dict[str, Any] = {"schema": SCHEMA}
     if key in facts.values:
-        model = facts.path.parent / str(facts.values[key])
+        model = facts.model()
         values[key] = model.name
     values |= {k: v for k, v in facts.values.items() if k not in values}
     lines = [f"# The {facts.source} of {facts.path.name} does not say, so add:"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import PurePath
 from typing import Any
 
 from unicon_core.errors import alternatives
@@ -67,13 +68,25 @@ def validate(located: Located) -> None:
             f"kind {document['kind']!r} is not known; {alternatives(str(document['kind']), KINDS)}",
         )
     if document["model"] is not None:
-        check_text(located, ("model",), document["model"])
+        _model(located, document["model"])
     check_joints(located, document["joints"])
     check_imu(located, document["imu"])
     check_contacts(located, document)
     _transport(located, document["transport"])
     _unknown(located, document)
     _sources(located, document)
+
+
+def _model(located: Located, model: Any) -> None:
+    """A path below the file's folder or a configuration folder; a workflow may name any."""
+    check_text(located, ("model",), model)
+    path = PurePath(model.removeprefix("assets:"))
+    if path.is_absolute() or ".." in path.parts or model.startswith("~"):
+        raise located.error(
+            ("model",),
+            f"model {model!r} leads out of its folder; put it beside the robot file, or name it in "
+            "the workflow: platforms.mujoco.model",
+        )
 
 
 def _transport(located: Located, transport: Any) -> None:
