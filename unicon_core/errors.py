@@ -35,6 +35,10 @@ __all__ = [
 class UniconError(Exception):
     """Base of every error that a user can cause and mend; `str()` is the one line to print."""
 
+    def __str__(self) -> str:
+        # A name of a file may hold anything, and an error stays one line for all that.
+        return " ".join(super().__str__().split("\n"))
+
 
 class WorkflowError(UniconError):
     """A workflow file or graph is wrong.

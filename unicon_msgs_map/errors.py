@@ -39,6 +39,10 @@ class MapError(Exception):
         self.message = message
         self.where = where
 
+    def __str__(self) -> str:
+        # A name of a file may hold anything, and an error stays one line for all that.
+        return " ".join(super().__str__().split("\n"))
+
 
 class MapFileError(MapError):
     """A mapping file cannot be read or says something that it must not."""

@@ -16,7 +16,7 @@ from unicon_core.errors import PolicyError, alternatives
 from unicon_core.policies.tolerant_yaml import Where
 from unicon_core.resources import file_beside
 
-__all__ = ["Facts", "dotted", "merge_given", "missing_facts", "term_state"]
+__all__ = ["Facts", "dotted", "given_joints", "merge_given", "missing_facts", "term_state"]
 
 # Name of a term on the training side -> where its values come from. A plain `joint_pos` is relative
 # as a term of BeyondMimic, mjlab and holosoma, and absolute as a function of Isaac Lab and Unitree.
@@ -172,6 +172,20 @@ def _has_observation(values: Mapping[str, Any]) -> bool:
     return not isinstance(inputs, Mapping) or "observation" in inputs
 
 
+def given_joints(path: Path, given: Mapping[str, Any]) -> list[str] | None:
+    """Return the joint names that the user gives, by which a source's patterns are resolved.
+
+    Raises:
+        PolicyError: they are no list of names.
+    """
+    joints = given.get("joints")
+    if joints is None:
+        return None
+    if not isinstance(joints, (list, tuple)) or not all(isinstance(j, str) for j in joints):
+        raise PolicyError(f"{path}: given joints is {_show(joints)}; give a list of joint names")
+    return list(joints)
+
+
 def merge_given(facts: Facts, given: Mapping[str, Any]) -> None:
     """Add facts that the user gives; a fact that the source says otherwise is refused.
 
@@ -190,6 +204,11 @@ def merge_given(facts: Facts, given: Mapping[str, Any]) -> None:
         *path, last = str(key).split(".")
         for step in path:
             place = place.setdefault(step, {})
+            if not isinstance(place, dict):
+                raise PolicyError(
+                    f"{facts.path}: given {_show(key)}: {step} is given as {_show(place)} too; "
+                    "write it once, as a mapping"
+                )
         if isinstance(value, Mapping) and isinstance(place.get(last), dict):
             place[last].update(value)
         else:
@@ -287,5 +306,5 @@ def _same(known: Any, value: Any, tolerance: tuple[float, float]) -> bool:
 
 
 def _show(value: Any, limit: int = 60) -> str:
-    text = str(value)
+    text = " ".join(str(value).split())
     return text if len(text) <= limit else f"{text[: limit - 1]}…"

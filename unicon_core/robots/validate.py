@@ -169,6 +169,8 @@ def _sources(located: Located, document: dict[str, Any]) -> None:
             ("sources",), f"sources is {sources!r}; write one entry per group of facts"
         )
     for key, text in sources.items():
+        if not isinstance(key, str):
+            raise located.error(("sources", key), f"sources: {key!r} is no group; write a word")
         check_text(located, ("sources", key), text)
     joints = document["joints"]
     given = {

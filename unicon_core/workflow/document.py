@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -86,6 +87,8 @@ class WorkflowDocument:
             kinds = kind if isinstance(kind, tuple) else (kind,)
             wanted = " or ".join(_KIND_NAMES.get(k, k.__name__) for k in kinds)
             raise self.error(f"{key}: {value!r} is not a {wanted}", key)
+        if isinstance(value, float) and not math.isfinite(value):
+            raise self.error(f"{key}: {value!r} is not a finite number", key)
         return value
 
 

@@ -34,6 +34,13 @@ def load_policies(document: WorkflowDocument, robot: Robot) -> dict[str, PolicyC
                 "policies",
                 name,
             )
+        if not isinstance(values.get("given") or {}, dict):
+            raise document.error(
+                f"policy {name!r}: given is {values['given']!r}; write a mapping of facts",
+                "policies",
+                name,
+                "given",
+            )
         for key in values:
             if key not in ("path", "given"):
                 raise document.error(

@@ -16,6 +16,7 @@ from unicon_core.flow.fuse import fuse
 from unicon_core.platforms.platform import Platform
 from unicon_core.robots import Robot, load_robot, robot_names
 from unicon_core.states import Layout, States, StateSpec, standard_states
+from unicon_core.states.spec import check_name
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_core.workflow.autowire import BuildContext, autowire, option_names
 from unicon_core.workflow.document import WorkflowDocument, load_document
@@ -211,9 +212,19 @@ def _specs(
     given = document.get("states", dict, {})
     for name, values in given.items():
         try:
-            specs[name] = StateSpec.from_dict(values or {})
-        except (UniconError, TypeError) as error:
+            spec = StateSpec.from_dict(values or {})
+            check_name(name)
+        except UniconError as error:
             raise document.error(f"state {name!r}: {error}", "states", name) from error
+        standard = specs.get(name)
+        if standard is not None and (spec.shape, spec.dtype) != (standard.shape, standard.dtype):
+            raise document.error(
+                f"state {name!r} is a standard one of shape {list(standard.shape)} and "
+                f"{standard.dtype}; give yours another name",
+                "states",
+                name,
+            )
+        specs[name] = spec
     extra = {name: specs[name] for name in given}
     for use in _uses(document):
         if use.name == "policy":
