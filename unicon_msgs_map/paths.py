@@ -26,8 +26,8 @@ __all__ = ["Key", "Path", "PathError", "Reference", "Selector", "parse_path", "p
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _STEP = re.compile(r"([A-Za-z_][A-Za-z0-9_]*)(?:\[([^\[\]]*)\])?(?:\.|\Z)")
 _REFERENCE = re.compile(r"([A-Za-z_][A-Za-z0-9_]*)(?:\[([^\[\]]*)\])?\Z")
-_NUMBER = re.compile(r"[0-9]{1,7}\Z")
-_SLICE = re.compile(r"([0-9]{0,7}):([0-9]{0,7})\Z")
+_NUMBER = re.compile(r"[0-9]{1,6}\Z")
+_SLICE = re.compile(r"([0-9]{0,6}):([0-9]{0,6})\Z")
 
 
 class PathError(ValueError):

@@ -131,6 +131,8 @@ def load_document(
         raise document.error(
             f"schema {schema!r} is not known; this version reads {SCHEMA}", "schema"
         )
+    for key in ("rate", "duration"):
+        document.get(key, (int, float))
     for key in ("robot", "platform", "flow"):
         if values.get(key) is None:
             raise document.error(f"the key {key!r} is missing: {KEYS[key]}")
