@@ -5,6 +5,7 @@ See the package's docstring for the format, and `config/maps/` for ready files.
 
 from __future__ import annotations
 
+import os
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -122,7 +123,7 @@ def _messages(keys: dict[str, Entry], typestore: object, folder: Path) -> Messag
     for entry in _list(keys, "messages"):
         path = folder / entry.text("an entry of 'messages'")
         try:
-            if path.is_dir():
+            if os.path.isdir(path):
                 messages.register_folder(path)
             else:
                 messages.register_file(path)

@@ -106,14 +106,13 @@ def test_an_action_that_is_no_mapping(
     import onnx
 
     model = onnx.load(str(GO2 / "policy.onnx"))
-    joints = [
-        f"{leg}_{part}_joint" for leg in ("FR", "FL", "RR", "RL") for part in ("hip", "thigh")
-    ]
+    parts = ("hip", "thigh", "calf")
+    joints = [f"{leg}_{part}_joint" for leg in ("FR", "FL", "RR", "RL") for part in parts]
     del model.metadata_props[:]
     for key, value in {
         "dof_names": json.dumps(joints),
-        "kp": json.dumps([20.0] * 8),
-        "kd": json.dumps([1.0] * 8),
+        "kp": json.dumps([40.0] * 12),
+        "kd": json.dumps([1.0] * 12),
     }.items():
         model.metadata_props.add(key=key, value=value)
     onnx.save(model, str(tmp_path / "policy.onnx"))

@@ -112,11 +112,11 @@ def _copy_model(model: Path, folder: Path) -> None:
     external = read_onnx(model).external if model.suffix == ".onnx" else ()
     for name in (model.name, *external):
         source, target = model.parent / name, folder / name
-        if not source.is_file():
+        if not os.path.isfile(source):
             raise PolicyError(
                 f"{source}: no such file; {model.name} needs its weights, put it there"
             )
-        if not target.exists() or not os.path.samefile(source, target):
+        if not os.path.exists(target) or not os.path.samefile(source, target):
             target.parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(source, target)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -51,7 +52,7 @@ def load_policies(document: WorkflowDocument, robot: Robot) -> dict[str, PolicyC
                 )
         beside = document.path.parent / values["path"]
         path: str | Path = values["path"]
-        if "/" in values["path"] and beside.exists():
+        if "/" in values["path"] and os.path.exists(beside):
             path = beside
         try:
             contract = load_policy(path, robot=robot, given=values.get("given") or {})

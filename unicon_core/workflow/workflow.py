@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -181,7 +182,7 @@ def load_robot_of(document: WorkflowDocument) -> Robot:
     """
     text: str = document.get("robot", str)
     beside = document.path.parent / text
-    if "/" in text and beside.is_file():
+    if "/" in text and os.path.isfile(beside):
         return load_robot(beside)
     if text not in robot_names() and "/" not in text and not text.endswith(".yaml"):
         known = alternatives(text, robot_names())

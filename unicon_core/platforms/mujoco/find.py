@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import pkgutil
 from importlib import import_module
 from pathlib import Path
@@ -38,7 +39,7 @@ def find_model(reference: str | Path, relative_to: Path | None = None) -> Path:
     module = _description(name, f"model {text!r}")
     for key in ("MJCF_PATH", "URDF_PATH"):
         path = Path(str(getattr(module, key, "")))
-        if path.is_file():
+        if os.path.isfile(path):
             return path.resolve()
     raise ModelError(
         f"model {text!r}: the description has no MJCF or URDF file; choose one that has, such as "
