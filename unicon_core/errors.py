@@ -35,6 +35,10 @@ __all__ = [
 class UniconError(Exception):
     """Base of every error that a user can cause and mend; `str()` is the one line to print."""
 
+    def __str__(self) -> str:
+        # A name of a file may hold anything, and an error stays one line for all that.
+        return " ".join(super().__str__().split("\n"))
+
 
 class WorkflowError(UniconError):
     """A workflow file or graph is wrong.
@@ -95,9 +99,9 @@ def alternatives(wrong: str, known: Iterable[str], *, limit: int = 24) -> str:
         known: the names that exist.
         limit: how many names to list at most.
     """
-    names = sorted(known)
+    names = sorted(map(str, known))
     if not names:
         return "none is known"
-    close = difflib.get_close_matches(wrong, names, n=1)
+    close = difflib.get_close_matches(str(wrong)[:80], names, n=1)
     shown = ", ".join(names[:limit]) + (f", … ({len(names)} in all)" if len(names) > limit else "")
     return f"did you mean {close[0]!r}? known: {shown}" if close else f"known: {shown}"

@@ -2,56 +2,25 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import Any
 
-import yaml
-
+from unicon_core.bounded_yaml import MAX_SIZE, Node, YamlError, compose
 from unicon_core.errors import UniconError
 
-__all__ = ["Loader", "Located", "parse_value", "read_yaml"]
+__all__ = ["Located", "parse_value", "read_text", "read_yaml"]
 
 Where = tuple[str | int, ...]
-
-
-class Loader(yaml.SafeLoader):
-    """A loader with the words of YAML 1.2, where `on`, `off`, `yes` and `no` are plain words.
-
-    In YAML 1.1, which PyYAML reads, `on:` is the key True and `1e-3` a text: both have bitten.
-    """
-
-
-Loader.yaml_implicit_resolvers = {
-    first: [
-        (tag, pattern)
-        for tag, pattern in resolvers
-        if tag not in ("tag:yaml.org,2002:bool", "tag:yaml.org,2002:float")
-    ]
-    for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
-}
-Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:bool", re.compile(r"^(?:true|True|TRUE|false|False|FALSE)$"), list("tTfF")
-)
-Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float",
-    re.compile(
-        r"""^(?:[-+]?(?:\.[0-9]+|[0-9]+\.[0-9]*)(?:[eE][-+]?[0-9]+)?
-        |[-+]?[0-9]+[eE][-+]?[0-9]+
-        |[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN))$""",
-        re.VERBOSE,
-    ),
-    list("-+0123456789."),
-)
 
 
 def parse_value(text: str) -> Any:
     """Return the value of a short text, such as what follows `=` in `--set`.
 
     Raises:
-        yaml.YAMLError: it is not YAML.
+        YamlError: it is not YAML, or beyond the bounds of `bounded_yaml`.
     """
-    return yaml.load(text, Loader)
+    root = compose(text)
+    return None if root is None else _value(root, (), {})
 
 
 class Located:
@@ -93,56 +62,55 @@ def read_yaml(path: Path, error_type: type[UniconError] = UniconError) -> Locate
     Raises:
         UniconError: of type `error_type`: the file cannot be read or is not YAML.
     """
+    located = Located(path, None, {(): 1}, error_type)
     try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise error_type(f"{path}: cannot be read: {error}") from error
-    try:
-        loader = Loader(text)
-        root = loader.get_single_node()
-        located = Located(path, None, {(): 1}, error_type)
+        root = compose(read_text(path, error_type))
         if root is not None:
-            located.value = _value(loader, root, (), located)
-    except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark or error.context_mark
-        line = mark.line + 1 if mark else 1
-        raise error_type(f"{path}:{line}: not valid YAML: {_problem(error)}") from error
-    except yaml.YAMLError as error:
-        raise error_type(f"{path}: not valid YAML: {' '.join(str(error).split())}") from error
+            located.value = _value(root, (), located._lines)
+    except YamlError as error:
+        raise error_type(f"{path}:{error.line}: not valid YAML: {error.problem}") from error
     return located
 
 
-def _problem(error: yaml.MarkedYAMLError) -> str:
-    """Return what is wrong, with the line of the bracket or quote that was left open."""
-    begun = error.context_mark
-    if begun is None or error.problem_mark is None or begun.line == error.problem_mark.line:
-        return str(error.problem)
-    return f"{error.problem} ({error.context}, which begins in line {begun.line + 1})"
+def read_text(path: Path, error_type: type[UniconError] = UniconError) -> str:
+    """Return the text of a file that may be a YAML document; one that is too large is not read.
+
+    Raises:
+        UniconError: of type `error_type`: the file cannot be read, or is too large.
+    """
+    try:
+        with path.open("rb") as file:
+            data = file.read(4 * MAX_SIZE + 1)
+        text = data.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise error_type(f"{path}: cannot be read: not UTF-8 text ({error})") from error
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise error_type(f"{path}: cannot be read: {reason}; give a readable YAML file") from error
+    return text
 
 
-def _value(loader: yaml.SafeLoader, node: yaml.Node, where: Where, located: Located) -> Any:
-    located._lines[where] = node.start_mark.line + 1
-    if isinstance(node, yaml.SequenceNode):
-        return [_value(loader, item, (*where, i), located) for i, item in enumerate(node.value)]
-    if isinstance(node, yaml.MappingNode):
-        mapping: dict[Any, Any] = {}
-        for key_node, value_node in node.value:
-            key = loader.construct_object(key_node, deep=True)
-            if not isinstance(key, (str, int)):
-                raise yaml.constructor.ConstructorError(
-                    None, None, f"key {key!r} is neither a word nor a number", key_node.start_mark
-                )
-            here = (*where, key)
-            if key in mapping:
-                first = located._lines[here]
-                raise yaml.constructor.ConstructorError(
-                    None,
-                    None,
-                    f"key {key!r} stands twice, first in line {first}; remove one",
-                    key_node.start_mark,
-                )
-            mapping[key] = _value(loader, value_node, here, located)
-            # A long value starts below its key; an error about it belongs to the key's line.
-            located._lines[here] = key_node.start_mark.line + 1
-        return mapping
-    return loader.construct_object(node, deep=True)
+def _value(node: Node, where: Where, lines: dict[Where, int]) -> Any:
+    lines[where] = node.line
+    if node.tag:
+        raise YamlError(
+            node.line, f"tag {node.tag!r} is not read; write plain values, lists and mappings"
+        )
+    if node.kind == "list":
+        return [_value(item, (*where, i), lines) for i, item in enumerate(node.value)]
+    if node.kind != "mapping":
+        return node.value
+    mapping: dict[Any, Any] = {}
+    for key_node, value_node in node.value:
+        key = _value(key_node, (*where, ""), {})
+        if not isinstance(key, (str, int)):
+            raise YamlError(key_node.line, f"key {key!r} is neither a word nor a number")
+        here = (*where, key)
+        if key in mapping:
+            raise YamlError(
+                key_node.line, f"key {key!r} stands twice, first in line {lines[here]}; remove one"
+            )
+        mapping[key] = _value(value_node, here, lines)
+        # A long value starts below its key; an error about it belongs to the key's line.
+        lines[here] = key_node.line
+    return mapping

@@ -2,6 +2,9 @@
 
 Order: a path given; the folders of `UNICON_PATH`; the source tree's `config/`; the share folders of
 the ament prefixes; the installed package's share folder.
+
+Names come from files: `os.path` tells that a name which is too long, or holds a NUL, is no file,
+where `pathlib` raises.
 """
 
 from __future__ import annotations
@@ -16,6 +19,7 @@ from unicon_core.errors import UniconError, alternatives
 __all__ = [
     "assets_root",
     "config_roots",
+    "file_beside",
     "find_config",
     "find_resource",
     "list_config",
@@ -34,7 +38,7 @@ def _roots(unicon_path: str, ament_path: str) -> tuple[Path, ...]:
     candidates += [p / _SHARE for p in (_SOURCE_TREE, *_SOURCE_TREE.parents)]
     found: list[Path] = []
     for root in candidates:
-        if root.is_dir() and root not in found:
+        if os.path.isdir(root) and root not in found:
             found.append(root)
     return tuple(found)
 
@@ -53,10 +57,10 @@ def list_config(kind: str, suffix: str = ".yaml") -> list[str]:
     """
     names: set[str] = set()
     for root in config_roots():
-        for path in (root / kind).glob("*") if (root / kind).is_dir() else ():
-            if suffix == "/" and path.is_dir():
+        for path in (root / kind).glob("*") if os.path.isdir(root / kind) else ():
+            if suffix == "/" and os.path.isdir(path):
                 names.add(path.name)
-            elif suffix != "/" and path.name.endswith(suffix) and path.is_file():
+            elif suffix != "/" and path.name.endswith(suffix) and os.path.isfile(path):
                 names.add(path.name[: -len(suffix)])
     return sorted(names)
 
@@ -83,14 +87,14 @@ def find_config(
     """
     text = str(name)
     if "/" in text or os.sep in text or text.endswith(suffix):
-        given = Path(text).expanduser()
+        given = Path(os.path.expanduser(text))
         for base in (relative_to, Path.cwd(), *config_roots()):
-            if base is not None and (base / given).is_file():
+            if base is not None and os.path.isfile(base / given):
                 return (base / given).resolve()
         raise error(f"no file {text}; give an existing path, or a name: {_known(kind, suffix)}")
     for root in config_roots():
         path = root / kind / f"{text}{suffix}"
-        if path.is_file():
+        if os.path.isfile(path):
             return path
     known = alternatives(text, list_config(kind, suffix))
     raise error(f"unknown {kind.rstrip('s')} {text!r}; {known}; or give a path to a {suffix} file")
@@ -107,7 +111,7 @@ def assets_root() -> Path | None:
     """
     given = os.environ.get("UNICON_ASSETS")
     path = Path(given).expanduser() if given else _SOURCE_TREE.parent / "shared" / "assets"
-    return path if path.is_dir() else None
+    return path if os.path.isdir(path) else None
 
 
 def find_resource(
@@ -135,14 +139,43 @@ def find_resource(
                 "set UNICON_ASSETS to its path"
             )
         path = root / text.removeprefix("assets:")
-        if path.exists():
+        if os.path.exists(path):
             return path
         raise error(f"{what} {text!r}: no file {path}; look for it under {root} (UNICON_ASSETS)")
-    given = Path(text).expanduser()
+    given = Path(os.path.expanduser(text))
     bases = [base for base in (relative_to, Path.cwd(), *config_roots()) if base is not None]
     for base in bases:
-        if (base / given).exists():
+        if os.path.exists(base / given):
             return (base / given).resolve()
     below = ", ".join(dict.fromkeys(map(str, bases)))
     looked = "" if given.is_absolute() else f"; looked below {below}"
     raise error(f"{what} {text!r}: no such file{looked}; correct the path or put the file there")
+
+
+def file_beside(file: Path, reference: str | Path, what: str, *, error: type[UniconError]) -> Path:
+    """Return the file that a data file names: in its own folder or below, wherever links lead.
+
+    Data files come from anybody, so they reach nothing outside the folder that was handed over. A
+    folder whose files are all links to one other folder, as colcon installs them, is that folder.
+
+    Args:
+        file: the data file.
+        reference: what it names; need not exist.
+        what: for the message, such as `"onnx"`.
+        error: the class to raise.
+
+    Raises:
+        error: an absolute path, or one that leads out of the folder.
+    """
+    text = str(reference)
+    remedy = f"put it into {file.parent} and name it from there"
+    try:
+        folders = (file.parent.resolve(), file.resolve().parent)
+        path = file.parent / text
+        target = path.resolve()
+    except (OSError, RuntimeError, ValueError) as wrong:  # endless links, a NUL
+        raise error(f"{what} {text[:80]!r} is no path ({wrong}); {remedy}") from wrong
+    inside = any(target.is_relative_to(folder) for folder in folders)
+    if not text or Path(text).is_absolute() or ".." in Path(text).parts or not inside:
+        raise error(f"{what} {text[:80]!r} is not in the folder of {file.name}; {remedy}")
+    return path

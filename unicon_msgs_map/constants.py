@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 from unicon_msgs_map.errors import MapStateError, alternatives
 from unicon_msgs_map.messages import Array, Primitive, String, Struct, TypeRef
 from unicon_msgs_map.spec import FieldSpec
 from unicon_msgs_map.template import Leaf
+
+FLOAT32_MAX = 3.4028234663852886e38
+LONGEST_NUMBER = 40
 
 __all__ = ["constant", "integer_range", "owner_constants"]
 
@@ -68,10 +72,14 @@ def constant(
             raise MapStateError(
                 f"{field.path}: {number!r} is no {kind.name}; {named}", field.where
             ) from None
+    if not isinstance(number, (int, float)):
+        raise MapStateError(f"{field.path}: {value!r} is no {kind.name}", field.where)
     if kind.name == "bool":
         return bool(number)
     if kind.code in "fd":
-        return float(number)  # type: ignore[arg-type]
+        if kind.code == "f" and FLOAT32_MAX < abs(number) < math.inf:
+            raise MapStateError(f"{field.path}: {value!r} is more than a float32", field.where)
+        return float(number)
     low, high = integer_range(kind)
     if isinstance(number, float) and number.is_integer():
         number = int(number)
@@ -92,6 +100,8 @@ def integer_range(kind: Primitive) -> tuple[int, int]:
 
 
 def _parse_number(text: str) -> bool | int | float:
+    if len(text) > LONGEST_NUMBER:
+        raise ValueError("too long")
     if text in ("true", "false"):
         return text == "true"
     try:

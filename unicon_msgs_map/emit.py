@@ -18,6 +18,7 @@ import numpy as np
 from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 
+from unicon_core.generated import define
 from unicon_msgs_map.binding import Bound
 from unicon_msgs_map.messages import Primitive
 from unicon_msgs_map.template import Slot, Template
@@ -44,7 +45,6 @@ class _Copy:
 
 
 def generate(
-    title: str,
     template: Template,
     bounds: Mapping[int, Bound],
     conversions: Conversions,
@@ -53,7 +53,6 @@ def generate(
     """Return the encode function and its source.
 
     Args:
-        title: what it encodes, for the docstring.
         template: bytes and slots.
         bounds: state per field number.
         conversions: factor and summand per field number, None where there is nothing to do.
@@ -78,11 +77,10 @@ def generate(
         body.append("return bytes(buffer)")
     else:
         body.append(f"return {writer.pack(scalars)}")
-    lines = ["def encode() -> bytes:", f'    """{title}, {len(template.data)} bytes."""']
+    lines = ["def encode():", f"    # {len(template.data)} bytes"]
     source = "\n".join(lines + ["    " + line for line in body]) + "\n"
-    space = writer.space
-    exec(compile(source, f"<encode {title}>", "exec"), space)
-    return space["encode"], source
+    encode: Callable[[], bytes] = define(source, writer.space, "<encode>")["encode"]
+    return encode, source
 
 
 def _by_field(slots: list[Slot]) -> dict[tuple[int, str], list[Slot]]:
@@ -144,7 +142,7 @@ class _Writer:
             wanted.setdefault(bound.field.source.name, (bound.flat, set()))[1].add(slot.element)
         for state, (flat, members) in wanted.items():
             elements = sorted(members)
-            names = [f"{state}_{element}" for element in elements]
+            names = [f"v_{state}_{element}" for element in elements]
             first, last = elements[0], elements[-1]
             view = f"in_{state}"
             self.space[view] = flat[first : last + 1].data
@@ -154,7 +152,7 @@ class _Writer:
                 lines += [f"{n} = {view}[{e - first}]" for n, e in zip(names, elements)]
         split: set[str] = set()
         for slot in scalars:
-            name = f"{self.bounds[slot.source].field.source.name}_{slot.element}"
+            name = f"v_{self.bounds[slot.source].field.source.name}_{slot.element}"
             if slot.kind == "time":
                 sec, nanosec = f"{name}_sec", f"{name}_nanosec"
                 if name not in split:
@@ -175,13 +173,13 @@ class _Writer:
             if scale == -1.0:
                 expression = f"-{expression}"
             elif scale != 1.0:
-                expression = f"{expression} * {_literal(scale)}"
+                expression = f"{expression} * {self._number(scale)}"
             if offset:
-                expression = f"{expression} + {_literal(offset)}"
+                expression = f"{expression} + {self._number(offset)}"
         if slot.kind == "text":
-            text = bound.field.text or ""
-            self.space["text"] = _text
-            return f"{slot.width}s", f"text({expression}, {text!r}, {slot.width})"
+            form = f"form{slot.source}"
+            self.space |= {"text": _text, form: bound.field.text or ""}
+            return f"{slot.width}s", f"text({expression}, {form}, {slot.width})"
         primitive = slot.primitive
         assert primitive is not None
         wire = np.dtype(primitive.dtype)
@@ -199,6 +197,13 @@ class _Writer:
         self.space["integer"] = _integer
         info = np.iinfo(wire)
         return primitive.code, f"integer({expression}, {info.min}, {info.max})"
+
+    def _number(self, value: float) -> str:
+        if math.isfinite(value):
+            return f"({value!r})" if value < 0 else repr(value)
+        name = f"beyond{len(self.space)}"
+        self.space[name] = value
+        return name
 
     def pack(self, scalars: list[Slot]) -> str:
         """Return the expression that makes the whole message with one pack."""
@@ -303,8 +308,12 @@ class _Writer:
                 lines.append(f"add(work{number}, offset{number}, work{number})")
             lines.append(f"wire{number}[...] = work{number}")
         # Overflows to infinity are said in the contract; the warning must not reach a tick.
-        self.space["quiet"] = np.errstate
-        return ["with quiet(all='ignore'):", *("    " + line for line in lines)]
+        self.space["quiet"] = _ignore
+        return ["with quiet():", *("    " + line for line in lines)]
+
+
+def _ignore() -> np.errstate:
+    return np.errstate(all="ignore")
 
 
 def _quiet(copy: _Copy) -> bool:
@@ -341,12 +350,6 @@ def _alike(a: _Copy, b: _Copy) -> bool:
 
 def _address(view: AnyArray) -> int:
     return int(view.__array_interface__["data"][0])
-
-
-def _literal(value: float) -> str:
-    if math.isfinite(value):
-        return f"({value!r})" if value < 0 else repr(value)
-    return f"float('{value}')"
 
 
 _SINGLE_MAX = float(np.finfo(np.float32).max)

@@ -105,7 +105,10 @@ class Encoder:
                 if field.source.kind == "variable":
                     value = bind_variable(field, variables or {})
                 _place_constant(root, message, field, value)
-        template = Template(message, root)
+        try:
+            template = Template(message, root)
+        except MapStateError as error:
+            raise MapStateError(error.message, spec.where) from None
         conversions = {
             number: affine(bound.field, len(bound.elements), receive=False)
             for number, bound in bounds.items()
@@ -114,8 +117,7 @@ class Encoder:
         for field in spec.fields:
             if field.checksum is not None:
                 checksum = unitree_crc(field, message, template.data)
-        title = f"{spec.type} on {spec.topic}"
-        encode, source = generate(title, template, bounds, conversions, checksum)
+        encode, source = generate(template, bounds, conversions, checksum)
         return cls(spec, encode, source, len(template.data))
 
 

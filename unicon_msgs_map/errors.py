@@ -39,6 +39,10 @@ class MapError(Exception):
         self.message = message
         self.where = where
 
+    def __str__(self) -> str:
+        # A name of a file may hold anything, and an error stays one line for all that.
+        return " ".join(super().__str__().split("\n"))
+
 
 class MapFileError(MapError):
     """A mapping file cannot be read or says something that it must not."""
@@ -64,10 +68,10 @@ def alternatives(wrong: str, known: Iterable[str], *, limit: int = 12) -> str:
         known: the names that exist.
         limit: how many names to list at most.
     """
-    names = sorted(known)
+    names = sorted(map(str, known))
     if not names:
         return "none is known"
-    close = difflib.get_close_matches(wrong, names, n=1)
+    close = difflib.get_close_matches(str(wrong)[:80], names, n=1)
     shown = ", ".join(names[:limit]) + (f", … ({len(names)} in all)" if len(names) > limit else "")
     return f"did you mean {close[0]!r}? known: {shown}" if close else f"known: {shown}"
 

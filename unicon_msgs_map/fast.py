@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
 
+from unicon_core.generated import define
 from unicon_msgs_map.apply import DOUBLE_MAX, SINGLE_MAX, Run, limits
 from unicon_msgs_map.binding import AnyArray
 from unicon_msgs_map.magnitudes import high_byte, largest_of, ordinary_bytes, spans
@@ -74,9 +75,7 @@ def _maker(source: str) -> Callable[..., Callable[[bytes], bool | None]]:
     changing its joint order, or of two robots. Their functions share one code, so the constants
     are cells: as globals they would spoil each other's caches of Python's interpreter.
     """
-    space: dict[str, Any] = {}
-    exec(compile(source, "<decode>", "exec"), space)
-    maker: Callable[..., Callable[[bytes], bool | None]] = space["make"]
+    maker: Callable[..., Callable[[bytes], bool | None]] = define(source, {}, "<decode>")["make"]
     return maker
 
 
@@ -273,8 +272,8 @@ class _Fast:
         read: AnyArray = np.frombuffer(room, wire.newbyteorder("="))
         self.space |= {f"index{number}": index, f"read{number}": read}
         if wire.isnative:
-            self.space[f"take{number}"] = flat.take
-            self.work.append(f"take{number}(index{number}, None, read{number}, 'clip')")
+            self.space |= {f"take{number}": flat.take, "clip": "clip"}
+            self.work.append(f"take{number}(index{number}, None, read{number}, clip)")
         else:
             self.space[f"flat{number}"] = flat
             self.work.append(f"read{number}[...] = flat{number}[index{number}]")

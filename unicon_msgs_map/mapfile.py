@@ -5,6 +5,8 @@ See the package's docstring for the format, and `config/maps/` for ready files.
 
 from __future__ import annotations
 
+import os
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,6 +20,10 @@ from unicon_msgs_map.spec import FieldSpec, MessageMap, PublishSpec, Qos, Subscr
 from unicon_msgs_map.units import PER_SI
 
 __all__ = ["load_map", "parse_map"]
+
+# https://design.ros2.org/articles/topic_and_service_names.html
+_TOPIC = re.compile(r"(?:~?/)?[A-Za-z_][A-Za-z0-9_]*(?:/[A-Za-z_][A-Za-z0-9_]*)*")
+WIDEST_TEXT = 64
 
 _TOP = ("description", "typestore", "messages", "publish", "subscribe")
 _BOTH = ("topic", "type", "rate", "qos", "optional", "fields")
@@ -117,7 +123,7 @@ def _messages(keys: dict[str, Entry], typestore: object, folder: Path) -> Messag
     for entry in _list(keys, "messages"):
         path = folder / entry.text("an entry of 'messages'")
         try:
-            if path.is_dir():
+            if os.path.isdir(path):
                 messages.register_folder(path)
             else:
                 messages.register_file(path)
@@ -169,8 +175,12 @@ def _head(
         if key not in keys:
             raise entry.fail(f"{what} lacks {key!r}; it needs topic, type and fields")
     topic = keys["topic"].text("topic")
-    if any(c.isspace() for c in topic):
-        raise keys["topic"].fail(f"topic {topic!r} holds white space; write it like imu/data")
+    if len(topic) > 255 or "__" in topic or not _TOPIC.fullmatch(topic):
+        shown = topic if len(topic) <= 60 else f"{topic[:57]}…"
+        raise keys["topic"].fail(
+            f"topic {shown!r} is no ROS name; write words of letters, digits and '_' between "
+            "slashes, like imu/data"
+        )
     try:
         kind = full_name(keys["type"].text("type"))
         messages.struct(kind)
@@ -269,6 +279,8 @@ def _checksum(path: str, keys: dict[str, Entry], field: FieldSpec) -> FieldSpec:
 
 def _text(path: str, entry: Entry) -> str:
     form = entry.text("text")
+    if any(len(n) > 2 or int(n) > WIDEST_TEXT for n in re.findall(r"[0-9]+", form)):
+        raise entry.fail(f"{path}: text {form[:40]!r} is wider than {WIDEST_TEXT}; write 8.2f")
     try:
         width = len(format(0.0, form))
     except ValueError:

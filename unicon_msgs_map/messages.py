@@ -6,6 +6,7 @@ definitions from `.msg` texts, files and folders, and those that ship in `unicon
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
@@ -32,6 +33,12 @@ __all__ = [
 
 DISTROS = ("foxy", "galactic", "humble", "iron", "jazzy", "kilted", "lyrical")
 DEFAULT_DISTRO = "jazzy"
+
+# rosidl's rules, and `_` for the messages of actions
+_TYPE_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*/[a-z]+/[A-Za-z][A-Za-z0-9_]*")
+_FIELD_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+MAX_NESTED = 32
+MAX_TEXT = 1 << 20
 
 DURATION = "builtin_interfaces/msg/Duration"
 TIME = "builtin_interfaces/msg/Time"
@@ -150,6 +157,7 @@ class Messages:
         self.store: Any = _typestore(distro) if isinstance(distro, str) else distro
         self._structs: dict[str, Struct] = {}
         self._shipped: set[str] = set()
+        self._building: list[str] = []
 
     def struct(self, name: str) -> Struct:
         """Return the layout of a type, given as `pkg/msg/Name` or `pkg/Name`.
@@ -208,6 +216,7 @@ class Messages:
 
         found: dict[str, Any] = {}
         for name, text in texts.items():
+            full_name(name)
             try:
                 found.update(get_types_from_msg(text, name))
             except Exception as error:
@@ -215,6 +224,8 @@ class Messages:
                 raise MessageTypeError(
                     f"definition of {name!r} cannot be parsed: {reason}"
                 ) from None
+        for name, definition in found.items():
+            _check_names(name, definition)  # the store makes Python of them
         try:
             self.store.register(found)
         except Exception as error:
@@ -237,6 +248,18 @@ class Messages:
             )
 
     def _build(self, full: str) -> Struct:
+        if full in self._building or len(self._building) > MAX_NESTED:
+            raise MessageTypeError(
+                f"message type {full!r} holds itself, or parts more than {MAX_NESTED} deep; "
+                "correct its definition"
+            )
+        self._building.append(full)
+        try:
+            return self._laid_out(full)
+        finally:
+            self._building.pop()
+
+    def _laid_out(self, full: str) -> Struct:
         if not self.knows(full):
             package = full.split("/")[0]
             same = [n for n in self.store.fielddefs if n.startswith(package + "/")]
@@ -281,12 +304,29 @@ def full_name(name: str) -> str:
     parts = name.split("/")
     if len(parts) == 2:
         parts.insert(1, "msg")
-    if len(parts) != 3 or not all(parts):
+    if len(name) > 255 or not _TYPE_NAME.fullmatch("/".join(parts)):
+        shown = name if len(name) <= 60 else f"{name[:57]}…"
         raise MessageTypeError(
-            f"message type {name!r} is no type name; write pkg/msg/Name, "
+            f"message type {shown!r} is no type name; write pkg/msg/Name, "
             "such as sensor_msgs/msg/JointState"
         )
     return "/".join(parts)
+
+
+def _check_names(name: str, definition: Any) -> None:
+    full_name(name)
+    constants, fields = definition
+    for field in (*(each[0] for each in constants), *(each[0] for each in fields)):
+        if not _FIELD_NAME.fullmatch(field):
+            raise MessageTypeError(f"definition of {name!r}: {field!r} is no name of a field")
+    for field, kind in fields:
+        while kind[0] > 2:
+            kind = kind[1][0]
+        if kind[0] == 2:
+            try:
+                full_name(kind[1])
+            except MessageTypeError as error:
+                raise MessageTypeError(f"definition of {name!r}: {field}: {error}") from None
 
 
 def _base(owner: str, field: str, rest: Any) -> Primitive | String:
@@ -317,8 +357,9 @@ def _typestore(distro: str) -> Any:
 
 def _read(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8")
-    except OSError as error:
+        with path.open("rb") as file:
+            return file.read(MAX_TEXT).decode("utf-8")
+    except (OSError, UnicodeDecodeError) as error:
         raise MessageTypeError(
-            f"cannot read message file {str(path)!r}: {error.strerror or error}"
+            f"cannot read message file {str(path)!r}: {getattr(error, 'strerror', None) or error}"
         ) from None

@@ -24,10 +24,10 @@ from dataclasses import dataclass
 __all__ = ["Key", "Path", "PathError", "Reference", "Selector", "parse_path", "parse_reference"]
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
-_STEP = re.compile(r"([A-Za-z_][A-Za-z0-9_]*)(?:\[([^\[\]]*)\])?(?:\.|$)")
-_REFERENCE = re.compile(r"([A-Za-z_][A-Za-z0-9_]*)(?:\[([^\[\]]*)\])?$")
-_NUMBER = re.compile(r"\d+$")
-_SLICE = re.compile(r"(\d*):(\d*)$")
+_STEP = re.compile(r"([A-Za-z_][A-Za-z0-9_]*)(?:\[([^\[\]]*)\])?(?:\.|\Z)")
+_REFERENCE = re.compile(r"([A-Za-z_][A-Za-z0-9_]*)(?:\[([^\[\]]*)\])?\Z")
+_NUMBER = re.compile(r"[0-9]{1,6}\Z")
+_SLICE = re.compile(r"([0-9]{0,6}):([0-9]{0,6})\Z")
 
 
 class PathError(ValueError):
@@ -148,6 +148,6 @@ def _index(text: str | None, whole: str) -> int | tuple[int, int | None] | str |
         if stop is not None and stop <= start:
             raise PathError(f"[{text}] in {whole!r} is an empty range; stop must exceed start")
         return (start, stop)
-    if not text or text.startswith("-"):
+    if not text or text.startswith("-") or text.replace(":", "").isdigit():
         raise PathError(f"[{text}] in {whole!r} selects nothing; count from 0, as in [3] or [:12]")
     return text

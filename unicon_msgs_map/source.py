@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import isfinite
 from pathlib import Path
 
-from unicon_msgs_map.errors import MapDependencyError, MapFileError, alternatives
+from unicon_core.bounded_yaml import MAX_SIZE, Node, YamlError, compose
+from unicon_msgs_map.errors import MapFileError, alternatives
 
 __all__ = ["Entry", "read_yaml"]
 
@@ -56,7 +58,7 @@ class Entry:
     def number(self, what: str, *, positive: bool = False) -> float:
         """Return the value as a number."""
         value = self.value
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or value != value:
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not isfinite(value):
             raise self.fail(f"{what} must be a number, not {self.plain()!r}")
         if positive and not value > 0:
             raise self.fail(f"{what} must be above 0, not {value}")
@@ -85,61 +87,48 @@ def read_yaml(text: str, name: str) -> Entry:
         name: file name for messages.
 
     Raises:
-        MapFileError: it does not parse, or a key stands twice.
+        MapFileError: it does not parse, is beyond the bounds, or a key stands twice.
     """
     try:
-        import yaml
-    except ImportError as error:  # pragma: no cover - a hard dependency of the package
-        raise MapDependencyError(
-            f"the message map needs PyYAML ({error}): pip install pyyaml"
-        ) from None
-    loader = yaml.SafeLoader(text)
-    try:
-        node = loader.get_single_node()
-        if node is None:
-            return Entry({}, f"{name}:1")
-        return _convert(loader, node, name)
-    except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark or error.context_mark
-        line = mark.line + 1 if mark else 1
-        raise MapFileError(f"not valid YAML: {error.problem}", f"{name}:{line}") from None
-    except yaml.YAMLError as error:
-        raise MapFileError(f"not valid YAML: {str(error).splitlines()[0]}", f"{name}:1") from None
-    finally:
-        loader.dispose()
+        root = compose(text)
+        return Entry({}, f"{name}:1") if root is None else _convert(root, name)
+    except YamlError as error:
+        raise MapFileError(f"not valid YAML: {error.problem}", f"{name}:{error.line}") from None
 
 
 def read_text(path: Path) -> str:
     """Return a file's text.
 
     Raises:
-        MapFileError: it cannot be read.
+        MapFileError: it cannot be read, or is too large.
     """
     try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+        with path.open("rb") as file:
+            data = file.read(4 * MAX_SIZE + 1)
+        return data.decode("utf-8")
+    except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise MapFileError(f"cannot read the mapping: {reason}", str(path)) from None
 
 
-def _convert(loader: object, node: object, name: str) -> Entry:
-    import yaml
-
-    assert isinstance(node, yaml.Node)
-    where = f"{name}:{node.start_mark.line + 1}"
-    if isinstance(node, yaml.MappingNode):
-        found: dict[str, Entry] = {}
-        for key_node, value_node in node.value:
-            key = key_node.value if isinstance(key_node, yaml.ScalarNode) else None
-            line = f"{name}:{key_node.start_mark.line + 1}"
-            if key is None:
-                raise MapFileError("a key must be one word or path", line)
-            if key in found:
-                raise MapFileError(f"key {key!r} stands twice; drop one", line)
-            entry = _convert(loader, value_node, name)
-            found[key] = entry
-        return Entry(found, where)
-    if isinstance(node, yaml.SequenceNode):
-        return Entry([_convert(loader, item, name) for item in node.value], where)
-    assert isinstance(loader, yaml.SafeLoader)
-    return Entry(loader.construct_object(node, deep=True), where)
+def _convert(node: Node, name: str) -> Entry:
+    where = f"{name}:{node.line}"
+    if node.tag:
+        raise YamlError(
+            node.line, f"tag {node.tag!r} is not read; write plain values, lists and mappings"
+        )
+    if node.kind == "list":
+        return Entry([_convert(item, name) for item in node.value], where)
+    if node.kind != "mapping":
+        return Entry(node.value, where)
+    found: dict[str, Entry] = {}
+    for key_node, value_node in node.value:
+        key = key_node.value
+        line = f"{name}:{key_node.line}"
+        if key_node.kind != "scalar" or key_node.tag or isinstance(key, (float, type(None))):
+            raise MapFileError("a key must be one word or path", line)
+        key = str(key)
+        if key in found:
+            raise MapFileError(f"key {key!r} stands twice; drop one", line)
+        found[key] = _convert(value_node, name)
+    return Entry(found, where)

@@ -28,6 +28,7 @@ from unicon_msgs_map.spec import FieldSpec
 
 __all__ = ["Leaf", "Node", "Slot", "Template", "expand", "numeric_leaves", "place"]
 
+LARGEST = 4 << 20  # of one message, [B]; pictures and clouds go another way
 HEADER_LE = b"\x00\x01\x00\x00"
 Where = tuple[str | int, ...]
 
@@ -247,6 +248,10 @@ class Template:
         self._struct(message, root)
 
     def _align(self, size: int) -> None:
+        if len(self.data) > LARGEST:
+            raise MapStateError(
+                f"the message takes more than {LARGEST >> 20} MiB; map fewer elements"
+            )
         self.data += bytes(-(len(self.data) - 4) % size)
 
     def _any(self, kind: TypeRef, node: Node | None) -> None:

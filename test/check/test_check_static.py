@@ -199,7 +199,10 @@ def test_what_hardware_cannot_measure_is_a_note_in_simulation(folder: Path) -> N
 
 
 HARDWARE = """
-def make(states, robot, period, *, address="192.168.123.10"):
+from unicon_core.platforms.platform import Platform
+
+
+def make(states, robot, period, *, address="192.168.123.10") -> Platform:
     raise AssertionError("a check opens no hardware")
 """
 
@@ -349,7 +352,7 @@ def test_all_mistakes_of_a_built_graph_are_listed(folder: Path) -> None:
 TILTED = """
 from unicon_core.platforms import fake
 
-def make(states, robot, period):
+def make(states, robot, period) -> fake.FakePlatform:
     platform = fake.make(states, robot, period)
     plain = platform.recv
 

@@ -111,7 +111,11 @@ def test_a_missing_package_is_told_with_its_install_command(
         ("platform", "--set 'platform' has no '='; write --set path=value, as platform=mujoco"),
         ("safety.7=x", "--set safety.7: '7' is no place in a list of 2; give a number from 0 to 1"),
         ("rate.x=1", "--set rate.x: rate is 50, which has no parts"),
-        ("platform={", "--set platform: '{' is not valid YAML"),
+        (
+            "platform={",
+            "--set platform: '{' is not valid YAML: "
+            "expected the node content, but found '<stream end>'",
+        ),
     ],
 )
 def test_a_bad_override_is_told(

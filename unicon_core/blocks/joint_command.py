@@ -15,9 +15,12 @@ from unicon_core.errors import RobotError, WorkflowError, alternatives
 from unicon_core.flow.block import Bundle, Reads, Writes
 from unicon_core.robots import Robot
 
-__all__ = ["JointCommand", "joints_like", "named_pose", "robot_gains", "ticks_of"]
+__all__ = ["LONGEST_S", "JointCommand", "joints_like", "named_pose", "robot_gains", "ticks_of"]
 
 Float = NDArray[np.float32]
+
+LONGEST_S = 1e9
+"""Longest time that a block counts in [s]: thirty years."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,6 +137,8 @@ def ticks_of(seconds: float | None, period: float, option: str) -> int | None:
     if seconds is None:
         return None
     number = isinstance(seconds, (int, float)) and not isinstance(seconds, bool)
-    if not number or not 0.0 <= seconds < math.inf:
-        raise WorkflowError(f"{option} is {seconds!r}; give a time of 0 or more in [s]")
+    if not number or not 0.0 <= seconds <= LONGEST_S:
+        raise WorkflowError(
+            f"{option} is {seconds!r}; give a time from 0 to {LONGEST_S:g} in [s], or leave it out"
+        )
     return max(round(seconds / period), 1)

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.blocks.joint_command import ticks_of
+from unicon_core.blocks.joint_command import LONGEST_S, ticks_of
 from unicon_core.errors import WorkflowError
 from unicon_core.flow.block import Writes
 
@@ -46,8 +46,12 @@ def velocity_command(
         shown = wrong[1:] if constant is not None else wrong
         raise WorkflowError(f"{shown} is no command; give [vx, vy, wz], with t in front in a row")
     times = [float(row[0]) for row in rows]
-    if any(late <= early for early, late in pairwise(times)) or times[0] < 0.0:
-        raise WorkflowError(f"the schedule's times {times} do not rise from 0; put them in order")
+    if any(late <= early for early, late in pairwise(times)) or not (
+        times[0] >= 0.0 and times[-1] <= LONGEST_S
+    ):
+        raise WorkflowError(
+            f"the schedule's times {times} do not rise from 0 to {LONGEST_S:g} s; correct them"
+        )
     values = np.array([row[1:] for row in rows], np.float32)
     if limits is not None:
         bounds = np.array(limits, np.float32)

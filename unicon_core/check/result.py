@@ -132,7 +132,7 @@ class CheckResult:
         """Take over the workflow's `check: {accept: [...]}`; an unknown code is a finding."""
         listed = codes if isinstance(codes, list) else [codes]
         for code in listed:
-            if code not in CODES:
+            if not isinstance(code, str) or code not in CODES:
                 remedy = f"{alternatives(str(code), CODES)}"
                 self.find("check.settings", "check.accept", f"no finding {code!r}", remedy, where)
         self.accepted = frozenset(str(code) for code in listed)

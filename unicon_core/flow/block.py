@@ -68,8 +68,9 @@ class Block:
         linear: what it does where that is a copy or a linear index map, or None; neighbours are
             then fused into one operation.
         parts: the blocks that were fused into this one.
-        inline: Python expression with names in `inline_names`, which the compiler puts in the
-            place of the call, or ""; of an endless block also statements, one a line.
+        inline: Python expression of numbers and of names in `inline_names`, without texts and
+            attributes, which the compiler puts in the place of the call, or ""; of an endless
+            block also statements, one a line.
     """
 
     name: str

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from unicon_core.flow.block import Block
 from unicon_core.flow.linear import LinearMap
 from unicon_core.flow.nodes import Node, Zip, children_of, with_children
+from unicon_core.generated import define
 from unicon_core.states import States
 
 __all__ = ["fuse"]
@@ -134,11 +135,10 @@ class _Group:
             code.one_dtype(same, self.states.buffer_of(dtype))
         blocks = [piece.block for piece in pieces]
         text = "\n".join(code.lines)
-        scope = dict(code.names)
-        exec(compile("def tick():\n    " + "\n    ".join(code.lines), "<fused>", "exec"), scope)
+        source = "\n    ".join(["def tick():", *code.lines])
         return Block(
             name=f"{blocks[0].name} … {blocks[-1].name} ({len(blocks)} fused)",
-            tick=scope["tick"],
+            tick=define(source, code.names, "<fused>")["tick"],
             reads=tuple(dict.fromkeys(name for block in blocks for name in block.reads)),
             writes=tuple(dict.fromkeys(name for block in blocks for name in block.writes)),
             where=blocks[0].where,
@@ -211,7 +211,7 @@ class _Code:
         )
         out = self.name("result", result)
         take, index = self.name("take", packed.take), self.name("index", read)
-        self.lines.append(f'{take}({index}, 0, {out}, "clip")')
+        self.lines.append(f"{take}({index}, 0, {out}, {self.name('mode', 'clip')})")
         for word, operator, value in (("multiply", np.multiply, scale), ("add", np.add, offset)):
             if value is not None:
                 call = self.name(word, operator)

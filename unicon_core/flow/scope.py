@@ -7,11 +7,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
+from unicon_core.generated import define
+
 __all__ = ["Lines", "Scope", "indent"]
 
 Lines: TypeAlias = list[str]
 
-_WORD = re.compile(r"""("[^"]*"|'[^']*')|(?<![\w.])([A-Za-z_]\w*)""")
+_WORD = re.compile(r"(?<![\w.])[A-Za-z_]\w*")
 
 
 @dataclass
@@ -41,10 +43,10 @@ class Scope:
         return self._bound[key]
 
     def renamed(self, text: str, values: Mapping[str, Any]) -> str:
-        """Return code with the names of `values` bound here; strings and attributes stay."""
+        """Return code with the names of `values` bound here; attributes stay."""
 
         def replace(match: re.Match[str]) -> str:
-            word = match[2]
+            word = match[0]
             return self.bind("i", values[word], word) if word in values else match[0]
 
         return _WORD.sub(replace, text)
@@ -87,8 +89,7 @@ class Scope:
         for name, body in self.functions:
             lines += [f"    def {name}():", *indent([*nonlocals, *(body or ["pass"])], 2)]
         source = "\n".join([*lines, f"    return {', '.join(exported)}", ""])
-        namespace: dict[str, Any] = {}
-        exec(compile(source, "<unicon graph>", "exec"), namespace)
+        namespace = define(source, {}, "<unicon graph>")
         return source, namespace["build"](**self.names)
 
 

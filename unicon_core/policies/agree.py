@@ -53,11 +53,11 @@ def check_agreement(facts: Facts, other: Facts) -> None:
 
 
 def _by_joint(values: Mapping[str, Any], key: str, joints: list[str]) -> dict[str, float] | None:
-    value: Any = values
-    for part in key.split("."):
-        value = value.get(part) if isinstance(value, Mapping) else None
+    value: Any = values.get(key)
     if key == "action.scale":
-        moved = values.get("action", {}).get("joints")
+        action = values.get("action")
+        action = action if isinstance(action, Mapping) else {}
+        value, moved = action.get("scale"), action.get("joints")
         joints = moved if isinstance(moved, list) else joints
     if isinstance(value, (int, float)) and not isinstance(value, bool):
         return dict.fromkeys(joints, float(value))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Literal, cast
 
@@ -72,7 +71,7 @@ def build_contract(facts: Facts) -> PolicyContract:
     return PolicyContract(
         name=str(values.get("name") or facts.path.parent.name or facts.path.stem),
         path=facts.path,
-        model=check.model(),
+        model=facts.model(),
         period=check.positive(("period",), values["period"], "the control period in [s]"),
         joints=joints,
         default_joint_pos=default,
@@ -183,14 +182,6 @@ class _Check:
         if value not in known:
             raise self.fail(where, f"{dotted(where)} is {value!r}; known: {', '.join(known)}")
         return str(value)
-
-    def model(self) -> Path:
-        for key in ("onnx", "torchscript"):
-            name = self.values.get(key)
-            if name is not None:
-                path = Path(str(name)).expanduser()
-                return path if path.is_absolute() else self.facts.path.parent / path
-        raise self.fail((), "no network is named; add 'onnx: policy.onnx'")
 
     def clip(self, where: Where, value: Any, count: int | None) -> NDArray[np.float32] | None:
         """`[lowest, highest]`, each one number or a list; shape (2, 1) or (2, count)."""

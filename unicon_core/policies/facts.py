@@ -14,8 +14,9 @@ import numpy as np
 
 from unicon_core.errors import PolicyError, alternatives
 from unicon_core.policies.tolerant_yaml import Where
+from unicon_core.resources import file_beside
 
-__all__ = ["Facts", "dotted", "merge_given", "missing_facts", "term_state"]
+__all__ = ["Facts", "dotted", "given_joints", "merge_given", "missing_facts", "term_state"]
 
 # Name of a term on the training side -> where its values come from. A plain `joint_pos` is relative
 # as a term of BeyondMimic, mjlab and holosoma, and absolute as a function of Isaac Lab and Unitree.
@@ -69,6 +70,8 @@ class Facts:
             there is to choose from, or "".
         notes: what to tell the user, such as rounding.
         tolerance: relative and absolute rounding of the source's numbers.
+        network: the network's file where the importer found it or the workflow names it; None
+            where the source names it, which then lies in the source's folder.
     """
 
     path: Path
@@ -79,6 +82,27 @@ class Facts:
     asks: dict[str, str] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
     tolerance: tuple[float, float] = (1e-6, 1e-9)
+    network: Path | None = None
+
+    def model(self) -> Path:
+        """Return the network's file, which need not exist.
+
+        Raises:
+            PolicyError: none is named, or one outside the folder of the source.
+        """
+        if self.network is not None:
+            return self.network
+        for key in ("onnx", "torchscript"):
+            name = self.values.get(key)
+            if name is None:
+                continue
+            if not isinstance(name, str):
+                raise self.error((key,), f"{key} is {_show(name)}; name a file")
+            try:
+                return file_beside(self.path, name, key, error=PolicyError)
+            except PolicyError as error:
+                raise self.error((key,), str(error)) from error
+        raise self.error((), "no network is named; add 'onnx: policy.onnx'")
 
     def error(self, where: Where, message: str) -> PolicyError:
         """Return the error with `file:line` of a value, or of its parent if it has no line."""
@@ -148,6 +172,20 @@ def _has_observation(values: Mapping[str, Any]) -> bool:
     return not isinstance(inputs, Mapping) or "observation" in inputs
 
 
+def given_joints(path: Path, given: Mapping[str, Any]) -> list[str] | None:
+    """Return the joint names that the user gives, by which a source's patterns are resolved.
+
+    Raises:
+        PolicyError: they are no list of names.
+    """
+    joints = given.get("joints")
+    if joints is None:
+        return None
+    if not isinstance(joints, (list, tuple)) or not all(isinstance(j, str) for j in joints):
+        raise PolicyError(f"{path}: given joints is {_show(joints)}; give a list of joint names")
+    return list(joints)
+
+
 def merge_given(facts: Facts, given: Mapping[str, Any]) -> None:
     """Add facts that the user gives; a fact that the source says otherwise is refused.
 
@@ -166,6 +204,11 @@ def merge_given(facts: Facts, given: Mapping[str, Any]) -> None:
         *path, last = str(key).split(".")
         for step in path:
             place = place.setdefault(step, {})
+            if not isinstance(place, dict):
+                raise PolicyError(
+                    f"{facts.path}: given {_show(key)}: {step} is given as {_show(place)} too; "
+                    "write it once, as a mapping"
+                )
         if isinstance(value, Mapping) and isinstance(place.get(last), dict):
             place[last].update(value)
         else:
@@ -263,5 +306,5 @@ def _same(known: Any, value: Any, tolerance: tuple[float, float]) -> bool:
 
 
 def _show(value: Any, limit: int = 60) -> str:
-    text = str(value)
+    text = " ".join(str(value).split())
     return text if len(text) <= limit else f"{text[: limit - 1]}…"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -135,7 +136,7 @@ def import_policy(
 def _config_policy(name: str) -> Path | None:
     for root in config_roots():
         folder = root / "policies" / name
-        if folder.is_dir() and _main_file(folder) is not None:
+        if os.path.isdir(folder) and _main_file(folder) is not None:
             return folder
     return None
 
@@ -144,8 +145,8 @@ def _locate(reference: str | Path) -> Path:
     text = str(reference)
     if text.startswith("assets:"):
         path = find_resource(text, "policy", error=PolicyError)
-    elif Path(text).expanduser().exists() and ("/" in text or isinstance(reference, Path)):
-        path = Path(text).expanduser().resolve()
+    elif os.path.exists(os.path.expanduser(text)) and ("/" in text or isinstance(reference, Path)):
+        path = Path(os.path.expanduser(text)).resolve()
     elif "/" not in text and (named := _config_policy(text)) is not None:
         path = named
     elif text in registered_policies():
@@ -155,7 +156,9 @@ def _locate(reference: str | Path) -> Path:
     else:
         known = alternatives(text, policy_names())
         raise PolicyError(f"unknown policy {text!r}; {known}; or give a path to a folder or file")
-    if not path.is_dir():
+    if not os.path.isdir(path):
+        if not os.path.isfile(path):
+            raise PolicyError(f"policy {text!r} is neither a file nor a folder; correct the path")
         return path
     main = _main_file(path)
     if main is None:
@@ -168,13 +171,13 @@ def _locate(reference: str | Path) -> Path:
 
 def _main_file(folder: Path) -> Path | None:
     for name in ("policy.yaml", "deploy.yaml", "params/deploy.yaml"):
-        if (folder / name).is_file():
+        if os.path.isfile(folder / name):
             return folder / name
     models = sorted(folder.glob("*.onnx"))
     if len(models) == 1 and has_metadata(read_onnx(models[0])):
         return models[0]
     for name in ("env.yaml", "params/env.yaml"):
-        if (folder / name).is_file():
+        if os.path.isfile(folder / name):
             return folder / name
     models = models or sorted(p for p in folder.glob("*") if p.suffix in _TORCHSCRIPT)
     return models[0] if len(models) == 1 else None
@@ -184,10 +187,13 @@ def _read(reference: str | Path, robot: NamedJoints | None, given: Mapping[str, 
     path = _locate(reference)
     facts, onnx = _facts_of(path, robot, given)
     merge_given(facts, given)
+    for key in ("onnx", "torchscript"):
+        if isinstance(given.get(key), str):  # of the workflow, which may name any file
+            named = Path(os.path.expanduser(given[key]))
+            facts.network = named if named.is_absolute() else facts.path.parent / named
     facts.values.setdefault("name", _name_of(path))
     if "onnx" in facts.values and "torchscript" not in facts.values:
-        model = Path(str(facts.values["onnx"])).expanduser()
-        model = model if model.is_absolute() else facts.path.parent / model
+        model = facts.model()
         if onnx is None or onnx.path != model:
             onnx = read_onnx(model)
         lost = onnx.missing_external()
@@ -213,7 +219,7 @@ def _facts_of(
         onnx = read_onnx(path)
         for beside in ("policy.yaml", "deploy.yaml", "../params/deploy.yaml"):
             other = path.parent / beside
-            if other.is_file():
+            if os.path.isfile(other):
                 facts, _ = _facts_of(other.resolve(), robot, given)
                 if _names_model(facts, path):
                     return facts, onnx
@@ -249,8 +255,7 @@ def _motors(robot: NamedJoints) -> dict[int, str]:
 
 
 def _names_model(facts: Facts, model: Path) -> bool:
-    named = facts.values.get("onnx")
-    return named is not None and (facts.path.parent / str(named)).resolve() == model.resolve()
+    return "onnx" in facts.values and facts.model().resolve() == model.resolve()
 
 
 def _add_model(facts: Facts) -> None:
@@ -260,7 +265,8 @@ def _add_model(facts: Facts) -> None:
         for suffix, key in ((".onnx", "onnx"), (".pt", "torchscript")):
             models = sorted(place.glob(f"*{suffix}"))
             if len(models) == 1:
-                facts.values[key] = str(models[0])
+                facts.values[key] = models[0].name
+                facts.network = models[0]
                 return
     facts.asks["onnx"] = f"no single network is beside {facts.path.name}"
 
@@ -297,7 +303,7 @@ def _name_tensors(facts: Facts, onnx: OnnxFile) -> None:
 
 
 def _check_model(facts: Facts, contract: PolicyContract) -> None:
-    if not contract.model.is_file():
+    if not os.path.isfile(contract.model):
         where = ("torchscript",) if contract.is_torchscript else ("onnx",)
         raise facts.error(
             where, f"no such file {contract.model}; put the network there or correct the path"

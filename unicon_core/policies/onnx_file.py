@@ -7,6 +7,7 @@ file can so be judged before any session is built. Weights are skipped, not read
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -76,7 +77,7 @@ class OnnxFile:
     def missing_external(self) -> list[Path]:
         """Return the files with weights that the model needs and that are not there."""
         paths = [self.path.parent / name for name in self.external]
-        return [path for path in paths if not path.is_file()]
+        return [path for path in paths if not os.path.isfile(path)]
 
 
 def read_onnx(path: Path) -> OnnxFile:
@@ -85,7 +86,7 @@ def read_onnx(path: Path) -> OnnxFile:
     Raises:
         PolicyError: no such file, or it is no ONNX model.
     """
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise PolicyError(f"{path}: no such ONNX file; put it there or correct the path")
     data = path.read_bytes()
     try:

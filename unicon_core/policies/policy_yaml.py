@@ -86,7 +86,7 @@ def write_partial_yaml(facts: Facts, missing: Mapping[str, str], out_dir: str | 
     model = None
     values: dict[str, Any] = {"schema": SCHEMA}
     if key in facts.values:
-        model = facts.path.parent / str(facts.values[key])
+        model = facts.model()
         values[key] = model.name
     values |= {k: v for k, v in facts.values.items() if k not in values}
     lines = [f"# The {facts.source} of {facts.path.name} does not say, so add:"]
@@ -112,11 +112,11 @@ def _copy_model(model: Path, folder: Path) -> None:
     external = read_onnx(model).external if model.suffix == ".onnx" else ()
     for name in (model.name, *external):
         source, target = model.parent / name, folder / name
-        if not source.is_file():
+        if not os.path.isfile(source):
             raise PolicyError(
                 f"{source}: no such file; {model.name} needs its weights, put it there"
             )
-        if not target.exists() or not os.path.samefile(source, target):
+        if not os.path.exists(target) or not os.path.samefile(source, target):
             target.parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(source, target)
 

@@ -47,6 +47,6 @@ def registered_policy(name: str) -> Path:
             "folder or file, or a function that returns one"
         )
     path = Path(value)
-    if not path.exists():
+    if not os.path.exists(path):
         raise PolicyError(f"{label}: no such path {path}; install its package again")
     return path.resolve()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import PurePath
 from typing import Any
 
 from unicon_core.errors import alternatives
@@ -68,7 +69,7 @@ def validate(located: Located) -> None:
             f"kind {document['kind']!r} is not known; {alternatives(str(document['kind']), KINDS)}",
         )
     if document["model"] is not None:
-        check_text(located, ("model",), document["model"])
+        _model(located, document["model"])
     check_joints(located, document["joints"])
     check_imu(located, document["imu"])
     check_contacts(located, document)
@@ -76,6 +77,18 @@ def validate(located: Located) -> None:
     _transport(located, document["transport"])
     _unknown(located, document)
     _sources(located, document)
+
+
+def _model(located: Located, model: Any) -> None:
+    """A path below the file's folder or a configuration folder; a workflow may name any."""
+    check_text(located, ("model",), model)
+    path = PurePath(model.removeprefix("assets:"))
+    if path.is_absolute() or ".." in path.parts or model.startswith("~"):
+        raise located.error(
+            ("model",),
+            f"model {model!r} leads out of its folder; put it beside the robot file, or name it in "
+            "the workflow: platforms.mujoco.model",
+        )
 
 
 def _transport(located: Located, transport: Any) -> None:
@@ -158,6 +171,8 @@ def _sources(located: Located, document: dict[str, Any]) -> None:
             ("sources",), f"sources is {sources!r}; write one entry per group of facts"
         )
     for key, text in sources.items():
+        if not isinstance(key, str):
+            raise located.error(("sources", key), f"sources: {key!r} is no group; write a word")
         check_text(located, ("sources", key), text)
     joints = document["joints"]
     given = {

@@ -21,6 +21,10 @@ ALIGNMENT = 64
 """Alignment of the buffer and of each dtype's section, in bytes: one cache line."""
 
 
+MAX_BYTES = 1 << 30
+"""Length of the buffer: room for a large batch, and no mistyped shape takes the machine down."""
+
+
 @dataclass(frozen=True)
 class Slot:
     """Place of one state: byte `offset`, full `shape` with the batch axis, dtype name."""
@@ -57,6 +61,12 @@ class Layout:
         if self.num_robots is not None and self.num_robots < 1:
             raise StateError(
                 f"num_robots is {self.num_robots}; give a number >= 1, or leave it out"
+            )
+
+        if self.nbytes > MAX_BYTES:
+            raise StateError(
+                f"the states take {self.nbytes >> 20} MiB; at most {MAX_BYTES >> 20} are held: "
+                "make shapes or num_robots smaller"
             )
 
     @cached_property

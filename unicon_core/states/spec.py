@@ -18,6 +18,15 @@ _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
 _KINDS = "biuf"  # bool, signed, unsigned, float: what every backend and every language can carry
 
 
+MAX_ELEMENTS = 1 << 24
+"""Elements of one state; more than any sensor's but a camera's, whose pictures are handles."""
+
+
+def _short(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}…"
+
+
 def check_name(name: str) -> str:
     """Return `name`, or raise StateError where it cannot label a state."""
     if not isinstance(name, str) or not _NAME.match(name):
@@ -54,7 +63,7 @@ class StateSpec:
         object.__setattr__(self, "names", tuple(self.names))
         try:
             dtype = np.dtype(self.dtype)
-        except TypeError as error:
+        except (SyntaxError, TypeError, ValueError) as error:
             raise StateError(
                 f"state dtype {self.dtype!r} is no NumPy type; use float32, int64, bool, …"
             ) from error
@@ -65,14 +74,36 @@ class StateSpec:
         object.__setattr__(self, "dtype", dtype.newbyteorder("=").name)
         if any(n < 1 for n in self.shape):
             raise StateError(f"state shape {self.shape} has an empty axis; every axis needs >= 1")
+        if self.size > MAX_ELEMENTS:
+            raise StateError(
+                f"state shape {_short(self.shape)} has {self.size} elements; at most "
+                f"{MAX_ELEMENTS} are held: leave large data outside and refer to them"
+            )
         if self.names and (not self.shape or len(self.names) != self.shape[-1]):
             last = self.shape[-1] if self.shape else 1
             raise StateError(f"{len(self.names)} element names for a last axis of {last}")
         if len(set(self.names)) != len(self.names):
             twice = next(name for name in self.names if self.names.count(name) > 1)
             raise StateError(f"element name {twice!r} stands twice; names must be unique")
+        if not all(isinstance(name, str) for name in self.names):
+            raise StateError(f"element names {_short(list(self.names))} are not all words")
         if isinstance(self.initial, tuple) and len(self.initial) != self.size:
             raise StateError(f"{len(self.initial)} initial values for {self.size} elements")
+        for value in self.initial if isinstance(self.initial, tuple) else (self.initial,):
+            self._check_initial(value, dtype)
+
+    def _check_initial(self, value: Any, dtype: np.dtype[Any]) -> None:
+        """A number that the type holds; NaN says "not yet known" in a float state."""
+        fits = isinstance(value, (bool, int, float, np.number, np.bool_))
+        if fits and dtype.kind in "iu":
+            limits = np.iinfo(dtype)
+            fits = limits.min <= value <= limits.max and int(value) == value
+        elif fits and dtype.kind == "b":
+            fits = value in (0, 1)
+        if not fits:
+            raise StateError(
+                f"initial value {_short(value)} does not fit into {self.dtype}; give one that does"
+            )
 
     @property
     def size(self) -> int:
@@ -98,10 +129,12 @@ class StateSpec:
         Raises:
             StateError: an unknown key, or a value that does not fit.
         """
-        unknown = set(values) - set(cls.__dataclass_fields__)
+        if not isinstance(values, Mapping):
+            raise StateError(f"a state is {_short(values)}; give {{shape: …, dtype: …, unit: …}}")
+        unknown = [key for key in values if key not in cls.__dataclass_fields__]
         if unknown:
             raise StateError(
-                f"unknown key {sorted(unknown)[0]!r} in a state specification; "
+                f"unknown key {sorted(unknown, key=str)[0]!r} in a state specification; "
                 f"known: {', '.join(cls.__dataclass_fields__)}"
             )
         fields = dict(values)
@@ -111,7 +144,12 @@ class StateSpec:
             raise StateError(f"state shape is {shape!r}; give a list of whole numbers, such as [3]")
         fields["shape"] = tuple(shape)
         if "names" in fields:
+            if not isinstance(fields["names"], (list, tuple)):
+                raise StateError(f"state names is {_short(fields['names'])}; give a list of words")
             fields["names"] = tuple(fields["names"])
+        for key in ("dtype", "unit", "frame", "description"):
+            if not isinstance(fields.get(key, ""), str):
+                raise StateError(f"state {key} is {_short(fields[key])}; give a word")
         if isinstance(fields.get("initial"), list):
             fields["initial"] = tuple(fields["initial"])
         return cls(**fields)

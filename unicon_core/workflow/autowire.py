@@ -18,6 +18,7 @@ from unicon_core.errors import StateError, UniconError, WorkflowError, alternati
 from unicon_core.flow.block import Access, Block, Bundle, as_block
 from unicon_core.robots import Robot
 from unicon_core.states import States
+from unicon_core.workflow.option_types import wrong_option
 from unicon_core.workflow.registry import Factory
 
 __all__ = ["BuildContext", "autowire", "option_names", "state_names"]
@@ -94,6 +95,9 @@ def autowire(
                 f"block {name!r} has no option {option!r}; {alternatives(option, free)}", where
             )
         arguments[option] = value
+    wrong = wrong_option(factory, options)
+    if wrong:
+        raise WorkflowError(f"block {name!r}: {wrong}", where)
     for parameter, declared in parameters.items():
         if parameter in arguments:
             continue

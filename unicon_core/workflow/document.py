@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import yaml
-
+from unicon_core.bounded_yaml import MAX_DEPTH, YamlError
 from unicon_core.errors import WorkflowError, alternatives
 from unicon_core.located_yaml import Located, parse_value, read_yaml
 from unicon_core.resources import find_config, list_config
@@ -87,6 +87,8 @@ class WorkflowDocument:
             kinds = kind if isinstance(kind, tuple) else (kind,)
             wanted = " or ".join(_KIND_NAMES.get(k, k.__name__) for k in kinds)
             raise self.error(f"{key}: {value!r} is not a {wanted}", key)
+        if isinstance(value, float) and not math.isfinite(value):
+            raise self.error(f"{key}: {value!r} is not a finite number", key)
         return value
 
 
@@ -129,6 +131,8 @@ def load_document(
         raise document.error(
             f"schema {schema!r} is not known; this version reads {SCHEMA}", "schema"
         )
+    for key in ("rate", "duration"):
+        document.get(key, (int, float))
     for key in ("robot", "platform", "flow"):
         if values.get(key) is None:
             raise document.error(f"the key {key!r} is missing: {KEYS[key]}")
@@ -144,14 +148,21 @@ def _split(text: str) -> tuple[str, Any]:
         )
     try:
         return dotted.strip(), parse_value(value)
-    except yaml.YAMLError as error:
-        raise WorkflowError(f"--set {dotted}: {value!r} is not valid YAML") from error
+    except YamlError as error:
+        shown = value if len(value) <= 60 else f"{value[:60]}…"
+        raise WorkflowError(
+            f"--set {dotted}: {shown!r} is not valid YAML: {error.problem}"
+        ) from error
 
 
 def _set(values: dict[str, Any], dotted: str, value: Any) -> None:
     """Set a value at a dotted path; missing mappings are made, list items go by number."""
     here: Any = values
     keys = dotted.split(".")
+    if len(keys) > MAX_DEPTH:
+        raise WorkflowError(
+            f"--set {dotted[:60]}…: the path has {len(keys)} steps; at most {MAX_DEPTH} are read"
+        )
     for depth, key in enumerate(keys):
         last = depth == len(keys) - 1
         if isinstance(here, list):

@@ -10,6 +10,7 @@ from unicon_core.platforms.platform import Platform
 from unicon_core.workflow.autowire import BuildContext, option_names
 from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.hardware import is_simulator, refuse_incomplete
+from unicon_core.workflow.option_types import wrong_option
 from unicon_core.workflow.registry import Factory, find_factory
 
 __all__ = ["build_platform", "find_platform", "platform_options"]
@@ -28,6 +29,9 @@ def build_platform(document: WorkflowDocument, context: BuildContext) -> Platfor
         refuse_incomplete(context.robot, name)
     options = platform_options(document, name, factory)
     arguments = {key: _pose_of(value, document, context) for key, value in options.items()}
+    wrong = wrong_option(factory, arguments)
+    if wrong:
+        raise document.error(f"platform {name!r}: {wrong}", "platforms", name)
     if "relative_to" in inspect.signature(factory).parameters:
         arguments["relative_to"] = context.relative_to
     try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -35,6 +36,13 @@ def load_policies(document: WorkflowDocument, robot: Robot) -> dict[str, PolicyC
                 "policies",
                 name,
             )
+        if not isinstance(values.get("given") or {}, dict):
+            raise document.error(
+                f"policy {name!r}: given is {values['given']!r}; write a mapping of facts",
+                "policies",
+                name,
+                "given",
+            )
         for key in values:
             if key not in ("path", "given"):
                 raise document.error(
@@ -45,7 +53,7 @@ def load_policies(document: WorkflowDocument, robot: Robot) -> dict[str, PolicyC
                 )
         beside = document.path.parent / values["path"]
         path: str | Path = values["path"]
-        if "/" in values["path"] and beside.exists():
+        if "/" in values["path"] and os.path.exists(beside):
             path = beside
         try:
             contract = load_policy(path, robot=robot, given=values.get("given") or {})

@@ -3,19 +3,32 @@
 What comes with unicon is listed by its packages; third parties register through entry points in the
 groups `unicon.blocks`, `unicon.platforms` and `unicon.policies`. A factory is imported when it is
 asked for, never before: `unicon --help` loads no simulator.
+
+A workflow may also name a `module:function` that is not registered. Its module is imported, as a
+launch file's would be, but the function is called only where it says that it makes blocks or
+platforms: `os:system` says no such thing and is refused.
 """
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Mapping
 from functools import lru_cache
 from importlib import import_module
 from importlib.metadata import entry_points
-from typing import Any, TypeAlias
+from typing import Annotated, Any, TypeAlias, get_args, get_origin, get_type_hints
 
 from unicon_core.errors import MissingDependencyError, UniconError, alternatives
+from unicon_core.flow.block import Access, Block, Bundle, Tick
 
-__all__ = ["Factory", "find_factory", "import_target", "known"]
+__all__ = [
+    "Factory",
+    "find_factory",
+    "import_target",
+    "is_block_factory",
+    "is_platform_factory",
+    "known",
+]
 
 Factory: TypeAlias = Callable[..., Any]
 
@@ -51,7 +64,67 @@ def find_factory(kind: str, name: str, error: type[UniconError]) -> Factory:
             f"unknown {singular} {name!r}; {alternatives(name, targets)}; "
             f"or give your own as module:function"
         )
-    return import_target(targets.get(name, name), f"{kind.rstrip('s')} {name!r}", error)
+    what = f"{kind.rstrip('s')} {name!r}"
+    if name in targets:
+        return import_target(targets[name], what, error)
+    factory = import_target(name, what, error)
+    if not _FACTORIES[kind](factory):
+        raise error(f"{what} does not say that it makes one, so it is not called; {_SAY[kind]}")
+    return factory
+
+
+def is_block_factory(factory: Factory) -> bool:
+    """Return whether a callable says that it makes blocks.
+
+    It has a parameter `Reads`, `Writes`, `Amends` or a `Bundle`, or returns a `Tick` or a `Block`.
+    """
+    hints = _hints(factory)
+    made = hints.pop("return", None)
+    if made == Tick or (inspect.isclass(made) and issubclass(made, Block)):
+        return True
+    return any(_is_state(hint) for hint in hints.values())
+
+
+def is_platform_factory(factory: Factory) -> bool:
+    """Return whether a callable says that it makes platforms.
+
+    It returns a `Platform` or a class with the methods of one, is such a class, or carries one of
+    the attributes by which a factory tells about its platforms.
+    """
+    if any(hasattr(factory, name) for name in ("simulated", "writes")):
+        return True
+    made = factory if inspect.isclass(factory) else _hints(factory).get("return")
+    return inspect.isclass(made) and all(
+        callable(getattr(made, method, None)) for method in ("recv", "send", "close")
+    )
+
+
+def _hints(factory: Factory) -> dict[str, Any]:
+    target = factory.__init__ if inspect.isclass(factory) else factory
+    try:
+        return get_type_hints(target, include_extras=True)
+    except (AttributeError, NameError, SyntaxError, TypeError):  # not written for us
+        return {}
+
+
+def _is_state(hint: Any) -> bool:
+    if get_origin(hint) is Annotated:
+        return any(isinstance(mark, Access) for mark in get_args(hint)[1:])
+    return inspect.isclass(hint) and issubclass(hint, Bundle)
+
+
+_FACTORIES: dict[str, Callable[[Factory], bool]] = {
+    "blocks": is_block_factory,
+    "platforms": is_platform_factory,
+    "policies": lambda _: False,
+}
+_SAY = {
+    "blocks": "annotate its states (Reads, Writes, Amends) or what it returns (-> Tick), all of "
+    "unicon_core.flow, or register it in the entry point group unicon.blocks",
+    "platforms": "annotate what it returns (-> Platform of unicon_core.platforms.platform, or a "
+    "class with recv, send and close), or register it in the entry point group unicon.platforms",
+    "policies": "register it in the entry point group unicon.policies",
+}
 
 
 def import_target(target: str, what: str, error: type[UniconError]) -> Factory:
@@ -62,6 +135,8 @@ def import_target(target: str, what: str, error: type[UniconError]) -> Factory:
         MissingDependencyError: an import inside the module fails.
     """
     module_name, _, attribute = target.partition(":")
+    if not all(map(str.isidentifier, (*module_name.split("."), attribute))):
+        raise error(f"{what}: {target!r} is not module:function, as in my_blocks:wave")
     try:
         module = import_module(module_name)
     except ModuleNotFoundError as missing:
@@ -71,6 +146,9 @@ def import_target(target: str, what: str, error: type[UniconError]) -> Factory:
         raise error(
             f"{what}: no module {module_name!r}; correct the name or add its folder to PYTHONPATH"
         ) from missing
+    except Exception as broken:  # whatever the module's own lines raise
+        reason = " ".join(f"{type(broken).__name__}: {broken}".split())[:200]
+        raise error(f"{what}: importing {module_name!r} raised {reason}; mend it") from broken
     try:
         factory = getattr(module, attribute)
     except AttributeError:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -18,6 +19,7 @@ from unicon_core.platforms.platform import Platform
 from unicon_core.robots import Robot, load_robot, robot_names
 from unicon_core.signals import SIGNALS
 from unicon_core.states import Layout, States, StateSpec, standard_states
+from unicon_core.states.spec import check_name
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_core.workflow.autowire import BuildContext, autowire, option_names
 from unicon_core.workflow.command_bounds import (
@@ -255,7 +257,7 @@ def load_robot_of(document: WorkflowDocument) -> Robot:
     """
     text: str = document.get("robot", str)
     beside = document.path.parent / text
-    if "/" in text and beside.is_file():
+    if "/" in text and os.path.isfile(beside):
         return load_robot(beside)
     if text not in robot_names() and "/" not in text and not text.endswith(".yaml"):
         known = alternatives(text, robot_names())
@@ -286,9 +288,19 @@ def _specs(
     given = document.get("states", dict, {})
     for name, values in given.items():
         try:
-            specs[name] = StateSpec.from_dict(values or {})
-        except (UniconError, TypeError) as error:
+            spec = StateSpec.from_dict(values or {})
+            check_name(name)
+        except UniconError as error:
             raise document.error(f"state {name!r}: {error}", "states", name) from error
+        standard = specs.get(name)
+        if standard is not None and (spec.shape, spec.dtype) != (standard.shape, standard.dtype):
+            raise document.error(
+                f"state {name!r} is a standard one of shape {list(standard.shape)} and "
+                f"{standard.dtype}; give yours another name",
+                "states",
+                name,
+            )
+        specs[name] = spec
     extra = {name: specs[name] for name in given}
     for use in _uses(document):
         if use.name == "policy":

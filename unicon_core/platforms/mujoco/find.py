@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import pkgutil
 from importlib import import_module
 from pathlib import Path
@@ -23,7 +24,7 @@ def find_model(reference: str | Path, relative_to: Path | None = None) -> Path:
         reference: a path, `assets:PATH`, or `robot_descriptions:NAME` for a description of that
             package (robot-descriptions/robot_descriptions.py: a module for each, with `MJCF_PATH`
             or `URDF_PATH`), which it downloads when it is used for the first time.
-        relative_to: folder of the workflow, for a relative path.
+        relative_to: folder of the file that names it, for a relative path.
 
     Raises:
         ModelError: nothing there, or it could not be downloaded.
@@ -33,10 +34,12 @@ def find_model(reference: str | Path, relative_to: Path | None = None) -> Path:
     if not text.startswith(_PREFIX):
         return find_resource(text, "model", error=ModelError, relative_to=relative_to)
     name = text.removeprefix(_PREFIX)
+    if not name.isidentifier():
+        raise ModelError(f"model {text!r} is no description; write {_PREFIX}go2_mj_description")
     module = _description(name, f"model {text!r}")
     for key in ("MJCF_PATH", "URDF_PATH"):
         path = Path(str(getattr(module, key, "")))
-        if path.is_file():
+        if os.path.isfile(path):
             return path.resolve()
     raise ModelError(
         f"model {text!r}: the description has no MJCF or URDF file; choose one that has, such as "

@@ -69,7 +69,7 @@ def make(
         raise ModelError(
             f"robot {robot.name} names no simulation model; give one: model: PATH (MJCF or URDF)"
         )
-    path = find_model(reference, relative_to)
+    path = find_model(reference, relative_to if model is not None else robot.path.parent)
     loaded = load_model(path, robot, timestep)
     disturbances = _disturbances(seed, delay, noise, push)
     return MujocoPlatform(

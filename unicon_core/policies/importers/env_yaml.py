@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from unicon_core.errors import PolicyError
-from unicon_core.policies.facts import Facts, term_state
+from unicon_core.policies.facts import Facts, given_joints, term_state
 from unicon_core.policies.importers.regex import matching, values_by_pattern
 from unicon_core.policies.tolerant_yaml import Where, read_yaml
 
@@ -44,8 +44,7 @@ def env_yaml_facts(path: Path, given: Mapping[str, Any]) -> Facts:
     """
     document, lines = read_yaml(path)
     facts = Facts(path, "Isaac Lab env.yaml")
-    joints = given.get("joints")
-    joints = list(joints) if isinstance(joints, (list, tuple)) else None
+    joints = given_joints(path, given)
     sim = document["sim"]
     if isinstance(sim.get("dt"), (int, float)) and isinstance(document["decimation"], int):
         facts.values["period"] = sim["dt"] * document["decimation"]

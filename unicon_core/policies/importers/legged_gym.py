@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from unicon_core.policies.facts import Facts
+from unicon_core.policies.facts import Facts, given_joints
 from unicon_core.policies.importers.regex import values_by_pattern
 from unicon_core.policies.tolerant_yaml import read_yaml
 
@@ -62,9 +62,9 @@ def legged_gym_facts(path: Path, given: Mapping[str, Any]) -> Facts:
             listed = ", ".join(f"{name} {value}" for name, value in scales.items())
             facts.notes.append(f"{path.name}: scales for the terms to give: {listed}")
     facts.values["action"] = action
-    joints = given.get("joints")
-    if isinstance(joints, (list, tuple)):
-        facts.values["joints"] = list(joints)
+    joints = given_joints(path, given)
+    if joints is not None:
+        facts.values["joints"] = joints
         angles = init["default_joint_angles"]
         pose = values_by_pattern(angles, joints)
         if pose is not None:

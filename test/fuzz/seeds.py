@@ -1,0 +1,156 @@
+"""The files that the fuzz begins with where `config/` has none that says as much."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+__all__ = ["DEPLOY", "ENV", "LEGGED_GYM", "SET_PATHS", "WORKFLOWS"]
+
+_CONFIG = Path(__file__).resolve().parents[2] / "config" / "workflows"
+
+POSTURES = """\
+schema: unicon.workflow/1
+name: postures
+robot: go2
+platform: fake
+platforms: {fake: {initial_pose: rest, time_constant: 0.05}, mujoco: {initial_pose: rest}}
+rate: 50
+duration: 3.0
+states:
+  crouch: {shape: [3], dtype: float32, unit: rad, frame: base, initial: [0.1, 0.2, 0.3]}
+  lean: {shape: [3]}
+  count: {shape: [], dtype: int64, initial: 0}
+pacing: {trigger: deadline, overrun: skip, spin_us: 50, dry_run_us: 500}
+check: {accept: [action.scale], duration: 2.0, command: [0.5, 0.0, 0.0]}
+commands:
+  - velocity_command: {schedule: [[0.0, 0.0, 0.0, 0.0], [1.0, 0.5, 0.0, 0.2]], ramp: 1.0}
+  - linear_map: {source: velocity_command, target: lean, scale: [0.4, 0.1, 0.2], offset: 0.0}
+flow:
+  chain:
+    - pose: {to: {"*_hip_joint": 0.1, FR_thigh_joint: 0.9}, duration: 0.5, fade_in: 0.2}
+    - loop:
+        do: {sway: {gains: {"*_thigh_joint": [0.2, 0, 0]}, amplitude: [0.1, 0, 0], frequency: 0.5}}
+        until: "lean[0] > 0.1 or (tick > 100 and abs(base_ang_vel[2]) < 0.5 ** 2)"
+    - every: {n: 2, do: {hold: {duration: 0.2}}}
+    - when: {if: {tilted: {angle: 0.5}}, do: {hold: {duration: 0.5}}}
+    - switch: {on: "tick > 50", cases: {a: {hold: {duration: 1.0}}, b: damp}, blend: 0.2}
+    - zip: [{hold: {duration: 1.0}}, {elapsed: 0.5}, {settled: {}}]
+    - damp: {duration: 0.5}
+safety:
+  - finite
+  - joint_limits: {margin: 0.02}
+  - rate_limit: {max_rate: 10.0}
+  - effort_limits
+  - tilt_stop: {angle: 1.0}
+  - velocity_stop: {factor: 1.5}
+deferred:
+  - copy: {source: velocity_command, target: crouch, index: [0, 1, 2]}
+"""
+
+CALLS = """\
+robot: go2
+platform: fake
+rate: 50
+flow:
+  zip:
+    - call: "unicon_core.blocks.hold:hold"
+    - call: {function: "unicon_core.blocks.stops:finite", name: again}
+    - deferred: {call: {function: "unicon_core.blocks.predicates:tilted", angle: 1.0}}
+"""
+
+WALK = """\
+robot: go2
+platform: fake
+rate: 100
+policies:
+  walk: {path: go2_velocity, given: {period: 0.02, action.scale: 0.25}}
+commands: [{velocity_command: {constant: [0.5, 0.0, 0.0], limits: [[-1, 1], [-1, 1], [-1, 1]]}}]
+flow:
+  chain:
+    - pose: {to: stand, duration: 1.0}
+    - loop: {do: {policy: walk}, until: {elapsed: 10.0}}
+"""
+
+WORKFLOWS = (
+    POSTURES,
+    CALLS,
+    WALK,
+    *((_CONFIG / f"{name}.yaml").read_text("utf-8") for name in ("go2_walk", "go2_stand")),
+)
+
+SET_PATHS = (
+    "rate", "duration", "robot", "platform", "platforms", "platforms.fake", "flow", "safety",
+    "safety.0", "commands", "commands.0", "states", "states.x", "states.tick", "policies",
+    "policies.walk", "policies.walk.given", "check", "check.accept", "pacing", "num_robots", "map",
+    "flow.chain.0", "flow.chain.0.pose.to", "flow.chain.1.loop.until", "deferred", "name", "ros",
+    "schema", "description", "a", "", ".", "a.b.c", "safety.99", "flow.chain.x",
+)  # fmt: skip
+
+DEPLOY = """\
+joint_ids_map: [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11]
+step_dt: 0.02
+stiffness: [25.0, 25.0, 25.0, 25.0, 25.0, 25.0, 25.0, 25.0, 25.0, 25.0, 25.0, 25.0]
+damping: [0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5]
+default_joint_pos: [-0.1, 0.8, -1.5, 0.1, 0.8, -1.5, -0.1, 1.0, -1.5, 0.1, 1.0, -1.5]
+commands:
+  base_velocity:
+    ranges: {lin_vel_x: [-0.5, 1.0], lin_vel_y: [-0.3, 0.3], ang_vel_z: [-0.2, 0.2], heading: null}
+actions:
+  JointPositionAction:
+    clip: [[-10, 10]]
+    joint_names: [.*]
+    scale: [0.25]
+    offset: [0.1]
+    joint_ids: null
+observations:
+  base_ang_vel: {params: {}, clip: null, scale: [0.2, 0.2, 0.2], history_length: 1}
+  projected_gravity: {params: {}, clip: [-1.0, 1.0], scale: null, history_length: 1}
+  velocity_commands: {params: {command_name: base_velocity}, scale: [1.0, 1.0, 1.0]}
+  joint_pos_rel: {params: {asset_cfg: {joint_ids: null}}, clip: [-10.0, 10.0], scale: [1.0]}
+  joint_vel_rel: {params: {}, scale: [0.05], history_length: 1}
+  last_action: {params: {}, scale: null, history_length: 1}
+"""
+
+ENV = """\
+sim: {dt: 0.005, device: 'cuda:0'}
+decimation: 4
+scene:
+  robot:
+    init_state: {joint_pos: {.*_hip_joint: 0.1, .*_thigh_joint: 0.8, .*_calf_joint: -1.5}}
+    actuators:
+      legs: {joint_names_expr: [.*], stiffness: 25.0, damping: {.*_hip_joint: 0.5, .*: 0.8}}
+observations:
+  policy:
+    concatenate_terms: true
+    history_length: null
+    base_ang_vel: {func: 'mdp.observations:base_ang_vel', clip: [-100.0, 100.0], scale: 0.2}
+    projected_gravity: {func: 'mdp.observations:projected_gravity', scale: null, clip: null}
+    velocity_commands: {func: 'mdp.observations:generated_commands', params: {}}
+    joint_angles: {func: 'mdp.observations:joint_pos_rel', history_length: 1}
+    joint_vel: {func: 'mdp.observations:joint_vel_rel', scale: 0.05}
+    actions: {func: 'mdp.observations:last_action'}
+actions:
+  joint_pos:
+    class_type: isaaclab.envs.mdp.actions.joint_actions:JointPositionAction
+    joint_names: ['.*']
+    scale: {.*_hip_joint: 0.125, '^(?!.*_hip_joint).*': 0.25}
+    offset: 0.0
+    use_default_offset: true
+commands: {base_velocity: {ranges: {lin_vel_x: [-1.0, 1.0], heading: null}}}
+"""
+
+LEGGED_GYM = """\
+init_state:
+  default_joint_angles: {FR_hip_joint: -0.1, FR_thigh_joint: 0.8, FR_calf_joint: -1.5}
+control:
+  stiffness: {hip: 20.0, thigh: 20.0, calf: 30.0}
+  damping: {hip: 0.5, joint: 0.6}
+  action_scale: 0.25
+  decimation: 4
+sim: {dt: 0.005}
+normalization:
+  obs_scales: {ang_vel: 0.25, dof_vel: 0.05}
+  clip_actions: 100.0
+commands:
+  ranges: {lin_vel_x: [-1.0, 1.0], ang_vel_yaw: [-2.0, 2.0]}
+"""

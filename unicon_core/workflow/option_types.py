@@ -1,0 +1,94 @@
+"""Do a file's options have the types that a factory asks for? For blocks and platforms alike."""
+
+from __future__ import annotations
+
+import inspect
+import math
+import types
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+
+import numpy as np
+
+__all__ = ["wrong_option"]
+
+_WORDS: dict[Any, str] = {
+    bool: "true or false",
+    int: "a whole number",
+    float: "a number",
+    str: "a text",
+    Path: "a path",
+    type(None): "null",
+}
+
+
+def wrong_option(factory: Callable[..., Any], options: Mapping[str, Any]) -> str | None:
+    """Return what is wrong with the first option of another type than annotated; None for nothing.
+
+    Only what a YAML file can say is judged: words, numbers, lists and mappings of them. A number is
+    never NaN. What is annotated otherwise, or not at all, is the factory's own matter.
+
+    Args:
+        factory: function or class that gets the options.
+        options: values of the file by name.
+    """
+    target: Any = factory
+    if inspect.isclass(factory):
+        target = vars(factory).get("__init__", factory)
+    try:
+        hints = get_type_hints(target)
+    except (AttributeError, NameError, TypeError):
+        return None
+    for name, value in options.items():
+        hint = hints.get(name, Any)
+        if not _fits(value, hint):
+            return f"{name} is {_short(value)}; give {_wanted(hint)}"
+    return None
+
+
+def _fits(value: Any, hint: Any) -> bool:
+    if isinstance(value, (np.ndarray, np.generic)):
+        return True  # given in Python
+    origin, inner = get_origin(hint), get_args(hint)
+    if origin in (Union, types.UnionType):
+        return any(_fits(value, each) for each in inner)
+    if origin is Literal:
+        return any(type(value) is type(each) for each in inner)
+    if hint is type(None) or hint is None:
+        return value is None
+    if hint is bool:
+        return isinstance(value, bool)
+    if hint is int:
+        return isinstance(value, int) and not isinstance(value, bool)
+    if hint is float:
+        number = isinstance(value, (int, float)) and not isinstance(value, bool)
+        return number and not math.isnan(value)
+    if hint in (str, Path):
+        return isinstance(value, (str, Path))
+    if origin is not None and isinstance(origin, type) and issubclass(origin, Mapping):
+        return isinstance(value, Mapping) and all(
+            _fits(k, inner[0]) and _fits(v, inner[1]) for k, v in value.items()
+        )
+    if origin is not None and isinstance(origin, type) and issubclass(origin, Sequence):
+        listed = isinstance(value, Sequence) and not isinstance(value, str)
+        return listed and all(_fits(each, inner[0]) for each in value)
+    return True
+
+
+def _wanted(hint: Any) -> str:
+    origin, inner = get_origin(hint), get_args(hint)
+    if origin in (Union, types.UnionType):
+        return " or ".join(dict.fromkeys(map(_wanted, inner)))
+    if origin is Literal:
+        return ", ".join(map(str, inner))
+    if isinstance(origin, type) and issubclass(origin, Mapping):
+        return f"a mapping of {_wanted(inner[0])} to {_wanted(inner[1])}"
+    if isinstance(origin, type) and issubclass(origin, Sequence):
+        return f"a list, each {_wanted(inner[0])}"
+    return _WORDS.get(hint, "another value")
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}…"
