@@ -143,8 +143,8 @@ def test_a_publication_that_fails_at_the_end_does_not_keep_the_rest_open(
             raise RuntimeError("no memory left")
 
         platform._out[0]._encode = broken
-        with pytest.raises(RuntimeError, match="no memory left"):
-            runner.close()
+        runner.close()
+        assert runner.faults[0].startswith("closing: RuntimeError: no memory left")
         assert not platform._own.context.ok()  # let go all the same
 
 
