@@ -160,7 +160,9 @@ class Recording:
 
     def hook(self, workflow: Workflow) -> list[Block]:
         """Return the block that records."""
-        recorder = Recorder(self._path, self._warn, self._patient)
+        # A robot does not wait for a disk, however its run is paced.
+        patient = self._patient and workflow.platform.simulated
+        recorder = Recorder(self._path, self._warn, patient)
         try:
             blocks = _blocks(recorder, workflow, self._map_name, self._session)
         except BaseException:

@@ -273,23 +273,24 @@ def test_a_summary_without_room_takes_that_of_the_last_chunks(
         assert len(list(reader.messages())) == counts["messages"]
 
 
-def test_a_file_that_is_deleted_is_told_and_the_run_goes_on(tmp_path: Path) -> None:
+@pytest.mark.parametrize("written", [False, True])
+def test_a_file_that_is_deleted_is_told_and_the_run_goes_on(written: bool, tmp_path: Path) -> None:
     told: list[str] = []
     recorder = Recorder(tmp_path / "run.mcap", told.append)
     write = recorder.channel("/topic", KIND)
     recorder.start()
-    (tmp_path / "run.mcap.partial").unlink()
+    partial = tmp_path / "run.mcap.partial"
+    before = partial.stat().st_size
     for number in range(3):
         write(number, message(number))
+    if written:  # and nothing follows that could tell
+        grown(partial, before + 1)
+    partial.unlink()
     recorder.close()
-    assert recorder.counts() == {
-        "messages": 0,
-        "dropped": 3,
-        "bytes": 0,
-        "error": told[0].partition(": ")[2],
-    }
+    line = told[0].partition(": ")[2]
+    assert recorder.counts() == {"messages": 0, "dropped": 3, "bytes": 0, "error": line}
     assert len(told) == 1
-    assert "somebody deleted it" in told[0]
+    assert "somebody deleted it" in line
     assert paths(tmp_path) == []
 
 

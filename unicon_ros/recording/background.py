@@ -9,7 +9,6 @@ loses up to 1.5 s, and longer where the medium is slow).
 
 from __future__ import annotations
 
-import errno
 import struct
 import threading
 import time
@@ -41,7 +40,7 @@ class Counts:
     Attributes:
         messages: in the file.
         dropped: not in the file.
-        bytes: of the file without its summary.
+        bytes: of the file.
         error: why not all are in the file, one line; "" where they are.
     """
 
@@ -213,30 +212,28 @@ class Background:
             return
         rows = np.frombuffer(block.rows, ROW, last - first, first * _ROW.size).copy()
         rows["offset"] -= np.uint64(begin)
-        lost = last - first
         try:
             self._file.write(memoryview(block.data)[begin:end], rows)
             if self._file.gone():
-                lost = self._file.messages
-                raise FileNotFoundError(errno.ENOENT, "somebody deleted it")
+                self._stop("", 0)
         except Exception as error:  # whatever it is, the run goes on
-            with self._file_in_use:
-                self._stop(error, lost)
+            self._stop(str(getattr(error, "strerror", None) or error), last - first)
 
-    def _stop(self, error: Exception, lost: int) -> None:
+    def _stop(self, reason: str, lost: int) -> None:
         """Finish the file as far as it is whole; what comes after is dropped and counted."""
-        reason = str(getattr(error, "strerror", None) or error)
-        if isinstance(error, FileNotFoundError):
-            self._file.forget()
-            self._open = False
-        self._discarded += lost
-        trouble = self._finish() if self._open else ""
-        kept = f"the {self._file.messages} messages before are kept"
-        self._fail(f"{reason}: {trouble or kept}; the run goes on without it")
+        with self._file_in_use:
+            self._discarded += lost
+            trouble = self._finish()
+        told = [reason, trouble or f"the {self._file.messages} messages before are kept"]
+        self._fail(f"{': '.join(filter(None, told))}; the run goes on without it")
 
     def _finish(self) -> str:
         """Finish the file and return what went wrong, "" where nothing did."""
         self._open = False
+        if self._file.gone():
+            self._discarded += self._file.messages
+            self._file.forget()
+            return "somebody deleted it"
         if not self._file.messages:
             self._file.discard()
             return self._error or "nothing was recorded"
