@@ -28,6 +28,7 @@ robot: go2
 platform: {make}
 platforms: {{"{make}": {{connect: {connect}, map: {map}}}}}
 rate: 100
+pacing: {{hang: 5.0}}  # a busy machine may hold a process up
 flow: {{hold: {{}}}}
 safety: [{safety}]
 """

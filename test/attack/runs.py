@@ -36,6 +36,7 @@ class Run:
     flow: str = "hold: {}"
     more: str = ""
     arguments: list[str] = field(default_factory=lambda: ["--quiet"])
+    hang: float | None = 10.0  # a busy machine may hold a process up; None: as users have it
     process: Any = None
 
     @property
@@ -50,8 +51,11 @@ class Run:
     def start(self, report: bool = True, **streams: Any) -> Run:
         """Start it; modules beside its workflow file are importable."""
         path = self.folder / "attacked.yaml"
+        more = self.more
+        if self.hang is not None and "pacing:" not in more:
+            more += f"\npacing: {{hang: {self.hang}}}"
         path.write_text(
-            WORKFLOW.format(log=self.log, options=self.options, more=self.more, flow=self.flow)
+            WORKFLOW.format(log=self.log, options=self.options, more=more, flow=self.flow)
         )
         command = [sys.executable, "-m", "unicon_ros", "run", str(path), "--no-ros"]
         command += ["--report", str(self.folder / "report.json")] if report else []

@@ -18,7 +18,7 @@ from unicon_core.workflow import load_workflow
 
 
 def test_a_process_that_was_stopped_sends_nothing_more(tmp_path: Path) -> None:
-    run = Run(tmp_path).start()
+    run = Run(tmp_path, hang=None).start()
     run.until_sent()
     run.process.send_signal(signal.SIGSTOP)
     time.sleep(1.2)
@@ -35,7 +35,7 @@ def test_a_process_that_was_stopped_sends_nothing_more(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("where", ["recv", "send"])
 def test_a_hang_in_a_block_is_a_fault_when_it_ends(tmp_path: Path, where: str) -> None:
-    run = Run(tmp_path, f"fault: sleep, where: {where}").start()
+    run = Run(tmp_path, f"fault: sleep, where: {where}", hang=None).start()
     status, _, _ = run.wait()
     assert status == 3
     # Before `send` its command does not leave; in `send` nobody can take it back.

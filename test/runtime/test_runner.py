@@ -3,10 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -170,20 +166,3 @@ def test_old_ticks_are_overwritten_and_the_newest_are_kept(path: Path) -> None:
     assert runner.statistics.count == 20
     assert len(rows) == 8
     assert (rows[1:, 2] > rows[:-1, 2]).all()
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_damps_closes_and_exits_0(path: Path, tmp_path: Path, number: int) -> None:
-    report = tmp_path / "report.json"
-    command = [sys.executable, "-m", "unicon_ros", "run", str(path), "--no-ros"]
-    command += ["--set", "flow.chain.1.hold.duration=60.0", "--report", str(report)]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=dict(os.environ))
-    try:
-        time.sleep(2.0)
-        process.send_signal(number)
-        out, _ = process.communicate(timeout=30)
-    finally:
-        process.kill()
-    assert process.returncode == 0
-    assert "faults        none" in out
-    assert json.loads(report.read_text())["ticks"] > 10
