@@ -1,0 +1,154 @@
+"""Cases: ROS 2 peers that command, are the robot, or press ~/estop."""
+
+from __future__ import annotations
+
+from unicon_ros.bench.faults.case import WALK, WOBBLE, Case, Wants
+
+__all__ = ["CASES"]
+
+_NEEDS = ("rclpy", "rosbags")
+_RANGES = (1.0, 0.4, 1.0)  # command_ranges of go2_velocity, the larger side
+_COMMANDED = {"status": (), "ms": None, "most": None, "report": False}
+_BUILT_BY_ESTOP = ("-p", "autostart:=false")
+
+
+def _cmd_vel(name: str, what: str, wants: Wants, failing: str = "") -> Case:
+    return Case(
+        "commands from ROS",
+        name,
+        wants,
+        flow=WALK,
+        arguments=("--ros",),
+        duration=12.0,
+        peer=("commander", what),
+        failing=failing,
+        needs=(*_NEEDS, "onnxruntime"),
+    )
+
+
+def _robot(name: str, what: str, wants: Wants, failing: str = "") -> Case:
+    """Commands are those that the robot got; its time-out is 0.5 s."""
+    return Case(
+        "platform ros",
+        name,
+        wants,
+        workflow={"platforms": {"ros": {"connect": 10.0}}},
+        duration=3.0,
+        peer=("robot", what),
+        topics=True,
+        failing=failing,
+        needs=_NEEDS,
+        quick=what == "nan",
+    )
+
+
+def _silent(reason: str) -> Wants:
+    return Wants(most=32, ms=650.0, reason=reason)
+
+
+def _estop(name: str, wants: Wants, *words: str, wait: int = 60, **others: object) -> Case:
+    return Case(
+        "~/estop",
+        name,
+        wants,
+        node=True,
+        peer=("caller", str(wait), *words),
+        duration=1.0,
+        needs=_NEEDS,
+        **others,  # type: ignore[arg-type]
+    )
+
+
+CASES = (
+    _cmd_vel(
+        "cmd_vel falls silent (time-out 0.5 s)",
+        "silence",
+        Wants(zero_ms=650.0, **_COMMANDED),  # type: ignore[arg-type]
+    ),
+    _cmd_vel(
+        "cmd_vel NaN at 1 kHz (time-out 0.5 s)",
+        "nan",
+        Wants(zero_ms=650.0, **_COMMANDED),  # type: ignore[arg-type]
+    ),
+    _cmd_vel(
+        "cmd_vel cannot be taken (time-out 0.5 s)",
+        "good",
+        Wants(zero_ms=650.0, **_COMMANDED),  # type: ignore[arg-type]
+        failing="take",
+    ),
+    *(
+        _cmd_vel(
+            f"cmd_vel of {what}",
+            what,
+            Wants(speed=_RANGES, **_COMMANDED),  # type: ignore[arg-type]
+        )
+        for what in ("50", "1e30")
+    ),
+    _robot("joint_states fall silent", "silence", _silent("joint_states")),
+    _robot("NaN in joint_states", "nan", _silent("joint_states")),
+    _robot("joint_states of 5 of 12 joints", "subset", _silent("joint_states")),
+    _robot("joint_states 1e30, then silence", "far", Wants(most=45, ms=900.0, reason="")),
+    _robot("IMU falls silent, tilt_stop reads it", "imu_silence", _silent("imu/data")),
+    _robot("NaN from the IMU", "imu_nan", _silent("imu/data")),
+    _robot("quaternion 0, 0, 0, 0", "quat_zero", _silent("")),
+    _robot(
+        "IMU never comes, tilt_stop reads it",
+        "imu_never",
+        Wants(most=0, ms=None, status=(1, 3), reason="imu/data", report=False),
+    ),
+    _robot(
+        "commands cannot be published",
+        "good",
+        Wants(most=0, ms=None, ended_ms=2000.0, reason="joint_commands"),
+        failing="publish",
+    ),
+    _estop("idle ticks", Wants(most=2, ms=60.0, reason="estop", report=False), "estop"),
+    _estop(
+        "ticks of 19 of 20 ms",
+        Wants(most=2, ms=80.0, reason="estop", report=False),
+        "estop",
+        fault={"slow": 0.018},
+    ),
+    _estop(
+        "ticks of 25 of 20 ms",
+        Wants(most=2, ms=90.0, reason="estop", report=False),
+        "estop",
+        fault={"slow": 0.025},
+    ),
+    _estop(
+        "during a hang of 2 s: acts when it ends",
+        Wants(most=0, ms=2300.0, report=False),
+        "estop",
+        fault={"hang": 2.0},
+    ),
+    _estop(
+        "pressed while nothing runs, then ~/start",
+        Wants(most=0, closed=False, status=(), report=False),
+        "estop",
+        "start",
+        wait=0,
+        arguments=_BUILT_BY_ESTOP,
+    ),
+    _estop(
+        "…, then ~/clear_estop and ~/start: it runs",
+        Wants(most=None, least=10, closed=False, status=(), report=False),
+        "estop",
+        "clear_estop",
+        "start",
+        wait=0,
+        arguments=_BUILT_BY_ESTOP,
+    ),
+    Case(
+        "two at once",
+        "NaN in joint_pos and SIGTERM in one tick",
+        Wants(most=0, ended_ms=1500.0, reason="joint_pos_target"),
+        fault={"set": {"joint_pos": "nan"}, "signals": ["SIGTERM"]},
+    ),
+    Case(
+        "two at once",
+        "SIGTERM and an OSError in one tick",
+        Wants(most=0, ended_ms=1500.0, reason="made by the bench"),
+        fault={"raise": "OSError", "signals": ["SIGTERM"]},
+        flow=WOBBLE,
+    ),
+)
