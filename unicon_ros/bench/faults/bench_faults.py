@@ -89,5 +89,9 @@ def _round(bench: FaultBench, cases: Iterable[Case]) -> None:
             print(f"{_row(case)}: {word}", file=sys.stderr, flush=True)
 
     with ThreadPoolExecutor(AT_A_TIME) as pool:
-        for done in [pool.submit(one, case) for case in cases]:
-            done.result()
+        try:
+            for done in [pool.submit(one, case) for case in cases]:
+                done.result()
+        except BaseException:  # Ctrl-C: those that run end by themselves
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise

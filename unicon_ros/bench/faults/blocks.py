@@ -7,6 +7,7 @@ import os
 import signal
 import time
 from pathlib import Path
+from typing import Literal
 
 from unicon_core.flow import Amends, Reads, Tick, Writes
 from unicon_core.robots import Robot
@@ -45,17 +46,40 @@ def wobble(
     return step
 
 
-def broken(joint_pos_target: Amends, tick: Reads, *, at: int = 25, value: float = math.nan) -> Tick:
-    """Command a value that is nowhere near a joint's range.
+def broken(
+    joint_pos_target: Amends,
+    joint_stiffness: Amends,
+    joint_effort_ff: Amends,
+    tick: Reads,
+    *,
+    at: int = 25,
+    value: float = math.nan,
+    state: Literal["joint_pos_target", "joint_stiffness", "joint_effort_ff", "jump"] = (
+        "joint_pos_target"
+    ),
+    hang: float = 0.0,
+) -> Tick:
+    """Command a value for the first joint that nobody would want.
 
     Args:
         at: from this tick on.
-        value: in [rad]; NaN unless told.
+        value: NaN unless told.
+        state: which command gets it; `jump` adds it to all targets, with another sign each tick.
+        hang: time in [s] for which it does not return, once, instead.
     """
+    views = {"joint_stiffness": joint_stiffness, "joint_effort_ff": joint_effort_ff}
+    view = views.get(state, joint_pos_target)
 
     def step() -> bool:
-        if tick >= at:
-            joint_pos_target[0] = value
+        if tick < at:
+            return False
+        if hang:
+            if tick == at:
+                time.sleep(hang)
+        elif state == "jump":
+            joint_pos_target[...] += value if int(tick) % 2 else -value
+        else:
+            view[0] = value
         return False
 
     return step

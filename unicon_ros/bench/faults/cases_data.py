@@ -12,14 +12,16 @@ _NEEDS = ("onnxruntime",)
 _STALE = ["finite", "joint_limits", {"stale_stop": {"timeout": 0.1}}]
 
 
-def _broken(value: float | str) -> object:
-    return {"zip": [WOBBLE, {f"{BLOCKS}:broken": {"value": value} if value != "nan" else {}}]}
+def _broken(value: float, state: str = "joint_pos_target") -> object:
+    return {"zip": [WOBBLE, {f"{BLOCKS}:broken": {"value": value, "state": state}}]}
 
 
-def _not_caught(name: str, **fault: object) -> Case:
+def _not_caught(name: str, flow: object = WALK, **fault: object) -> Case:
     """A fault that nothing looks for: it runs on; what is held is that it ends in damping."""
     wants = Wants(most=None, least=20, ms=None, status=(0,))
-    return Case("not caught today", name, wants, fault=fault, flow=WALK, needs=_NEEDS)
+    return Case(
+        "not caught today", name, wants, fault=fault or {"mark": True}, flow=flow, needs=_NEEDS
+    )
 
 
 CASES = (
@@ -48,7 +50,7 @@ CASES = (
         "the policy gives NaN",
         _NO_LONGER,
         fault={"mark": True},
-        flow=_broken("nan"),
+        flow={"zip": [WOBBLE, f"{BLOCKS}:broken"]},
     ),
     Case(
         "sensors and policy",
@@ -91,4 +93,9 @@ CASES = (
     _not_caught("stamps stand still, without stale_stop", freeze=["stamp_ns"]),
     _not_caught("NaN in a state that nobody reads", set={"base_lin_vel": "nan"}),
     _not_caught("joint_pos 1e30", set={"joint_pos": 1e30}),
+    _not_caught("NaN in joint_vel while it holds", {"hold": {}}, set={"joint_vel": "nan"}),
+    _not_caught("stiffness 1e9", _broken(1e9, "joint_stiffness")),
+    _not_caught("stiffness -50", _broken(-50.0, "joint_stiffness")),
+    _not_caught("feed-forward effort 1e6", _broken(1e6, "joint_effort_ff")),
+    _not_caught("targets jump by ±0.8 rad in every tick", _broken(0.8, "jump")),
 )

@@ -11,7 +11,7 @@ from unicon_ros.bench.faults.fault_run import FaultRun
 
 __all__ = ["CASES"]
 
-_GOES_ON = Wants(most=None, least=50, ms=None, gap_ms=250.0, status=(), report=False)
+_GOES_ON = Wants(most=None, least=50, ms=None, gap_ms=400.0, status=(), report=False)
 _NAN = {"zip": [WOBBLE, f"{BLOCKS}:broken"]}
 _RECORD = ("--record", "{folder}/run.mcap")
 
@@ -43,12 +43,13 @@ CASES = (
     ),
     Case(
         "output",
-        "a pipe that nobody reads",
-        Wants(most=None, least=30, ms=None, gap_ms=250.0, status=(), report=False),
-        fault={"mark": True},
+        "a pipe that nobody reads; refused messages are warned of",
+        _GOES_ON,
+        arguments=("--ros",),
+        duration=12.0,
+        peer=("commander", "nan"),
         output="pipe full",
-        # A warning before the first tick, of a priority that cannot be had, finds it full.
-        workflow={"pacing": {"priority": 99}},
+        needs=("rclpy", "rosbags"),
     ),
     Case(
         "output",
@@ -103,7 +104,7 @@ CASES = (
     Case(
         "disk",
         "the disk is full while recording (files end at 256 kB)",
-        Wants(most=None, least=100, ms=None, gap_ms=250.0, status=(0,)),
+        Wants(most=None, least=100, ms=None, gap_ms=400.0, status=(0,)),
         fault={"mark": True},
         duration=4.0,
         arguments=_RECORD,

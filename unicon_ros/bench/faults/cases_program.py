@@ -10,7 +10,7 @@ from unicon_ros.bench.faults.case import BLOCKS, WOBBLE, Case, Wants
 from unicon_ros.bench.faults.command_log import RECV
 from unicon_ros.bench.faults.fault_run import FaultRun
 
-__all__ = ["CASES"]
+__all__ = ["CASES", "two_ctrl_c_in_a_hang"]
 
 _RAISED = (
     "ValueError",
@@ -20,8 +20,8 @@ _RAISED = (
     "SystemExit",
     "KeyboardInterrupt",
 )
-_AT_ONCE = Wants(most=1, ms=200.0, ended_ms=1500.0, status=(), report=False)
-_SIGNALS = ("HUP", "INT", "QUIT", "USR1", "USR2", "ALRM", "TERM", "XCPU", "PROF", "POLL")
+_AT_ONCE = Wants(most=1, ms=400.0, ended_ms=1500.0, status=(), report=False)
+_SIGNALS = ["HUP", "INT", "QUIT", "USR1", "USR2", "ALRM", "VTALRM", "PROF", "TERM", "XCPU", "POLL", "PWR", "STKFLT"]
 _DOUBTFUL = ("KeyboardInterrupt",)  # how somebody else's Ctrl-C may come up: any status but 0
 
 
@@ -45,7 +45,7 @@ def _ctrl_z(run: FaultRun) -> None:
     run.process.send_signal(signal.SIGCONT)
 
 
-def _two_ctrl_c_in_a_hang(run: FaultRun) -> None:
+def two_ctrl_c_in_a_hang(run: FaultRun) -> None:
     _at(run, 25)
     time.sleep(0.2)
     run.process.send_signal(signal.SIGINT)
@@ -69,6 +69,12 @@ def _building(name: str) -> Case:
         Wants(most=0, ms=None, ended_ms=2500.0, status=(), report=False),
         flow={"zip": [WOBBLE, slow]},
     )
+
+
+def _refused(name: str, reason: str, workflow: dict[str, object]) -> Case:
+    wants = Wants(most=0, closed=False, ms=None, status=(1,), reason=reason, report=False)
+    fault = {"mark": True}
+    return Case("refused before a motor moves", name, wants, fault, workflow=workflow, at=1)
 
 
 CASES = (
@@ -108,12 +114,13 @@ CASES = (
             quick=name == "HUP",
         )
         for name in _SIGNALS
+        if hasattr(signal, f"SIG{name}")
     ),
     Case("signals", "SIGTERM and SIGINT at once", _AT_ONCE, outside=_term_in_the_group),
     Case(
         "signals",
         "Ctrl-Z (SIGTSTP): damps, then stops",
-        Wants(most=1, ms=200.0, status=(), report=False),
+        Wants(most=1, ms=400.0, status=(), report=False),
         outside=_ctrl_z,
     ),
     Case(
@@ -121,7 +128,7 @@ CASES = (
         "second Ctrl-C in a hang of 3 s",
         Wants(most=0, ms=300.0, status=(), report=False),
         fault={"hang": 3.0},
-        outside=_two_ctrl_c_in_a_hang,
+        outside=two_ctrl_c_in_a_hang,
         duration=4.0,
     ),
     _building("TERM"),
@@ -143,6 +150,13 @@ CASES = (
     Case("time", "hang of 2 s in recv", Wants(most=1, ms=2300.0), fault={"hang": 2.0}),
     Case(
         "time",
+        "hang of 0.5 s in a block",
+        Wants(most=1, ms=800.0),
+        fault={"mark": True},
+        flow={"zip": [WOBBLE, {f"{BLOCKS}:broken": {"hang": 0.5}}]},
+    ),
+    Case(
+        "time",
         "SIGSTOP for 2 s, then SIGCONT",
         Wants(most=2, ms=2400.0),
         outside=_stop_and_continue,
@@ -153,11 +167,16 @@ CASES = (
         Wants(most=None, least=15, ms=None, status=(0, 3), overruns=15),
         fault={"slow": 0.025},
     ),
-    Case(
-        "time",
-        "overrun: catch_up on hardware",
-        Wants(most=0, closed=False, ms=None, status=(1,), reason="catch_up", report=False),
-        fault={"hang": 0.5},
-        workflow={"pacing": {"overrun": "catch_up"}},
+    _refused("overrun: catch_up on hardware", "catch_up", {"pacing": {"overrun": "catch_up"}}),
+    _refused(
+        "joint_limits with a margin of -10",
+        "margin",
+        {"safety": ["finite", {"joint_limits": {"margin": -10.0}}]},
     ),
+    _refused(
+        "velocity_stop with a factor of -1",
+        "factor",
+        {"safety": ["finite", "joint_limits", {"velocity_stop": {"factor": -1.0}}]},
+    ),
+    _refused("joint_limits before finite", "finite", {"safety": ["joint_limits", "finite"]}),
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from unicon_ros.bench.faults.case import WALK, WOBBLE, Case, Wants
+from unicon_ros.bench.faults.cases_program import two_ctrl_c_in_a_hang
 
 __all__ = ["CASES"]
 
@@ -97,6 +98,11 @@ CASES = (
         Wants(most=0, ms=None, status=(1, 3), reason="imu/data", report=False),
     ),
     _robot(
+        "another robot's joint names",
+        "another",
+        Wants(most=0, ms=None, status=(1,), reason="joint_states", report=False),
+    ),
+    _robot(
         "commands cannot be published",
         "good",
         Wants(most=0, ms=None, ended_ms=2000.0, reason="joint_commands"),
@@ -119,6 +125,7 @@ CASES = (
         "during a hang of 2 s: acts when it ends",
         Wants(most=0, ms=2300.0, report=False),
         "estop",
+        wait=26,
         fault={"hang": 2.0},
     ),
     _estop(
@@ -137,6 +144,32 @@ CASES = (
         "start",
         wait=0,
         arguments=_BUILT_BY_ESTOP,
+    ),
+    Case(
+        "unicon_node",
+        "SIGHUP",
+        Wants(most=1, ms=400.0, ended_ms=3000.0, status=(), report=False),
+        fault={"signals": ["SIGHUP"]},
+        node=True,
+        needs=_NEEDS,
+    ),
+    Case(
+        "unicon_node",
+        "ValueError in recv, exit_on_fault",
+        Wants(most=0, reason="made by the bench", report=False),
+        fault={"raise": "ValueError"},
+        node=True,
+        needs=_NEEDS,
+    ),
+    Case(
+        "unicon_node",
+        "second Ctrl-C in a hang of 3 s",
+        Wants(most=0, ms=300.0, status=(), report=False),
+        fault={"hang": 3.0},
+        outside=two_ctrl_c_in_a_hang,
+        duration=4.0,
+        node=True,
+        needs=_NEEDS,
     ),
     Case(
         "two at once",

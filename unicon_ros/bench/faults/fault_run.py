@@ -15,9 +15,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from unicon_ros.bench.domains import free_domain
+from unicon_ros.bench.domains import loopback_environment
 from unicon_ros.bench.faults.case import Case
 from unicon_ros.bench.faults.command_log import SEND, CommandLog
+from unicon_ros.bench.loops import die_with_parent
 
 __all__ = ["FaultRun"]
 
@@ -51,7 +52,7 @@ class FaultRun:
         self.terminal = -1
         self.process: subprocess.Popen[bytes]
         self._peer: subprocess.Popen[bytes] | None = None
-        self._environment = _environment()
+        self._environment = loopback_environment()
 
     @property
     def motors(self) -> CommandLog:
@@ -100,19 +101,20 @@ class FaultRun:
     # -- insides --------------------------------------------------------------------------------
 
     def _watch(self) -> int | None:
-        case = self.case
+        case, patience = self.case, self.case.duration + LINGER
         if case.peer and not case.topics:  # it does the fault, then all is over
             assert self._peer is not None
             peer = self._peer
             self.wait_for(lambda: peer.poll() is not None, START)
-            if case.outside is None and self.process.poll() is None:
+            patience = LINGER
+            if self.process.poll() is None:
                 self.process.send_signal(signal.SIGTERM)
         else:
             self.wait_for(lambda: bool(self.motors.of(SEND).size))
         if case.outside is not None:
             case.outside(self)
         try:
-            status = self.process.wait(case.duration + LINGER)
+            status = self.process.wait(patience)
         except subprocess.TimeoutExpired:
             return None
         self.ended_ns = time.perf_counter_ns()
@@ -126,14 +128,11 @@ class FaultRun:
         if case.node:
             own = ["--ros-args", "-p", f"workflow:={path}", "-p", "exit_on_fault:=true"]
             return [sys.executable, "-c", _NODE, *own, *arguments]
-        module = "unicon_ros"
+        module, first = "unicon_ros", list[str]()
         if case.failing:
             module = "unicon_ros.bench.faults.failing_middleware"
-            files = [str(self.log.path), case.failing]
-            arguments = [*arguments]
-            head = [sys.executable, "-m", module, *files, "run", str(path)]
-        else:
-            head = [sys.executable, "-m", module, "run", str(path)]
+            first = [str(self.log.path), case.failing]
+        head = [sys.executable, "-m", module, *first, "run", str(path)]
         report = str(self.folder / "report.json")
         return [*head, "--duration", str(case.duration), "--report", report, *arguments]
 
@@ -164,6 +163,9 @@ class FaultRun:
         def prepare() -> None:
             # A group of its own, yet in our session: Ctrl-Z does nothing in an orphaned one.
             os.setpgid(0, 0)
+            resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+            if sys.platform == "linux":
+                die_with_parent()
             if limit is not None:
                 resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
 
@@ -221,13 +223,3 @@ def _kill(process: subprocess.Popen[bytes]) -> None:
     if process.poll() is None:
         process.kill()
         process.wait()
-
-
-def _environment() -> dict[str, str]:
-    """Return the environment of a case: loopback only, a ROS domain of its own."""
-    values = dict(os.environ)
-    if values.pop("_ROS_WHEELS_BOOTSTRAP_COMPLETE", None) is not None:
-        values.pop("LD_LIBRARY_PATH", None)
-    values["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-    values["ROS_DOMAIN_ID"] = str(free_domain())
-    return values

@@ -60,8 +60,11 @@ def _fault_ns(run: FaultRun) -> int:
     """Return when the fault began; 0 where it never did."""
     if run.fault_ns:
         return run.fault_ns
-    marks = [log.of(FAULT)["time"] for log in (run.log, run.peer_log)]
-    return int(min((times[0] for times in marks if len(times)), default=0))
+    for log in (run.peer_log, run.log):
+        marks = log.of(FAULT)["time"]
+        if len(marks):
+            return int(marks[0])
+    return 0
 
 
 def _moving(sent: NDArray[Any], fault: int) -> NDArray[Any]:

@@ -1,7 +1,8 @@
 """A robot behind topics for platform `ros`, which logs commands. Arguments: LOG RUNS_LOG FAULT.
 
 FAULT is one of `nan`, `subset`, `far` (1e30, then silence), `silence`, `imu_nan`, `imu_silence`,
-`imu_never`, `quat_zero`, `good`. It comes after 40 commands; `imu_never` from the beginning.
+`imu_never`, `quat_zero`, `another` (robot), `good`. It comes after 40 commands; `imu_never` and
+`another` from the beginning.
 """
 
 from __future__ import annotations
@@ -45,11 +46,13 @@ class Robot:
             self._pos = [float(x) for x in target]
         if self._commands == 40:
             self._since = time.monotonic()
-            self._log.add(FAULT)
+            if self._fault != "good":
+                self._log.add(FAULT)
 
     def _say(self) -> None:
         fault = self._fault if self._since else ""
-        states = JointState(name=self._names)
+        another = self._fault == "another"
+        states = JointState(name=[f"h1_{x}" for x in self._names] if another else self._names)
         states.header.stamp = self.node.get_clock().now().to_msg()
         states.position = list(self._pos)
         states.velocity = [0.0] * len(self._names)
@@ -77,7 +80,7 @@ class Robot:
 def main() -> None:
     """Run until killed."""
     log = CommandLog(Path(sys.argv[1]))
-    if sys.argv[3] == "imu_never":
+    if sys.argv[3] in ("imu_never", "another"):
         log.add(FAULT)
     rclpy.init()
     rclpy.spin(Robot(log, sys.argv[3]).node)
