@@ -73,8 +73,8 @@ class Case:
         node: run by `unicon_node` instead of `unicon run`.
         topics: platform `ros`, whose robot is the peer; commands are those that it got.
         failing: what the middleware refuses: `take` of cmd_vel or `publish` of commands.
-        output: where stdout and stderr go: `file`, `closed`, `device full`, `pipe full` or
-            `terminal`.
+        output: where stdout and stderr go: `file`, `closed`, `device full`, `terminal`, or a
+            `pipe` that nobody reads.
         file_limit: largest file that the process may write in [byte], as on a full disk.
         needs: packages without which it is left out.
         quick: one of the few that every test run takes.

@@ -21,7 +21,10 @@ _RAISED = (
     "KeyboardInterrupt",
 )
 _AT_ONCE = Wants(most=1, ms=400.0, ended_ms=1500.0, status=(), report=False)
-_SIGNALS = ["HUP", "INT", "QUIT", "USR1", "USR2", "ALRM", "VTALRM", "PROF", "TERM", "XCPU", "POLL", "PWR", "STKFLT"]
+_SIGNALS = (
+    *("HUP", "INT", "QUIT", "USR1", "USR2", "ALRM", "VTALRM", "PROF"),
+    *("TERM", "XCPU", "POLL", "PWR", "STKFLT"),
+)
 _DOUBTFUL = ("KeyboardInterrupt",)  # how somebody else's Ctrl-C may come up: any status but 0
 
 

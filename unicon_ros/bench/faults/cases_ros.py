@@ -33,7 +33,7 @@ def _robot(name: str, what: str, wants: Wants, failing: str = "") -> Case:
         "platform ros",
         name,
         wants,
-        workflow={"platforms": {"ros": {"connect": 10.0}}},
+        workflow={"platforms": {"ros": {"connect": 6.0}}},
         duration=3.0,
         peer=("robot", what),
         topics=True,
@@ -125,7 +125,8 @@ CASES = (
         "during a hang of 2 s: acts when it ends",
         Wants(most=0, ms=2300.0, report=False),
         "estop",
-        wait=26,
+        wait=101,
+        at=100,
         fault={"hang": 2.0},
     ),
     _estop(

@@ -42,6 +42,7 @@ class FaultRun:
         ended_ns: when the process had ended; 0 where it had to be killed.
         process: the run.
         terminal: our end of its terminal, where it has one.
+        stream: where its output goes.
     """
 
     def __init__(self, case: Case, folder: Path) -> None:
@@ -49,7 +50,7 @@ class FaultRun:
         self.log = CommandLog(folder / "commands.log", create=True)
         self.peer_log = CommandLog(folder / "peer.log", create=True)
         self.fault_ns = self.ended_ns = 0
-        self.terminal = -1
+        self.terminal = self.stream = -1
         self.process: subprocess.Popen[bytes]
         self._peer: subprocess.Popen[bytes] | None = None
         self._environment = loopback_environment()
@@ -68,8 +69,8 @@ class FaultRun:
             command = [sys.executable, "-m", f"{PEERS}.{module}", *files, *arguments]
             self._peer = self._start(command, self.folder / "peer.txt")
         try:
-            with _output(case.output, self.folder / "output.txt") as (stream, self.terminal):
-                self.process = self._start(self._command(), stream)
+            with _output(case.output, self.folder / "output.txt") as (self.stream, self.terminal):
+                self.process = self._start(self._command(), self.stream)
                 try:
                     return self._watch()
                 finally:
@@ -102,17 +103,16 @@ class FaultRun:
 
     def _watch(self) -> int | None:
         case, patience = self.case, self.case.duration + LINGER
-        if case.peer and not case.topics:  # it does the fault, then all is over
-            assert self._peer is not None
-            peer = self._peer
-            self.wait_for(lambda: peer.poll() is not None, START)
-            patience = LINGER
-            if self.process.poll() is None:
-                self.process.send_signal(signal.SIGTERM)
-        else:
+        peer = None if case.topics else self._peer
+        if peer is None or case.outside is not None:
             self.wait_for(lambda: bool(self.motors.of(SEND).size))
         if case.outside is not None:
             case.outside(self)
+        if peer is not None:  # it does the fault, then all is over
+            self.wait_for(lambda: peer.poll() is not None)
+            patience = LINGER
+            if self.process.poll() is None:
+                self.process.send_signal(signal.SIGTERM)
         try:
             status = self.process.wait(patience)
         except subprocess.TimeoutExpired:
@@ -191,18 +191,11 @@ def _output(kind: str, path: Path) -> Iterator[tuple[int, int]]:
     theirs, ours = -1, -1
     if kind == "terminal":
         ours, theirs = pty.openpty()
-    elif kind in ("closed", "pipe full"):
+    elif kind in ("closed", "pipe"):
         ours, theirs = os.pipe()
         if kind == "closed":
             os.close(ours)
             ours = -1
-        else:
-            os.set_blocking(theirs, False)
-            try:
-                while True:
-                    os.write(theirs, b"." * 4096)
-            except BlockingIOError:
-                os.set_blocking(theirs, True)
     elif kind == "device full":
         theirs = os.open("/dev/full", os.O_WRONLY)
     else:
