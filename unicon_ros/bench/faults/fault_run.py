@@ -25,7 +25,7 @@ __all__ = ["FaultRun"]
 PLATFORM = "unicon_ros.bench.faults.recording_platform:make"
 PEERS = "unicon_ros.bench.faults.peers"
 START = 40.0  # s in which the first command must have left
-LINGER = 4.0  # s beyond its duration after which a run is killed
+LINGER = 10.0  # s beyond its duration after which a run is killed
 _NODE = "import sys; from unicon_ros.node_main import main; sys.exit(main())"
 
 
