@@ -11,7 +11,7 @@ from typing import Literal
 
 from unicon_core.flow import Amends, Reads, Tick, Writes
 from unicon_core.robots import Robot
-from unicon_ros.bench.faults.command_log import FAULT, CommandLog
+from unicon_ros.bench.faults.command_log import FAULT, OPEN, CommandLog
 
 __all__ = ["broken", "slow_build", "wobble"]
 
@@ -93,7 +93,9 @@ def slow_build(joint_pos_target: Reads, *, log: str, signals: str, seconds: floa
         signals: name of the signal.
         seconds: in [s].
     """
-    CommandLog(Path(log)).add(FAULT)
-    os.kill(os.getpid(), signal.Signals[signals])
-    time.sleep(seconds)
+    written = CommandLog(Path(log))
+    if written.of(OPEN).size:  # `check` builds blocks too, before a platform is opened
+        written.add(FAULT)
+        os.kill(os.getpid(), signal.Signals[signals])
+        time.sleep(seconds)
     return lambda: False

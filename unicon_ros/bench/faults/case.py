@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 __all__ = ["Case", "Measured", "Wants", "judge"]
 
 BLOCKS = "unicon_ros.bench.faults.blocks"
-WALK: dict[str, Any] = {"policy": "walk"}
+WALK: dict[str, Any] = {"chain": [{"pose": {"to": "stand", "duration": 0.4}}, {"policy": "walk"}]}
 WOBBLE: dict[str, Any] = {f"{BLOCKS}:wobble": {}}
 
 
