@@ -24,6 +24,7 @@ def _cmd_vel(name: str, what: str, wants: Wants, failing: str = "") -> Case:
         peer=("commander", what),
         failing=failing,
         needs=(*_NEEDS, "onnxruntime"),
+        quick=what == "nan",
     )
 
 
@@ -120,6 +121,7 @@ CASES = (
         Wants(most=1, ms=60.0, reason="estop", report=False),
         "estop",
         fault={"slow": 0.025},
+        quick=True,
     ),
     _estop(
         "during a hang of 2 s: acts when it ends",
