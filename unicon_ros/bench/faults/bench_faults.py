@@ -17,7 +17,7 @@ from pathlib import Path
 
 from unicon_core.errors import UniconError, alternatives
 from unicon_ros.bench.faults import cases_data, cases_output, cases_program, cases_ros
-from unicon_ros.bench.faults.case import Case, judge
+from unicon_ros.bench.faults.case import Case
 from unicon_ros.bench.faults.fault_report import FaultBench, write_table
 from unicon_ros.bench.faults.fault_run import FaultRun
 from unicon_ros.bench.faults.measure import measure
@@ -51,7 +51,7 @@ def run(
     Raises:
         UniconError: no such case, or the document has no place for a table.
     """
-    chosen = [case for case in CASES if only in _row(case)]
+    chosen = [case for case in CASES if only in case.row]
     if not chosen:
         groups = dict.fromkeys(case.group for case in CASES)
         raise UniconError(f"--only {only!r}: no such case; {alternatives(only, groups)}")
@@ -65,14 +65,10 @@ def run(
     if missing:
         names = ", ".join(sorted(missing))
         bench.fact(f"left out, without {names}", len(chosen) - len(able))
-    bench.conclude([_row(case) for case in able])
+    bench.conclude([case.row for case in able])
     if document:
         write_table(bench, Path(document))
     return bench
-
-
-def _row(case: Case) -> str:
-    return f"{case.group}: {case.name}"
 
 
 def _round(bench: FaultBench, cases: Iterable[Case]) -> None:
@@ -82,11 +78,10 @@ def _round(bench: FaultBench, cases: Iterable[Case]) -> None:
         with tempfile.TemporaryDirectory() as folder:
             fault_run = FaultRun(case, Path(folder))
             got = measure(fault_run, fault_run.run())
-        missed = judge(case.wants, got)
         with told:
-            bench.fault(_row(case), got, missed)
+            missed = bench.fault(case, got)
             word = "holds" if not missed else f"MISSED: {'; '.join(missed)}"
-            print(f"{_row(case)}: {word}", file=sys.stderr, flush=True)
+            print(f"{case.row}: {word}", file=sys.stderr, flush=True)
 
     with ThreadPoolExecutor(AT_A_TIME) as pool:
         try:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from unicon_ros.bench.faults.fault_run import FaultRun
 
-__all__ = ["Case", "Measured", "Wants", "judge"]
+__all__ = ["Case", "Measured", "Wants", "judge", "reaction"]
 
 BLOCKS = "unicon_ros.bench.faults.blocks"
 WALK: dict[str, Any] = {"chain": [{"pose": {"to": "stand", "duration": 0.4}}, {"policy": "walk"}]}
@@ -99,6 +99,11 @@ class Case:
     needs: tuple[str, ...] = ()
     quick: bool = False
 
+    @property
+    def row(self) -> str:
+        """Return the row of the table: group and name."""
+        return f"{self.group}: {self.name}"
+
 
 @dataclass
 class Measured:
@@ -154,7 +159,8 @@ def judge(wants: Wants, got: Measured) -> list[str]:
     ask(got.wild == 0, f"{got.wild} commands not finite or outside of the limits")
     if wants.closed:
         ask(got.ms is not None, "never damped")
-        within(got.ms, wants.ms, "damped")
+        if got.ms is not None:
+            within(got.ms, wants.ms, "damped")
     within(got.ended_ms, wants.ended_ms, "ended")
     within(got.zero_ms, wants.zero_ms, "velocity command zero")
     if wants.status:
@@ -173,6 +179,32 @@ def judge(wants: Wants, got: Measured) -> list[str]:
         said = "no recording" if got.lost_s is None else f"recording lacks {got.lost_s:.1f} s"
         ask(got.lost_s is not None and got.lost_s <= wants.lost_s, said)
     return missed
+
+
+def reaction(wants: Wants, got: Measured, by_topic: bool = False) -> str:
+    """Return in words what a run did about a fault, of what is wanted of it.
+
+    Args:
+        by_topic: commands are those that a robot behind topics got.
+    """
+    parts = []
+    if wants.zero_ms is not None:
+        never = "velocity command never 0"
+        parts.append(never if got.zero_ms is None else f"velocity 0 after {got.zero_ms:.0f} ms")
+    if wants.speed is not None:
+        parts.append("velocity {:.3g}, {:.3g}, {:.3g}".format(*got.speed))
+    if wants.gap_ms is not None:
+        parts.append(f"at most {got.gap_ms:.0f} ms between two commands")
+    if wants.overruns:
+        parts.append(f"{got.overruns} overruns told")
+    if wants.lost_s is not None and got.lost_s is not None:
+        parts.append(f"recording lacks {got.lost_s:.1f} s")
+    if wants.closed and wants.most is not None:
+        what = "last command" if by_topic else "damped"
+        parts.insert(0, "never damped" if got.ms is None else f"{what} after {got.ms:.1f} ms")
+    elif got.commands and not parts:
+        parts.append("goes on")
+    return ", ".join(parts)
 
 
 def _either(statuses: tuple[int, ...]) -> str:

@@ -6,30 +6,26 @@ from pathlib import Path
 from typing import Any
 
 from unicon_core.errors import UniconError
-from unicon_ros.bench.faults.case import Measured
+from unicon_ros.bench.faults.case import Case, Measured, judge, reaction
 from unicon_ros.bench.report import Bench, machine_facts
 
-__all__ = ["FaultBench", "write_table"]
+__all__ = ["FaultBench", "escaped", "write_table"]
 
 BEGIN, END = "<!-- unicon bench faults: begin -->", "<!-- unicon bench faults: end -->"
-_HEAD = ("fault", "commands after", "ticks", "damped after", "status", "reason", "on disk", "holds")
+_HEAD = ("fault", "commands after", "ticks", "reaction", "status", "reason", "on disk", "holds")
 
 
 class FaultBench(Bench):
     """Cases are faults; the one ratio is the share of them that hold."""
 
-    def fault(self, name: str, got: Measured, missed: list[str]) -> None:
-        """Add the row of one case; of several rounds a miss stays.
-
-        Args:
-            name: its group and name.
-            got: what was measured.
-            missed: what is not as wanted, in words.
-        """
+    def fault(self, case: Case, got: Measured) -> list[str]:
+        """Add the row of one case and return what is not as wanted; of several rounds it stays."""
+        name, missed = case.row, judge(case.wants, got)
         before: Any = self.cases.get(name, {})
         row: dict[str, Any] = {
             "commands_after": got.commands,
             "ticks": got.ticks,
+            "reaction": reaction(case.wants, got, case.topics),
             "damped_ms": _rounded(got.ms),
             "ended_ms": _rounded(got.ended_ms),
             "status": got.status,
@@ -42,6 +38,7 @@ class FaultBench(Bench):
         }
         row["holds"] = not row["missed"]
         self.cases[name] = row
+        return missed
 
     def conclude(self, order: list[str]) -> None:
         """Put the cases in this order (they end in another) and count those that hold."""
@@ -73,7 +70,7 @@ class FaultBench(Bench):
                 rows.append((f"**{group}**", *("" for _ in _HEAD[1:])))
             holds = "yes" if case["holds"] else "**no**"
             rows.append((words, *_cells(case), holds))
-        return "\n".join(f"| {' | '.join(map(_escaped, row))} |" for row in rows)
+        return "\n".join(f"| {' | '.join(map(escaped, row))} |" for row in rows)
 
 
 def write_table(bench: FaultBench, path: Path) -> None:
@@ -100,11 +97,10 @@ def write_table(bench: FaultBench, path: Path) -> None:
 
 
 def _cells(case: Any) -> tuple[str, str, str, str, str, str]:
-    damped = case["damped_ms"]
     return (
         str(case["commands_after"]),
         "" if case["ticks"] is None else str(case["ticks"]),
-        "never" if damped is None else f"{damped:g} ms",
+        case["reaction"],
         "none, killed" if case["status"] is None else str(case["status"]),
         _short(case["reason"]),
         ", ".join(case["disk"]),
@@ -119,7 +115,8 @@ def _short(text: str, most: int = 80) -> str:
     return text if len(text) <= most else f"{text[: most - 1]}…"
 
 
-def _escaped(cell: str) -> str:
+def escaped(cell: str) -> str:
+    """Return a text as a cell of a Markdown table."""
     return cell.replace("|", "\\|").replace("<", "&lt;")
 
 
