@@ -14,10 +14,11 @@ import pytest
 
 from unicon_core.errors import UniconError
 from unicon_ros.bench.faults import bench_faults
-from unicon_ros.bench.faults.case import Case, Measured, Wants, judge
+from unicon_ros.bench.faults.case import Case, Measured, Wants
 from unicon_ros.bench.faults.command_log import CLOSE, FAULT, RECV, SEND, CommandLog
 from unicon_ros.bench.faults.fault_report import BEGIN, END, FaultBench, escaped, write_table
 from unicon_ros.bench.faults.fault_run import FaultRun
+from unicon_ros.bench.faults.judge import judge
 from unicon_ros.bench.faults.measure import measure
 from unicon_ros.bench.faults.on_disk import recorded_span
 from unicon_ros.cli.main import main

@@ -7,7 +7,6 @@ import os
 import signal
 import time
 from pathlib import Path
-from typing import Literal
 
 from unicon_core.flow import Amends, Reads, Tick, Writes
 from unicon_core.robots import Robot
@@ -48,15 +47,15 @@ def wobble(
 
 def broken(
     joint_pos_target: Amends,
-    joint_stiffness: Amends,
+    joint_vel_target: Amends,
     joint_effort_ff: Amends,
+    joint_stiffness: Amends,
+    joint_damping: Amends,
     tick: Reads,
     *,
     at: int = 25,
     value: float = math.nan,
-    state: Literal["joint_pos_target", "joint_stiffness", "joint_effort_ff", "jump"] = (
-        "joint_pos_target"
-    ),
+    state: str = "joint_pos_target",
     hang: float = 0.0,
 ) -> Tick:
     """Command a value for the first joint that nobody would want.
@@ -67,8 +66,12 @@ def broken(
         state: which command gets it; `jump` adds it to all targets, with another sign each tick.
         hang: time in [s] for which it does not return, once, instead.
     """
-    views = {"joint_stiffness": joint_stiffness, "joint_effort_ff": joint_effort_ff}
-    view = views.get(state, joint_pos_target)
+    view = {
+        "joint_vel_target": joint_vel_target,
+        "joint_effort_ff": joint_effort_ff,
+        "joint_stiffness": joint_stiffness,
+        "joint_damping": joint_damping,
+    }.get(state, joint_pos_target)
 
     def step() -> bool:
         if tick < at:

@@ -96,6 +96,8 @@ CASES = (
     _not_caught("NaN in joint_vel while it holds", {"hold": {}}, set={"joint_vel": "nan"}),
     _not_caught("stiffness 1e9", _broken(1e9, "joint_stiffness")),
     _not_caught("stiffness -50", _broken(-50.0, "joint_stiffness")),
+    _not_caught("damping -50", _broken(-50.0, "joint_damping")),
+    _not_caught("velocity target 1e6", _broken(1e6, "joint_vel_target")),
     _not_caught("feed-forward effort 1e6", _broken(1e6, "joint_effort_ff")),
     _not_caught("targets jump by ±0.8 rad in every tick", _broken(0.8, "jump")),
 )

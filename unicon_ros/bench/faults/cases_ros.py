@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 from unicon_ros.bench.faults.case import WALK, WOBBLE, Case, Wants
 from unicon_ros.bench.faults.cases_program import two_ctrl_c_in_a_hang
 
@@ -9,7 +12,7 @@ __all__ = ["CASES"]
 
 _NEEDS = ("rclpy", "rosbags")
 _RANGES = (1.0, 0.4, 1.0)  # command_ranges of go2_velocity, the larger side
-_COMMANDED = {"status": (), "ms": None, "most": None, "report": False}
+_COMMANDED = Wants(most=None, ms=None, status=(), report=False)
 _BUILT_BY_ESTOP = ("-p", "autostart:=false")
 
 
@@ -48,7 +51,7 @@ def _silent(reason: str) -> Wants:
     return Wants(most=32, ms=650.0, reason=reason)
 
 
-def _estop(name: str, wants: Wants, *words: str, wait: int = 60, **others: object) -> Case:
+def _estop(name: str, wants: Wants, *words: str, wait: int = 60, **others: Any) -> Case:
     return Case(
         "~/estop",
         name,
@@ -57,7 +60,7 @@ def _estop(name: str, wants: Wants, *words: str, wait: int = 60, **others: objec
         peer=("caller", str(wait), *words),
         duration=1.0,
         needs=_NEEDS,
-        **others,  # type: ignore[arg-type]
+        **others,
     )
 
 
@@ -65,24 +68,24 @@ CASES = (
     _cmd_vel(
         "cmd_vel falls silent (time-out 0.5 s)",
         "silence",
-        Wants(zero_ms=650.0, **_COMMANDED),  # type: ignore[arg-type]
+        replace(_COMMANDED, zero_ms=650.0),
     ),
     _cmd_vel(
         "cmd_vel NaN at 1 kHz (time-out 0.5 s)",
         "nan",
-        Wants(zero_ms=650.0, **_COMMANDED),  # type: ignore[arg-type]
+        replace(_COMMANDED, zero_ms=650.0),
     ),
     _cmd_vel(
         "cmd_vel cannot be taken (time-out 0.5 s)",
         "good",
-        Wants(zero_ms=650.0, **_COMMANDED),  # type: ignore[arg-type]
+        replace(_COMMANDED, zero_ms=650.0),
         failing="take",
     ),
     *(
         _cmd_vel(
             f"cmd_vel of {what}",
             what,
-            Wants(speed=_RANGES, **_COMMANDED),  # type: ignore[arg-type]
+            replace(_COMMANDED, speed=_RANGES),
         )
         for what in ("50", "1e30")
     ),

@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from unicon_core.errors import UniconError
-from unicon_ros.bench.faults.case import Case, Measured, judge, reaction
+from unicon_ros.bench.faults.case import Case, Measured
+from unicon_ros.bench.faults.judge import judge, reaction
 from unicon_ros.bench.report import Bench, machine_facts
 
 __all__ = ["FaultBench", "escaped", "write_table"]
