@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import re
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+import unicon_ros
 from unicon_core.robots import load_robot
 from unicon_ros.bench.faults.case import Measured
 from unicon_ros.bench.faults.command_log import CLOSE, FAULT, RECV, SEND
@@ -30,6 +32,8 @@ def measure(run: FaultRun, status: int | None) -> Measured:
     report = report_of(run.folder)
     got.overruns = int(report.get("overruns", 0))
     got.reason = "; ".join(report.get("faults", [])) or _said(run.said())
+    for folder in (run.folder, Path(unicon_ros.__path__[0]).parent):  # of this run, this machine
+        got.reason = got.reason.replace(f"{folder}/", "")
     sent, fault = run.motors.of(SEND), _fault_ns(run)
     if not fault:
         got.reason = got.reason or "the fault was never reached"
