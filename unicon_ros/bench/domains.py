@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import random
 import socket
 from itertools import islice
 
-__all__ = ["free_domain", "free_domains"]
+__all__ = ["free_domain", "free_domains", "loopback_environment"]
 
 # Above 101 the ports would reach into Linux's ephemeral ones.
 _DOMAINS = range(1, 102)
@@ -22,6 +23,19 @@ def free_domains(count: int) -> list[int]:
     domains = random.SystemRandom().sample(_DOMAINS, len(_DOMAINS))
     free = list(islice(filter(_is_free, domains), count))
     return [*free, *(domain for domain in domains if domain not in free)][:count]
+
+
+def loopback_environment() -> dict[str, str]:
+    """Return an environment for processes of ours: loopback only, a free domain of its own.
+
+    What the ROS wheels leave in it for one interpreter only is not handed on.
+    """
+    values = dict(os.environ)
+    if values.pop("_ROS_WHEELS_BOOTSTRAP_COMPLETE", None) is not None:
+        values.pop("LD_LIBRARY_PATH", None)
+    values["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    values["ROS_DOMAIN_ID"] = str(free_domain())
+    return values
 
 
 def _is_free(domain: int) -> bool:

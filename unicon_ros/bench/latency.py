@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from unicon_core.errors import UniconError
 from unicon_core.signals import SIGNALS, Interrupted
 from unicon_ros import compat
-from unicon_ros.bench.domains import free_domain
+from unicon_ros.bench.domains import free_domain, loopback_environment
 from unicon_ros.bench.floor import c_level_floor
 from unicon_ros.bench.loops import LEASE, SETTLE, Loop, breathe
 from unicon_ros.bench.report import Bench
@@ -234,7 +234,7 @@ def _loop(variant: Variant, number: int, options: _Options) -> Loop:
         module, kind = pipeline
         return [sys.executable, "-m", f"{PIPELINES}.{module}", "--variant", kind, *common]
 
-    environment = {**_environment(), "ROS_DOMAIN_ID": str(free_domain())}
+    environment = loopback_environment()
     if variant.shared_memory:
         environment["FASTDDS_BUILTIN_TRANSPORTS"] = "DEFAULT"
     return Loop(
@@ -301,15 +301,6 @@ def _interval(ratios: NDArray[np.float64]) -> str:
     draws = np.random.default_rng(SEED).choice(ratios, (1000, len(ratios)))
     low, high = np.percentile(np.median(draws, axis=1), [2.5, 97.5])
     return f"{low:.3g} to {high:.3g}"
-
-
-def _environment() -> dict[str, str]:
-    """Return the environment of the pipelines: loopback only, without the wheels' leftovers."""
-    values = dict(os.environ)
-    if values.pop("_ROS_WHEELS_BOOTSTRAP_COMPLETE", None) is not None:
-        values.pop("LD_LIBRARY_PATH", None)
-    values["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-    return values
 
 
 def _say(text: str) -> None:

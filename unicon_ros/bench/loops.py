@@ -26,7 +26,7 @@ from unicon_core.errors import UniconError
 from unicon_core.signals import SIGNALS
 from unicon_ros.bench.pipelines.log import beside
 
-__all__ = ["LEASE", "SETTLE", "Loop", "Slice", "breathe"]
+__all__ = ["LEASE", "SETTLE", "Loop", "Slice", "breathe", "die_with_parent"]
 
 LEASE = 9.0
 """s for which a loop may be held: after 10 participants with `config/dds/no_shared_memory.xml` take
@@ -172,7 +172,7 @@ class Loop:
             stderr=subprocess.DEVNULL,
             start_new_session=True,  # the terminal's Ctrl-C is ours: they are asked to end
             # Held processes would outlive a parent that is killed.
-            preexec_fn=_die_with_parent if sys.platform == "linux" else None,
+            preexec_fn=die_with_parent if sys.platform == "linux" else None,
         )
 
     def _ready(self, meanwhile: Callable[[], object]) -> bool:
@@ -250,7 +250,8 @@ def _cpu_ns(process: int) -> int:
     return time.clock_gettime_ns((~process << 3) | 2)
 
 
-def _die_with_parent() -> None:
+def die_with_parent() -> None:
+    """End with the thread that starts this process; for `preexec_fn`, on Linux."""
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
     if os.getppid() == 1:  # it has died before
         os._exit(1)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from unicon_core.errors import MissingDependencyError
+from unicon_core.errors import MissingDependencyError, UniconError
 from unicon_ros.bench.report import Bench
 
 __all__ = ["plot"]
@@ -19,12 +19,15 @@ def plot(bench: Bench, path: Path) -> None:
 
     Raises:
         MissingDependencyError: matplotlib is not installed.
+        UniconError: the benchmark's cases are not times.
     """
     try:
         from matplotlib.figure import Figure
     except ModuleNotFoundError as error:
         raise MissingDependencyError("--plot", "matplotlib", "pip install matplotlib") from error
     rows = {name: case for name, case in bench.cases.items() if "[" not in name}
+    if not all("p50" in case for case in rows.values()):
+        raise UniconError(f"bench {bench.name} measures no times to plot; leave --plot out")
     if bench.name == "latency":
         rows = {
             name: case for name, case in rows.items() if name.endswith(("end_to_end", "mirror"))

@@ -14,6 +14,7 @@ __all__ = ["BENCHES", "add", "bench"]
 BENCHES = {
     "batch": "unicon_ros.bench.batch",
     "bridge": "unicon_ros.bench.bridge",
+    "faults": "unicon_ros.bench.faults.bench_faults",
     "latency": "unicon_ros.bench.latency",
     "policy": "unicon_ros.bench.policy",
     "sloc": "unicon_ros.bench.sloc",
@@ -21,7 +22,12 @@ BENCHES = {
     "timing": "unicon_ros.bench.timing",
 }
 
-_OPTIONS = {
+_OPTIONS: dict[str, dict[str, tuple[type, str]]] = {
+    "faults": {
+        "quick": (bool, "a handful of cases only"),
+        "only": (str, "cases only whose group or name has this in it"),
+        "document": (str, "Markdown file whose table of faults is replaced"),
+    },
     "latency": {
         "rate": (float, "commands per second"),
         "state_rate": (float, "states per second"),
@@ -46,7 +52,11 @@ def add(commands: Any) -> None:
             "--assert", action="store_true", dest="strict", help="exit 1 where a ratio misses"
         )
         for option, (kind, meaning) in _OPTIONS.get(name, {}).items():
-            each.add_argument(f"--{option.replace('_', '-')}", type=kind, help=meaning)
+            flag = f"--{option.replace('_', '-')}"
+            if kind is bool:
+                each.add_argument(flag, action="store_true", help=meaning)
+            else:
+                each.add_argument(flag, type=kind, help=meaning)
 
 
 def bench(arguments: argparse.Namespace) -> int:

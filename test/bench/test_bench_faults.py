@@ -1,0 +1,190 @@
+"""`unicon bench faults`: what is measured of runs that go wrong, and a few that are made to."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from unicon_core.errors import UniconError
+from unicon_ros.bench.faults import bench_faults
+from unicon_ros.bench.faults.case import Case, Measured, Wants
+from unicon_ros.bench.faults.command_log import CLOSE, FAULT, RECV, SEND, CommandLog
+from unicon_ros.bench.faults.fault_report import BEGIN, END, FaultBench, escaped, write_table
+from unicon_ros.bench.faults.fault_run import FaultRun
+from unicon_ros.bench.faults.judge import judge
+from unicon_ros.bench.faults.measure import measure
+from unicon_ros.bench.faults.on_disk import recorded_span
+from unicon_ros.cli.main import main
+
+CASES = {case.row: case for case in bench_faults.CASES}
+POSE = np.tile([0.0, 0.8, -1.6], 4)
+WRITER = """\
+import os, signal, sys
+from pathlib import Path
+from unicon_ros.bench.faults.command_log import SEND, CommandLog
+log = CommandLog(Path(sys.argv[1]))
+for tick in range(100):
+    log.add(SEND, tick, target=0.5)
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_a_command_log_outlives_the_sigkill_of_its_writer(tmp_path: Path) -> None:
+    log = CommandLog(tmp_path / "commands.log", create=True)
+    done = subprocess.run([sys.executable, "-c", WRITER, str(log.path)], check=False, timeout=60)
+    assert done.returncode == -signal.SIGKILL
+    sent = log.of(SEND)
+    assert sent["tick"].tolist() == list(range(100))
+    assert (sent["target"] == 0.5).all()
+    assert (np.diff(sent["time"]) > 0).all()
+
+
+def run_of(tmp_path: Path, name: str = "exceptions: ValueError in recv") -> FaultRun:
+    return FaultRun(CASES[name], tmp_path)
+
+
+def test_commands_are_counted_from_the_fault_on_and_damping_is_none(tmp_path: Path) -> None:
+    run = run_of(tmp_path)
+    for tick in range(3):
+        run.log.add(RECV, tick)
+        run.log.add(SEND, tick, target=POSE, stiffness=20.0)
+    run.log.add(FAULT, 3)
+    for stiffness in (20.0, 0.0):
+        run.log.add(RECV, 3)
+        run.log.add(SEND, 3, target=POSE, stiffness=stiffness)
+    run.log.add(CLOSE, 4)
+    got = measure(run, 3)
+    assert (got.commands, got.ticks, got.wild) == (1, 2, 0)
+    assert got.ms is not None
+    assert judge(Wants(most=1, ms=None, report=False), got) == []
+    assert judge(Wants(most=0, ms=None, report=False), got) == ["1 commands, wanted at most 0"]
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, 1e30])
+def test_a_command_that_no_joint_can_follow_is_never_as_wanted(
+    tmp_path: Path, value: float
+) -> None:
+    run = run_of(tmp_path)
+    run.log.add(FAULT)
+    run.log.add(SEND, 1, target=POSE, stiffness=20.0)
+    run.log.add(SEND, 2, target=value, stiffness=0.0)
+    run.log.add(CLOSE, 2)
+    got = measure(run, 3)
+    assert got.wild == 1
+    assert judge(Wants(most=None, report=False), got) == [
+        "1 commands not finite or outside of the limits"
+    ]
+
+
+def test_each_thing_that_is_not_as_wanted_is_named() -> None:
+    got = Measured(commands=30, status=0, gap_ms=700.0, speed=(50.0, 0.0, 0.0))
+    wants = Wants(
+        most=1, reason="NaN", gap_ms=400.0, speed=(1.0, 0.4, 1.0), zero_ms=650.0, lost_s=1.0
+    )
+    assert judge(wants, got) == [
+        "30 commands, wanted at most 1",
+        "never damped",
+        "velocity command zero never, wanted within 650 ms",
+        "status 0, wanted 3",
+        "reason lacks 'NaN'",
+        "no report",
+        "700 ms between two commands",
+        "velocity command 50, 0, 0",
+        "no recording",
+    ]
+
+
+def test_a_recording_that_was_cut_off_is_read_as_far_as_it_is_whole(tmp_path: Path) -> None:
+    rosbag2 = pytest.importorskip("rosbags.rosbag2")
+    typesys = pytest.importorskip("rosbags.typesys")
+    store = typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
+    folder = tmp_path / "bag"
+    with rosbag2.Writer(folder, version=9, storage_plugin=rosbag2.StoragePlugin.MCAP) as writer:
+        channel = writer.add_connection("/a", "std_msgs/msg/UInt8", typestore=store)
+        for second in range(1, 6):
+            writer.write(channel, second * 1_000_000_000, b"\0" * (1 << 20))
+    assert recorded_span(folder) == (1_000_000_000, 5_000_000_000)
+    [file] = folder.glob("*.mcap")
+    file.write_bytes(file.read_bytes()[: 3 << 20])
+    span = recorded_span(folder)
+    assert span is not None
+    assert 1_000_000_000 <= span[1] < 5_000_000_000
+    file.write_bytes(file.read_bytes()[:20])
+    assert recorded_span(folder) is None
+
+
+def fault_bench() -> FaultBench:
+    bench = FaultBench("faults", seed=0, rounds=1)
+    wants = Wants(most=7, report=False)
+    late = Measured(commands=7, ms=12.34, status=3, reason="late")
+    assert bench.fault(Case("time", "a | b", wants), late) == []
+    assert bench.fault(Case("time", "c", wants), Measured(status=3)) == ["never damped"]
+    bench.conclude(["time: a | b", "time: c"])
+    return bench
+
+
+def test_the_table_replaces_only_what_stands_between_its_marks(tmp_path: Path) -> None:
+    path = tmp_path / "safety.md"
+    path.write_text(f"before\n{BEGIN}\nof last year\n{END}\nafter\n")
+    write_table(fault_bench(), path)
+    text = path.read_text()
+    assert text.startswith(f"before\n{BEGIN}\n")
+    assert text.endswith(f"{END}\nafter\n")
+    assert "last year" not in text
+    assert "| a \\| b | 7 |  | damped after 12.3 ms | 3 | late |  | yes |" in text
+    assert "1 of 2 hold" in text
+    path.write_text("no place")
+    with pytest.raises(UniconError, match="no place for the table"):
+        write_table(fault_bench(), path)
+    with pytest.raises(UniconError, match="cannot read"):
+        write_table(fault_bench(), tmp_path / "none.md")
+
+
+def test_a_fault_that_does_not_hold_fails_the_assertion() -> None:
+    bench = fault_bench()
+    assert not bench.holds
+    assert json.loads(bench.to_json())["cases"]["time: c"]["missed"] == ["never damped"]
+    assert "MISSED: never damped" in bench.table()
+
+
+def test_a_case_that_does_not_exist_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bench", "faults", "--only", "nothing of ours"]) == 1
+    assert "--only 'nothing of ours': no such case" in capsys.readouterr().err
+
+
+def test_names_of_cases_are_unique_and_the_document_has_a_row_for_each() -> None:
+    assert len(CASES) == len(bench_faults.CASES)
+    document = Path(__file__).parents[2] / "docs" / "safety.md"
+    text = document.read_text(encoding="utf-8")
+    table = text.partition(BEGIN)[2].partition(END)[0]
+    absent = [row for row, case in CASES.items() if f"| {escaped(case.name)} |" not in table]
+    assert absent == []
+
+
+@pytest.mark.ros
+def test_a_handful_of_faults_ends_as_it_must(tmp_path: Path) -> None:
+    assert told(tmp_path, "--quick") == {}
+
+
+@pytest.mark.slow
+@pytest.mark.ros
+def test_every_fault_ends_as_it_must(tmp_path: Path) -> None:
+    assert told(tmp_path) == {}
+
+
+def told(tmp_path: Path, *arguments: str) -> dict[str, list[str]]:
+    """Return what the benchmark says is not as wanted; as a process, since it signals itself."""
+    file = tmp_path / "faults.json"
+    command = [sys.executable, "-m", "unicon_ros", "bench", "faults", "--json", str(file)]
+    environment = dict(os.environ)
+    subprocess.run([*command, *arguments], check=True, timeout=900, env=environment)
+    cases = json.loads(file.read_text())["cases"]
+    assert cases
+    return {name: case["missed"] for name, case in cases.items() if not case["holds"]}

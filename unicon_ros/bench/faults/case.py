@@ -1,0 +1,140 @@
+"""Case: one fault, how it is put into a run, and what is wanted; and what was measured."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from unicon_ros.bench.faults.fault_run import FaultRun
+
+__all__ = ["BLOCKS", "WALK", "WOBBLE", "Case", "Measured", "Wants"]
+
+BLOCKS = "unicon_ros.bench.faults.blocks"
+WALK: dict[str, Any] = {"chain": [{"pose": {"to": "stand", "duration": 0.4}}, {"policy": "walk"}]}
+WOBBLE: dict[str, Any] = {f"{BLOCKS}:wobble": {}}
+
+
+@dataclass(frozen=True)
+class Wants:
+    """What is wanted after a fault; None or empty: nothing.
+
+    Attributes:
+        most: commands (with stiffness) that may still leave.
+        least: commands that must still leave: the run goes on.
+        ms: until the platform is closed, which damps, in [ms].
+        closed: the platform is closed.
+        ended_ms: until the process has ended in [ms].
+        status: exit statuses, any of them.
+        reason: a part of the reason in the report, else of what was said.
+        report: the report is on disk.
+        gap_ms: longest time between two commands after the fault in [ms].
+        overruns: ticks counted as missed, at least.
+        zero_ms: until the velocity command is zero in [ms].
+        speed: largest velocity command after the fault in [m/s], [rad/s].
+        lost_s: what the recording may lack of the commands that left in [s].
+        files: further files on disk.
+    """
+
+    most: int | None = 0
+    least: int = 0
+    ms: float | None = 250.0
+    closed: bool = True
+    ended_ms: float | None = None
+    status: tuple[int, ...] = (3,)
+    reason: str = ""
+    report: bool = True
+    gap_ms: float | None = None
+    overruns: int = 0
+    zero_ms: float | None = None
+    speed: tuple[float, float, float] | None = None
+    lost_s: float | None = None
+    files: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Case:
+    """One fault.
+
+    Attributes:
+        group: heading of the table.
+        name: what goes wrong.
+        fault: what the recording platform does, see there.
+        wants: what is wanted.
+        at: number of the tick in which it happens.
+        flow: of the workflow: the policy, or a simple motion.
+        workflow: further keys of the workflow file.
+        arguments: further arguments of `unicon run` (or ROS arguments of the node); `{folder}` is
+            the case's folder.
+        duration: of the run in [s].
+        outside: what the bench does to the process meanwhile.
+        peer: module in `peers` and its arguments, started first.
+        node: run by `unicon_node` instead of `unicon run`.
+        topics: platform `ros`, whose robot is the peer; commands are those that it got.
+        failing: what the middleware refuses: `take` of cmd_vel or `publish` of commands.
+        output: where stdout and stderr go: `file`, `closed`, `device full`, `terminal`, or a
+            `pipe` that nobody reads.
+        file_limit: largest file that the process may write in [byte], as on a full disk.
+        needs: packages without which it is left out.
+        quick: one of the few that every test run takes.
+    """
+
+    group: str
+    name: str
+    wants: Wants
+    fault: Mapping[str, Any] = field(default_factory=dict)
+    at: int = 25
+    flow: Any = field(default_factory=lambda: WOBBLE)
+    workflow: Mapping[str, Any] = field(default_factory=dict)
+    arguments: tuple[str, ...] = ()
+    duration: float = 1.2
+    outside: Callable[[FaultRun], None] | None = None
+    peer: tuple[str, ...] = ()
+    node: bool = False
+    topics: bool = False
+    failing: str = ""
+    output: str = "file"
+    file_limit: int | None = None
+    needs: tuple[str, ...] = ()
+    quick: bool = False
+
+    @property
+    def row(self) -> str:
+        """Return the row of the table: group and name."""
+        return f"{self.group}: {self.name}"
+
+
+@dataclass
+class Measured:
+    """What was measured of a case.
+
+    Attributes:
+        commands: commands (with stiffness) that left after the fault.
+        wild: commands after the fault, the closing ones too, not finite or outside of the limits.
+        ticks: begun after the fault, until the platform was closed.
+        ms: from the fault until the platform was closed in [ms], or None.
+        ended_ms: from the fault until the process had ended in [ms], or None.
+        status: exit status; minus a signal's number; None where the bench had to kill it.
+        reason: why, in the words of the report; else what was said.
+        disk: what is on disk, in words.
+        gap_ms: longest time between two commands after the fault in [ms].
+        overruns: of the report.
+        zero_ms: from the fault until the velocity command was zero in [ms], or None.
+        speed: largest velocity command after the fault.
+        lost_s: what the recording lacks of the commands that left in [s], or None.
+    """
+
+    commands: int = 0
+    wild: int = 0
+    ticks: int | None = None
+    ms: float | None = None
+    ended_ms: float | None = None
+    status: int | None = None
+    reason: str = ""
+    disk: list[str] = field(default_factory=list)
+    gap_ms: float = 0.0
+    overruns: int = 0
+    zero_ms: float | None = None
+    speed: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    lost_s: float | None = None

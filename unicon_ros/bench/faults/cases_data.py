@@ -1,0 +1,103 @@
+"""Cases: what a robot's sensors and a policy may bring, and what no block looks for today."""
+
+from __future__ import annotations
+
+from unicon_ros.bench.faults.case import BLOCKS, WALK, WOBBLE, Case, Wants
+
+__all__ = ["CASES"]
+
+_NO_LONGER = Wants(most=0, reason="")
+_SENSORS = ("joint_pos", "joint_vel", "base_ang_vel", "projected_gravity")
+_NEEDS = ("onnxruntime",)
+_STALE = ["finite", "joint_limits", {"stale_stop": {"timeout": 0.1}}]
+
+
+def _broken(value: float, state: str = "joint_pos_target") -> object:
+    return {"zip": [WOBBLE, {f"{BLOCKS}:broken": {"value": value, "state": state}}]}
+
+
+def _not_caught(name: str, flow: object = WALK, **fault: object) -> Case:
+    """A fault that nothing looks for: it runs on; what is held is that it ends in damping."""
+    wants = Wants(most=None, least=20, ms=None, status=(0,))
+    return Case(
+        "not caught today", name, wants, fault=fault or {"mark": True}, flow=flow, needs=_NEEDS
+    )
+
+
+CASES = (
+    *(
+        Case(
+            "sensors and policy",
+            f"NaN in {state}",
+            _NO_LONGER,
+            fault={"set": {state: "nan"}},
+            flow=WALK,
+            needs=_NEEDS,
+            quick=state == "joint_pos",
+        )
+        for state in _SENSORS
+    ),
+    Case(
+        "sensors and policy",
+        "infinity in joint_vel",
+        _NO_LONGER,
+        fault={"set": {"joint_vel": 1e39}},
+        flow=WALK,
+        needs=_NEEDS,
+    ),
+    Case(
+        "sensors and policy",
+        "the policy gives NaN",
+        _NO_LONGER,
+        fault={"mark": True},
+        flow={"zip": [WOBBLE, f"{BLOCKS}:broken"]},
+    ),
+    Case(
+        "sensors and policy",
+        "the policy gives 1e30 rad",
+        # A limit is no fault: what leaves is within the limits.
+        Wants(most=None, least=20, ms=None, status=(0, 3)),
+        fault={"mark": True},
+        flow=_broken(1e30),
+    ),
+    Case(
+        "sensors and policy",
+        "the base leans by 90°",
+        Wants(most=0, reason="lean"),
+        fault={"set": {"projected_gravity": 0.0}},
+    ),
+    Case(
+        "sensors and policy",
+        "stamps stand still, with stale_stop of 0.1 s",
+        Wants(most=6, ms=300.0, reason="stale"),
+        fault={"freeze": ["stamp_ns"]},
+        workflow={"safety": _STALE},
+    ),
+    Case(
+        "sensors and policy",
+        "the robot falls silent (recv tells)",
+        Wants(most=0, reason="made by the bench"),
+        fault={"raise": "Fault"},
+    ),
+    Case(
+        "sensors and policy",
+        "an array of another length",
+        Wants(most=0, reason="shape"),
+        fault={"shape": True},
+    ),
+    _not_caught("IMU frozen", freeze=["base_quat", "base_ang_vel", "projected_gravity"]),
+    _not_caught(
+        "all sensors frozen, stamps go on",
+        freeze=["joint_pos", "joint_vel", "base_quat", "base_ang_vel", "projected_gravity"],
+    ),
+    _not_caught("stamps stand still, without stale_stop", freeze=["stamp_ns"]),
+    _not_caught("NaN in a state that nobody reads", set={"base_lin_vel": "nan"}),
+    _not_caught("joint_pos 1e30", set={"joint_pos": 1e30}),
+    _not_caught("NaN in joint_vel while it holds", {"hold": {}}, set={"joint_vel": "nan"}),
+    _not_caught("stiffness 1e9", _broken(1e9, "joint_stiffness")),
+    _not_caught("stiffness -50", _broken(-50.0, "joint_stiffness")),
+    _not_caught("damping -50", _broken(-50.0, "joint_damping")),
+    _not_caught("velocity target 1e6", _broken(1e6, "joint_vel_target")),
+    _not_caught("feed-forward effort 1e6", _broken(1e6, "joint_effort_ff")),
+    _not_caught("targets jump by ±0.8 rad in every tick", _broken(0.8, "jump")),
+)

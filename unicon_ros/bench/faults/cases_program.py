@@ -1,0 +1,185 @@
+"""Cases: the program itself goes wrong: exceptions, signals, hangs, slow ticks."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+
+from unicon_ros.bench.faults.case import BLOCKS, WOBBLE, Case, Wants
+from unicon_ros.bench.faults.command_log import RECV
+from unicon_ros.bench.faults.fault_run import FaultRun
+
+__all__ = ["CASES", "two_ctrl_c_in_a_hang"]
+
+_RAISED = (
+    "ValueError",
+    "MemoryError",
+    "OSError",
+    "RecursionError",
+    "SystemExit",
+    "KeyboardInterrupt",
+)
+_AT_ONCE = Wants(most=1, ms=400.0, ended_ms=1500.0, status=(), report=False)
+_SIGNALS = (
+    *("HUP", "INT", "QUIT", "USR1", "USR2", "ALRM", "VTALRM", "PROF"),
+    *("TERM", "XCPU", "POLL", "PWR", "STKFLT"),
+)
+_DOUBTFUL = ("KeyboardInterrupt",)  # how somebody else's Ctrl-C may come up: any status but 0
+
+
+def _at(run: FaultRun, tick: int) -> None:
+    run.wait_for(lambda: bool((run.log.of(RECV)["tick"] >= tick).any()))
+
+
+def _stop_and_continue(run: FaultRun) -> None:
+    _at(run, 25)
+    run.mark()
+    run.process.send_signal(signal.SIGSTOP)
+    time.sleep(2.0)
+    run.process.send_signal(signal.SIGCONT)
+
+
+def _ctrl_z(run: FaultRun) -> None:
+    _at(run, 25)
+    run.mark()
+    run.process.send_signal(signal.SIGTSTP)
+    time.sleep(1.0)
+    run.process.send_signal(signal.SIGCONT)
+
+
+def two_ctrl_c_in_a_hang(run: FaultRun) -> None:
+    _at(run, 25)
+    time.sleep(0.2)
+    run.process.send_signal(signal.SIGINT)
+    time.sleep(0.3)
+    run.mark()
+    run.process.send_signal(signal.SIGINT)
+
+
+def _term_in_the_group(run: FaultRun) -> None:
+    _at(run, 25)
+    run.mark()
+    os.killpg(run.process.pid, signal.SIGTERM)
+    os.killpg(run.process.pid, signal.SIGINT)
+
+
+def _building(name: str) -> Case:
+    slow = {f"{BLOCKS}:slow_build": {"log": "{log}", "signals": f"SIG{name}"}}
+    return Case(
+        "signals",
+        f"SIG{name} while building, the platform is open",
+        Wants(most=0, ms=None, ended_ms=2500.0, status=(), report=False),
+        flow={"zip": [WOBBLE, slow]},
+    )
+
+
+def _refused(name: str, reason: str, workflow: dict[str, object]) -> Case:
+    wants = Wants(most=0, closed=False, ms=None, status=(1,), reason=reason, report=False)
+    fault = {"mark": True}
+    return Case("refused before a motor moves", name, wants, fault, workflow=workflow, at=1)
+
+
+CASES = (
+    *(
+        Case(
+            "exceptions",
+            f"{error} in {where}",
+            Wants(most=0, reason="" if error in _DOUBTFUL else "made by the bench"),
+            fault={"raise": error, "in": where},
+            quick=(error, where) == ("ValueError", "recv"),
+        )
+        for error, where in [
+            *((error, "recv") for error in _RAISED),
+            ("OSError", "send"),
+            ("SystemExit", "send"),
+        ]
+    ),
+    Case(
+        "exceptions",
+        "close raises at the end",
+        Wants(most=0, reason="made by the bench"),
+        fault={"raise": "OSError", "in": "close"},
+    ),
+    Case(
+        "exceptions",
+        "NaN, then close raises",
+        Wants(most=0, reason="joint_pos_target"),
+        fault={"raise": "OSError", "in": "close", "mark": True},
+        flow={"zip": [WOBBLE, f"{BLOCKS}:broken"]},
+    ),
+    *(
+        Case(
+            "signals",
+            f"SIG{name}",
+            _AT_ONCE,
+            fault={"signals": [f"SIG{name}"]},
+            quick=name == "HUP",
+        )
+        for name in _SIGNALS
+        if hasattr(signal, f"SIG{name}")
+    ),
+    Case("signals", "SIGTERM and SIGINT at once", _AT_ONCE, outside=_term_in_the_group),
+    Case(
+        "signals",
+        "Ctrl-Z (SIGTSTP): damps, then stops",
+        Wants(most=1, ms=400.0, status=(), report=False),
+        outside=_ctrl_z,
+    ),
+    Case(
+        "signals",
+        "second Ctrl-C in a hang of 3 s",
+        Wants(most=0, ms=300.0, status=(), report=False),
+        fault={"hang": 3.0},
+        outside=two_ctrl_c_in_a_hang,
+        duration=4.0,
+    ),
+    _building("TERM"),
+    _building("HUP"),
+    _building("INT"),
+    Case(
+        "time",
+        "hang of 0.12 s: ticks missed are counted",
+        Wants(most=None, least=15, ms=None, status=(0,), overruns=5),
+        fault={"hang": 0.12},
+    ),
+    Case(
+        "time",
+        "hang of 0.5 s in recv",
+        Wants(most=1, ms=800.0),
+        fault={"hang": 0.5},
+        quick=True,
+    ),
+    Case("time", "hang of 2 s in recv", Wants(most=1, ms=2300.0), fault={"hang": 2.0}),
+    Case(
+        "time",
+        "hang of 0.5 s in a block",
+        Wants(most=1, ms=800.0),
+        fault={"mark": True},
+        flow={"zip": [WOBBLE, {f"{BLOCKS}:broken": {"hang": 0.5}}]},
+    ),
+    Case(
+        "time",
+        "SIGSTOP for 2 s, then SIGCONT",
+        Wants(most=2, ms=2400.0),
+        outside=_stop_and_continue,
+    ),
+    Case(
+        "time",
+        "every tick takes 25 of 20 ms",
+        Wants(most=None, least=15, ms=None, status=(0, 3), overruns=15),
+        fault={"slow": 0.025},
+    ),
+    _refused("overrun: catch_up on hardware", "catch_up", {"pacing": {"overrun": "catch_up"}}),
+    _refused(
+        "joint_limits with a margin of -10",
+        "margin",
+        {"safety": ["finite", {"joint_limits": {"margin": -10.0}}]},
+    ),
+    _refused(
+        "velocity_stop with a factor of -1",
+        "factor",
+        {"safety": ["finite", "joint_limits", {"velocity_stop": {"factor": -1.0}}]},
+    ),
+    _refused("joint_limits before finite", "finite", {"safety": ["joint_limits", "finite"]}),
+)

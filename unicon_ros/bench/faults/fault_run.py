@@ -1,0 +1,218 @@
+"""One case as real processes: writes the workflow, runs it, does the fault, waits, cleans up."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import resource
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from unicon_ros.bench.domains import loopback_environment
+from unicon_ros.bench.faults.case import Case
+from unicon_ros.bench.faults.command_log import SEND, CommandLog
+from unicon_ros.bench.loops import die_with_parent
+
+__all__ = ["FaultRun"]
+
+PLATFORM = "unicon_ros.bench.faults.recording_platform:make"
+PEERS = "unicon_ros.bench.faults.peers"
+START = 40.0  # s in which the first command must have left
+LINGER = 10.0  # s beyond its duration after which a run is killed
+_NODE = "import sys; from unicon_ros.node_main import main; sys.exit(main())"
+
+
+class FaultRun:
+    """The processes of one case.
+
+    Args:
+        case: what to run.
+        folder: where everything of it is written; exists and is empty.
+
+    Attributes:
+        log: of the recording platform, or of the robot that is the peer.
+        fault_ns: when it was done from outside, on the clock of the log; 0 where the log tells.
+        ended_ns: when the process had ended; 0 where it had to be killed.
+        process: the run.
+        terminal: our end of its terminal, where it has one.
+        stream: where its output goes.
+    """
+
+    def __init__(self, case: Case, folder: Path) -> None:
+        self.case, self.folder = case, folder
+        self.log = CommandLog(folder / "commands.log", create=True)
+        self.peer_log = CommandLog(folder / "peer.log", create=True)
+        self.fault_ns = self.ended_ns = 0
+        self.terminal = self.stream = -1
+        self.process: subprocess.Popen[bytes]
+        self._peer: subprocess.Popen[bytes] | None = None
+        self._environment = loopback_environment()
+
+    @property
+    def motors(self) -> CommandLog:
+        """Return the log in which commands are looked for."""
+        return self.peer_log if self.case.topics else self.log
+
+    def run(self) -> int | None:
+        """Run to the end; return the exit status, None where it had to be killed."""
+        case = self.case
+        if case.peer:
+            module, *arguments = case.peer
+            files = [str(self.peer_log.path), str(self.log.path)]
+            command = [sys.executable, "-m", f"{PEERS}.{module}", *files, *arguments]
+            self._peer = self._start(command, self.folder / "peer.txt")
+        try:
+            with _output(case.output, self.folder / "output.txt") as (self.stream, self.terminal):
+                self.process = self._start(self._command(), self.stream)
+                try:
+                    return self._watch()
+                finally:
+                    _kill(self.process)
+        finally:
+            if self._peer is not None:
+                _kill(self._peer)
+
+    def mark(self) -> None:
+        """Note that the fault is done now."""
+        self.fault_ns = time.perf_counter_ns()
+
+    def wait_for(self, condition: Callable[[], bool], seconds: float = START) -> bool:
+        """Wait until a condition holds or the process has ended; return whether it held."""
+        end = time.monotonic() + seconds
+        while not condition():
+            if time.monotonic() > end or self.process.poll() is not None:
+                return condition()
+            time.sleep(0.002)
+        return True
+
+    def said(self) -> str:
+        """Return what the process wrote."""
+        try:
+            return (self.folder / "output.txt").read_text(encoding="utf-8", errors="replace")
+        except OSError:
+            return ""
+
+    # -- insides --------------------------------------------------------------------------------
+
+    def _watch(self) -> int | None:
+        case, patience = self.case, self.case.duration + LINGER
+        peer = None if case.topics else self._peer
+        if peer is None or case.outside is not None:
+            self.wait_for(lambda: bool(self.motors.of(SEND).size))
+        if case.outside is not None:
+            case.outside(self)
+        if peer is not None:  # it does the fault, then all is over
+            self.wait_for(lambda: peer.poll() is not None)
+            patience = LINGER
+            if self.process.poll() is None:
+                self.process.send_signal(signal.SIGTERM)
+        try:
+            status = self.process.wait(patience)
+        except subprocess.TimeoutExpired:
+            return None
+        self.ended_ns = time.perf_counter_ns()
+        return status
+
+    def _command(self) -> list[str]:
+        case = self.case
+        path = self.folder / "workflow.yaml"
+        path.write_text(json.dumps(self._workflow()), encoding="utf-8")
+        arguments = [word.replace("{folder}", str(self.folder)) for word in case.arguments]
+        if case.node:
+            own = ["--ros-args", "-p", f"workflow:={path}", "-p", "exit_on_fault:=true"]
+            return [sys.executable, "-c", _NODE, *own, *arguments]
+        module, first = "unicon_ros", list[str]()
+        if case.failing:
+            module = "unicon_ros.bench.faults.failing_middleware"
+            first = [str(self.log.path), case.failing]
+        head = [sys.executable, "-m", module, *first, "run", str(path)]
+        report = str(self.folder / "report.json")
+        return [*head, "--duration", str(case.duration), "--report", report, *arguments]
+
+    def _workflow(self) -> dict[str, Any]:
+        case, log = self.case, str(self.log.path)
+        platform = "ros" if case.topics else PLATFORM
+        options: dict[str, Any] = {"log": log, "fault": case.fault, "at": case.at}
+        values: dict[str, Any] = {
+            "robot": "go2",
+            "platform": platform,
+            "platforms": {} if case.topics else {PLATFORM: options},
+            "rate": 50,
+            "commands": [{"velocity_command": {"constant": [0.1, 0.0, 0.0]}}],
+            "policies": {"walk": "go2_velocity"},
+            "flow": case.flow,
+            "safety": ["finite", "joint_limits", "tilt_stop"],
+            **case.workflow,
+        }
+        if not _uses(values["flow"], "policy"):
+            del values["policies"]
+        text = json.dumps(values).replace("{log}", log)
+        filled: dict[str, Any] = json.loads(text)
+        return filled
+
+    def _start(self, command: list[str], output: Any) -> subprocess.Popen[bytes]:
+        limit = self.case.file_limit
+
+        def prepare() -> None:
+            # A group of its own, yet in our session: Ctrl-Z does nothing in an orphaned one.
+            os.setpgid(0, 0)
+            resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+            if sys.platform == "linux":
+                die_with_parent()
+            if limit is not None:
+                resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+
+        out = output.open("wb") if isinstance(output, Path) else output
+        try:
+            return subprocess.Popen(
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=out,
+                stderr=out,
+                env=self._environment,
+                cwd=self.folder,
+                preexec_fn=prepare,
+            )
+        finally:
+            if isinstance(output, Path):
+                out.close()
+
+
+@contextmanager
+def _output(kind: str, path: Path) -> Iterator[tuple[int, int]]:
+    """Open where a run's output goes: its end, and ours of a terminal (else -1)."""
+    theirs, ours = -1, -1
+    if kind == "terminal":
+        ours, theirs = pty.openpty()
+    elif kind in ("closed", "pipe"):
+        ours, theirs = os.pipe()
+        if kind == "closed":
+            os.close(ours)
+            ours = -1
+    elif kind == "device full":
+        theirs = os.open("/dev/full", os.O_WRONLY)
+    else:
+        theirs = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+    try:
+        yield theirs, ours if kind == "terminal" else -1
+    finally:
+        os.close(theirs)
+        if ours >= 0:
+            os.close(ours)
+
+
+def _uses(flow: Any, word: str) -> bool:
+    return f'"{word}"' in json.dumps(flow)
+
+
+def _kill(process: subprocess.Popen[bytes]) -> None:
+    if process.poll() is None:
+        process.kill()
+        process.wait()

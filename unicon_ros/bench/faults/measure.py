@@ -1,0 +1,127 @@
+"""Measures a case from the command log, the report and the files that the run left."""
+
+from __future__ import annotations
+
+import re
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import unicon_ros
+from unicon_core.robots import load_robot
+from unicon_ros.bench.faults.case import Measured
+from unicon_ros.bench.faults.command_log import CLOSE, FAULT, RECV, SEND
+from unicon_ros.bench.faults.fault_run import FaultRun
+from unicon_ros.bench.faults.on_disk import recorded_span, report_of, what_is_there
+
+__all__ = ["measure"]
+
+_TOLERANCE = 1e-3  # rad: float32 on the way, and what a robot's file rounds
+
+
+def measure(run: FaultRun, status: int | None) -> Measured:
+    """Return what was measured of a run that has ended.
+
+    Args:
+        status: its exit status; None where it had to be killed.
+    """
+    got = Measured(status=status, disk=what_is_there(run.folder))
+    report = report_of(run.folder)
+    got.overruns = int(report.get("overruns", 0))
+    got.reason = "; ".join(report.get("faults", [])) or _said(run.said())
+    for folder in (run.folder, Path(unicon_ros.__path__[0]).parent):  # of this run, this machine
+        got.reason = got.reason.replace(f"{folder}/", "")
+    sent, fault = run.motors.of(SEND), _fault_ns(run)
+    if not fault:
+        got.reason = got.reason or "the fault was never reached"
+        return got
+    after = sent[sent["time"] > fault]
+    moving = _moving(sent, fault) if run.case.topics else after[after["stiffness"].any(axis=1)]
+    got.commands, got.wild = len(moving), _wild(after)
+    closed = run.log.of(CLOSE)
+    late = closed[closed["time"] > fault]
+    if run.case.topics:
+        got.ms = (int(moving["time"][-1]) - fault) * 1e-6 if len(moving) else 0.0
+        got.ticks = round(got.ms / 20.0)
+    elif len(late):
+        end = int(late["time"][0])
+        begun = run.log.of(RECV)["time"]
+        got.ms = (end - fault) * 1e-6
+        got.ticks = int(np.count_nonzero((begun > fault) & (begun < end)))
+    if run.ended_ns:
+        got.ended_ms = (run.ended_ns - fault) * 1e-6
+    times = np.concatenate(([fault], moving["time"]))
+    got.gap_ms = float(np.diff(times).max(initial=0)) * 1e-6
+    _velocity(got, after, fault)
+    _recording(got, run, sent)
+    return got
+
+
+def _fault_ns(run: FaultRun) -> int:
+    """Return when the fault began; 0 where it never did."""
+    if run.fault_ns:
+        return run.fault_ns
+    for log in (run.peer_log, run.log):
+        marks = log.of(FAULT)["time"]
+        if len(marks):
+            return int(marks[0])
+    return 0
+
+
+def _moving(sent: NDArray[Any], fault: int) -> NDArray[Any]:
+    """Return commands after the fault that differ from those before them: closing ones stand."""
+    if len(sent) < 2:
+        return sent[sent["time"] > fault]
+    step = np.abs(np.diff(sent["target"], axis=0)).max(axis=1) > 1e-6
+    moving: NDArray[Any] = sent[1:][step & (sent["time"][1:] > fault)]
+    return moving
+
+
+def _wild(rows: NDArray[Any]) -> int:
+    lower, upper = _limits()
+    target = rows["target"]
+    with np.errstate(invalid="ignore"):
+        inside = (target >= lower - _TOLERANCE) & (target <= upper + _TOLERANCE)
+    gains = np.isfinite(rows["stiffness"]) & np.isfinite(rows["damping"])
+    return int(np.count_nonzero(~(inside & gains).all(axis=1)))
+
+
+@cache
+def _limits() -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    robot = load_robot("go2")
+    return robot.lower, robot.upper
+
+
+def _velocity(got: Measured, after: NDArray[Any], fault: int) -> None:
+    speeds = np.abs(after["velocity"])
+    if not len(after):
+        return
+    largest = np.nan_to_num(speeds, nan=np.inf).max(axis=0)
+    got.speed = (float(largest[0]), float(largest[1]), float(largest[2]))
+    driven = np.flatnonzero(speeds.any(axis=1))
+    first = driven[-1] + 1 if len(driven) else 0
+    if first < len(after):  # it stays zero from there on
+        got.zero_ms = (int(after["time"][first]) - fault) * 1e-6
+
+
+def _recording(got: Measured, run: FaultRun, sent: NDArray[Any]) -> None:
+    span = recorded_span(run.folder)
+    if span is None or len(sent) < 2:
+        return
+    recorded, driven = (span[1] - span[0]) * 1e-9, (sent["time"][-1] - sent["time"][0]) * 1e-9
+    got.lost_s = max(0.0, float(driven) - recorded)
+    got.disk.append(f"recording {recorded:.1f} of {driven:.1f} s")
+
+
+def _said(text: str) -> str:
+    """Return the line of an output that tells why it ended."""
+    lines = [line.strip() for line in re.split(r"[\r\n]+", text) if line.strip()]
+    for mark in ("fault: ", "unicon: error: ", "unicon_node: error: "):
+        for line in lines:
+            if mark in line:
+                return line.partition(mark)[2]
+    errors = [line for line in lines if re.match(r"[A-Za-z]*(Error|Exception|Interrupt)\b", line)]
+    return errors[-1] if errors else ""

@@ -1,0 +1,172 @@
+"""A platform that logs every command that leaves, and does at a given tick what robots do at worst.
+
+    platform: unicon_ros.bench.faults.recording_platform:make
+
+Behind it stands the fake robot. It counts as hardware: what is refused on a robot is refused here.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import signal
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from unicon_core.errors import Fault
+from unicon_core.platforms.fake import make as make_fake
+from unicon_core.robots import Robot
+from unicon_core.states import States
+from unicon_ros.bench.faults.command_log import CLOSE, FAULT, OPEN, RECV, SEND, CommandLog
+
+__all__ = ["ERRORS", "RecordingPlatform", "make"]
+
+ERRORS: dict[str, type[BaseException]] = {
+    kind.__name__: kind
+    for kind in (
+        Fault,
+        ValueError,
+        MemoryError,
+        OSError,
+        RecursionError,
+        SystemExit,
+        KeyboardInterrupt,
+    )
+}
+"""Exceptions that a fault may raise, by name."""
+
+
+def make(
+    states: States,
+    robot: Robot,
+    period: float,
+    *,
+    log: str,
+    fault: dict[str, Any] | None = None,
+    at: int = 25,
+) -> RecordingPlatform:
+    """Build the platform.
+
+    Args:
+        period: of a tick in [s].
+        log: file of the command log; it exists.
+        fault: what goes wrong, see `RecordingPlatform`; None for nothing.
+        at: number of the tick from which it does.
+    """
+    return RecordingPlatform(states, robot, period, CommandLog(Path(log)), fault or {}, at)
+
+
+class RecordingPlatform:
+    """The fake robot behind a command log.
+
+    Faults, any of them together:
+        set: state to the value that recv leaves in it from then on (in all elements).
+        freeze: states that keep their value from then on.
+        raise: name of an exception, `in` one of recv (default), send and close.
+        signals: names of signals that the process sends itself.
+        hang: time in [s] for which recv does not return, once.
+        slow: time in [s] that every recv takes from then on.
+        shape: recv brings an array of another length.
+        mark: nothing; a block misbehaves at that tick.
+    """
+
+    name = "recording"
+    simulated = False
+
+    def __init__(
+        self,
+        states: States,
+        robot: Robot,
+        period: float,
+        log: CommandLog,
+        fault: Mapping[str, Any],
+        at: int,
+    ) -> None:
+        self._robot = make_fake(states, robot, period, time_constant=0.05, clock="monotonic")
+        self.writes, self.reads = self._robot.writes, self._robot.reads
+        self._states, self._log, self._fault, self._at = states, log, dict(fault), at
+        self._where = self._fault.get("in", "recv")
+        self._frozen = {name: np.array(states[name]) for name in self._fault.get("freeze", ())}
+        self._tick = 0
+        self._marked = self._closed = False
+        log.add(OPEN)
+
+    def recv(self) -> None:
+        """Bring the fake robot's data, or what the fault makes of them."""
+        self._log.add(RECV, self._tick)
+        self._robot.recv()
+        if self._tick >= self._at and self._fault:
+            self._go_wrong(first=self._tick == self._at)
+        for name, value in self._frozen.items():
+            if self._tick < self._at:
+                value[...] = self._states[name]
+            else:
+                self._states[name][...] = value
+
+    def send(self) -> None:
+        """Log the command, then let the joints follow where it can be followed."""
+        tick = self._tick
+        self._tick += 1
+        if self._where == "send" and tick >= self._at:
+            self._mark(tick)
+            self._raise()
+        states = self._states
+        self._log.add(
+            SEND,
+            tick,
+            target=states.joint_pos_target,
+            stiffness=states.joint_stiffness,
+            damping=states.joint_damping,
+            velocity=states.velocity_command,
+        )
+        if np.isfinite(states.joint_pos_target).all():
+            self._robot.send()
+
+    def close(self) -> None:
+        """Log that motors would be damped now."""
+        breaks = self._where == "close" and not self._closed
+        self._closed = True
+        if breaks:
+            self._mark(self._tick)
+        self._log.add(CLOSE, self._tick)
+        if breaks:
+            self._raise()
+
+    def reset(self) -> None:
+        """Nothing: a robot is not put back."""
+
+    def info(self) -> Mapping[str, Any]:
+        """Return where the log is."""
+        return {"log": str(self._log.path)}
+
+    def _go_wrong(self, first: bool) -> None:
+        fault = self._fault
+        if self._where == "recv" or "mark" in fault:
+            self._mark(self._tick)
+        for name, value in fault.get("set", {}).items():
+            self._states[name][...] = math.nan if value == "nan" else value
+        if "slow" in fault:
+            time.sleep(float(fault["slow"]))
+        if not first:
+            return
+        for name in fault.get("signals", ()):
+            os.kill(os.getpid(), signal.Signals[name])
+        if "hang" in fault:
+            time.sleep(float(fault["hang"]))
+        if fault.get("shape"):
+            self._states.joint_pos[...] = np.zeros(7, np.float32)
+        if self._where == "recv":
+            self._raise()
+
+    def _mark(self, tick: int) -> None:
+        if not self._marked:
+            self._marked = True
+            self._log.add(FAULT, tick)
+
+    def _raise(self) -> None:
+        if "raise" in self._fault:
+            raise ERRORS[self._fault["raise"]](f"made by the bench in {self._where}")
