@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 
 from unicon_msgs_map.errors import MapStateError, alternatives
@@ -10,6 +11,8 @@ from unicon_msgs_map.messages import Array, Primitive, String, Struct, TypeRef
 from unicon_msgs_map.spec import FieldSpec
 from unicon_msgs_map.template import Leaf
 
+_FRAMES = ("frame_id", "child_frame_id")
+_FRAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_./-]*")  # no leading slash since tf2
 FLOAT32_MAX = 3.4028234663852886e38
 LONGEST_NUMBER = 40
 
@@ -54,6 +57,12 @@ def constant(
             )
         if "\0" in value:
             raise MapStateError(f"{field.path}: a string cannot hold a NUL character", field.where)
+        if field.steps[-1][0] in _FRAMES and value and not _FRAME.fullmatch(value):
+            raise MapStateError(
+                f"{field.path}: {value[:60]!r} is no frame; write letters, digits and _ . / -, "
+                "without a leading slash",
+                field.where,
+            )
         return value
     if not isinstance(kind, Primitive):
         raise MapStateError(

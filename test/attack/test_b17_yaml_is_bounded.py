@@ -158,6 +158,16 @@ def test_the_other_readers_read_the_same_numbers(reader: str, tmp_path: Path) ->
     assert read[reader]() == {"a": 100, "b": "1:30", "c": "no", "d": "2020-99-99"}
 
 
+def test_a_flow_repeated_by_aliases_is_bounded(tmp_path: Path) -> None:
+    parts = ["&a0 {hold: {duration: 0.1}}"]
+    parts += [f"&a{i} {{chain: [{', '.join([f'*a{i - 1}'] * 9)}]}}" for i in (1, 2, 3, 4)]
+    flow = f"{{chain: [{', '.join(parts)}]}}"
+    path = workflow(tmp_path, BASE.replace("{hold: {duration: 0.1}}", flow))
+    status, spoken = run_bounded("show", path)
+    assert status == 1, spoken[-2000:]
+    assert "more than 1000 blocks" in spoken
+
+
 def test_a_device_is_not_read_to_its_end(tmp_path: Path) -> None:
     with pytest.raises(UniconError, match="not valid YAML"):
         located(Path("/dev/zero"))

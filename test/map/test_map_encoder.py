@@ -99,7 +99,7 @@ def test_times_become_seconds_and_nanoseconds(stamp: int) -> None:
 
 def test_constants_of_every_kind_are_written() -> None:
     mapping: dict[str, object] = {
-        "header.frame_id": "=base link",
+        "header.frame_id": "=base_link",
         "header.stamp": 1_500_000_000,
         "voltage": 24.5,
         "charge": math.nan,
@@ -114,7 +114,7 @@ def test_constants_of_every_kind_are_written() -> None:
     message = message_of("sensor_msgs/msg/BatteryState", mapping, {})
     assert (message.header.stamp.sec, message.header.stamp.nanosec) == (1, 500_000_000)
     assert (message.header.frame_id, message.serial_number, message.location) == (
-        "base link",
+        "base_link",
         "007",
         "",
     )

@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from unicon_core.located_yaml import Located, Where
-from unicon_core.robots.checks import check_keys, check_number, check_text
+from unicon_core.robots.checks import check_keys, check_name, check_number
 from unicon_core.robots.robot import JOINT_FIELDS
 
 __all__ = [
@@ -37,7 +37,7 @@ def check_joints(located: Located, joints: Any) -> None:
                 where, f"joint number {i} is {joint!r}; write {{name: …, lower: …}}"
             )
         check_keys(located, where, joint, _JOINT_KEYS)
-        check_text(located, (*where, "name"), joint["name"])
+        check_name(located, (*where, "name"), joint["name"])
         if joint["name"] in seen:
             raise located.error(
                 (*where, "name"),
@@ -89,7 +89,7 @@ def check_imu(located: Located, imu: Any) -> None:
             ("imu",), f"imu is {imu!r}; write {{frame: …, position: …, quat: …}} or null"
         )
     check_keys(located, ("imu",), imu, IMU_KEYS)
-    check_text(located, ("imu", "frame"), imu["frame"])
+    check_name(located, ("imu", "frame"), imu["frame"])
     for key, length in (("position", 3), ("quat", 4)):
         value = imu[key]
         if value is None:

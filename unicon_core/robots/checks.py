@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+import re
 from typing import Any
 
 from unicon_core.errors import alternatives
 from unicon_core.located_yaml import Located, Where
 from unicon_core.robots.robot import JOINT_FIELDS
 
-__all__ = ["check_keys", "check_number", "check_text"]
+__all__ = ["check_keys", "check_name", "check_number", "check_text"]
 
+_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_./:+-]*")
 _NULLABLE = ("model", "imu", "position", "quat", *JOINT_FIELDS)
 
 
@@ -52,6 +54,17 @@ def check_text(located: Located, where: Where, value: Any) -> None:
     if not isinstance(value, str) or not value.strip():
         raise located.error(
             where, f"{place_name(located, where[:-1])}{where[-1]} is {_show(value)}; write a text"
+        )
+
+
+def check_name(located: Located, where: Where, value: Any) -> None:
+    """The name of a joint or frame: it stands in URDF, TF and joint states as it is."""
+    check_text(located, where, value)
+    if len(value) > 255 or not _NAME.fullmatch(value):
+        raise located.error(
+            where,
+            f"{place_name(located, where[:-1])}{where[-1]} {value[:60]!r} is no name; write "
+            "letters, digits and _ . / : + -, the first a letter, a digit or _",
         )
 
 

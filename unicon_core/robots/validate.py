@@ -15,7 +15,7 @@ from unicon_core.robots.check_parts import (
     check_imu,
     check_joints,
 )
-from unicon_core.robots.checks import check_keys, check_number, check_text
+from unicon_core.robots.checks import check_keys, check_name, check_number, check_text
 from unicon_core.robots.robot import JOINT_FIELDS
 
 __all__ = ["COMMANDS", "KINDS", "SCHEMA", "validate"]
@@ -55,8 +55,9 @@ def validate(located: Located) -> None:
         raise located.error(
             ("schema",), f"schema {document['schema']!r} is not known; write `schema: {SCHEMA}`"
         )
-    for key in ("name", "description", "manufacturer", "base_frame"):
+    for key in ("name", "description", "manufacturer"):
         check_text(located, (key,), document[key])
+    check_name(located, ("base_frame",), document["base_frame"])
     if document["name"] != located.path.stem:
         raise located.error(
             ("name",),

@@ -25,6 +25,9 @@ __all__ = ["FLOW_WORDS", "BlockUse", "FlowReader"]
 
 FLOW_WORDS = ("zip", "chain", "loop", "every", "when", "switch", "deferred")
 
+MAX_NODES = 1000
+"""Blocks and flow words of one workflow: each takes time to build, and aliases can repeat it."""
+
 Where: TypeAlias = tuple[str | int, ...]
 
 
@@ -65,6 +68,7 @@ class FlowReader:
         self._make_block = make_block
         self._make_expression = make_expression
         self._make_switch = make_switch
+        self._count = 0
 
     def node(self, value: Any, path: Where) -> Node:
         """Return the node of a YAML value.
@@ -72,6 +76,9 @@ class FlowReader:
         Raises:
             WorkflowError: the value is of no known form; with file and line.
         """
+        self._count += 1
+        if self._count > MAX_NODES:
+            raise self._error(path, f"more than {MAX_NODES} blocks; make the workflow smaller")
         if isinstance(value, list):
             raise self._error(path, "a list stands alone; write chain: [...] or zip: [...]")
         if isinstance(value, str):
