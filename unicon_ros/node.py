@@ -21,6 +21,7 @@ from typing import Any
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
+from unicon_core.check import refuse_errors
 from unicon_core.errors import UniconError
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import Hook, load_workflow
@@ -219,6 +220,8 @@ class UniconNode(LifecycleNode):
             observers=observers,
         )
         try:
+            for line in refuse_errors(workflow, settings.force):
+                warn(line)
             self.tuning.insert(workflow)
             self.runner = Runner(workflow, RunOptions(speed=settings.speed, warn=warn))
         except BaseException:

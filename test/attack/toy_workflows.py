@@ -7,7 +7,7 @@ from pathlib import Path
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "check"))
 
-from check_helpers import (  # noqa: E402
+from check_helpers import (
     JOINTS,
     NULL,
     ROOT,

@@ -26,7 +26,7 @@ flow:
   chain:
     - pose: {to: stand, duration: 0.1}
     - hold: {duration: 0.1}
-safety: []
+safety: none
 """
 
 

@@ -175,6 +175,7 @@ class Runner:
         report.late_us = statistics.lateness_us()
         report.blocks = statistics.block_us()
         report.faults = list(self.faults)
+        report.safety, report.forced = list(workflow.safety), list(workflow.forced)
         self.monitor.fill(report)
         return report
 

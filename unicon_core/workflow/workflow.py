@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from unicon_core.errors import RobotError, UniconError, WorkflowError, alternatives
-from unicon_core.flow import Blender, Block, Deferred, Every, Node, Switch, Zip
+from unicon_core.blocks.stops import Finite
+from unicon_core.flow import Blender, Block, Deferred, Every, Node, Switch, Zip, blocks_of
 from unicon_core.flow.checks import check_graph, raise_first
 from unicon_core.flow.critical_path import critical_path
 from unicon_core.flow.fuse import fuse
@@ -30,6 +31,7 @@ from unicon_core.workflow.policies import (
 )
 from unicon_core.workflow.registry import Factory, find_factory
 from unicon_core.workflow.rehearsal import Rehearsal
+from unicon_core.workflow.settings import safety_of
 
 __all__ = ["Hook", "Workflow", "build_workflow", "load_workflow"]
 
@@ -38,8 +40,6 @@ Hook = Callable[["Workflow"], Sequence[Block]]
 
 GIVEN = ("tick", "velocity_command", "joint_vel_target", "joint_effort_ff")
 """States that may be read though no block writes them: the runner does, or zero is meant."""
-
-DEFAULT_SAFETY: tuple[Any, ...] = ("finite", "joint_limits")
 
 
 @dataclass
@@ -57,6 +57,8 @@ class Workflow:
             command does not depend on is put off, and neighbouring copies are fused.
         critical: the blocks that the command depends on.
         blocks: all blocks in order of building, for closing.
+        safety: labels of the blocks between the flow and `send`; none with `safety: none`.
+        forced: codes of the check's errors that somebody decided to run with.
     """
 
     document: WorkflowDocument
@@ -69,6 +71,8 @@ class Workflow:
     root: Node = field(init=False)
     critical: frozenset[Block] = frozenset()
     blocks: list[Block] = field(default_factory=list)
+    safety: tuple[str, ...] = ()
+    forced: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:
@@ -117,8 +121,16 @@ def build_workflow(
     *,
     inputs: Sequence[Hook] = (),
     observers: Sequence[Hook] = (),
+    dry: bool = False,
 ) -> Workflow:
-    """Build a workflow; see `load_workflow`."""
+    """Build a workflow; see `load_workflow`.
+
+    Args:
+        document: the workflow file.
+        inputs: as of `load_workflow`.
+        observers: as of `load_workflow`.
+        dry: open no hardware: its options are checked, and `fake` stands in its place.
+    """
     robot = load_robot_of(document)
     policies = load_policies(document, robot)
     period = _period(document, policies)
@@ -126,7 +138,7 @@ def build_workflow(
     num_robots = document.get("num_robots", int)
     states = States(Layout(specs, num_robots))
     context = BuildContext(states, robot, period, policies, document.path.parent)
-    platform = build_platform(document, context)
+    platform = build_platform(document, context, dry=dry)
     workflow = Workflow(document, robot, platform, states, period, policies, context)
     try:
         _assemble(workflow, inputs, observers)
@@ -141,16 +153,18 @@ def _assemble(workflow: Workflow, inputs: Sequence[Hook], observers: Sequence[Ho
     rehearsal = Rehearsal(workflow.context)
     reader = _reader(workflow, rehearsal)
 
-    def section(key: str, default: Sequence[Any] = ()) -> list[Node]:
-        items = document.get(key, list, list(default))
+    def section(key: str, given: Sequence[Any] | None = None) -> list[Node]:
+        items = document.get(key, list, []) if given is None else given
         return [reader.node(item, (key, i)) for i, item in enumerate(items)]
 
     commands = section("commands")
     flow = reader.node(document.values["flow"], ("flow",))
-    safety = section("safety", DEFAULT_SAFETY)
+    safety = section("safety", safety_of(document))
     for node in safety:
         if isinstance(node, Block):
             node.role = "safety"
+    _finite_first(document, safety)
+    workflow.safety = tuple(block.name for node in safety for block in blocks_of(node))
     after = [Deferred(node) for node in section("deferred")]
 
     def hooked(hooks: Sequence[Hook]) -> list[Block]:
@@ -170,6 +184,22 @@ def _assemble(workflow: Workflow, inputs: Sequence[Hook], observers: Sequence[Ho
     path = critical_path(Zip(*acting, *observed))
     workflow.critical = path.critical
     workflow.root = fuse(path.root, workflow.states)
+
+
+def _finite_first(document: WorkflowDocument, safety: Sequence[Node]) -> None:
+    """Refuse limits before `finite`: they turn an infinite command into a limit, unseen."""
+    clamp = ""
+    for i, node in enumerate(safety):
+        for block in blocks_of(node):
+            if isinstance(block.tick, Finite) and clamp:
+                raise document.error(
+                    f"safety: {block.name!r} stands behind {clamp!r}, which hides infinite "
+                    f"commands from it; move {block.name!r} before {clamp!r}",
+                    "safety",
+                    i,
+                )
+            if not clamp and getattr(block.tick, "clamps", False):
+                clamp = block.name
 
 
 def load_robot_of(document: WorkflowDocument) -> Robot:
@@ -243,8 +273,9 @@ def _uses(document: WorkflowDocument) -> list[BlockUse]:
 
     reader = FlowReader(document, note, predicate, switch)
     reader.node(document.values["flow"], ("flow",))
-    for key in ("commands", "safety", "deferred"):
-        for i, item in enumerate(document.get(key, list, [])):
+    given = {key: document.get(key, list, []) for key in ("commands", "deferred")}
+    for key, items in (given | {"safety": safety_of(document)}).items():
+        for i, item in enumerate(items):
             reader.node(item, (key, i))
     return found
 

@@ -47,6 +47,13 @@ def add(commands: Any) -> None:
     parser.add_argument("--report", metavar="FILE.json", help="write the report")
     parser.add_argument("--picture", metavar="FILE.png", help="draw path, velocities and joints")
     parser.add_argument("--view", action="store_true", help="open the simulator's viewer")
+    parser.add_argument(
+        "--force",
+        metavar="CODE",
+        action="append",
+        default=[],
+        help="go on with an error of `unicon check` of this code; may be repeated",
+    )
     parser.add_argument("--quiet", action="store_true", help="no status line and no block table")
     parser.add_argument(
         "--ros-args",
@@ -60,6 +67,7 @@ def add(commands: Any) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; exit status 0 done, 3 fault."""
     # Imported here so that `unicon --help` stays fast and free of optional packages.
+    from unicon_core.check import refuse_errors
     from unicon_core.runtime import Runner, RunOptions
     from unicon_core.workflow import build_workflow, load_document
 
@@ -103,6 +111,8 @@ def run(arguments: argparse.Namespace) -> int:
             status=None if arguments.quiet or not sys.stderr.isatty() else _status,
         )
         try:
+            for line in refuse_errors(workflow, arguments.force):
+                _warn(line)
             runner = Runner(workflow, options)
             if session is not None:
                 session.attach(runner)
