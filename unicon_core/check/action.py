@@ -11,16 +11,17 @@ from unicon_core.check.mirror import mirror_pairs
 from unicon_core.check.result import CheckResult
 from unicon_core.check.subject import Subject, listed
 from unicon_core.policies import PolicyContract
+from unicon_core.workflow.settings import waits_for_data
 
 __all__ = ["check_action", "check_timing"]
 
 PLAUSIBLE_ACTION = 1.0
 """Action that a trained policy reaches in every walk; used where the contract has no clip."""
 UNIT_TORQUE = 2.0
-"""Stiffness · scale over the effort limit: 0.25 in BeyondMimic's rule, 0.74 for the Go1 policy. More
-is worth a look and may be right: a wrist of 5 N·m has 8 with a scale of 1."""
+"""Stiffness · scale over the effort limit: 0.25 in BeyondMimic's rule, 0.74 for the Go1 policy.
+More is worth a look and may be right: a wrist of 5 N·m has 8 with a scale of 1."""
 LARGEST_SCALE = 1.0
-"""In [rad] for one unit of action: actions in radians have 1, published scales are 0.07 to 1."""
+"""In [rad] for one unit of action: actions in radians have 1, published ones 0.07 to 1."""
 _AXES = ("lin_vel_x", "lin_vel_y", "ang_vel_z")
 
 
@@ -179,6 +180,16 @@ def check_timing(subject: Subject, result: CheckResult) -> None:
             ["physics", f"{step:g}", f"{1.0 / step:g}", f"{info['physics_steps_per_tick']} a tick"]
         )
     result.table("Timing", ["who", "period [s]", "rate [Hz]", "runs"], rows)
+    platform = subject.platform
+    waits = platform.waits or getattr(workflow.platform, "wait", None) is not None
+    if waits_for_data(subject.document) and not waits and not subject.live:  # the runner tells it
+        result.find(
+            "timing.trigger",
+            f"platform {platform.name!r}",
+            "it cannot tell when its data arrive",
+            "set pacing.trigger: deadline",
+            subject.document.where("pacing", "trigger"),
+        )
     for key, contract in subject.policies.items():
         _commands(subject, result, key, contract)
 

@@ -1,4 +1,4 @@
-"""`refuse_errors`: what `unicon check` calls an error does not run; for the command and the node."""
+"""`refuse_errors`: what `unicon check` calls an error does not run; for command and node."""
 
 from __future__ import annotations
 
@@ -44,11 +44,14 @@ def refuse_errors(workflow: Workflow, force: Iterable[str] = ()) -> list[str]:
     errors = [found for found in result.findings if found.code not in forced]
     if errors:
         codes = " ".join(f"--force {code}" for code in dict.fromkeys(e.code for e in errors))
-        listed = "".join(f"\n  {i}. {found}" for i, found in enumerate(errors, 1))
-        many = f"{len(errors)} errors" if len(errors) > 1 else "an error"
+        listed = (
+            f" {errors[0]}"
+            if len(errors) == 1
+            else "".join(f"\n  {i}. {found}" for i, found in enumerate(errors, 1))
+        )
         raise WorkflowError(
-            f"workflow {workflow.name!r} is not run: the check finds {many}; mend, or go on at "
-            f"your own risk with {codes}:{listed}"
+            f"workflow {workflow.name!r} is not run, mend it or go on at your own risk with "
+            f"{codes}:{listed}"
         )
     told = [f"forced: {found}" for found in result.findings]
     workflow.forced = tuple(dict.fromkeys(found.code for found in result.findings))

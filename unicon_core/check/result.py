@@ -34,6 +34,7 @@ CODES = {
     "observation.measured": "a term cannot be measured on this platform",
     "observation.frame": "the platform's orientation and gravity contradict each other",
     "timing.period": "the control period is not plausible",
+    "timing.trigger": "ticks shall come with data of a platform that cannot tell when they arrive",
     "command.range": "the workflow commands more than the policy was trained for",
     "pose.differ": "the policy's default pose is not the robot file's (a note)",
     "pose.limits": "the default pose is outside the limits",

@@ -35,11 +35,14 @@ class PlatformFacts:
         simulated: whether it is a simulator. A factory says so by an attribute `simulated`.
         unmeasured: states that it does not write; a factory may say what it does write by an
             attribute `writes`.
+        waits: of hardware, whether ticks may come with its data; a factory may say no by an
+            attribute `waits`.
     """
 
     name: str
     simulated: bool
     unmeasured: tuple[str, ...]
+    waits: bool = False
 
 
 @dataclass
@@ -118,7 +121,7 @@ def platform_facts(document: WorkflowDocument) -> PlatformFacts:
     unmeasured: tuple[str, ...] = NOT_ON_HARDWARE
     if writes is not None:
         unmeasured = tuple(state for state in NOT_ON_HARDWARE if state not in writes)
-    return PlatformFacts(name, False, unmeasured)
+    return PlatformFacts(name, False, unmeasured, bool(getattr(factory, "waits", True)))
 
 
 def build_subject(document: WorkflowDocument) -> Subject:

@@ -11,7 +11,6 @@ from unicon_core.workflow.autowire import BuildContext, option_names
 from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.hardware import is_simulator, refuse_incomplete, refuse_protocol
 from unicon_core.workflow.registry import Factory, find_factory
-from unicon_core.workflow.settings import waits_for_data
 
 __all__ = ["build_platform", "find_platform", "platform_options"]
 
@@ -53,11 +52,6 @@ def build_platform(
         raise document.error(
             f"platform {name!r}: {error}; correct platforms.{name}", "platforms", name
         ) from error
-    if waits_for_data(document) and getattr(platform, "wait", None) is None:
-        platform.close()
-        raise PlatformError(
-            f"platform {name!r} cannot tell when its data arrive; set pacing.trigger: deadline"
-        )
     return platform
 
 

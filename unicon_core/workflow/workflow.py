@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from unicon_core.errors import RobotError, UniconError, WorkflowError, alternatives
 from unicon_core.blocks.stops import Finite
+from unicon_core.errors import RobotError, UniconError, WorkflowError, alternatives
 from unicon_core.flow import Blender, Block, Deferred, Every, Node, Switch, Zip, blocks_of
 from unicon_core.flow.checks import check_graph, raise_first
 from unicon_core.flow.critical_path import critical_path
