@@ -12,9 +12,9 @@ pytest.importorskip("mujoco", reason="the checks are run on a model")
 pytest.importorskip("onnxruntime", reason="the policies need onnxruntime")
 pytest.importorskip("onnx", reason="the test networks are written with onnx")
 
-from toy_workflows import NULL, ROOT, check, codes, note_of, text_of, write_workflow
+from toy_workflows import ROOT, check, codes, note_of, text_of, write_workflow
 
-from unicon_core.check import check_workflow, refuse_errors
+from unicon_core.check import check_workflow
 from unicon_core.errors import UniconError
 from unicon_core.robots import load_robot, robot_names
 from unicon_core.runtime import Runner, RunOptions
@@ -158,11 +158,8 @@ def test_implausible_figures_of_a_robot_are_refused(
     [
         ({"stiffness": 1e9}, "stiffness[0] is 1000000000.0; it must be at most 2000"),
         ({"damping": 1e9}, "it must be at most 200"),
-        ({"stiffness": -50.0}, "it must be at least 0"),
-        ({"action.scale": float("-inf")}, "give a finite number"),
         ({"action.scale": 1e3}, "it must be at most 12.5664"),
         ({"default_joint_pos": 80.0}, "it must be at most 12.5664"),
-        ({"observation.terms.0.scale": float("-inf")}, "give a finite number"),
         ({"observation.terms.0.scale": 1e9}, "it must be at most 1e+06"),
     ],
 )
@@ -206,10 +203,3 @@ def test_all_that_we_ship_is_plausible() -> None:
     assert [load_robot(name).name for name in robot_names()] == robot_names()
     for path in sorted((ROOT / "config" / "maps").glob("*.yaml")):
         load_map(path)
-
-
-def test_an_accepted_null_is_still_unknown(folder: Path) -> None:
-    change = {**{f"joints.{i}.velocity": NULL for i in range(12)}, "unknown": ["joints.velocity"]}
-    workflow = load_workflow(write_workflow(folder, robot=change))
-    assert refuse_errors(workflow) == []
-    workflow.close()

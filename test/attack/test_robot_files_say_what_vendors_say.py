@@ -45,7 +45,6 @@ NARROWER: list[tuple[str, str, dict[str, float]]] = [
     ("gr1t2", "ankle_pitch", {"effort": 15.0}),
     ("gr1t2", "ankle_roll", {"effort": 30.0}),
     ("gr1t2", "hip_roll", {"effort": 48.0}),
-    ("go1", "hip", {"lower": -0.863, "upper": 0.863}),
     ("go1", "thigh", {"lower": -0.663, "upper": 2.966}),
     ("go1", "calf", {"lower": -2.721, "upper": -0.888}),
     ("aliengo", "hip", {"lower": -0.873, "upper": 0.873}),
@@ -116,8 +115,6 @@ SAID: list[tuple[str, str, Any]] = [
     ("x2", "not_commanded", ["head_pitch_joint"]),
     ("atom", "rpy_unit", "deg"),
     ("h1", "unused_slots", {9: 10}),
-    ("g1_29dof", "mode_machine", 5),
-    ("g1_23dof", "mode_machine", 4),
 ]
 
 
