@@ -35,6 +35,14 @@ _QOS_WORDS: dict[str, tuple[str, ...]] = {
     "history": ("keep_last", "keep_all"),
     "liveliness": ("automatic", "manual_by_topic"),
 }
+LONGEST_TIMEOUT = 60.0
+"""Of a subscription in [s]: its states are commands and sensors, and a robot falls within 1."""
+HIGHEST_RATE = 10_000.0
+"""In [Hz]: as of a workflow's ticks."""
+LONGEST_QOS = 86_400.0
+"""Of deadline, lifespan and lease in [s]: a day."""
+LARGEST = 1e12
+"""|scale| and |offset|: nanoseconds in a second are 1e9. What is infinite makes NaN of a 0."""
 _QOS_TIMES = ("deadline", "lifespan", "liveliness_lease")
 QOS_PROFILES: dict[str, Qos] = {
     "default": Qos(),
@@ -139,7 +147,7 @@ def _publish(entry: Entry, messages: Messages) -> PublishSpec:
         type=kind,
         fields=_fields(keys["fields"], topic, receive=False),
         messages=messages,
-        rate=_positive(keys, "rate"),
+        rate=_positive(keys, "rate", HIGHEST_RATE),
         qos=_qos(keys.get("qos")),
         optional=keys["optional"].boolean("optional") if "optional" in keys else False,
         where=where,
@@ -156,10 +164,10 @@ def _subscribe(entry: Entry, messages: Messages) -> SubscribeSpec:
         type=kind,
         fields=_fields(keys["fields"], topic, receive=True),
         messages=messages,
-        rate=_positive(keys, "rate"),
+        rate=_positive(keys, "rate", HIGHEST_RATE),
         qos=_qos(keys.get("qos")),
         optional=keys["optional"].boolean("optional") if "optional" in keys else False,
-        timeout=_positive(keys, "timeout"),
+        timeout=_positive(keys, "timeout", LONGEST_TIMEOUT),
         where=where,
         **policies,
     )
@@ -191,10 +199,10 @@ def _head(
     return keys, topic, kind, f"{entry.where}: {topic}"
 
 
-def _positive(keys: dict[str, Entry], key: str) -> float | None:
+def _positive(keys: dict[str, Entry], key: str, highest: float) -> float | None:
     if key not in keys or keys[key].value is None:
         return None
-    return keys[key].number(key, positive=True)
+    return keys[key].number(key, positive=True, highest=highest)
 
 
 def _qos(entry: Entry | None) -> Qos:
@@ -214,7 +222,9 @@ def _qos(entry: Entry | None) -> Qos:
         if key in keys
     }
     values |= {
-        key: keys[key].number(f"qos {key}", positive=True) for key in _QOS_TIMES if key in keys
+        key: keys[key].number(f"qos {key}", positive=True, highest=LONGEST_QOS)
+        for key in _QOS_TIMES
+        if key in keys
     }
     if "depth" in keys:
         depth = keys["depth"].number("qos depth", positive=True)
@@ -312,5 +322,5 @@ def _scale(path: str, keys: dict[str, Entry]) -> float | tuple[float, ...]:
 
 def _numbers(entry: Entry, what: str) -> float | tuple[float, ...]:
     if isinstance(entry.value, list):
-        return tuple(item.number(what) for item in entry.value)
-    return entry.number(what)
+        return tuple(item.number(what, highest=LARGEST) for item in entry.value)
+    return entry.number(what, highest=LARGEST)

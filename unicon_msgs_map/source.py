@@ -55,13 +55,15 @@ class Entry:
             raise self.fail(f"{what} is {self.plain()!r}; choose one of {', '.join(choices)}")
         return str(self.value)
 
-    def number(self, what: str, *, positive: bool = False) -> float:
-        """Return the value as a number."""
+    def number(self, what: str, *, positive: bool = False, highest: float = 1e30) -> float:
+        """Return the value as a number of a size up to `highest`; infinities never are."""
         value = self.value
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not isfinite(value):
             raise self.fail(f"{what} must be a number, not {self.plain()!r}")
         if positive and not value > 0:
             raise self.fail(f"{what} must be above 0, not {value}")
+        if not abs(value) <= highest:
+            raise self.fail(f"{what} must be at most {highest:g}, not {value!r:.20}")
         return float(value)
 
     def boolean(self, what: str) -> bool:

@@ -22,6 +22,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.executors import ExternalShutdownException
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
+from unicon_core.check import refuse_errors
 from unicon_core.errors import UniconError
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.signals import SIGNALS
@@ -276,6 +277,8 @@ class UniconNode(LifecycleNode):
             observers=observers,
         )
         try:
+            for line in refuse_errors(workflow, settings.force):
+                warn(line)
             self.runner = Runner(workflow, RunOptions(speed=settings.speed, warn=warn))
         except BaseException:
             workflow.close()

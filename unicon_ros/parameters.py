@@ -31,6 +31,7 @@ DECLARED: tuple[tuple[str, Any, str], ...] = (
     ("robot", "", f"robot file in place of the workflow's; {AT_CONFIGURE}"),
     ("platform", "", f"platform in place of the workflow's; {AT_CONFIGURE}"),
     ("overrides", [""], f"path=value texts as of `unicon run --set`; {AT_CONFIGURE}"),
+    ("force", [""], f"codes of errors of `unicon check` to go on with; {AT_CONFIGURE}"),
     (
         "frame_prefix",
         "",
@@ -109,6 +110,11 @@ class Parameters:
     def map(self) -> str:
         """Name or path of the message map; empty: the workflow's own."""
         return str(self._value("map"))
+
+    @property
+    def force(self) -> list[str]:
+        """Codes of the check's errors to go on with."""
+        return [code for code in self._value("force") if code]
 
     @property
     def frame_prefix(self) -> str:

@@ -11,7 +11,7 @@ import pytest
 Bench = Any
 
 BLOCKS: dict[str, dict[str, Any]] = {
-    "pose": {"to": "stand", "duration": 0.2, "fade_in": 0.1},
+    "pose": {"to": "stand", "duration": 2.0, "fade_in": 0.1},
     "hold": {},
     "damp": {},
     "sway": {"gains": {"*": [0.1, 0.2, 0.3]}, "amplitude": [0.1, 0.2, 0.3]},

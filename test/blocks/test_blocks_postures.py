@@ -196,12 +196,12 @@ def test_sway_oscillates_by_itself(bench: Build) -> None:
         (
             "pose",
             {"duration": -1},
-            "block 'pose': duration is -1; give a time of 0 or more in [s]",
+            "block 'pose': duration is -1; give a number from 0.1 to 1e+07 [s]",
         ),
         (
             "damp",
             {"damping": -1.0},
-            "block 'damp': damping is -1.0; give 0 or more in [N·m·s/rad]",
+            "block 'damp': damping is -1.0; give a number from 0 to 200 [N·m·s/rad]",
         ),
         (
             "sway",

@@ -193,7 +193,8 @@ def test_stale_stop_waits_for_its_timeout(bench: Build) -> None:
         (
             "effort_limits",
             {"scale": 0.0},
-            "block 'effort_limits': scale is 0.0; give a share of the effort limits above 0",
+            "block 'effort_limits': scale is 0.0; give a number above 0 to 1; to run without "
+            "effort_limits leave it out of safety:",
         ),
         (
             "rate_limit",
@@ -203,12 +204,14 @@ def test_stale_stop_waits_for_its_timeout(bench: Build) -> None:
         (
             "tilt_stop",
             {"angle": 60},
-            "block 'tilt_stop': angle is 60; give radians above 0, at most 3.1416",
+            "block 'tilt_stop': angle is 60; give a number above 0 to 1.5708 [rad]; to run without "
+            "tilt_stop leave it out of safety:",
         ),
         (
             "velocity_stop",
             {"limit": -1.0},
-            "block 'velocity_stop': limit is -1.0; give [rad/s] above 0",
+            "block 'velocity_stop': limit is -1.0; give a number above 0 to 200 [rad/s]; to run "
+            "without velocity_stop leave it out of safety:",
         ),
     ],
 )

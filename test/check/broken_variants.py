@@ -471,7 +471,7 @@ def _listed() -> Iterator[Variant]:
         ("scales", "scale", True, given_scale),
         ("pose", "default_joint_pos", False, given_pose),
         ("one_side", "default_joint_pos", False, given_one_side),
-        ("action_scale", "action.scale", False, given_action),
+        ("action_scale", "action.scale", True, given_action),
         ("two_rates", "rate", False, two_rates),
         ("missing_joint", "dof_names", False, metadata_missing_joint),
         ("extra_term", "acceleration", False, given_extra_term),

@@ -74,6 +74,7 @@ _CHECKS = {
     "minLength": lambda a, v, s, r: not _is("string", v) or len(v) >= a,
     "pattern": lambda a, v, s, r: not _is("string", v) or re.search(a, v) is not None,
     "minimum": lambda a, v, s, r: not _is("number", v) or v >= a,
+    "maximum": lambda a, v, s, r: not _is("number", v) or v <= a,
     "exclusiveMinimum": lambda a, v, s, r: not _is("number", v) or v > a,
     "anyOf": lambda a, v, s, r: any(accepts(inner, v, r) for inner in a),
     "allOf": lambda a, v, s, r: all(accepts(inner, v, r) for inner in a),

@@ -25,7 +25,6 @@ NOT_YAML = {"broken_yaml", "tab_indent", "python_object"}
 BEYOND_A_SCHEMA = {
     "default_outside",
     "feet_empty_not_in_unknown",
-    "figure_is_infinite",
     "imu_null_not_in_unknown",
     "joint_twice",
     "key_twice",

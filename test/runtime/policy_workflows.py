@@ -33,7 +33,7 @@ commands:
       schedule: [[0.0, 0.0, 0.0, 0.0], [0.2, 0.5, 0.1, -0.3], [0.9, -0.2, 0.0, 0.4]]
 flow:
   chain:
-    - pose: {to: stand, duration: 0.1}
+    - pose: {to: stand, duration: 0.2}
     - loop: {do: {policy: walk}, until: {elapsed: 0.6}}
     - hold: {duration: 0.06}
     - sway: {duration: 0.2, gains: {"*_hip_joint": [0.2, 0.1, 0.0]}}

@@ -15,7 +15,7 @@ from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import Workflow, load_workflow
 
 ROBOTS = 64
-TICKS = 90
+TICKS = 110
 WATCHED = ("joint_pos", "joint_vel", "joint_pos_target", "joint_stiffness", "joint_damping")
 
 POSTURES = """\
@@ -28,7 +28,7 @@ flow:
     - pose: {to: stand, duration: 0.3, fade_in: 0.2}
     - hold: {duration: 0.1}
     - sway: {duration: 0.8, gains: {"*_hip_joint": [0.3, 0.2, 0.1], "F*_calf_joint": [0, 0, 0.5]}}
-    - pose: {to: {"*_thigh_joint": 1.2}, duration: 0.4}
+    - pose: {to: {"*_thigh_joint": 1.2}, duration: 0.8}
     - damp: {duration: 0.2}
 safety: [fade_in, finite, joint_limits, {effort_limits: {scale: 0.05}}, rate_limit, tilt_stop]
 """

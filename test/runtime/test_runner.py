@@ -22,7 +22,7 @@ flow:
   chain:
     - pose: {to: stand, duration: 0.1}
     - hold: {duration: 0.1}
-safety: []
+safety: none
 """
 
 

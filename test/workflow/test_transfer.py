@@ -208,7 +208,7 @@ def test_a_workflow_runs_on_a_platform_with_motors_by_one_word(hardware: str) ->
 
 @pytest.mark.parametrize(
     ("robot", "missing"),
-    [("aliengo", "joints.stiffness, joints.damping"), ("x2", "joint"), ("atom", "joints.lower")],
+    [("aliengo", "joints.stiffness, joints.damping"), ("x2", "joint"), ("atom", "joints.default")],
 )
 def test_a_robot_whose_facts_are_missing_is_not_opened(
     robot: str, missing: str, hardware: str

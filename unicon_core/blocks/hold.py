@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from unicon_core.blocks.joint_command import JointCommand, robot_gains, ticks_of
-from unicon_core.errors import WorkflowError
+from unicon_core.bounds import DAMPING, within
 from unicon_core.robots import Robot
 
 __all__ = ["Damp", "Hold", "damp", "hold"]
@@ -74,10 +74,9 @@ def damp(
     """
     if damping is None:
         gain = robot_gains(robot, "damp")[1]
-    elif damping >= 0.0:
-        gain = np.full(robot.num_joints, damping, np.float32)
     else:
-        raise WorkflowError(f"damping is {damping}; give 0 or more in [N·m·s/rad]")
+        damping = within(damping, "damping", "N·m·s/rad", DAMPING, above=False)
+        gain = np.full(robot.num_joints, damping, np.float32)
     return Damp(command, gain, ticks_of(duration, period, "duration"))
 
 

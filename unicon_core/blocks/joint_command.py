@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from unicon_core.bounds import GAIN_SCALES, POSITION, within
 from unicon_core.errors import RobotError, WorkflowError, alternatives
 from unicon_core.flow.block import Bundle, Reads, Writes
 from unicon_core.robots import Robot
@@ -52,16 +53,30 @@ class JointCommand(Bundle):
         out[...] = np.where(self.joint_stiffness > 0.0, self.joint_pos_target, self.joint_pos)
 
 
-def robot_gains(robot: Robot, needed_for: str) -> tuple[Float, Float]:
+def robot_gains(
+    robot: Robot, needed_for: str, stiffness_scale: float = 1.0, damping_scale: float = 1.0
+) -> tuple[Float, Float]:
     """Return the stiffness [N·m/rad] and damping [N·m·s/rad] of a robot file, each shape (n,).
 
     A robot whose vendor closes the position loop has none: 1 then stands for "on".
 
+    Args:
+        robot: the robot.
+        needed_for: the block, for the message.
+        stiffness_scale: factor on the stiffness.
+        damping_scale: factor on the damping.
+
     Raises:
         RobotError: a gain is unknown.
+        WorkflowError: a factor is not plausible.
     """
     gains = []
-    for key, values in (("stiffness", robot.joint_stiffness), ("damping", robot.joint_damping)):
+    for key, values, scale in (
+        ("stiffness", robot.joint_stiffness, stiffness_scale),
+        ("damping", robot.joint_damping, damping_scale),
+    ):
+        option = f"{key}_scale"
+        scale = within(scale, option, "", GAIN_SCALES[option], above=False)
         known = np.where(np.isnan(values), 1.0, values) if robot.position_controlled else values
         unknown = [name for name, value in zip(robot.joint_names, known) if math.isnan(value)]
         if unknown:
@@ -69,7 +84,7 @@ def robot_gains(robot: Robot, needed_for: str) -> tuple[Float, Float]:
                 f"block {needed_for!r}: robot {robot.name} does not say the {key} of joint "
                 f"{unknown[0]} ({len(unknown)} joints); give it in {robot.path}"
             )
-        gains.append(known.astype(np.float32))
+        gains.append(known.astype(np.float32) * np.float32(scale))
     return gains[0], gains[1]
 
 
@@ -117,6 +132,7 @@ def named_pose(to: str | Mapping[str, float], robot: Robot, block: str) -> tuple
     pose = np.zeros(robot.num_joints, np.float32)
     said = np.zeros(robot.num_joints, np.float32)
     for pattern, position in to.items():
+        within(position, f"position of {pattern!r}", "rad", POSITION, -POSITION, above=False)
         for i in joints_like(pattern, robot):
             lower, upper = robot.lower[i], robot.upper[i]
             if position < lower - 1e-6 or position > upper + 1e-6:  # false for an unknown limit

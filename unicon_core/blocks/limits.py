@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from unicon_core.bounds import POSITION, SHARE, VELOCITY, within
 from unicon_core.errors import RobotError, WorkflowError
 from unicon_core.flow.block import Amends, Reads, Role
 from unicon_core.robots import Robot
@@ -31,8 +32,9 @@ def joint_limits(joint_pos_target: Amends, *, robot: Robot, margin: float = 0.0)
         margin: distance kept from the limits in [rad].
 
     Raises:
-        WorkflowError: the margin leaves a joint nothing.
+        WorkflowError: the margin is negative or leaves a joint nothing.
     """
+    margin = within(margin, "margin", "rad", POSITION, above=False, what="joint_limits")
     lower = np.nan_to_num(robot.lower, nan=-np.inf) + np.float32(margin)
     upper = np.nan_to_num(robot.upper, nan=np.inf) - np.float32(margin)
     if (lower > upper).any():
@@ -45,6 +47,7 @@ class JointLimits:
     """The tick of `joint_limits`."""
 
     role: Role = "safety"
+    clamps = True
 
     def __init__(self, target: Float, lower: Float, upper: Float) -> None:
         self._target, self._lower, self._upper = target, lower, upper
@@ -73,10 +76,9 @@ def effort_limits(
     becomes the target that gives the limit (tau_ff where kp is 0). Other joints keep their bits.
 
     Args:
-        scale: share of the robot's effort limits [N·m] that may be used.
+        scale: share of the robot's effort limits [N·m] that may be used, up to 1.
     """
-    if not scale > 0.0:
-        raise WorkflowError(f"scale is {scale}; give a share of the effort limits above 0")
+    scale = within(scale, "scale", "", SHARE, what="effort_limits")
     limit = np.nan_to_num(robot.effort_limit, nan=np.inf) * np.float32(scale)
     return EffortLimits(
         joint_pos,
@@ -94,6 +96,7 @@ class EffortLimits:
     """The tick of `effort_limits`."""
 
     role: Role = "safety"
+    clamps = True
 
     def __init__(
         self,
@@ -163,10 +166,11 @@ def rate_limit(
                 f"robot {robot.name} does not say the velocity limit of joint {joint}; "
                 "give rate_limit a max_rate in [rad/s]"
             )
-    elif isinstance(max_rate, (int, float)) and max_rate > 0.0:
-        rate = np.full(robot.num_joints, max_rate, np.float32)
-    else:
+    elif isinstance(max_rate, str):
         raise WorkflowError(f"max_rate is {max_rate!r}; give [rad/s] above 0, or robot")
+    else:
+        most = within(max_rate, "max_rate", "rad/s", VELOCITY, what="rate_limit")
+        rate = np.full(robot.num_joints, most, np.float32)
     return RateLimit(joint_pos, joint_pos_target, rate * np.float32(period))
 
 
@@ -174,6 +178,7 @@ class RateLimit:
     """The tick of `rate_limit`."""
 
     role: Role = "safety"
+    clamps = True
 
     def __init__(self, pos: Float, target: Float, step: Float) -> None:
         self._pos, self._target, self._step = pos, target, step

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from unicon_core.blocks.joint_command import JointCommand, named_pose, robot_gains, ticks_of
+from unicon_core.bounds import DURATION, POSE_DURATION, POSE_SPEED, within
 from unicon_core.robots import Robot
 
 __all__ = ["Pose", "pose"]
@@ -27,12 +28,13 @@ def pose(
     """Interpolate the position targets from where they are to a pose.
 
     The path is half a cosine: it begins and ends at rest, and its largest speed is
-    π/2 · distance / duration.
+    π/2 · distance / duration. A joint that would be faster than 10 rad/s is given the time that
+    it takes, so the block may last longer than told.
 
     Args:
         to: `stand` (`default`), `rest` (`lie`), or joint names and patterns (`*_knee_joint`) to
             [rad]; joints that are not named stay where they are.
-        duration: in [s]; done at its end.
+        duration: in [s], at least 0.1; done at its end.
         fade_in: time in [s] over which the gains go from their present values to the robot's.
         stiffness_scale: factor on the robot file's stiffness.
         damping_scale: factor on the robot file's damping.
@@ -56,9 +58,11 @@ class Pose:
     ) -> None:
         self._command = command
         self._goal, self._said = named_pose(to, robot, "pose")
-        stiffness, damping = robot_gains(robot, "pose")
-        self._gains = stiffness * np.float32(stiffness_scale), damping * np.float32(damping_scale)
-        self._ticks = ticks_of(duration, period, "duration") or 1
+        self._gains = robot_gains(robot, "pose", stiffness_scale, damping_scale)
+        within(duration, "duration", "s", DURATION, POSE_DURATION, above=False)
+        self._asked = self._ticks = ticks_of(duration, period, "duration") or 1
+        # Peak speed π/2 · way / time: ticks that a way of 1 rad takes at the speed allowed.
+        self._ticks_per_rad = 0.5 * math.pi / (POSE_SPEED * period)
         self._fade_ticks = ticks_of(fade_in, period, "fade_in") or 1
         self._start, self._way = (np.zeros_like(command.joint_pos_target) for _ in range(2))
         self._first_gains = (
@@ -73,6 +77,9 @@ class Pose:
             command.entry(self._start)
             np.subtract(self._goal, self._start, out=self._way)
             self._way *= self._said
+            farthest = float(np.abs(self._way).max())
+            if self._way.ndim == 1 and math.isfinite(farthest):  # a batch is simulated
+                self._ticks = max(self._asked, math.ceil(farthest * self._ticks_per_rad))
             for held, now in zip(
                 self._first_gains, (command.joint_stiffness, command.joint_damping)
             ):

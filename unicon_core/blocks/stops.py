@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.blocks.joint_command import ticks_of
-from unicon_core.blocks.predicates import check_angle, largest
-from unicon_core.errors import Fault, RobotError, WorkflowError
+from unicon_core.blocks.predicates import largest
+from unicon_core.bounds import STALE, TILT, VELOCITY, VELOCITY_FACTOR, within
+from unicon_core.errors import Fault, RobotError
 from unicon_core.flow.block import Reads, Role
 from unicon_core.robots import Robot
 
@@ -96,9 +97,9 @@ def tilt_stop(projected_gravity: Reads, *, angle: float = 1.0) -> TiltStop:
 
     Args:
         projected_gravity: unit vector of gravity in the base frame, shape (..., 3).
-        angle: between the base's z axis and the vertical in [rad].
+        angle: between the base's z axis and the vertical in [rad], at most a right angle.
     """
-    return TiltStop(projected_gravity, check_angle(angle))
+    return TiltStop(projected_gravity, within(angle, "angle", "rad", TILT, what="tilt_stop"))
 
 
 class TiltStop:
@@ -136,10 +137,10 @@ def velocity_stop(
         RobotError: the robot file does not say its velocity limits.
     """
     if limit is not None:
-        if not limit > 0.0:
-            raise WorkflowError(f"limit is {limit}; give [rad/s] above 0")
+        limit = within(limit, "limit", "rad/s", VELOCITY, what="velocity_stop")
         bound = np.full(robot.num_joints, limit, np.float32)
     else:
+        factor = within(factor, "factor", "", VELOCITY_FACTOR, what="velocity_stop")
         bound = robot.velocity_limit * np.float32(factor)
         if np.isnan(bound).any():
             joint = robot.joint_names[int(np.argmax(np.isnan(bound)))]
@@ -181,6 +182,7 @@ def stale_stop(stamp_ns: Reads, *, period: float, timeout: float = 0.1) -> Stale
         stamp_ns: source time of the data in [ns], shape (...).
         timeout: in [s] of ticks without a newer stamp; at least one tick.
     """
+    timeout = within(timeout, "timeout", "s", STALE, what="stale_stop")
     ticks = ticks_of(timeout, period, "timeout") or 1
     return StaleStop(stamp_ns, ticks, timeout)
 

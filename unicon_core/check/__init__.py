@@ -1,6 +1,7 @@
 """Preflight checks: every mismatch of workflow, policy, robot and platform found before it runs."""
 
 from unicon_core.check.check import check_workflow
+from unicon_core.check.gate import refuse_errors
 from unicon_core.check.result import CODES, CheckResult, Finding, Section
 
-__all__ = ["CODES", "CheckResult", "Finding", "Section", "check_workflow"]
+__all__ = ["CODES", "CheckResult", "Finding", "Section", "check_workflow", "refuse_errors"]

@@ -11,13 +11,17 @@ from unicon_core.check.mirror import mirror_pairs
 from unicon_core.check.result import CheckResult
 from unicon_core.check.subject import Subject, listed
 from unicon_core.policies import PolicyContract
+from unicon_core.workflow.settings import waits_for_data
 
 __all__ = ["check_action", "check_timing"]
 
 PLAUSIBLE_ACTION = 1.0
 """Action that a trained policy reaches in every walk; used where the contract has no clip."""
 UNIT_TORQUE = 2.0
-"""Stiffness · scale over the effort limit: 0.25 in BeyondMimic's rule, 0.74 for the Go1 policy."""
+"""Stiffness · scale over the effort limit: 0.25 in BeyondMimic's rule, 0.74 for the Go1 policy.
+More is worth a look and may be right: a wrist of 5 N·m has 8 with a scale of 1."""
+LARGEST_SCALE = 1.0
+"""In [rad] for one unit of action: actions in radians have 1, published ones 0.07 to 1."""
 _AXES = ("lin_vel_x", "lin_vel_y", "ang_vel_z")
 
 
@@ -36,6 +40,7 @@ def _action(subject: Subject, result: CheckResult, key: str, contract: PolicyCon
     clip = np.where(wide, bound, clip)
     reach = np.sort(action.offset + action.scale * clip, axis=0)
     rows, outside, offsets, idle, jumps, torques = [], [], [], [], [], []
+    beyond = False
     for i, name in enumerate(action.joints):
         j, k = robot.joint_names.index(name), contract.joints.index(name)
         lower, upper = float(robot.lower[j]), float(robot.upper[j])
@@ -51,6 +56,7 @@ def _action(subject: Subject, result: CheckResult, key: str, contract: PolicyCon
             idle.append(name)
         if abs(scale) > upper - lower:
             jumps.append((name, scale, upper - lower))
+            beyond |= abs(scale) > LARGEST_SCALE + 1e-6
         if share > UNIT_TORQUE:
             torques.append((name, contract.stiffness[k], scale, effort))
         rows.append(
@@ -73,16 +79,23 @@ def _action(subject: Subject, result: CheckResult, key: str, contract: PolicyCon
     lines.append("torque/unit: stiffness · scale as a share of the effort limit")
     result.table(f"Action of policy {key}", [*columns, ""], rows, lines)
     where = contract.path
-    if idle:
+    if len(idle) == len(action.joints):
         result.find(
             "action.scale",
             f"policy {key!r}, action.scale",
-            f"0 at {listed(idle)}: they could not move",
-            "give their scale, or leave them out of action.joints",
+            "it is 0: no joint could move",
+            "give the scale that it was trained with, in [rad]",
             where,
+        )
+    elif idle:
+        result.note(
+            "action.scale",
+            f"policy {key!r}, action.scale",
+            f"0 at {listed(idle)}: they stay at their offset",
         )
     if jumps:
         name, scale, span = jumps[0]
+        # An action in radians (scale 1) may well span more than a narrow joint's range.
         result.find(
             "action.scale",
             f"policy {key!r}, action.scale",
@@ -90,17 +103,16 @@ def _action(subject: Subject, result: CheckResult, key: str, contract: PolicyCon
             f"({len(jumps)} joints)",
             "give the scale that it was trained with, in [rad]",
             where,
+            error=beyond,
         )
     if torques:
         name, stiffness, scale, effort = torques[0]
-        result.find(
+        result.note(
             "action.torque",
             f"policy {key!r}, action.scale and stiffness",
             f"one unit of action asks {name} for {stiffness:g} · {scale:g} = "
             f"{stiffness * scale:.3g} N·m, and its effort limit is {effort:g} "
             f"({len(torques)} joints)",
-            f"correct action.scale or stiffness, or joints.effort in {robot.path.name}",
-            where,
         )
     if offsets:
         name, offset, lower, upper = offsets[0]
@@ -168,6 +180,25 @@ def check_timing(subject: Subject, result: CheckResult) -> None:
             ["physics", f"{step:g}", f"{1.0 / step:g}", f"{info['physics_steps_per_tick']} a tick"]
         )
     result.table("Timing", ["who", "period [s]", "rate [Hz]", "runs"], rows)
+    platform = subject.platform
+    waits = platform.waits or getattr(workflow.platform, "wait", None) is not None
+    if waits_for_data(subject.document) and not waits and not subject.live:  # the runner tells it
+        result.find(
+            "timing.trigger",
+            f"platform {platform.name!r}",
+            "it cannot tell when its data arrive",
+            "set pacing.trigger: deadline",
+            subject.document.where("pacing", "trigger"),
+        )
+    if subject.document.get("pacing", dict, {}).get("overrun") == "catch_up":
+        if not platform.simulated and not subject.live:
+            result.find(
+                "timing.catch_up",
+                f"platform {platform.name!r}",
+                "catch_up would send old commands in one go to a robot",
+                "set pacing.overrun: skip",
+                subject.document.where("pacing", "overrun"),
+            )
     for key, contract in subject.policies.items():
         _commands(subject, result, key, contract)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,8 @@ from unicon_core.check.joints import check_joints
 from unicon_core.check.observation import check_frames, check_observation
 from unicon_core.check.pose import check_pose
 from unicon_core.check.result import CheckResult
-from unicon_core.check.subject import build_subject
+from unicon_core.check.start import check_start
+from unicon_core.check.subject import Subject, build_subject
 from unicon_core.errors import (
     MissingDependencyError,
     ModelError,
@@ -27,7 +28,7 @@ from unicon_core.errors import (
 )
 from unicon_core.workflow.document import WorkflowDocument, load_document
 
-__all__ = ["check_workflow"]
+__all__ = ["check_section", "check_workflow", "static_checks"]
 
 SETTINGS = {
     "accept": "codes of findings that shall be notes",
@@ -47,7 +48,11 @@ _CULPRITS: tuple[tuple[type[UniconError], str], ...] = (
 
 
 def check_workflow(
-    name_or_path: str | Path, overrides: Iterable[str] = (), *, twin: bool = False
+    name_or_path: str | Path,
+    overrides: Iterable[str] = (),
+    *,
+    twin: bool = False,
+    more: Iterable[Callable[[Subject, CheckResult], None]] = (),
 ) -> CheckResult:
     """Check a workflow without moving anything.
 
@@ -58,6 +63,7 @@ def check_workflow(
         name_or_path: a name in `config/workflows/`, or a path.
         overrides: `path=value` texts as of `--set`.
         twin: also run it in MuJoCo, and broken contracts beside it.
+        more: further checks of the built workflow, such as that of its message map.
 
     Returns:
         Tables, findings and notes; `findings` is empty where all is well.
@@ -66,7 +72,7 @@ def check_workflow(
     try:
         document = load_document(name_or_path, overrides)
         result.workflow = document.name
-        settings = _settings(document, result)
+        settings = check_section(document, result)
         subject = build_subject(document)
     except UniconError as error:
         _cannot(result, error)
@@ -77,18 +83,11 @@ def check_workflow(
         result.subject = (
             f"robot {subject.robot.name}, platform {platform.name} ({kind}), {document.path}"
         )
-        check_joints(subject, result)
-        check_gains(subject, result)
-        check_limits(subject, result)
-        check_observation(subject, result)
-        check_action(subject, result)
-        check_timing(subject, result)
-        check_commands(subject, result)
-        check_pose(subject, result)
-        check_frames(subject, result)
-        check_files(subject, result)
-        check_robot(subject, result)
-        check_blocks(subject, result)
+        for note in getattr(subject.workflow.platform, "notes", ()):
+            result.note("platform.open", f"platform {platform.name!r}", note)
+        static_checks(subject, result)
+        for check in more:
+            check(subject, result)
     finally:
         subject.workflow.close()
     if twin:
@@ -98,6 +97,29 @@ def check_workflow(
     return result
 
 
+def static_checks(subject: Subject, result: CheckResult) -> None:
+    """Do all checks that take no run; of a live subject those that a run has not done itself.
+
+    Args:
+        subject: what is checked.
+        result: is added to.
+    """
+    check_joints(subject, result)
+    check_gains(subject, result)
+    check_limits(subject, result)
+    check_observation(subject, result)
+    check_action(subject, result)
+    check_timing(subject, result)
+    check_commands(subject, result)
+    check_pose(subject, result)
+    check_start(subject, result)
+    check_robot(subject, result)
+    if not subject.live:  # they read the platform, hash files, or repeat what the build has done
+        check_frames(subject, result)
+        check_files(subject, result)
+        check_blocks(subject, result)
+
+
 def _cannot(result: CheckResult, error: UniconError) -> None:
     """Add the one-line error: its last part is the remedy."""
     culprit = next(name for kind, name in _CULPRITS if isinstance(error, kind))
@@ -105,7 +127,12 @@ def _cannot(result: CheckResult, error: UniconError) -> None:
     result.find("build", culprit, evidence or remedy, remedy if evidence else "")
 
 
-def _settings(document: WorkflowDocument, result: CheckResult) -> dict[str, Any]:
+def check_section(document: WorkflowDocument, result: CheckResult) -> dict[str, Any]:
+    """Return the workflow's `check:` section, its codes accepted by the result.
+
+    Raises:
+        WorkflowError: a setting is wrong.
+    """
     settings: dict[str, Any] = document.get("check", dict, {})
     for key in settings:
         if key not in SETTINGS:

@@ -19,6 +19,14 @@ EFFORT_FACTOR = 3.0
 """Robot file and model may differ by variants of a motor (35 and 50 N·m), not by this."""
 
 
+SOFTEST_LIMIT = 0.1
+"""In [rad]: a servo that is at its effort limit within less is on or off. Published contracts have
+0.125 (G1's wrist, 40 N·m/rad and 5 N·m) and more, those of legs 0.4 and more."""
+PASSIVE = 0.01
+"""Damping over stiffness in [s] that a model's own joints may stand in for: 0.014 for the Go1 of
+mujoco_playground, 0.02 to 0.06 in contracts that give a damping."""
+
+
 def number(value: float) -> str:
     """Return a figure for a table, `?` where it is not known."""
     return "?" if np.isnan(value) else f"{value:.4g}"
@@ -29,7 +37,7 @@ def check_gains(subject: Subject, result: CheckResult) -> None:
     model = model_joints(subject)
     for key, contract in subject.policies.items():
         _table(subject, result, key, contract, model)
-        _plausible(result, key, contract)
+        _plausible(subject, result, key, contract, model)
         _symmetry(result, key, contract, "stiffness", contract.stiffness)
         _symmetry(result, key, contract, "damping", contract.damping)
 
@@ -80,17 +88,45 @@ def _table(
         )
 
 
-def _plausible(result: CheckResult, key: str, contract: PolicyContract) -> None:
+def _plausible(
+    subject: Subject,
+    result: CheckResult,
+    key: str,
+    contract: PolicyContract,
+    model: ModelJoints | None,
+) -> None:
     kp, kd = contract.stiffness, contract.damping
+    own = [subject.robot.joint_names.index(name) for name in contract.joints]
     bare = np.flatnonzero((kp > 0.0) & (kd <= 0.0))
     if bare.size:
         names = listed(contract.joints[i] for i in bare)
+        evidence = f"{names}: stiffness {kp[bare[0]]:g} and damping {kd[bare[0]]:g}"
+        passive = np.zeros(len(own)) if model is None else model.passive[own]
+        if (passive[bare] >= PASSIVE * kp[bare]).all():
+            result.note(
+                "gains.damping",
+                f"policy {key!r}, damping",
+                f"{evidence}; the model's joints damp themselves, a motor has to be told",
+            )
+        else:
+            result.find(
+                "gains.damping",
+                f"policy {key!r}, damping",
+                evidence,
+                "give the damping that it was trained with (some exporters write 0 for built-in "
+                "servos)",
+                contract.path,
+            )
+    effort = subject.robot.effort_limit[own]
+    hard = np.flatnonzero(kp * SOFTEST_LIMIT > effort)  # false where the effort is not known
+    if hard.size:
+        i = int(hard[0])
         result.find(
-            "gains.damping",
-            f"policy {key!r}, damping",
-            f"{names}: stiffness {kp[bare[0]]:g} and damping {kd[bare[0]]:g}",
-            "give the damping that it was trained with (some exporters write 0 for built-in "
-            "servos)",
+            "gains.stiff",
+            f"policy {key!r}, stiffness",
+            f"{contract.joints[i]}: {kp[i]:g} N·m/rad reaches its effort limit of {effort[i]:g} "
+            f"N·m within {effort[i] / kp[i]:.2g} rad ({hard.size} joints)",
+            f"correct stiffness, or joints.effort in {subject.robot.path.name}",
             contract.path,
         )
     stiffer = np.flatnonzero(kd > kp)

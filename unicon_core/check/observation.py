@@ -100,7 +100,15 @@ def _term(
 ) -> None:
     term = part.term
     culprit = f"policy {key!r}, term {term.name!r}"
-    if (part.scale == 0.0).any():
+    none = np.flatnonzero(part.scale == 0.0)
+    if 0 < none.size < part.scale.size:
+        result.note(
+            "observation.scale",
+            culprit,
+            f"scale is 0 at {none.size} of {part.scale.size} elements: the network does not see "
+            "them",
+        )
+    elif none.size:
         result.find(
             "observation.scale",
             culprit,

@@ -20,19 +20,22 @@ CODES = {
     "gains.differ": "the policy's gains are not the robot file's (a note)",
     "gains.symmetry": "left and right joints have different gains",
     "gains.damping": "a joint has stiffness but no damping",
+    "gains.stiff": "a joint is at its effort limit within a tenth of a radian",
     "gains.swapped": "damping is greater than stiffness",
     "limits.differ": "robot file and model have other limits (a note)",
     "limits.effort": "effort limits of robot file and model are far apart",
-    "action.scale": "one unit of action is more than a joint's range, or nothing",
+    "action.scale": "one unit of action is more than a joint's range, or nothing (up to 1 a note)",
     "action.symmetry": "left and right joints have different action scales",
     "action.offset": "action 0 means a target outside the limits",
     "action.reach": "clipped actions reach far outside the limits, and nothing limits targets",
-    "action.torque": "one unit of action asks for more torque than there is",
-    "observation.scale": "a term is multiplied by 0",
+    "action.torque": "one unit of action asks for more torque than there is (a note)",
+    "observation.scale": "a term is multiplied by 0 (some of its elements: a note)",
     "observation.clip": "a term is clipped to a single value",
     "observation.measured": "a term cannot be measured on this platform",
     "observation.frame": "the platform's orientation and gravity contradict each other",
     "timing.period": "the control period is not plausible",
+    "timing.catch_up": "missed ticks shall be caught up on a robot",
+    "timing.trigger": "ticks shall come with data of a platform that cannot tell when they arrive",
     "command.range": "the workflow commands more than the policy was trained for",
     "command.bounds": "nobody says how much may be commanded (a note)",
     "pose.differ": "the policy's default pose is not the robot file's (a note)",
@@ -40,12 +43,16 @@ CODES = {
     "pose.symmetry": "the default pose is not the same on both sides",
     "pose.feet": "in the default pose the robot does not stand on its feet",
     "pose.floor": "the simulation begins inside the floor or far above it",
+    "pose.start": "a policy is the first to move a robot that lies (simulated: a note)",
+    "safety.none": "the workflow has no safety blocks (a note)",
+    "platform.open": "what only the opened platform can tell (a note)",
+    "map.fit": "the message map does not fit the states, or could not be looked at",
     "robot.facts": "the robot file lacks what is needed to drive the robot",
     "check.settings": "the workflow's check: section is wrong",
     "twin.run": "the twin could not be run",
     "twin.fall": "the policy falls in the twin",
     "twin.command": "the policy does not follow its command in the twin",
-    "twin.suspect": "a broken contract does as well as the given one",
+    "twin.suspect": "a broken contract does as well (a note where that does not tell much)",
 }
 """What can be found. A workflow accepts one with `check: {accept: [CODE]}`: it is then a note."""
 
@@ -137,12 +144,23 @@ class CheckResult:
                 self.find("check.settings", "check.accept", f"no finding {code!r}", remedy, where)
         self.accepted = frozenset(str(code) for code in listed)
 
-    def find(self, code: str, culprit: str, evidence: str, remedy: str, where: Any = "") -> None:
-        """Add what fails the check, or a note where the workflow accepts it."""
+    def find(
+        self,
+        code: str,
+        culprit: str,
+        evidence: str,
+        remedy: str,
+        where: Any = "",
+        *,
+        error: bool = True,
+    ) -> None:
+        """Add what fails the check, or a note where the workflow accepts it or it may be right."""
         if code in self.accepted:
             self.note(code, culprit, f"{evidence} (accepted by the workflow)", "", where)
-        else:
+        elif error:
             self.findings.append(Finding(code, culprit, evidence, remedy, str(where)))
+        else:
+            self.note(code, culprit, evidence, remedy, where)
 
     def note(
         self, code: str, culprit: str, evidence: str, remedy: str = "", where: Any = ""

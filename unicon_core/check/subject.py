@@ -35,11 +35,14 @@ class PlatformFacts:
         simulated: whether it is a simulator. A factory says so by an attribute `simulated`.
         unmeasured: states that it does not write; a factory may say what it does write by an
             attribute `writes`.
+        waits: of hardware, whether ticks may come with its data; a factory may say no by an
+            attribute `waits`.
     """
 
     name: str
     simulated: bool
     unmeasured: tuple[str, ...]
+    waits: bool = False
 
 
 @dataclass
@@ -48,13 +51,16 @@ class Subject:
 
     Attributes:
         document: the workflow file.
-        workflow: built; on hardware the platform is exchanged for `fake`, so nothing moves.
+        workflow: built; by `build_subject` with `fake` in place of hardware, so nothing moves.
         platform: of the document, not the exchanged one.
+        live: it is about to run: the platform is not touched, and what only tables show is not
+            computed.
     """
 
     document: WorkflowDocument
     workflow: Workflow
     platform: PlatformFacts
+    live: bool = False
 
     @property
     def robot(self) -> Robot:
@@ -115,18 +121,17 @@ def platform_facts(document: WorkflowDocument) -> PlatformFacts:
     unmeasured: tuple[str, ...] = NOT_ON_HARDWARE
     if writes is not None:
         unmeasured = tuple(state for state in NOT_ON_HARDWARE if state not in writes)
-    return PlatformFacts(name, False, unmeasured)
+    return PlatformFacts(name, False, unmeasured, bool(getattr(factory, "waits", True)))
 
 
 def build_subject(document: WorkflowDocument) -> Subject:
-    """Build what is to be checked; hardware is never opened.
+    """Build what is to be checked as a run builds it, but for hardware, which is never opened.
 
     Raises:
         UniconError: the workflow cannot be built.
     """
     facts = platform_facts(document)
-    built = document if facts.simulated else on_platform(document, "fake")
-    return Subject(document, build_workflow(built), facts)
+    return Subject(document, build_workflow(document, dry=True), facts)
 
 
 def on_platform(
@@ -142,6 +147,8 @@ def on_platform(
     values = deepcopy(document.values)
     values["platform"] = name
     values.pop("num_robots", None)
+    if isinstance(values.get("pacing"), dict):  # simulators have no data to wait for
+        values["pacing"].pop("trigger", None)
     if options is not None:
         platforms = values.setdefault("platforms", {})
         given = dict(platforms.get(name) or {})

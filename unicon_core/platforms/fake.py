@@ -60,7 +60,8 @@ class FakePlatform:
     """
 
     name = "fake"
-    reads = COMMAND_STATES
+    reads: tuple[str, ...] = COMMAND_STATES
+    notes: tuple[str, ...] = ()
 
     def __init__(
         self,

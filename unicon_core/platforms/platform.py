@@ -3,9 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any, Protocol
 
-__all__ = ["Platform"]
+__all__ = ["Binding", "Platform"]
+
+
+@dataclass(frozen=True)
+class Binding:
+    """What a platform would do with the states, told by `FACTORY.examine` without opening it.
+
+    Attributes:
+        writes: states that `recv` would write.
+        reads: states that `send` would read.
+        notes: what could not be looked at, one line each.
+    """
+
+    writes: tuple[str, ...]
+    reads: tuple[str, ...]
+    notes: tuple[str, ...] = ()
 
 
 class Platform(Protocol):

@@ -9,6 +9,7 @@ from typing import Any, Literal, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from unicon_core.bounds import ACTION_SCALE, DAMPING, POSITION, SCALE, STIFFNESS
 from unicon_core.errors import PolicyError, alternatives
 from unicon_core.policies.contract import (
     ActionSpec,
@@ -59,9 +60,9 @@ def build_contract(facts: Facts) -> PolicyContract:
         raise facts.error(("schema",), f"schema is {schema!r}; this program reads {SCHEMA!r}")
     joints = check.names(("joints",), values["joints"])
     count = len(joints)
-    default = check.vector(("default_joint_pos",), count, "joint")
-    stiffness = check.vector(("stiffness",), count, "joint", lowest=0.0)
-    damping = check.vector(("damping",), count, "joint", lowest=0.0)
+    default = check.vector(("default_joint_pos",), count, "joint", -POSITION, POSITION)
+    stiffness = check.vector(("stiffness",), count, "joint", 0.0, STIFFNESS)
+    damping = check.vector(("damping",), count, "joint", 0.0, DAMPING)
     inputs = check.mapping(("inputs",), values.get("inputs") or {})
     outputs = check.mapping(("outputs",), values.get("outputs") or {})
     sha256 = values.get("sha256")
@@ -155,7 +156,7 @@ class _Check:
         return array
 
     def vector(
-        self, where: Where, count: int, each: str, *, lowest: float | None = None
+        self, where: Where, count: int, each: str, lowest: float, highest: float
     ) -> NDArray[np.float32]:
         array = self.finite(where, self.numbers(where, self.get(where)))
         if array.size == 1 and count > 1:
@@ -166,11 +167,16 @@ class _Check:
                 f"{dotted(where)} has {array.size} values for {count} {each}s; give one for each "
                 f"{each} in policy order",
             )
-        if lowest is not None and array.min() < lowest:
-            i = int(array.argmin())
-            raise self.fail(
-                (*where, i), f"{dotted((*where, i))} is {array[i]}; it must be at least {lowest:g}"
-            )
+        return self.plausible(where, array, lowest, highest)
+
+    def plausible(
+        self, where: Where, array: NDArray[np.float32], lowest: float, highest: float
+    ) -> NDArray[np.float32]:
+        bad = np.flatnonzero((array < lowest) | (array > np.float32(highest)))
+        if bad.size:
+            i = int(bad[0])
+            bound = f"at least {lowest:g}" if array[i] < lowest else f"at most {highest:g}"
+            raise self.fail((*where, i), f"{dotted((*where, i))} is {array[i]}; it must be {bound}")
         return array
 
     def positive(self, where: Where, value: Any, what: str) -> float:
@@ -221,11 +227,11 @@ class _Check:
                         f"{alternatives(name, joints)}",
                     )
         count = len(moved)
-        scale = self.vector((*where, "scale"), count, "joint")
+        scale = self.vector((*where, "scale"), count, "joint", -ACTION_SCALE, ACTION_SCALE)
         if action.get("offset") is None:
             offset = default[[joints.index(name) for name in moved]]
         else:
-            offset = self.vector((*where, "offset"), count, "joint")
+            offset = self.vector((*where, "offset"), count, "joint", -POSITION, POSITION)
         clip = self.clip((*where, "clip"), action.get("clip"), count)
         feedback = self.choice(
             (*where, "feedback"), action.get("feedback", "raw"), ("raw", "clipped")
@@ -322,7 +328,7 @@ class _Check:
             state,
             None if index is None else tuple(index),
             subtract,
-            self.finite((*where, "scale"), scale),
+            self.plausible((*where, "scale"), self.finite((*where, "scale"), scale), -SCALE, SCALE),
             self.clip((*where, "clip"), value.get("clip"), None),
             history,
         )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from unicon_core.bounds import DAMPING, EFFORT, POSITION, STIFFNESS, VELOCITY
 from unicon_core.located_yaml import Located, Where
 from unicon_core.robots.checks import check_keys, check_name, check_number
 from unicon_core.robots.robot import JOINT_FIELDS
@@ -24,6 +25,14 @@ IMU_KEYS = ("frame", "position", "quat")
 NOT_NEGATIVE = ("stiffness", "damping")
 _JOINT_KEYS = ("name", *JOINT_FIELDS)
 _POSITIVE = ("velocity", "effort")
+# The largest plausible size of each figure of a joint.
+_LARGEST = {
+    **dict.fromkeys(("lower", "upper", "default", "rest"), POSITION),
+    "velocity": VELOCITY,
+    "effort": EFFORT,
+    "stiffness": STIFFNESS,
+    "damping": DAMPING,
+}
 
 
 def check_joints(located: Located, joints: Any) -> None:
@@ -52,6 +61,12 @@ def _joint(located: Located, where: Where, joint: dict[str, Any]) -> None:
     name = f"joint {joint['name']!r}"
     for key in JOINT_FIELDS:
         check_number(located, (*where, key), joint[key])
+        if joint[key] is not None and abs(joint[key]) > _LARGEST[key]:
+            raise located.error(
+                (*where, key),
+                f"{name}: {key} {joint[key]!r:.20} is beyond ±{_LARGEST[key]:.4g}, the largest "
+                "plausible figure in SI units; correct it, or write null if not known",
+            )
     lower, upper = joint["lower"], joint["upper"]
     if lower is not None and upper is not None and lower >= upper:
         raise located.error(

@@ -107,6 +107,7 @@ def _transport(located: Located, transport: Any) -> None:
             ("transport", "command"),
             f"transport: command {command!r} is not known; {alternatives(str(command), COMMANDS)}",
         )
+    _finite(located, ("transport",), transport)
     rate = transport.get("rate_hz")
     check_number(located, ("transport", "rate_hz"), rate)
     if rate is not None and rate <= 0:
@@ -114,6 +115,18 @@ def _transport(located: Located, transport: Any) -> None:
             ("transport", "rate_hz"),
             f"transport: rate_hz {rate} is not above 0; write null if not known",
         )
+
+
+def _finite(located: Located, where: Where, value: Any) -> None:
+    """No figure of a transport is NaN or infinite, however deep: it would go to the motors."""
+    if isinstance(value, dict):
+        for key, part in value.items():
+            _finite(located, (*where, key), part)
+    elif isinstance(value, list):
+        for i, part in enumerate(value):
+            _finite(located, (*where, i), part)
+    elif isinstance(value, float):
+        check_number(located, where, value)
 
 
 def _nulls(document: dict[str, Any]) -> list[str]:

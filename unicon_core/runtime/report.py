@@ -34,6 +34,8 @@ class Report:
         tick_us: p50, p99, max from `recv` to the end of `send`.
         late_us: p50, p99, max of start minus deadline.
         faults: what went wrong, one line each.
+        safety: labels of the blocks between the flow and `send`; empty with `safety: none`.
+        forced: codes of the check's errors that it was run with.
         base_displacement_m: base position at the end minus at the start, world frame.
         fell: the base tilted by more than 60° from upright.
         tilt_deg: largest tilt of the base from upright.
@@ -57,6 +59,8 @@ class Report:
     tick_us: dict[str, float] = field(default_factory=dict)
     late_us: dict[str, float] = field(default_factory=dict)
     faults: list[str] = field(default_factory=list)
+    safety: list[str] = field(default_factory=list)
+    forced: list[str] = field(default_factory=list)
     base_displacement_m: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
     fell: bool = False
     tilt_deg: float = 0.0
@@ -103,6 +107,8 @@ class Report:
                 f"ROS 2         published {self.bridge.get('published', 0)}, "
                 f"received {self.bridge.get('received', 0)} messages"
             )
+        if self.forced:
+            lines.append(f"forced        {', '.join(self.forced)}")
         lines.append(f"ended         {self.ended}")
         lines.append(f"faults        {'; '.join(self.faults) or 'none'}")
         return "\n".join(lines)

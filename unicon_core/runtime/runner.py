@@ -280,6 +280,7 @@ class Runner:
         report.blocks = statistics.block_us()
         report.faults = list(self.faults)
         report.traceback = self.traceback
+        report.safety, report.forced = list(workflow.safety), list(workflow.forced)
         self.monitor.fill(report)
         return report
 

@@ -12,6 +12,7 @@ from unicon_core.bounded_yaml import MAX_DEPTH, YamlError
 from unicon_core.errors import WorkflowError, alternatives
 from unicon_core.located_yaml import Located, parse_value, read_yaml
 from unicon_core.resources import find_config, list_config
+from unicon_core.workflow.settings import check_settings
 
 __all__ = ["KEYS", "WorkflowDocument", "load_document", "workflow_names"]
 
@@ -33,7 +34,7 @@ KEYS = {
     "policies": "name to policy: a path, or {path, given}",
     "commands": "blocks that make commands, before ROS inputs may replace them",
     "flow": "the graph",
-    "safety": "blocks between the flow and send",
+    "safety": "blocks between the flow and send, or none",
     "deferred": "blocks after send",
     "pacing": "{trigger, overrun, hang, spin_us, dry_run_us, priority, cpu, lock_memory}",
     "check": "settings of the preflight check",
@@ -137,6 +138,7 @@ def load_document(
         if values.get(key) is None:
             raise document.error(f"the key {key!r} is missing: {KEYS[key]}")
     document.name = str(document.get("name", str, path.stem))
+    check_settings(document)
     return document
 
 

@@ -6,27 +6,41 @@ import inspect
 from typing import Any
 
 from unicon_core.errors import PlatformError, alternatives
-from unicon_core.platforms.platform import Platform
+from unicon_core.platforms.platform import Binding, Platform
 from unicon_core.workflow.autowire import BuildContext, option_names
 from unicon_core.workflow.document import WorkflowDocument
-from unicon_core.workflow.hardware import is_simulator, refuse_incomplete
+from unicon_core.workflow.hardware import is_simulator, refuse_incomplete, refuse_protocol
 from unicon_core.workflow.option_types import wrong_option
 from unicon_core.workflow.registry import Factory, find_factory
 
 __all__ = ["build_platform", "find_platform", "platform_options"]
 
 
-def build_platform(document: WorkflowDocument, context: BuildContext) -> Platform:
+def build_platform(
+    document: WorkflowDocument, context: BuildContext, *, dry: bool = False
+) -> Platform:
     """Build the platform that a workflow names.
+
+    A factory of hardware may say by attributes what is known without opening it: `protocols`, those
+    of robot files that it speaks, and `examine`, which takes what the factory takes and returns
+    what the platform would read and write (a `Binding`).
+
+    Args:
+        document: the workflow.
+        context: what it is built with.
+        dry: nothing is opened: in place of hardware stands `fake`, which reads and writes the same.
 
     Raises:
         PlatformError: no such platform, or it cannot be built.
-        RobotError: it moves motors, and the robot file lacks facts for that.
+        RobotError: it moves motors, and the robot file lacks facts for that (not if `dry`).
         WorkflowError: wrong options.
     """
     name, factory = find_platform(document)
-    if not is_simulator(name, factory):
-        refuse_incomplete(context.robot, name)
+    simulator = is_simulator(name, factory)
+    if not simulator:
+        if not dry:
+            refuse_incomplete(context.robot, name)
+        refuse_protocol(context.robot, name, factory)
     options = platform_options(document, name, factory)
     arguments = {key: _pose_of(value, document, context) for key, value in options.items()}
     wrong = wrong_option(factory, arguments)
@@ -35,11 +49,26 @@ def build_platform(document: WorkflowDocument, context: BuildContext) -> Platfor
     if "relative_to" in inspect.signature(factory).parameters:
         arguments["relative_to"] = context.relative_to
     try:
+        if dry and not simulator:
+            return _stand_in(factory, context, arguments)
         platform: Platform = factory(context.states, context.robot, context.period, **arguments)
     except (TypeError, ValueError) as error:
         raise document.error(
             f"platform {name!r}: {error}; correct platforms.{name}", "platforms", name
         ) from error
+    return platform
+
+
+def _stand_in(factory: Factory, context: BuildContext, arguments: dict[str, Any]) -> Platform:
+    """Return `fake`, with what the hardware would read and write where its factory tells."""
+    from unicon_core.platforms import fake
+
+    platform = fake.make(context.states, context.robot, context.period)
+    examine = getattr(factory, "examine", None)
+    if examine is not None:
+        bound: Binding = examine(context.states, context.robot, context.period, **arguments)
+        platform.reads, platform.writes = bound.reads, bound.writes
+        platform.notes = bound.notes
     return platform
 
 

@@ -10,8 +10,19 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from unicon_core.blocks.stops import Finite
 from unicon_core.errors import RobotError, UniconError, WorkflowError, alternatives
-from unicon_core.flow import Blender, Block, Deferred, Every, Node, Switch, Zip, as_block
+from unicon_core.flow import (
+    Blender,
+    Block,
+    Deferred,
+    Every,
+    Node,
+    Switch,
+    Zip,
+    as_block,
+    blocks_of,
+)
 from unicon_core.flow.checks import check_graph, raise_first
 from unicon_core.flow.critical_path import critical_path
 from unicon_core.flow.fuse import fuse
@@ -44,6 +55,7 @@ from unicon_core.workflow.policies import (
 )
 from unicon_core.workflow.registry import Factory, find_factory
 from unicon_core.workflow.rehearsal import Rehearsal
+from unicon_core.workflow.settings import safety_of
 
 __all__ = ["Hook", "Workflow", "build_workflow", "load_workflow"]
 
@@ -56,8 +68,6 @@ and those of role `safety` behind the workflow's own safety, as the last before 
 
 GIVEN = ("tick", "velocity_command", "joint_vel_target", "joint_effort_ff")
 """States that may be read though no block writes them: the runner does, or zero is meant."""
-
-DEFAULT_SAFETY: tuple[Any, ...] = ("finite", "joint_limits")
 
 
 @dataclass
@@ -78,6 +88,8 @@ class Workflow:
         gate: what every command passes last.
         command_bounds: what the velocity command is held to; empty where nobody reads it.
         warn: takes what blocks tell while they tick, one line each; the runner sets its own.
+        safety: labels of the blocks between the flow and `send`; none with `safety: none`.
+        forced: codes of the check's errors that somebody decided to run with.
     """
 
     document: WorkflowDocument
@@ -94,6 +106,8 @@ class Workflow:
     _closed: bool = field(default=False, init=False)
     command_bounds: tuple[CommandBound, ...] = ()
     warn: Callable[[str], None] = print
+    safety: tuple[str, ...] = ()
+    forced: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:
@@ -164,8 +178,16 @@ def build_workflow(
     *,
     inputs: Sequence[Hook] = (),
     observers: Sequence[Hook] = (),
+    dry: bool = False,
 ) -> Workflow:
-    """Build a workflow; see `load_workflow`."""
+    """Build a workflow; see `load_workflow`.
+
+    Args:
+        document: the workflow file.
+        inputs: as of `load_workflow`.
+        observers: as of `load_workflow`.
+        dry: open no hardware: its options are checked, and `fake` stands in its place.
+    """
     robot = load_robot_of(document)
     policies = load_policies(document, robot)
     period = _period(document, policies)
@@ -173,7 +195,7 @@ def build_workflow(
     num_robots = document.get("num_robots", int)
     states = States(Layout(specs, num_robots))
     context = BuildContext(states, robot, period, policies, document.path.parent)
-    platform = build_platform(document, context)
+    platform = build_platform(document, context, dry=dry)
     workflow = Workflow(document, robot, platform, states, period, policies, context)
     try:
         with SIGNALS.guard(damp=workflow.damp_now):
@@ -190,16 +212,18 @@ def _assemble(workflow: Workflow, inputs: Sequence[Hook], observers: Sequence[Ho
     rehearsal = Rehearsal(workflow.context)
     reader = _reader(workflow, rehearsal)
 
-    def section(key: str, default: Sequence[Any] = ()) -> list[Node]:
-        items = document.get(key, list, list(default))
+    def section(key: str, given: Sequence[Any] | None = None) -> list[Node]:
+        items = document.get(key, list, []) if given is None else given
         return [reader.node(item, (key, i)) for i, item in enumerate(items)]
 
     commands = section("commands")
     flow = reader.node(document.values["flow"], ("flow",))
-    safety = section("safety", DEFAULT_SAFETY)
+    safety = section("safety", safety_of(document))
     for node in safety:
         if isinstance(node, Block):
             node.role = "safety"
+    _finite_first(document, safety)
+    workflow.safety = tuple(block.name for node in safety for block in blocks_of(node))
     after = [Deferred(node) for node in section("deferred")]
 
     def hooked(hooks: Sequence[Hook]) -> list[Block]:
@@ -247,6 +271,22 @@ def _assemble(workflow: Workflow, inputs: Sequence[Hook], observers: Sequence[Ho
     if require is not None:
         blocks = sorted(path.critical, key=lambda block: block.name)
         require({state: b.name for b in blocks for state in (*b.reads, *b.amends)})
+
+
+def _finite_first(document: WorkflowDocument, safety: Sequence[Node]) -> None:
+    """Refuse limits before `finite`: they turn an infinite command into a limit, unseen."""
+    clamp = ""
+    for i, node in enumerate(safety):
+        for block in blocks_of(node):
+            if isinstance(block.tick, Finite) and clamp:
+                raise document.error(
+                    f"safety: {block.name!r} stands behind {clamp!r}, which hides infinite "
+                    f"commands from it; move {block.name!r} before {clamp!r}",
+                    "safety",
+                    i,
+                )
+            if not clamp and getattr(block.tick, "clamps", False):
+                clamp = block.name
 
 
 def load_robot_of(document: WorkflowDocument) -> Robot:
@@ -330,8 +370,9 @@ def _uses(document: WorkflowDocument) -> list[BlockUse]:
 
     reader = FlowReader(document, note, predicate, switch)
     reader.node(document.values["flow"], ("flow",))
-    for key in ("commands", "safety", "deferred"):
-        for i, item in enumerate(document.get(key, list, [])):
+    given = {key: document.get(key, list, []) for key in ("commands", "deferred")}
+    for key, items in (given | {"safety": safety_of(document)}).items():
+        for i, item in enumerate(items):
             reader.node(item, (key, i))
     return found
 

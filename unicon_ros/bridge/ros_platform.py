@@ -34,6 +34,7 @@ from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_msgs_map import Decoder, Encoder, MapError, MapStateError, load_map
 from unicon_ros import compat
+from unicon_ros.bridge.map_fit import examine_platform
 from unicon_ros.bridge.middleware_threads import calm_middleware_threads
 from unicon_ros.bridge.orientation import STATE, OrientationDecoder
 from unicon_ros.bridge.own_node import OwnNode
@@ -104,6 +105,10 @@ def make(
         platform.close()
         raise
     return platform
+
+
+# What `unicon check` may ask before anything is opened.
+make.examine = examine_platform  # type: ignore[attr-defined]
 
 
 class RosPlatform:

@@ -17,15 +17,32 @@ def add(commands: Any) -> None:
     parser.add_argument(
         "--twin", action="store_true", help="also run it in MuJoCo, and broken twins"
     )
+    parser.add_argument(
+        "--ros",
+        action="store_true",
+        help="also check the message map that `run --ros` would use (default: what the workflow "
+        "says)",
+    )
+    parser.add_argument("--map", metavar="MAP", help="of that: name in config/maps/, or a path")
     parser.add_argument("--json", metavar="FILE", help="write the findings as JSON")
     parser.set_defaults(function=check)
 
 
 def check(arguments: argparse.Namespace) -> int:
     """Run the command; exit status 0 clean, 1 findings."""
-    from unicon_core.check import check_workflow
+    from unicon_core.check import CheckResult, check_workflow
+    from unicon_core.check.subject import Subject
 
-    result = check_workflow(arguments.workflow, arguments.overrides, twin=arguments.twin)
+    def mirror(subject: Subject, result: CheckResult) -> None:
+        values = subject.document.values
+        if arguments.ros or arguments.map or values.get("ros") or values.get("map"):
+            from unicon_ros.bridge.map_fit import check_mirror  # 0.2 s with what it imports
+
+            check_mirror(subject, result, arguments.map)
+
+    result = check_workflow(
+        arguments.workflow, arguments.overrides, twin=arguments.twin, more=[mirror]
+    )
     print(result.text())
     if arguments.json:
         result.write(arguments.json)

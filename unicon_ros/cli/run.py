@@ -53,6 +53,13 @@ def add(commands: Any) -> None:
     parser.add_argument("--report", metavar="FILE.json", help="write the report")
     parser.add_argument("--picture", metavar="FILE.png", help="draw path, velocities and joints")
     parser.add_argument("--view", action="store_true", help="open the simulator's viewer")
+    parser.add_argument(
+        "--force",
+        metavar="CODE",
+        action="append",
+        default=[],
+        help="go on with an error of `unicon check` of this code; may be repeated",
+    )
     parser.add_argument("--quiet", action="store_true", help="no status line and no block table")
     parser.add_argument(
         "--ros-args",
@@ -92,6 +99,7 @@ class _Ended:
 def _run(
     arguments: argparse.Namespace, document: WorkflowDocument, console: Console, guard: Guard
 ) -> _Ended:
+    from unicon_core.check import refuse_errors
     from unicon_core.runtime import Runner, RunOptions
     from unicon_core.workflow import build_workflow
 
@@ -138,6 +146,8 @@ def _run(
             status=None if arguments.quiet or not console.terminal else console.status,
         )
         try:
+            for line in refuse_errors(workflow, arguments.force):
+                console.warn(line)
             runner = Runner(workflow, options)
             if session is not None:
                 session.attach(runner)

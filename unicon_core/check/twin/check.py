@@ -85,6 +85,7 @@ class _Twin:
         self.verdict(given)
         if given.stands and (not given.tracks or given.tracking >= POOR):
             for key, contract, broken, measures in suspects:
+                # Scales of 1 have been left out by nobody, and who only stands up does so anyhow.
                 result.find(
                     "twin.suspect",
                     f"policy {key!r}, {broken.culprit}",
@@ -92,6 +93,7 @@ class _Twin:
                     f"given contract ({given.score:.2f}): yours is suspect",
                     f"compare {broken.culprit} with the training side",
                     contract.path,
+                    error=given.tracks and not broken.unlikely,
                 )
         self.tables(given)
 

@@ -35,12 +35,14 @@ class Perturbation:
         culprit: the part of the contract that it concerns.
         contract: the broken contract, or None where the mistake changes nothing.
         reason: why there is none.
+        unlikely: nobody makes it; that a policy bears it is worth a note.
     """
 
     name: str
     culprit: str
     contract: PolicyContract | None
     reason: str = ""
+    unlikely: bool = False
 
 
 def perturbations(contract: PolicyContract, depths: Sequence[int]) -> list[Perturbation]:
@@ -128,7 +130,8 @@ def _scales(contract: PolicyContract) -> Perturbation:
         why = "the network takes states one by one"
         return Perturbation("observation scales left out", "observation scales", None, why)
     broken = with_terms(contract, lambda term: replace(term, scale=2.0 * term.scale))
-    return Perturbation("observation scales doubled (all are 1)", "observation scales", broken)
+    name = "observation scales doubled (all are 1)"
+    return Perturbation(name, "observation scales", broken, unlikely=True)
 
 
 def _left_right(contract: PolicyContract) -> Perturbation:

@@ -1,0 +1,50 @@
+"""How a run begins and what stands between the flow and the motors, for `unicon check`."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from unicon_core.blocks.pose import Pose
+from unicon_core.check.result import CheckResult
+from unicon_core.check.subject import Subject
+from unicon_core.policies import OnnxPolicy
+
+__all__ = ["check_start"]
+
+STEP = 0.3
+"""In [rad]: a servo that is given a target farther away than this moves with a jerk."""
+
+
+def check_start(subject: Subject, result: CheckResult) -> None:
+    """A policy that takes over a robot which lies, and a workflow without safety blocks."""
+    if not subject.workflow.safety:
+        result.note(
+            "safety.none",
+            "safety: none",
+            "no block looks at commands before they are sent: what is not finite or beyond the "
+            "limits of a joint leaves as it is",
+            "",
+            subject.document.where("safety"),
+        )
+    first = next((b.tick for b in subject.blocks if isinstance(b.tick, (Pose, OnnxPolicy))), None)
+    if not isinstance(first, OnnxPolicy):
+        return
+    robot, contract = subject.robot, first.contract
+    own = [robot.joint_names.index(name) for name in contract.joints]
+    way = np.abs(contract.default_joint_pos - robot.rest_joint_pos[own])
+    if np.isnan(way).all():
+        where = "nobody knows how far from where it is"
+    elif np.nanmax(way) > STEP:
+        i = int(np.nanargmax(way))
+        where = f"{contract.joints[i]} {way[i]:.2g} rad from where it is when the robot lies"
+    else:
+        return
+    result.find(
+        "pose.start",
+        f"policy {contract.name!r}",
+        f"it is the first to move the robot, and its default pose is {where}: the motors would "
+        "make a step",
+        "let `pose: {to: stand}` go there first: flow: {chain: [{pose: …}, {policy: …}]}",
+        subject.document.where("flow"),
+        error=not subject.platform.simulated,
+    )

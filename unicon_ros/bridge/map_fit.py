@@ -1,0 +1,168 @@
+"""Whether a message map fits a workflow's states, told without ROS: for `unicon check`.
+
+The codecs are built as the bridge and platform `ros` build them; neither node nor context is made.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from unicon_core.errors import PlatformError, UniconError
+from unicon_core.platforms.platform import Binding
+from unicon_core.resources import find_config
+from unicon_core.robots import Robot
+from unicon_core.states import States
+from unicon_core.states.standard import COMMAND_STATES
+from unicon_msgs_map import (
+    Decoder,
+    Encoder,
+    MapDependencyError,
+    MapError,
+    MapStateError,
+    load_map,
+)
+from unicon_ros import compat
+from unicon_ros.bridge.bindings import arrays_of, names_of, variables_of
+
+if TYPE_CHECKING:
+    from unicon_core.check import CheckResult
+    from unicon_core.check.subject import Subject
+    from unicon_core.workflow import Workflow
+
+__all__ = ["check_mirror", "examine_platform"]
+
+NO_CODECS = "the message map was not looked at: {}"
+NO_ROS = "rclpy is not installed: whether ROS knows the map's types was not looked at"
+
+
+def examine_platform(
+    states: States,
+    robot: Robot,
+    period: float,
+    *,
+    map: str = "ros_robot",
+    relative_to: Path | None = None,
+    **others: Any,
+) -> Binding:
+    """Return what platform `ros` would read and write; takes what its factory takes.
+
+    Raises:
+        PlatformError: the map does not fit the states or the robot.
+    """
+    if states.num_robots is not None:
+        raise PlatformError("platform 'ros' has one robot; leave num_robots out")
+    path = find_config("maps", map, error=PlatformError, relative_to=relative_to)
+    arrays = {name: states[name] for name in states}
+    names = {name: spec.names for name, spec in states.layout.specs.items() if spec.names}
+    variables: dict[str, object] = {"joint_names": list(robot.joint_names)}
+    try:
+        heard, said = _codecs(path, arrays, names, variables)
+    except MapDependencyError as error:
+        return Binding(tuple(states), COMMAND_STATES, (NO_CODECS.format(error),))
+    except UniconError as error:
+        raise PlatformError(f"platform 'ros': {error}") from error
+    if not heard:
+        raise PlatformError(f"map {path} subscribes to nothing; a robot tells its joint_pos")
+    written = dict.fromkeys(state for spec in heard for state in spec.states)
+    if "base_quat" in written:
+        written["projected_gravity"] = None
+    writes = tuple(dict.fromkeys([*written, "stamp_ns"]))
+    read = dict.fromkeys(state for spec in said for state in spec.states)
+    reads = tuple(s for s in read if s in states and (s not in writes or s in COMMAND_STATES))
+    note = _unknown_types([*heard, *said])
+    return Binding(writes, reads, (note,) if note else ())
+
+
+def check_mirror(subject: Subject, result: CheckResult, name: str | None = None) -> None:
+    """Add a finding where the map that `--ros` would use does not fit the workflow.
+
+    Args:
+        subject: the built workflow.
+        result: is added to.
+        name: of the map; None for the workflow's own, else the default.
+    """
+    workflow: Workflow = subject.workflow
+    path = find_config("maps", name or subject.document.get("map", str) or "default")
+    try:
+        heard, _ = _codecs(path, arrays_of(workflow), names_of(workflow), variables_of(workflow))
+    except MapDependencyError as error:
+        result.note("map.fit", f"map {path}", NO_CODECS.format(error))
+        return
+    except UniconError as error:
+        evidence, _, remedy = str(error).rpartition("; ")
+        result.find("map.fit", f"map {path}", evidence or remedy, remedy if evidence else "")
+        return
+    for spec in heard:
+        for state in spec.states:
+            if state in workflow.platform.writes:
+                result.find(
+                    "map.fit",
+                    spec.where or spec.topic,
+                    f"topic {spec.topic!r} would write state {state!r}, which platform "
+                    f"{subject.platform.name!r} writes",
+                    "take the topic out of the map, or use platform 'ros'",
+                )
+
+
+def _codecs(
+    path: Path,
+    arrays: Mapping[str, Any],
+    names: Mapping[str, Sequence[str]],
+    variables: Mapping[str, object],
+) -> tuple[list[Any], list[Any]]:
+    """Build every codec of a map; return the entries that are received and sent.
+
+    An optional entry whose states are not there is left out, as in a run.
+
+    Raises:
+        MapDependencyError: rosbags is not installed.
+        UniconError: the map is wrong, or does not fit.
+    """
+
+    def fits(spec: Any, build: Callable[[], Any]) -> bool:
+        try:
+            build()
+        except MapStateError:
+            if not spec.optional:
+                raise
+            return False
+        return True
+
+    try:
+        mapping = load_map(path)
+        heard = [
+            spec
+            for spec in mapping.subscribe
+            if fits(spec, partial(Decoder.build, spec, arrays, names, variables))
+        ]
+        said = [
+            spec
+            for spec in mapping.publish
+            if fits(spec, partial(Encoder.build, spec, arrays, names, variables))
+        ]
+    except MapDependencyError:
+        raise
+    except MapError as error:
+        raise UniconError(str(error)) from error
+    return heard, said
+
+
+def _unknown_types(specs: Iterable[Any]) -> str:
+    """Return a note where ROS is not there to be asked.
+
+    Raises:
+        PlatformError: ROS does not know a type that the map needs.
+    """
+    if find_spec("rclpy") is None:
+        return NO_ROS
+    for spec in specs:
+        if not spec.optional and compat.message_class(spec.type) is None:
+            raise PlatformError(
+                f"platform 'ros': {spec.where or spec.topic}: the type {spec.type} is not "
+                f"installed; install the ROS package {spec.type.split('/')[0]}"
+            )
+    return ""
