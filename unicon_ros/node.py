@@ -69,7 +69,6 @@ class UniconNode(LifecycleNode):
         handlers: dict[str, Callable[[], Answer]] = {
             word: getattr(self, f"_{word}", None) or self._delegate(word) for word in SERVICES
         }
-        # Before all other services, so that it is served first of those that came together.
         self.estop = EmergencyStop(self, lambda: self._running, self.get_logger().warning)
         add_services(self, handlers)
         compat.answer_refused_transitions(self, self._transition_refused)
