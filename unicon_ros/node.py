@@ -15,7 +15,6 @@ ticks only; otherwise as usual. To share a process and an executor with nodes of
 
 from __future__ import annotations
 
-import signal
 from collections.abc import Callable
 from typing import Any
 
@@ -25,12 +24,14 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 
 from unicon_core.errors import UniconError
 from unicon_core.runtime import Runner, RunOptions
+from unicon_core.signals import SIGNALS
 from unicon_core.workflow import Hook, load_workflow
 from unicon_ros import compat
 from unicon_ros.bridge import RosSession
 from unicon_ros.bridge.controls import SERVICES
 from unicon_ros.bridge.diagnostics import Diagnostics
 from unicon_ros.bridge.estop import FAULT, EmergencyStop
+from unicon_ros.bridge.node_log import NodeLog
 from unicon_ros.bridge.services import Answer, add_services, explained
 from unicon_ros.bridge.tuning import Tuning
 from unicon_ros.parameters import Parameters
@@ -50,6 +51,7 @@ class UniconNode(LifecycleNode):
     Attributes:
         runner: the present or last run; None before the first.
         session: its bridge; None before the first.
+        log: what it says; no tick waits for it.
         estop: its emergency stop, which stays latched from run to run.
         error: why the last transition failed, one line; "" if it did not.
         fault: why the last run was cut off, one line; "" if it was not.
@@ -69,8 +71,9 @@ class UniconNode(LifecycleNode):
         handlers: dict[str, Callable[[], Answer]] = {
             word: getattr(self, f"_{word}", None) or self._delegate(word) for word in SERVICES
         }
-        self.estop = EmergencyStop(self, lambda: self._running, self.get_logger().warning)
-        add_services(self, handlers)
+        self.log = NodeLog(self.get_logger())
+        self.estop = EmergencyStop(self, lambda: self._running, self.log.warning)
+        add_services(self, handlers, self.log.error)
         compat.answer_refused_transitions(self, self._transition_refused)
         self.diagnostics = Diagnostics(self, self.estop)
         # The steady clock, so that diagnostics come even where nobody publishes /clock.
@@ -80,13 +83,15 @@ class UniconNode(LifecycleNode):
     # -- the host's loop ------------------------------------------------------------------------
 
     def spin(self, executor: Any) -> int:
-        """Run until SIGINT, SIGTERM or a shutdown; return the exit status: 0, 1 bad input, 3 fault.
+        """Run until a signal or a shutdown; return the exit status: 0, 1 bad input, 3 fault.
 
         Args:
             executor: that this node (and others) was added to.
         """
         self._executor = executor
-        with _Signals(self._end):
+        # A second signal damps at once, in the middle of a tick or of a build.
+        with SIGNALS, SIGNALS.guard(self._end, self._damp_now):
+            self._ending |= bool(SIGNALS.asked)
             try:
                 if self.settings.autostart and not self._autostart():
                     if not self.estop.latched:
@@ -119,10 +124,15 @@ class UniconNode(LifecycleNode):
         except ExternalShutdownException:
             self._ending = True
         except Exception as error:  # of a callback, ours or that of a node beside us
-            self.get_logger().error(f"a ROS callback failed: {explained(error)}")
+            self.log.error(f"a ROS callback failed: {explained(error)}")
 
     def _end(self) -> None:
         self._ending = True
+
+    def _damp_now(self) -> bool:
+        """Close the workflow that is open, if it is not running: a run closes itself."""
+        runner = self.runner
+        return runner is not None and not self._running and runner.workflow.damp_now()
 
     def _run(self) -> None:
         """Tick until something ends the run, then let the lifecycle follow."""
@@ -138,7 +148,7 @@ class UniconNode(LifecycleNode):
         self._running, self._fresh, self.fault = True, False, ""
         self.diagnostics.fault = ""
         self.diagnostics.runner = runner
-        self.get_logger().info(
+        self.log.info(
             f"running {runner.workflow.name} on {runner.workflow.robot.name} "
             f"({runner.workflow.platform.name}) at {1.0 / runner.workflow.period:g} Hz"
         )
@@ -146,7 +156,7 @@ class UniconNode(LifecycleNode):
             report = runner.run()
             faults = report.faults
             counts = session.counts()
-            self.get_logger().info(
+            self.log.info(
                 f"ended after {report.ticks} ticks, {report.overruns} overruns; "
                 f"published {counts['published']}, received {counts['received']}"
             )
@@ -160,7 +170,7 @@ class UniconNode(LifecycleNode):
         self._ending |= runner.interrupted
         if faults:
             self.fault = self.diagnostics.fault = "; ".join(faults)
-            self.get_logger().error(f"fault: {self.fault}")
+            self.log.error(f"fault: {self.fault}")
         if self._activations == activation:  # nobody activated it again meanwhile
             self._wanted = False
             if self._label() == "active":
@@ -182,7 +192,7 @@ class UniconNode(LifecycleNode):
         refused = refused or self.estop.refusal()  # a build takes its time
         if refused:
             self.error = refused
-            self.get_logger().error(f"not activated: {refused}")
+            self.log.error(f"not activated: {refused}")
             return FAILURE
         self._activations += 1
         self._wanted = True
@@ -215,6 +225,7 @@ class UniconNode(LifecycleNode):
     def destroy_node(self) -> None:
         """Let the services go, then the node."""
         self.estop.close()
+        self.log.close()
         super().destroy_node()
 
     def _halt(self) -> None:
@@ -232,14 +243,14 @@ class UniconNode(LifecycleNode):
             self._release()
             self.error = str(error) if isinstance(error, UniconError) else explained(error)
             if not self._starting:
-                self.get_logger().error(self.error)
+                self.log.error(self.error)
             return False
         self._fresh = True
         return True
 
     def _build_or_raise(self) -> None:
         settings = self.settings
-        warn = self.get_logger().warning
+        warn = self.log.warning
         document = settings.document()
         map_name = settings.map or document.get("map", str)
         session = self.session = RosSession(
@@ -278,7 +289,7 @@ class UniconNode(LifecycleNode):
                 if what is not None:
                     what.close()
             except Exception as error:  # everything is closed, and each error told
-                self.get_logger().error(f"closing failed: {explained(error)}")
+                self.log.error(f"closing failed: {explained(error)}")
         self.diagnostics.outgoing, self.diagnostics.incoming = [], []
 
     def _label(self) -> str:
@@ -294,7 +305,7 @@ class UniconNode(LifecycleNode):
     def _transition_refused(self, error: Exception) -> None:
         """Tell of a transition that another process asked for and rclpy raised at."""
         reason = " ".join(str(error).split()).split(", at /")[0]
-        self.get_logger().warning(f"transition refused in state {self._label()!r}: {reason}")
+        self.log.warning(f"transition refused in state {self._label()!r}: {reason}")
 
     # -- services -------------------------------------------------------------------------------
 
@@ -319,22 +330,3 @@ class UniconNode(LifecycleNode):
             return answer
 
         return act
-
-
-class _Signals:
-    """Calls a function on SIGINT and SIGTERM, where handlers may be set."""
-
-    def __init__(self, action: Callable[[], None]) -> None:
-        self._action = action
-        self._before: dict[int, Any] = {}
-
-    def __enter__(self) -> None:
-        try:
-            for number in (signal.SIGINT, signal.SIGTERM):
-                self._before[number] = signal.signal(number, lambda *_: self._action())
-        except ValueError:  # not the main thread: the process handles signals
-            pass
-
-    def __exit__(self, *_: object) -> None:
-        for number, before in self._before.items():
-            signal.signal(number, before)

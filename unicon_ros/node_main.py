@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from unicon_core.errors import UniconError
+from unicon_core.signals import SIGNALS, Interrupted
 from unicon_ros import compat
 
 __all__ = ["main"]
@@ -33,7 +34,11 @@ def main(args: Sequence[str] | None = None) -> int:
     Args:
         args: command line without the program's name; that of the process if None.
     """
-    arguments = list(sys.argv[1:] if args is None else args)
+    with SIGNALS:  # before anything is imported or opened
+        return _main(list(sys.argv[1:] if args is None else args))
+
+
+def _main(arguments: list[str]) -> int:
     try:
         rclpy = compat.import_rclpy("unicon_node")
         own = _without_ros(rclpy, arguments)
@@ -47,7 +52,7 @@ def main(args: Sequence[str] | None = None) -> int:
             print(f"unicon_node: unknown argument {own[0]!r}\n{USAGE}", end="", file=sys.stderr)
             return 2
         return _spin(rclpy, arguments)
-    except KeyboardInterrupt:  # before anything moved
+    except Interrupted:  # while building: nothing has moved, and all is closed
         return 0
     except UniconError as error:
         print(f"unicon_node: error: {error}", file=sys.stderr)

@@ -104,7 +104,7 @@ def test_a_service_that_raises_answers_with_the_reason() -> None:
     def act() -> tuple[bool, str]:
         raise ValueError("mine")
 
-    add_services(node, {"act": act})
+    add_services(node, {"act": act}, print)
     response = made[0](Trigger.Request(), Trigger.Response())
     assert not response.success
     assert response.message == "~/act failed: ValueError: mine"

@@ -44,8 +44,8 @@ class Libc:
     [
         (
             {"spin": 1},
-            "pacing: unknown key 'spin'; known: trigger, overrun, spin_us, dry_run_us, priority, "
-            "cpu, lock_memory",
+            "pacing: unknown key 'spin'; known: trigger, overrun, hang, spin_us, dry_run_us, "
+            "priority, cpu, lock_memory",
         ),
         ({"trigger": "timer"}, "pacing: trigger 'timer'; give deadline or state"),
         ({"overrun": "drop"}, "pacing: overrun 'drop'; give skip or catch_up"),

@@ -29,7 +29,10 @@ class Pacing:
 
     Attributes:
         trigger: `deadline`, ticks at fixed times; `state`, ticks when the platform's data arrive.
-        overrun: `skip` lets missed ticks go and keeps the grid; `catch_up` runs them at once.
+        overrun: `skip` lets missed ticks go and keeps the grid; `catch_up` runs up to
+            `CATCH_UP` of them at once, on simulators only.
+        hang: a tick that comes or ends later than this after its deadline is a fault, in [s];
+            None: `HANG` or five periods, whichever is longer.
         spin_us: busy wait before the deadline in [µs].
         dry_run_us: how long before the deadline the blocks run dry at most in [µs]; 0 for never.
         priority: SCHED_FIFO priority 1…99, or None.
@@ -39,6 +42,7 @@ class Pacing:
 
     trigger: Literal["deadline", "state"] = "deadline"
     overrun: Literal["skip", "catch_up"] = "skip"
+    hang: float | None = None
     spin_us: float = 100.0
     dry_run_us: float = 1000.0
     priority: int | None = None
@@ -63,6 +67,15 @@ class Pacing:
             value = values.get(key, 0.0)
             if isinstance(value, bool) or not isinstance(value, (int, float)) or value < 0:
                 raise UniconError(f"pacing: {key} is {value!r}; give a number of µs >= 0")
+        hang = values.get("hang")
+        if hang is not None and (
+            isinstance(hang, bool)
+            or not isinstance(hang, (int, float))
+            or not SHORTEST_HANG <= hang <= LONGEST_HANG
+        ):
+            raise UniconError(
+                f"pacing: hang is {hang!r}; give [s] from {SHORTEST_HANG:g} to {LONGEST_HANG:g}"
+            )
         for key, lowest, highest, what in (
             ("priority", 1, 99, "a SCHED_FIFO priority from 1 to 99"),
             ("cpu", 0, 1 << 16, "the number of a core"),
@@ -76,6 +89,23 @@ class Pacing:
                 f"pacing: lock_memory is {values['lock_memory']!r}; give true or false"
             )
         return cls(**values)
+
+    def hang_ns(self, period_ns: int, simulated: bool) -> int:
+        """Return how late a tick may be before it counts as hung, in [ns]."""
+        if self.hang is not None:
+            return round(self.hang * 1e9)
+        return max(round(HANG[simulated] * 1e9), 5 * period_ns)
+
+
+CATCH_UP = 10
+"""Most ticks that `catch_up` runs at once; what is missed beyond them is let go."""
+
+HANG = {False: 0.25, True: 1.0}
+"""How late a tick may be in [s], by whether the platform is a simulator: a robot whose command is
+older than a quarter of a second no longer does what the policy thinks."""
+
+SHORTEST_HANG, LONGEST_HANG = 0.01, 60.0
+"""Bounds of `hang` in [s]; the upper one is for a debugger."""
 
 
 class WallClock:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -25,8 +26,9 @@ class Report:
         workflow, robot, platform: names.
         ticks: number of ticks.
         duration_s: time of the run, simulated where the platform is a simulator.
+        wall_s: wall time from the first tick to the end.
         rate_hz: ticks per second of wall time.
-        overruns: ticks that ended after the next one was due.
+        overruns: deadlines that were missed, one by one.
         overrun_blocks: label to number of ticks that ended late because of that block most.
         startup_s: from the start of the process to the first tick, wall time.
         tick_us: p50, p99, max from `recv` to the end of `send`.
@@ -34,9 +36,12 @@ class Report:
         faults: what went wrong, one line each.
         base_displacement_m: base position at the end minus at the start, world frame.
         fell: the base tilted by more than 60° from upright.
+        tilt_deg: largest tilt of the base from upright.
         sha256_commands: SHA-256 over the command states of every tick.
         blocks: block label to p50, p99, max.
         bridge: published and received messages, where ROS is on.
+        ended: what ended the run: done, duration, stopped, fault, or the name of a signal.
+        traceback: of the first fault, where it was an exception of a block's code; else empty.
     """
 
     workflow: str
@@ -44,6 +49,7 @@ class Report:
     platform: str
     ticks: int = 0
     duration_s: float = 0.0
+    wall_s: float = 0.0
     rate_hz: float = 0.0
     overruns: int = 0
     overrun_blocks: dict[str, int] = field(default_factory=dict)
@@ -53,8 +59,11 @@ class Report:
     faults: list[str] = field(default_factory=list)
     base_displacement_m: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
     fell: bool = False
+    tilt_deg: float = 0.0
     sha256_commands: str = ""
     blocks: dict[str, dict[str, float]] = field(default_factory=dict)
+    ended: str = ""
+    traceback: str = ""
     bridge: dict[str, Any] | None = None
     extra: dict[str, Any] = field(default_factory=dict)
 
@@ -79,12 +88,13 @@ class Report:
             share += f", most by {', '.join(list(self.overrun_blocks)[:3])}"
         lines = [
             f"workflow      {self.workflow} on {self.robot} ({self.platform})",
-            f"ticks         {self.ticks} in {self.duration_s:.2f} s, {self.rate_hz:.2f} Hz wall",
+            f"ticks         {self.ticks}, {self.duration_s:.2f} s of ticks",
+            f"wall time     {self.wall_s:.2f} s, {self.rate_hz:.2f} ticks per second",
             f"overruns      {self.overruns}{share}",
             f"tick          p50 {self.tick_us.get('p50', 0):.0f} µs, "
             f"p99 {self.tick_us.get('p99', 0):.0f} µs, max {self.tick_us.get('max', 0):.0f} µs",
-            f"base          moved {x:+.2f} {y:+.2f} {z:+.2f} m, "
-            f"{'FELL' if self.fell else 'did not fall'}",
+            f"base          moved {x:+.2f} {y:+.2f} {z:+.2f} m, tilted up to {self.tilt_deg:.0f}°"
+            f"{', FELL' if self.fell else '' if self.faults else ', did not fall'}",
         ]
         if self.startup_s is not None:
             lines.insert(1, f"start-up      {self.startup_s:.2f} s to the first tick")
@@ -93,6 +103,7 @@ class Report:
                 f"ROS 2         published {self.bridge.get('published', 0)}, "
                 f"received {self.bridge.get('received', 0)} messages"
             )
+        lines.append(f"ended         {self.ended}")
         lines.append(f"faults        {'; '.join(self.faults) or 'none'}")
         return "\n".join(lines)
 
@@ -115,7 +126,7 @@ class Monitor:
         self._started = False
         self._hash = hashlib.sha256()
         self._commands = _views(states, COMMAND_STATES)
-        self.fell = False
+        self._worst = -1.0
 
     def __call__(self) -> None:
         if not self._started:
@@ -123,14 +134,21 @@ class Monitor:
             self._started = True
         for view in self._commands:
             self._hash.update(view)
-        if not self.fell and self._least_upright() > -self.FALL_COSINE:
-            self.fell = True
+        upright = self._least_upright()
+        if not upright <= self._worst:
+            self._worst = upright if upright > self._worst else 1.0  # NaN is the worst
+
+    @property
+    def fell(self) -> bool:
+        """Whether the base tilted further than a walking robot comes back from."""
+        return not self._worst <= -self.FALL_COSINE
 
     def fill(self, report: Report) -> None:
         """Write what was seen into the report."""
         moved = self._pos[0] - self._start[0] if self._started else np.zeros(3)
         report.base_displacement_m = [round(float(value), 6) for value in moved]
         report.fell = self.fell
+        report.tilt_deg = round(math.degrees(math.acos(max(-1.0, min(-self._worst, 1.0)))), 1)
         report.sha256_commands = self._hash.hexdigest()
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import signal
+import threading
 import time
+import traceback
 from collections import deque
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
-from types import FrameType
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -17,6 +17,7 @@ from unicon_core.errors import Fault, PlatformError, UniconError
 from unicon_core.flow import Deferred, Zip, as_block, compile_graph
 from unicon_core.runtime.arrivals import Arrivals
 from unicon_core.runtime.pacing import (
+    CATCH_UP,
     DryRun,
     Pacing,
     WallClock,
@@ -25,7 +26,9 @@ from unicon_core.runtime.pacing import (
 )
 from unicon_core.runtime.report import Monitor, Report
 from unicon_core.runtime.statistics import TickStatistics
+from unicon_core.signals import SIGNALS, Interrupted, signal_name
 from unicon_core.workflow import Workflow
+from unicon_core.workflow.gate import NEVER_NS
 
 __all__ = ["RunOptions", "Runner"]
 
@@ -49,23 +52,35 @@ class RunOptions:
     status: Callable[[dict[str, Any]], None] | None = None
 
 
+CLOSING = 3.0
+"""How long `close` of another thread waits for the ticking one to damp, in [s]."""
+
+
 class Runner:
     """Runs one workflow; `tick` and `close` may also be driven by a host such as the ROS node.
 
+    While `run` ticks, its thread alone may use the workflow: `stop`, `call_soon` and `close` are
+    for the others.
+
     Args:
-        workflow: what to run.
+        workflow: what to run; not closed, and not run before.
         options: how.
 
     Attributes:
         next_due_ns: when the next tick is due, on the clock of `time.perf_counter_ns`; 0 where
             ticks are not paced. What comes after `send` may use the time until then.
-        interrupted: SIGINT or SIGTERM ended the run.
+        faults: what went wrong, one line each; the first is why the run ended.
+        traceback: where the first fault came from, if it was no `Fault`; else "".
+        interrupted: a signal ended the run.
 
     Raises:
-        PlatformError: ticks shall come with the platform's data, and it has no `wait`.
+        PlatformError: the platform cannot be paced as the workflow says.
+        UniconError: the workflow is closed.
     """
 
     def __init__(self, workflow: Workflow, options: RunOptions | None = None) -> None:
+        if workflow.gate.closed:
+            raise UniconError(f"workflow {workflow.name} is closed; build it anew to run it again")
         self.workflow = workflow
         self.options = options or RunOptions()
         try:
@@ -79,6 +94,7 @@ class Runner:
         self.statistics = TickStatistics(names, self.graph.deferred_blocks, self.options.capacity)
         self.period_ns = round(workflow.period * 1e9)
         self.faults: list[str] = []
+        self.traceback = ""
         self.done = False
         self.next_due_ns = 0
         self.interrupted = False
@@ -91,9 +107,18 @@ class Runner:
                     f"platform {workflow.platform.name!r} cannot tell when its data arrive; "
                     "set pacing.trigger: deadline"
                 )
+        if self.pacing.overrun == "catch_up" and not workflow.platform.simulated:
+            raise PlatformError(
+                f"platform {workflow.platform.name!r} is a robot, to which catch_up would send old "
+                "commands in one go; set pacing.overrun: skip"
+            )
+        self._hang_ns = self.pacing.hang_ns(self.period_ns, workflow.platform.simulated)
+        workflow.gate.hung = self._hung
         self._tick = workflow.states["tick"]
         self._stop = False
         self._closed = False
+        self._thread: int | None = None
+        self._ended = threading.Event()
         self._started_ns = 0
         self._age_s: float | None = None
         self._ended_ns = 0
@@ -110,12 +135,18 @@ class Runner:
     def call_soon(self, action: Callable[[], object]) -> None:
         """Run an action between two ticks, in the thread of the ticks; safe from any thread.
 
-        It may take its time (a pause): ticks missed meanwhile are not overruns.
+        It may take its time (a pause): ticks missed meanwhile are not overruns. What it raises is
+        a fault.
         """
         self._between.append(action)
 
     def reset(self) -> None:
-        """Bring a simulator and the flow back to their beginning; call it between two ticks."""
+        """Bring a simulator and the flow back to their beginning; call it between two ticks.
+
+        Raises:
+            UniconError: another thread ticks.
+        """
+        self._only_here("reset", "call_soon(runner.reset)")
         self.workflow.platform.reset()
         self.graph.reset()
 
@@ -124,7 +155,12 @@ class Runner:
 
         Raises:
             Fault: a block tripped; the caller must close, which damps.
+            UniconError: another thread ticks.
         """
+        self._only_here("tick", "call_soon")
+        return self._step(due_ns)
+
+    def _step(self, due_ns: int) -> bool:
         graph = self.graph
         done = graph.step()
         done = graph.deferred() or done
@@ -132,28 +168,94 @@ class Runner:
         self.statistics.add(due_ns, time.perf_counter_ns(), graph.stamps)
         return done
 
+    def _only_here(self, what: str, instead: str) -> None:
+        if self._thread not in (None, threading.get_ident()):
+            raise UniconError(f"Runner.{what}: another thread ticks this workflow; use {instead}")
+
     def run(self) -> Report:
-        """Run to the end and return the report; a fault is in it, the platform is closed."""
-        restore = prepare_process(self.pacing, self.options.warn)
-        try:
-            with self._signals():
-                self._started_ns, self._age_s = time.perf_counter_ns(), process_age_s()
-                try:
-                    self._loop()
-                except Fault as fault:
-                    self.faults.append(str(fault))
-                finally:
-                    self._ended_ns = time.perf_counter_ns()
-                    self.close()
-        finally:
-            restore()
-        return self.report()
+        """Run to the end and return the report; whatever goes wrong is in it, the platform closed.
+
+        Every signal whose default action ends the process ends the run after the present tick; a
+        second one damps at once, in the middle of the tick.
+
+        Raises:
+            UniconError: it runs already, or has run.
+        """
+        if self._closed or self._thread is not None:
+            state = "has ended" if self._closed else "is running"
+            raise UniconError(f"Runner.run: this run {state}; build the workflow anew")
+        self._thread = threading.get_ident()
+        with SIGNALS, SIGNALS.guard(self.stop, self._damp_now):
+            self._stop |= bool(SIGNALS.asked)
+            restore = prepare_process(self.pacing, self.options.warn)
+            self._started_ns, self._age_s = time.perf_counter_ns(), process_age_s()
+            try:
+                self._loop()
+            except BaseException as error:  # whatever it is, no further command is sent
+                self._failed(error)
+            finally:
+                self._ended_ns = time.perf_counter_ns()
+                self._close()
+                restore()
+                self._thread = None
+                self._ended.set()
+            self.interrupted = bool(SIGNALS.asked)
+            report = self.report()
+            report.ended = self._why()
+            SIGNALS.stop_process()
+        return report
+
+    def _damp_now(self) -> bool:
+        """Close in the middle of a tick: a second signal wants it, as the tick does not end."""
+        if self._closed:
+            return False
+        self.faults.append(
+            f"{signal_name(SIGNALS.asked)} came twice: damped at once, in the middle of a tick"
+        )
+        self._close()
+        return True
+
+    def _failed(self, error: BaseException) -> None:
+        if isinstance(error, Interrupted) and self._closed:
+            return  # told by whoever damped
+        self.faults.append(_reason(error))
+        if not isinstance(error, Fault) and not self.traceback:
+            self.traceback = "".join(traceback.format_exception(error))
+
+    def _why(self) -> str:
+        """Return what ended the run, in a word or two."""
+        if self.faults:
+            return "fault"
+        if self.done:
+            return "done"
+        if self.interrupted:
+            return signal_name(SIGNALS.asked)
+        return "stopped" if self._stop else "duration"
 
     def close(self) -> None:
-        """Damp and close, once."""
+        """Damp and close, once. From another thread: end the run, which damps, and wait for it.
+
+        Raises:
+            UniconError: the ticking thread did not end in time; nothing is sent any more.
+        """
+        if self._thread in (None, threading.get_ident()):
+            self._close()
+            return
+        self.stop()
+        if not self._ended.wait(CLOSING):
+            self.workflow.gate.close()
+            raise UniconError(
+                f"Runner.close: the ticking thread did not end within {CLOSING:g} s; it sends "
+                "nothing any more; end the process"
+            )
+
+    def _close(self) -> None:
         if not self._closed:
             self._closed = True
-            self.workflow.close()
+            try:
+                self.workflow.close()
+            except Exception as error:
+                self.faults.append(f"closing: {_reason(error)}")
 
     def report(self) -> Report:
         """Return the report of the run so far."""
@@ -165,6 +267,7 @@ class Runner:
         report.ticks = ticks
         report.duration_s = round(ticks * workflow.period, 9)
         report.rate_hz = round(ticks / wall, 3)
+        report.wall_s = round(wall, 3)
         report.overruns = statistics.overruns
         if statistics.overruns:
             report.overrun_blocks = statistics.overrun_blocks(workflow.period * 1e6)
@@ -175,6 +278,7 @@ class Runner:
         report.late_us = statistics.lateness_us()
         report.blocks = statistics.block_us()
         report.faults = list(self.faults)
+        report.traceback = self.traceback
         self.monitor.fill(report)
         return report
 
@@ -196,7 +300,9 @@ class Runner:
             while not self._stop and self.statistics.count < limit:
                 if self._between:
                     self._act()
-                if self.tick(time.perf_counter_ns()):
+                    if self._stop:
+                        break
+                if self._step(time.perf_counter_ns()):
                     self.done = True
                     break
                 if self.statistics.count % status_every == 0:
@@ -206,26 +312,67 @@ class Runner:
 
     def _paced(self, limit: int, status_every: int) -> None:
         wait = self._dry_run(WallClock(round(self.pacing.spin_us * 1e3))).until
-        period, skip = self.period_ns, self.pacing.overrun == "skip"
-        statistics, now = self.statistics, time.perf_counter_ns
+        period, backlog = self.period_ns, 0 if self.pacing.overrun == "skip" else CATCH_UP
+        statistics, now, gate = self.statistics, time.perf_counter_ns, self.workflow.gate
         due = now() + min(period, 10_000_000)
         while not self._stop and statistics.count < limit:
             if self._between:
                 self._act()
+                if self._stop:
+                    break
                 due = max(due, now())
-            wait(due)
+            gate.until_ns = due + self._hang_ns
+            if wait(due) > gate.until_ns:
+                self._missed(now() - due)
             self.next_due_ns = due + period
-            if self.tick(due):
+            try:
+                done = self._step(due)
+            except BaseException:
+                statistics.overruns += max(-(-(now() - due - period) // period), 0)
+                raise
+            if done:
                 self.done = True
                 break
             due += period
             late = now() - due
             if late > 0:
-                statistics.overruns += 1
-                if skip:
-                    due += -(-late // period) * period
+                missed = -(-late // period)
+                dropped = max(missed - backlog, 0)
+                # Each deadline that no tick met counts, those caught up when they run.
+                statistics.overruns += max(dropped, 1)
+                due += dropped * period
+                if late > self._hang_ns:
+                    raise Fault(self._hung())
             if statistics.count % status_every == 0:
                 self._status()
+
+    def _missed(self, late_ns: int) -> None:
+        """Count the ticks that nobody ran, and end the run: the process stood still.
+
+        Raises:
+            Fault: always.
+        """
+        self.statistics.overruns += late_ns // self.period_ns
+        raise Fault(
+            f"no tick ran for {late_ns * 1e-9:.2f} s: the process was stopped or starved between "
+            f"two ticks; more than {self._hang_ns * 1e-9:g} s are a fault (pacing.hang)"
+        )
+
+    def _hung(self) -> str:
+        """Return what is said of the present tick, which took too long: the slowest block."""
+        stamps, names = self.graph.stamps, [block.name for block in self.graph.blocks]
+        ends = sorted((int(end), name) for end, name in zip(stamps[2:], names) if end)
+        before, slowest, longest = int(stamps[0]), "a block that has not ended", 0
+        for end, name in ends:
+            if end - before > longest:
+                slowest, longest = name, end - before
+            before = end
+        if time.perf_counter_ns() - before > longest:  # it has no stamp yet
+            slowest, longest = "what ran last", time.perf_counter_ns() - before
+        return (
+            f"a tick hung: {slowest} took {longest * 1e-9:.2f} s; ticks that are late by more than "
+            f"{self._hang_ns * 1e-9:g} s are a fault (pacing.hang)"
+        )
 
     def _triggered(self, limit: int, status_every: int, wait: Callable[[float], bool]) -> None:
         """Tick when data arrive; without data at a slow pace, so that safety sees that they lack.
@@ -241,10 +388,13 @@ class Runner:
         patience = 3e-9 * period
         arrivals = self._arrivals(wait, patience)
         due = last = now()
-        hasty = 0
+        hasty, gate = 0, self.workflow.gate
+        silence = round(1e9 * patience) + 2 * period + self._hang_ns
         while not self._stop and statistics.count < limit:
             if self._between:
                 self._act()
+                if self._stop:
+                    break
                 last = now()
             if arrivals is not None:
                 often = 1.5 * arrivals.interval_ns < period
@@ -256,12 +406,15 @@ class Runner:
             before, last = last, now()
             if not came:
                 statistics.overruns += 1
+            if last - before > silence:
+                self._missed(last - before)
+            gate.until_ns = last + self._hang_ns
             hasty = hasty + 1 if last - before < 0.6 * period else 0
             if hasty >= 5:  # they come faster than was measured
                 arrivals, hasty = self._arrivals(wait, patience), 0
                 due = last = now()
             self.next_due_ns = (due if arrivals is not None else last) + period
-            if self.tick(last):
+            if self._step(last):
                 self.done = True
                 break
             if came and arrivals is not None:
@@ -295,6 +448,7 @@ class Runner:
         return DryRun(self.graph.dry, clock, round(self.pacing.dry_run_us * 1e3) if able else 0)
 
     def _act(self) -> None:
+        self.workflow.gate.until_ns = NEVER_NS  # a pause takes its time, and may tick
         for _ in range(len(self._between)):
             self._between.popleft()()
 
@@ -312,22 +466,12 @@ class Runner:
             }
         )
 
-    @contextmanager
-    def _signals(self) -> Iterator[None]:
-        """Let SIGINT and SIGTERM end the run after the present tick, where we may set handlers."""
 
-        def handler(number: int, frame: FrameType | None) -> None:
-            self.interrupted = True
-            self.stop()
-
-        before = {}
-        try:
-            for number in (signal.SIGINT, signal.SIGTERM):
-                before[number] = signal.signal(number, handler)
-        except ValueError:  # not the main thread: the host handles signals
-            pass
-        try:
-            yield
-        finally:
-            for number, previous in before.items():
-                signal.signal(number, previous)
+def _reason(error: BaseException) -> str:
+    """Return an exception in one line; what is not a `Fault` with its kind and place."""
+    if isinstance(error, Fault):
+        return str(error)
+    text = " ".join(str(error).split())
+    frames = traceback.extract_tb(error.__traceback__)
+    place = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
+    return f"{type(error).__name__}{': ' if text else ''}{text}{place}"

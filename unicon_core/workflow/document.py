@@ -35,7 +35,7 @@ KEYS = {
     "flow": "the graph",
     "safety": "blocks between the flow and send",
     "deferred": "blocks after send",
-    "pacing": "{trigger, overrun, spin_us, dry_run_us, priority, cpu, lock_memory}",
+    "pacing": "{trigger, overrun, hang, spin_us, dry_run_us, priority, cpu, lock_memory}",
     "check": "settings of the preflight check",
 }
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -15,12 +16,14 @@ from unicon_core.flow.critical_path import critical_path
 from unicon_core.flow.fuse import fuse
 from unicon_core.platforms.platform import Platform
 from unicon_core.robots import Robot, load_robot, robot_names
+from unicon_core.signals import SIGNALS
 from unicon_core.states import Layout, States, StateSpec, standard_states
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_core.workflow.autowire import BuildContext, autowire, option_names
 from unicon_core.workflow.document import WorkflowDocument, load_document
 from unicon_core.workflow.expression import expression
 from unicon_core.workflow.flow_yaml import BlockUse, FlowReader
+from unicon_core.workflow.gate import Gate
 from unicon_core.workflow.platforms import build_platform
 from unicon_core.workflow.policies import (
     declared_states,
@@ -61,6 +64,7 @@ class Workflow:
             the command does not depend on is put off, and neighbouring copies are fused.
         critical: the blocks that the command depends on.
         blocks: all blocks in order of building, for closing.
+        gate: what every command passes last.
     """
 
     document: WorkflowDocument
@@ -73,6 +77,8 @@ class Workflow:
     root: Node = field(init=False)
     critical: frozenset[Block] = frozenset()
     blocks: list[Block] = field(default_factory=list)
+    gate: Gate = field(default_factory=Gate)
+    _closed: bool = field(default=False, init=False)
 
     @property
     def name(self) -> str:
@@ -80,17 +86,35 @@ class Workflow:
         return self.document.name
 
     def close(self) -> None:
-        """Close the platform first (it damps), then the blocks in reverse order of building."""
+        """Close the platform first (it damps), then the blocks in reverse order of building, once.
+
+        Nothing is sent from then on. Everything is closed before the first error is raised.
+        """
+        if self._closed:
+            return
+        self._closed = True
+        self.gate.close()
         errors: list[Exception] = []
         closers: list[Callable[[], object]] = [self.platform.close]
         closers += [block.close for block in reversed(self.blocks) if block.close is not None]
         for close in closers:
             try:
                 close()
-            except Exception as error:  # everything is closed, then the first error is told
+            except Exception as error:
                 errors.append(error)
         if errors:
             raise errors[0]
+
+    def damp_now(self) -> bool:
+        """Close in the middle of whatever runs, for a second signal; False where it closes already.
+
+        The platform damps. What its closing finds wrong is not told: a signal handler has no ear.
+        """
+        if self._closed:
+            return False
+        with suppress(Exception):
+            self.close()
+        return True
 
 
 def load_workflow(
@@ -133,7 +157,9 @@ def build_workflow(
     platform = build_platform(document, context)
     workflow = Workflow(document, robot, platform, states, period, policies, context)
     try:
-        _assemble(workflow, inputs, observers)
+        with SIGNALS.guard(damp=workflow.damp_now):
+            _assemble(workflow, inputs, observers)
+            SIGNALS.check()
     except BaseException:
         workflow.close()
         raise
@@ -170,7 +196,9 @@ def _assemble(workflow: Workflow, inputs: Sequence[Hook], observers: Sequence[Ho
     platform = workflow.platform
     recv = Block("recv", platform.recv, writes=tuple(platform.writes), role="recv")
     recv.dry_run = rehearsal.refresh(getattr(platform, "rehearse", None))
-    send = Block("send", platform.send, reads=tuple(platform.reads), role="send")
+    send = Block(
+        "send", workflow.gate.before(platform.send), reads=tuple(platform.reads), role="send"
+    )
     acting = (recv, *commands, *before, flow, *tuning, *safety, *last, send, *after)
     # Observers only look: what they would find missing is no reason not to run.
     raise_first(check_graph(Zip(*acting), workflow.states, given=GIVEN))
@@ -284,6 +312,7 @@ def _reader(workflow: Workflow, rehearsal: Rehearsal) -> FlowReader:
     context, document = workflow.context, workflow.document
 
     def make_block(use: BlockUse) -> Node:
+        SIGNALS.check()
         is_policy = use.name == "policy"
         factory = policy_factory(use, context.policies) if is_policy else _factory(use)
         options = _options(factory, use)

@@ -21,11 +21,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import UniconError
+from unicon_core.signals import SIGNALS, Interrupted
 from unicon_ros import compat
 from unicon_ros.bench.domains import free_domain
 from unicon_ros.bench.floor import c_level_floor
 from unicon_ros.bench.loops import LEASE, SETTLE, Loop, breathe
 from unicon_ros.bench.report import Bench
+from unicon_ros.cli.console import CLEAR, is_terminal
 
 __all__ = ["VARIANTS", "Variant", "run"]
 
@@ -176,11 +178,14 @@ def run(
     rounds = rounds or ROUNDS
     with tempfile.TemporaryDirectory() as folder:
         options = _Options(rate, state_rate, joints, seconds, Path(folder))
-        whole, loops = _turns(variants, rounds, options)
+        with SIGNALS.guard():  # Ctrl-C is looked for between turns
+            whole, loops = _turns(variants, rounds, options)
         samples = {name: loop.samples() for name, loop in loops.items()}
         results = [{name: each[i] for name, each in samples.items()} for i in range(whole)]
     bench = _bench(results, options)
-    floor = c_level_floor(free_domain(), state_rate) if results else None
+    floor = None
+    if results and not SIGNALS.asked:
+        floor = c_level_floor(free_domain(), state_rate)
     if floor is not None:
         bench.fact("one hop of DDS in C (ddsperf, 512 B)", floor)
     return bench
@@ -192,25 +197,31 @@ def _turns(variants: list[Variant], rounds: int, options: _Options) -> tuple[int
     whole = 0
     try:
         for i, variant in enumerate(variants):
-            _say(f"\rstart: {i + 1} of {len(variants)}, {variant.name}\x1b[K")
+            SIGNALS.check()
+            _say(f"start: {i + 1} of {len(variants)}, {variant.name}")
             held = list(loops.values())
             loops[variant.name] = loop = _loop(variant, i, options)
             loop.start(meanwhile=partial(breathe, held))
             breathe(held)
         for number in range(rounds):
+            label = f"round {number + 1} of {rounds}"
+            if not is_terminal():
+                _say(label)
             for i, (name, loop) in enumerate(loops.items()):
-                label = f"round {number + 1} of {rounds}"
-                _say(f"\r{label}: {i + 1} of {len(variants)}, {name}\x1b[K")
+                SIGNALS.check()
+                if is_terminal():
+                    _say(f"{label}: {i + 1} of {len(variants)}, {name}")
                 loop.run(options.seconds)
             whole += 1
-    except KeyboardInterrupt:
-        _say(f"\r\x1b[Kstopped; {whole} whole rounds are kept\n")
+    except Interrupted:
+        _say(f"stopped; {whole} whole rounds are kept")
     finally:
         for loop in loops.values():
             loop.end()
         for loop in loops.values():
             loop.close()
-        _say("\r\x1b[K")
+        if is_terminal():
+            _say("")
     return whole, loops
 
 
@@ -302,4 +313,6 @@ def _environment() -> dict[str, str]:
 
 
 def _say(text: str) -> None:
-    print(text, end="", file=sys.stderr, flush=True)
+    """Tell how far it is: in one line of a terminal, else a line each."""
+    begin, end = (CLEAR, "") if is_terminal() else ("", "\n")
+    print(f"{begin}{text}", end=end, file=sys.stderr, flush=True)

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import UniconError
+from unicon_core.signals import SIGNALS
 from unicon_ros.bench.pipelines.log import beside
 
 __all__ = ["LEASE", "SETTLE", "Loop", "Slice", "breathe"]
@@ -178,6 +179,7 @@ class Loop:
         now = time.monotonic()
         end, breath = now + PATIENCE, now + BREATHS
         while not self._flag.exists():
+            SIGNALS.check()
             now = time.monotonic()
             if now > end or any(p.poll() is not None for p in self._processes):
                 return False

@@ -57,7 +57,7 @@ class EmergencyStop:
         self._pressed_at = self._answered_at = -math.inf
         self._unanswered: list[Any] = []
         handlers = dict(zip(STOP_SERVICES, (self.press, self.clear)))
-        self._service = add_services(node, handlers)[0]
+        self._service = add_services(node, handlers, warn)[0]
         taking, self._let_go = compat.request_take(self._service)
         self.polled = taking is not None
         self._take: Callable[[], Any] = taking or _nothing
@@ -66,9 +66,10 @@ class EmergencyStop:
 
     def before_send(self) -> Block:
         """Return the look right before `send`; it answers once the platform is closed."""
-        # Between two ticks the dry run hears it as well, and keeps the look warm.
+        # The dry run, shortly before the tick, hears it as well and need not wait for that tick; it
+        # also keeps the look warm.
         return Block(
-            "estop", self.look, close=self.answer, dry_run=self.hear, role="safety", endless=True
+            "estop", self.look, close=self.answer, dry_run=self.look, role="safety", endless=True
         )
 
     def after_send(self) -> Block:

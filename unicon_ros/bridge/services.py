@@ -11,7 +11,9 @@ Answer = tuple[bool, str]
 """Success, and a line for the caller."""
 
 
-def add_services(node: Any, handlers: dict[str, Callable[[], Answer]]) -> list[Any]:
+def add_services(
+    node: Any, handlers: dict[str, Callable[[], Answer]], warn: Callable[[str], object]
+) -> list[Any]:
     """Create `~/<name>` of type std_srvs/srv/Trigger for each handler; return the services.
 
     A handler that raises is answered with the reason: a mistake of ours must not end a node.
@@ -24,7 +26,7 @@ def add_services(node: Any, handlers: dict[str, Callable[[], Answer]]) -> list[A
                 response.success, response.message = handler()
             except Exception as error:
                 response.success, response.message = False, f"~/{name} failed: {explained(error)}"
-                node.get_logger().error(response.message)
+                warn(response.message)
             return response
 
         return answer

@@ -102,7 +102,7 @@ class RosSession:
         self._closed = False
         self._started_ns = time.perf_counter_ns()
         if self._own is not None:
-            add_services(node, {name: getattr(self.controls, name) for name in SERVICES})
+            add_services(node, {name: getattr(self.controls, name) for name in SERVICES}, warn)
 
     # -- hooks ----------------------------------------------------------------------------------
 

@@ -7,12 +7,16 @@ it: `unicon --help` loads neither rclpy, MuJoCo nor onnxruntime.
 from __future__ import annotations
 
 import argparse
+import errno
 import os
 import sys
+import traceback
 from collections.abc import Sequence
+from contextlib import suppress
 
 import unicon_core
 from unicon_core.errors import UniconError
+from unicon_core.signals import SIGNALS, Interrupted
 from unicon_ros.cli import bench, check, known, run, show
 
 __all__ = ["main"]
@@ -36,21 +40,61 @@ def main(argv: Sequence[str] | None = None) -> int:
     Args:
         argv: arguments without the program's name; those of the process if None.
     """
+    with SIGNALS:  # before anything is imported or opened
+        status = _run(argv)
+        return _finish(status)
+
+
+def _run(argv: Sequence[str] | None) -> int:
     arguments = _parser().parse_args(argv)
     try:
         return int(arguments.function(arguments))
     except UniconError as error:
-        print(f"unicon: error: {error}", file=sys.stderr)
-        return 1
+        return _refuse(str(error))
     except _map_errors() as error:
-        print(f"unicon: error: {error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        return 130
+        return _refuse(str(error))
+    except Interrupted as interrupted:
+        return 128 + interrupted.number
     except BrokenPipeError:
-        # The reader has gone (`unicon show … | head`): nobody is left to tell.
+        return 0  # the reader has gone (`unicon show … | head`): nobody is left to tell
+    except OSError as error:
+        if error.filename is None and error.errno == errno.ENOSPC:
+            return _refuse(f"cannot write: {error.strerror}; make room where the output goes")
+        return _unforeseen(error)
+    except Exception as error:
+        return _unforeseen(error)
+
+
+def _refuse(message: str) -> int:
+    with suppress(OSError):
+        print(f"unicon: error: {message}", file=sys.stderr)
+    return 1
+
+
+def _unforeseen(error: Exception) -> int:
+    """Tell an error that nobody foresaw in one line; all of it where it is asked for."""
+    if os.environ.get("UNICON_TRACEBACK"):
+        raise error
+    last = traceback.extract_tb(error.__traceback__)[-1]
+    text = " ".join(str(error).split())[:500]
+    return _refuse(
+        f"{type(error).__name__}: {text} ({os.path.basename(last.filename)}:{last.lineno}); "
+        "this was not foreseen: set UNICON_TRACEBACK=1 to see where it comes from, and report it"
+    )
+
+
+def _finish(status: int) -> int:
+    """Flush what was printed; output that does not arrive makes no failed run a good one."""
+    try:
+        sys.stdout.flush()
+        return status
+    except BrokenPipeError:
+        pass
+    except OSError as error:
+        status = status or _refuse(f"cannot write to standard output: {error.strerror}")
+    with suppress(OSError, ValueError):  # Python flushes once more at its end
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
+    return status
 
 
 def _map_errors() -> tuple[type[Exception], ...]:

@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import argparse
 import sys
+from contextlib import suppress
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from unicon_core.errors import UniconError
+from unicon_core.signals import SIGNALS, Guard
+from unicon_ros.cli.console import Console
 from unicon_ros.cli.workflow_arguments import add_workflow
 
 if TYPE_CHECKING:
     from unicon_core.flow import Block
-    from unicon_core.runtime import Report
+    from unicon_core.runtime import Report, Runner
     from unicon_core.workflow import Hook, Workflow
+    from unicon_core.workflow.document import WorkflowDocument
 
 __all__ = ["add", "run"]
 
@@ -60,10 +65,25 @@ def add(commands: Any) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; exit status 0 done, 3 fault."""
     # Imported here so that `unicon --help` stays fast and free of optional packages.
-    from unicon_core.runtime import Runner, RunOptions
-    from unicon_core.workflow import build_workflow, load_document
+    from unicon_core.workflow import load_document
 
     document = load_document(arguments.workflow, arguments.overrides)
+    console = Console()
+    # From here on a signal ends what is open, one step after the other, and is never lost.
+    try:
+        with SIGNALS.guard() as guard:
+            report, runner, picture = _run(arguments, document, console, guard)
+    finally:
+        console.close()
+    return _tell(arguments, report, runner, picture)
+
+
+def _run(
+    arguments: argparse.Namespace, document: WorkflowDocument, console: Console, guard: Guard
+) -> tuple[Report, Runner, Any]:
+    from unicon_core.runtime import Runner, RunOptions
+    from unicon_core.workflow import build_workflow
+
     inputs: list[Hook] = []
     observers: list[Hook] = []
     with_ros = document.get("ros", bool, False) if arguments.ros is None else arguments.ros
@@ -77,7 +97,7 @@ def run(arguments: argparse.Namespace) -> int:
             node_name="unicon",
             namespace=arguments.namespace,
             ros_args=arguments.ros_args,
-            warn=_warn,
+            warn=console.warn,
             frame_prefix=arguments.frame_prefix,
         )
         inputs.append(session.inputs)
@@ -96,30 +116,29 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.view:
             observers.append(_viewer)
         workflow = build_workflow(document, inputs=inputs, observers=observers)
+        guard.damp = workflow.damp_now
         options = RunOptions(
             duration=arguments.duration,
             speed=arguments.speed,
-            warn=_warn,
-            status=None if arguments.quiet or not sys.stderr.isatty() else _status,
+            warn=console.warn,
+            status=None if arguments.quiet or not console.terminal else console.status,
         )
         try:
             runner = Runner(workflow, options)
             if session is not None:
                 session.attach(runner)
+            SIGNALS.check()
         except BaseException:
             workflow.close()
             raise
         report = runner.run()
+        guard.damp = None
         if session is not None:
             report.bridge = session.counts()
     finally:
         if session is not None:
             session.close()
-    status = _tell(arguments, report, runner)
-    if picture is not None:
-        picture.draw(f"{report.workflow} on {report.robot} ({report.platform})")
-        print(f"picture       {arguments.picture}")
-    return status
+    return report, runner, picture
 
 
 def _viewer(workflow: Workflow) -> list[Block]:
@@ -131,27 +150,63 @@ def _viewer(workflow: Workflow) -> list[Block]:
     return [as_block(make())]
 
 
-def _tell(arguments: argparse.Namespace, report: Report, runner: Any) -> int:
-    if not arguments.quiet:
-        if sys.stderr.isatty():
-            print(file=sys.stderr)
-        print(runner.statistics.table(runner.workflow.period * 1e6))
-        print()
-    print(report.summary())
+def _tell(arguments: argparse.Namespace, report: Report, runner: Runner, picture: Any) -> int:
+    """Write the files, then print; a fault stays a fault whatever becomes of the output."""
+    status = 3 if report.faults else 0
+    written, problems = _write(arguments, report, runner, picture)
     try:
-        if arguments.trace:
-            runner.statistics.write_trace(arguments.trace, f"unicon {report.workflow}")
-            print(f"trace         {arguments.trace} (open it in ui.perfetto.dev)")
-        if arguments.record:
-            print(f"recording     {arguments.record}")
-        if arguments.report:
-            report.write(arguments.report)
-            print(f"report        {arguments.report}")
+        if not arguments.quiet:
+            print(runner.statistics.table(runner.workflow.period * 1e6))
+            print()
+        print("\n".join([report.summary(), *written]))
+    except BrokenPipeError:
+        pass  # the reader has gone
     except OSError as error:
-        raise UniconError(
-            f"cannot write {error.filename}: {error.strerror}; give a path in a writable folder"
-        ) from error
-    return 3 if report.faults else 0
+        problems.append(f"cannot write to standard output: {error.strerror}")
+    with suppress(OSError):
+        if report.traceback and not arguments.report:
+            print(report.traceback, end="", file=sys.stderr)
+        for problem in problems:
+            print(f"unicon: error: {problem}", file=sys.stderr)
+    return status or int(bool(problems))
+
+
+def _write(
+    arguments: argparse.Namespace, report: Report, runner: Runner, picture: Any
+) -> tuple[list[str], list[str]]:
+    """Write trace, report and picture; return a line for each, and what went wrong."""
+    written: list[str] = []
+    problems: list[str] = []
+    title = f"{report.workflow} on {report.robot} ({report.platform})"
+    trace = partial(runner.statistics.write_trace, arguments.trace, f"unicon {report.workflow}")
+    for path, write, line in (
+        (arguments.trace, trace, f"trace         {arguments.trace} (open it in ui.perfetto.dev)"),
+        (
+            arguments.report,
+            partial(report.write, arguments.report),
+            f"report        {arguments.report}",
+        ),
+        (arguments.picture, partial(_draw, picture, title), f"picture       {arguments.picture}"),
+    ):
+        if not path:
+            continue
+        try:
+            write()
+            written.append(line)
+        except OSError as error:
+            problems.append(
+                f"cannot write {error.filename or path}: {error.strerror}; give a path in a "
+                "writable folder"
+            )
+        except UniconError as error:
+            problems.append(str(error))
+    if arguments.record:
+        written.append(f"recording     {arguments.record}")
+    return written, problems
+
+
+def _draw(picture: Any, title: str) -> None:
+    picture.draw(title)
 
 
 def _seconds(text: str) -> float:
@@ -159,12 +214,3 @@ def _seconds(text: str) -> float:
     if not 0.0 < value < float("inf"):
         raise argparse.ArgumentTypeError(f"{text} is no time > 0 in [s]")
     return value
-
-
-def _status(values: dict[str, Any]) -> None:
-    line = "  ".join(f"{key} {value}" for key, value in values.items())
-    print(f"\r{line}\x1b[K", end="", file=sys.stderr, flush=True)
-
-
-def _warn(message: str) -> None:
-    print(f"unicon: warning: {message}", file=sys.stderr)

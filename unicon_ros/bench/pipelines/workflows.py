@@ -10,6 +10,9 @@ __all__ = ["joint_states_entry", "write_bridged", "write_local"]
 
 PLATFORM = "unicon_ros.bridge.ros_platform:make"
 
+HELD = 60
+"""Longest time that a pipeline is held between its turns in [s], so that it is no fault."""
+
 _JOINT = (
     "{{name: joint_{i}, lower: -3.0, upper: 3.0, velocity: 20.0, effort: 50.0, default: 0.0, "
     "rest: 0.0, stiffness: 50.0, damping: 1.0}}"
@@ -104,7 +107,7 @@ def _workflow(platform: str, options: str, rate: float, trigger: str, every: int
         f"platform: {platform}",
         f"platforms: {{{options}}}",
         f"rate: {rate}",
-        f"pacing: {{trigger: {trigger}}}",
+        f"pacing: {{trigger: {trigger}, hang: {HELD}}}",
         f"flow: {identity if every == 1 else f'{{every: {{n: {every}, do: {identity}}}}}'}",
         "safety: []",
     ]

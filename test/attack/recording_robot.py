@@ -1,0 +1,123 @@
+"""A robot that writes every command and its closing to a file at once, for attacks on a run.
+
+    platform: recording_robot:make
+    platforms: {"recording_robot:make": {log: FILE, fault: NAME, at: TICK}}
+
+Each line: `send TICK TIME_NS` or `close TIME_NS`; what was written survives the process.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from unicon_core.errors import Fault
+from unicon_core.platforms.platform import Platform
+from unicon_core.robots import Robot
+from unicon_core.states import States
+from unicon_core.states.standard import BASE_STATES, COMMAND_STATES, JOINT_STATES
+
+
+class RecordingRobot:
+    name = "recording"
+    simulated = False
+    writes = (*JOINT_STATES, *BASE_STATES, "stamp_ns")
+    reads = COMMAND_STATES
+
+    def __init__(
+        self, states: States, robot: Robot, log: str, fault: str, where: str, at: int
+    ) -> None:
+        self._states, self._pose = states, np.nan_to_num(robot.rest_joint_pos)
+        self._log = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+        self._fault, self._where, self._at = FAULTS[fault], where, at
+        self._ticks = 0
+        self._closed = False
+
+    def recv(self) -> bool | None:
+        self._states.joint_pos[...] = self._pose
+        self._states.base_quat[...] = (1.0, 0.0, 0.0, 0.0)
+        self._states.projected_gravity[...] = (0.0, 0.0, -1.0)
+        self._states.stamp_ns[...] = time.monotonic_ns()
+        self._now("recv")
+        return None
+
+    def send(self) -> bool | None:
+        self._now("send")
+        self._write(f"send {self._ticks} {time.monotonic_ns()}")
+        self._ticks += 1
+        return None
+
+    def close(self) -> None:
+        if not self._closed:
+            self._closed = True
+            self._write(f"close {time.monotonic_ns()}")
+            self._now("close", always=True)
+
+    def reset(self) -> None:
+        """Nothing."""
+
+    def info(self) -> Mapping[str, Any]:
+        return {}
+
+    def _now(self, where: str, always: bool = False) -> None:
+        if where == self._where and (always or self._ticks == self._at):
+            self._write(f"fault {time.monotonic_ns()}")
+            self._fault()
+
+    def _write(self, line: str) -> None:
+        os.write(self._log, f"{line}\n".encode())
+
+
+def make(
+    states: States,
+    robot: Robot,
+    period: float,
+    *,
+    log: str,
+    fault: str = "none",
+    where: str = "recv",
+    at: int = 20,
+) -> Platform:
+    return RecordingRobot(states, robot, log, fault, where, at)
+
+
+make.simulated = False  # type: ignore[attr-defined]
+
+
+def _raise(error: BaseException) -> Callable[[], object]:
+    def fault() -> None:
+        raise error
+
+    return fault
+
+
+def _hang_in_python() -> None:
+    """Hang so that neither a flag nor a swallowed exception ends it."""
+    end = time.monotonic() + 30.0
+    while time.monotonic() < end:
+        time.sleep(0.01)
+
+
+def _recurse() -> None:
+    _recurse()
+
+
+FAULTS: dict[str, Callable[[], object]] = {
+    "none": lambda: None,
+    "fault": _raise(Fault("the robot says so")),
+    "value": _raise(ValueError("a value")),
+    "memory": _raise(MemoryError()),
+    "os": _raise(OSError(5, "Input/output error")),
+    "recursion": _recurse,
+    "exit": _raise(SystemExit(7)),
+    "interrupt": _raise(KeyboardInterrupt()),
+    "shape": lambda: np.zeros(3) + np.zeros(4),
+    "sleep": lambda: time.sleep(1.0),
+    "hang": _hang_in_python,
+    "flood": lambda: sys.stderr.write("x" * 100),
+}

@@ -1,0 +1,71 @@
+"""A faulted run is never status 0, whatever becomes of its output."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from pathlib import Path
+
+import pytest
+from runs import Run
+
+FULL = Path("/dev/full")
+
+
+def closed_pipe() -> int:
+    reader, writer = os.pipe()
+    os.close(reader)
+    return writer
+
+
+@pytest.mark.parametrize("quiet", [True, False])
+def test_a_fault_is_told_by_the_status_when_the_reader_has_gone(
+    tmp_path: Path, quiet: bool
+) -> None:
+    writer = closed_pipe()
+    run = Run(tmp_path, "fault: fault", arguments=["--quiet"] if quiet else [])
+    run.start(stdout=writer, stderr=writer)
+    os.close(writer)
+    status, _, _ = run.wait()
+    assert status == 3
+    assert run.report["faults"] == ["the robot says so"]
+
+
+@pytest.mark.skipif(not FULL.exists(), reason="this system has no /dev/full")
+@pytest.mark.parametrize(("fault", "wanted"), [("fault", 3), ("none", 1)])
+def test_a_full_device_behind_the_output_is_one_line(
+    tmp_path: Path, fault: str, wanted: int
+) -> None:
+    with FULL.open("w") as full:
+        run = Run(tmp_path, f"fault: {fault}", more="duration: 1.0").start(stdout=full)
+        status, _, err = run.wait()
+    assert status == wanted
+    assert run.report["ticks"] == (20 if fault == "fault" else 50)
+    assert "Traceback" not in err
+    if fault == "none":
+        assert err == "unicon: error: cannot write to standard output: No space left on device\n"
+
+
+@pytest.mark.skipif(not FULL.exists(), reason="this system has no /dev/full")
+def test_even_errors_that_nobody_can_read_keep_their_status(tmp_path: Path) -> None:
+    with FULL.open("w") as full:
+        run = Run(tmp_path, "fault: value").start(stdout=full, stderr=full)
+        status, _, _ = run.wait()
+    assert status == 3
+
+
+def test_a_good_run_into_a_pipe_that_has_gone_is_good(tmp_path: Path) -> None:
+    writer = closed_pipe()
+    run = Run(tmp_path, more="duration: 0.5").start(stdout=writer, stderr=subprocess.PIPE)
+    os.close(writer)
+    status, _, err = run.wait()
+    assert (status, err) == (0, "")
+
+
+def test_a_report_that_cannot_be_written_does_not_hide_the_fault(tmp_path: Path) -> None:
+    (tmp_path / "report.json").mkdir()
+    run = Run(tmp_path, "fault: fault").start()
+    status, out, err = run.wait()
+    assert status == 3
+    assert "the robot says so" in out
+    assert "give a path in a writable folder" in err

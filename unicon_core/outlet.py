@@ -1,0 +1,95 @@
+"""Outlet: hands lines to a terminal, pipe or log without ever waiting for it; for ticking threads.
+
+A terminal that Ctrl-S has stopped, a pipe that nobody reads and a log on a slow disk all block who
+writes. Here the writing is a thread's, and what does not fit in its queue is dropped and counted.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+from collections.abc import Callable
+from queue import SimpleQueue
+from typing import Generic, TypeVar
+
+__all__ = ["Outlet", "to_stderr"]
+
+CAPACITY = 256
+"""Lines that may wait."""
+
+
+Line = TypeVar("Line")
+
+
+class Outlet(Generic[Line]):
+    """A function that takes lines and returns at once.
+
+    Args:
+        sink: takes one line, and may block.
+        capacity: lines that may wait for it.
+
+    Attributes:
+        dropped: lines that were lost, since the sink blocked or failed.
+    """
+
+    def __init__(self, sink: Callable[[Line], object], capacity: int = CAPACITY) -> None:
+        self._sink, self._capacity = sink, capacity
+        # `put` of a SimpleQueue never blocks and may be called by signal handlers.
+        self._lines: SimpleQueue[Line | threading.Event | None] = SimpleQueue()
+        self._thread: threading.Thread | None = None
+        self.dropped = 0
+
+    def __call__(self, line: Line) -> None:
+        """Hand a line over; never blocks, never raises."""
+        if self._lines.qsize() >= self._capacity:
+            self.dropped += 1
+            return
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._drain, name="outlet", daemon=True)
+            self._thread.start()
+        self._lines.put(line)
+
+    def flush(self, timeout: float = 1.0) -> bool:
+        """Wait until all lines are out, at most `timeout` in [s]; return whether they are."""
+        if self._thread is None:
+            return True
+        reached = threading.Event()
+        self._lines.put(reached)
+        return reached.wait(timeout)
+
+    def close(self, timeout: float = 1.0) -> None:
+        """Let the thread end once all lines are out; wait for that at most `timeout` in [s]."""
+        thread, self._thread = self._thread, None
+        if thread is not None:
+            self._lines.put(None)
+            thread.join(timeout)
+
+    def _drain(self) -> None:
+        while (line := self._lines.get()) is not None:
+            if isinstance(line, threading.Event):
+                line.set()
+                continue
+            try:
+                self._sink(line)
+            except Exception:  # a sink that fails must not end the thread
+                self.dropped += 1
+
+
+def to_stderr() -> Callable[[str], None]:
+    """Return a sink that writes to standard error, past the lock of Python's own stream.
+
+    Python's stream holds its lock while a write blocks, and the end of the process waits for it.
+    """
+    try:
+        sys.stderr.flush()
+        handle = os.dup(sys.stderr.fileno())
+    except (OSError, ValueError, AttributeError):  # a stream without a file, as in a notebook
+        return lambda text: print(text, end="", file=sys.stderr)
+
+    def write(text: str) -> None:
+        rest = text.encode("utf-8", "replace")
+        while rest:
+            rest = rest[os.write(handle, rest) :]
+
+    return write

@@ -1,0 +1,52 @@
+"""Gate: the last look before `send`; a closed workflow and a tick that hung send nothing."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from unicon_core.errors import Fault
+
+__all__ = ["CLOSED", "NEVER_NS", "Gate"]
+
+NEVER_NS = 1 << 62
+CLOSED = "the workflow is closed and sends nothing any more; build it anew"
+
+
+class Gate:
+    """Lets commands pass until a time.
+
+    Attributes:
+        until_ns: on the clock of `time.perf_counter_ns`; what comes to `send` later is refused.
+            The runner moves it on with every tick.
+        hung: tells what is said of a tick that comes later than that.
+        closed: nothing passes any more.
+    """
+
+    def __init__(self) -> None:
+        self.until_ns = NEVER_NS
+        self.hung: Callable[[], str] = _late
+        self.closed = False
+
+    def before(self, send: Callable[[], bool | None]) -> Callable[[], bool | None]:
+        """Return `send` behind the gate, which costs a tick 0.1 µs.
+
+        What is returned raises:
+            Fault: the workflow is closed, or the tick took longer than the runner allows.
+        """
+        now = time.perf_counter_ns
+
+        def guarded() -> bool | None:
+            if self.closed or now() > self.until_ns:
+                raise Fault(CLOSED if self.closed else self.hung())
+            return send()
+
+        return guarded
+
+    def close(self) -> None:
+        """Let nothing pass any more."""
+        self.closed = True
+
+
+def _late() -> str:
+    return "a command came too late and was not sent"
