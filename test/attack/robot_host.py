@@ -105,6 +105,7 @@ class Caller:
             made = self.node.create_client(kind or Trigger, f"{self._target}/{name}")
             self._clients[name] = made
             assert made.wait_for_service(timeout_sec=20.0), f"no service {name}"
+            time.sleep(0.3)  # the service may see its client later, and cannot answer before
         return self._clients[name]
 
     def send(self, name: str, request: Any = None, kind: Any = None) -> tuple[int, Any]:

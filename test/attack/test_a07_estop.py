@@ -229,6 +229,14 @@ def test_a_request_that_cannot_be_read_does_not_make_it_deaf() -> None:
     assert "RuntimeError: garbage" in told[0]
 
 
+def test_a_press_between_two_ticks_does_not_wait_for_the_next_one_to_end() -> None:
+    estop = EmergencyStop(NoNode("a press"), lambda: True)
+    between = estop.before_send().dry_run
+    assert between is not None
+    with pytest.raises(Fault, match=FAULT):
+        between()
+
+
 def test_a_press_is_answered_after_the_damping_and_only_once() -> None:
     node = NoNode("first", None, "second")
     estop = EmergencyStop(node, lambda: True)
