@@ -351,7 +351,8 @@ class Responses:
         kept, self._kept = self._kept, []
         for late, hears, send in kept:
             if hears():
-                send()
+                with contextlib.suppress(Exception):  # the middleware is gone, or the client
+                    send()
             elif time.perf_counter_ns() < late:
                 self._kept.append((late, hears, send))
             else:

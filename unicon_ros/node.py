@@ -72,7 +72,6 @@ class UniconNode(LifecycleNode):
         handlers: dict[str, Callable[[], Answer]] = {
             word: getattr(self, f"_{word}", None) or self._delegate(word) for word in SERVICES
         }
-        # Before all other services, so that it is served first of those that came together.
         self.log = NodeLog(self.get_logger())
         self.estop = EmergencyStop(self, lambda: self._running, self.log.warning)
         add_services(self, handlers, self.log.error)

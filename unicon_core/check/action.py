@@ -190,15 +190,15 @@ def check_timing(subject: Subject, result: CheckResult) -> None:
             "set pacing.trigger: deadline",
             subject.document.where("pacing", "trigger"),
         )
-    if subject.document.get("pacing", dict, {}).get("overrun") == "catch_up":
-        if not platform.simulated and not subject.live:
-            result.find(
-                "timing.catch_up",
-                f"platform {platform.name!r}",
-                "catch_up would send old commands in one go to a robot",
-                "set pacing.overrun: skip",
-                subject.document.where("pacing", "overrun"),
-            )
+    catching_up = subject.document.get("pacing", dict, {}).get("overrun") == "catch_up"
+    if catching_up and not platform.simulated and not subject.live:
+        result.find(
+            "timing.catch_up",
+            f"platform {platform.name!r}",
+            "catch_up would send old commands in one go to a robot",
+            "set pacing.overrun: skip",
+            subject.document.where("pacing", "overrun"),
+        )
     for key, contract in subject.policies.items():
         _commands(subject, result, key, contract)
 

@@ -58,7 +58,7 @@ class Block:
         amends: states that it reads and changes after their writer.
         reset: called when the flow enters the block anew after it has run, or None.
         dry_run: the same arithmetic on scratch memory, called shortly before the deadline to warm
-            the caches; changes nothing observable; or None.
+            the caches; changes nothing observable, but may raise `Fault`; or None.
         close: called once at the end, in reverse order of building, or None.
         role: what the graph check needs to know: `recv`, `send`, `safety`, or `tune` for what
             changes commands at the host's wish, between flow and safety; or nothing.

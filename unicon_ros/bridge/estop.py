@@ -8,9 +8,9 @@ once, by whoever comes first, and either way it latches. Only `~/clear_estop` le
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from typing import Any
 
 from unicon_core.errors import Fault
@@ -29,6 +29,8 @@ PRESSED = "emergency stop: the platform damps; latched until ~/clear_estop"
 
 DELIBERATE_S = 0.5
 """So long after a press nothing clears it: of two requests that came together, the stop wins."""
+LINGER_S = 0.2
+"""So long after an answer the service stays, for the middleware to repeat what was lost."""
 QUEUED = 100
 """Requests taken at once at most, more than a queue holds."""
 
@@ -52,7 +54,7 @@ class EmergencyStop:
         self.latched = False
         self._running, self._warn = running, warn
         self._failed = False
-        self._pressed_at = 0.0
+        self._pressed_at = self._answered_at = -math.inf
         self._unanswered: list[Any] = []
         handlers = dict(zip(STOP_SERVICES, (self.press, self.clear)))
         self._service = add_services(node, handlers, warn)[0]
@@ -64,9 +66,10 @@ class EmergencyStop:
 
     def before_send(self) -> Block:
         """Return the look right before `send`; it answers once the platform is closed."""
-        # Between two ticks the dry run hears it as well, and keeps the look warm.
+        # The dry run, shortly before the tick, hears it as well and need not wait for that tick; it
+        # also keeps the look warm.
         return Block(
-            "estop", self.look, close=self.answer, dry_run=self.hear, role="safety", endless=True
+            "estop", self.look, close=self.answer, dry_run=self.look, role="safety", endless=True
         )
 
     def after_send(self) -> Block:
@@ -117,8 +120,11 @@ class EmergencyStop:
         headers, self._unanswered = self._unanswered, []
         for header in headers:
             response = self._service.srv_type.Response(success=True, message=PRESSED)
-            with suppress(Exception):  # the client or the middleware is gone
+            try:
                 self._service.send_response(response, header)
+            except Exception as error:  # the client or the middleware is gone
+                self._warn(f"~/estop acts, but could not be answered ({explained(error)})")
+            self._answered_at = time.monotonic()
 
     def press(self) -> Answer:
         """Stop before the next command is sent; counts as a fault; nothing starts until cleared."""
@@ -138,8 +144,9 @@ class EmergencyStop:
         return True, "cleared: ~/start may start again"
 
     def close(self) -> None:
-        """Let the service go; before its node is destroyed."""
+        """Let the service go, before its node is destroyed; an answer may have to be sent again."""
         self._take = _nothing
+        time.sleep(max(0.0, self._answered_at + LINGER_S - time.monotonic()))
         self._let_go()
 
     def _latch(self) -> None:
