@@ -13,7 +13,7 @@ __all__ = ["CASES"]
 _NEEDS = ("rclpy", "rosbags")
 _RANGES = (1.0, 0.4, 1.0)  # command_ranges of go2_velocity, the larger side
 _COMMANDED = Wants(most=None, ms=None, status=(), report=False)
-# From the call on: the request's way to the node is in it, and a loaded machine takes 150 ms for it.
+# From the call on: the request's way is in it, and a loaded machine takes 150 ms for that.
 _PRESSED = Wants(most=10, ms=300.0, reason="estop", report=False)
 _WAITING = ("-p", "autostart:=false")
 
