@@ -17,7 +17,7 @@ from typing import Any
 
 from unicon_ros.bench.domains import loopback_environment
 from unicon_ros.bench.faults.case import Case
-from unicon_ros.bench.faults.command_log import SEND, CommandLog
+from unicon_ros.bench.faults.command_log import CLOSE, SEND, CommandLog
 from unicon_ros.bench.loops import die_with_parent
 
 __all__ = ["FaultRun"]
@@ -111,6 +111,8 @@ class FaultRun:
         if peer is not None:  # it does the fault, then all is over
             self.wait_for(lambda: peer.poll() is not None)
             patience = LINGER
+            if self.log.of(CLOSE).size:  # it is ending by itself
+                self.wait_for(lambda: self.process.poll() is not None, LINGER)
             if self.process.poll() is None:
                 self.process.send_signal(signal.SIGTERM)
         try:
