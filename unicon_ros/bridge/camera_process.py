@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import sys
 from pathlib import Path
 from typing import Any
@@ -34,6 +35,8 @@ NO_GL = (
 
 def main() -> int:
     """Run; tells `{"ready": true}` or `{"error": …}` on stdout first."""
+    # Ctrl-C goes to the whole group of processes: ours ends with the one that it serves.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     options = json.loads(sys.argv[1])
     if not os.environ.get("MUJOCO_GL") and not os.environ.get("DISPLAY"):
         os.environ["MUJOCO_GL"] = "egl"
@@ -50,10 +53,7 @@ def main() -> int:
     size = 8 * (8 + len(options["joints"]))
     rest = b""
     while True:
-        try:
-            read = os.read(0, 1 << 16)
-        except KeyboardInterrupt:
-            return 0
+        read = os.read(0, 1 << 16)
         if not read:
             return 0
         rest += read
