@@ -76,11 +76,14 @@ def find_factory(kind: str, name: str, error: type[UniconError]) -> Factory:
 def is_block_factory(factory: Factory) -> bool:
     """Return whether a callable says that it makes blocks.
 
-    It has a parameter `Reads`, `Writes`, `Amends` or a `Bundle`, or returns a `Tick` or a `Block`.
+    It has a parameter `Reads`, `Writes`, `Amends` or a `Bundle`, or returns a `Tick`, a `Block` or
+    a class whose objects say what they read, write or amend.
     """
     hints = _hints(factory)
     made = hints.pop("return", None)
     if made == Tick or (inspect.isclass(made) and issubclass(made, Block)):
+        return True
+    if inspect.isclass(made) and any(hasattr(made, name) for name in ("reads", "writes", "amends")):
         return True
     return any(_is_state(hint) for hint in hints.values())
 
