@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from unicon_core.check.check import check_section, static_checks
 from unicon_core.check.result import CODES, CheckResult
 from unicon_core.check.subject import Subject, platform_facts
-from unicon_core.errors import WorkflowError, alternatives
+from unicon_core.errors import CheckError, WorkflowError, alternatives
 
 if TYPE_CHECKING:
     from unicon_core.workflow import Workflow
@@ -29,7 +29,8 @@ def refuse_errors(workflow: Workflow, force: Iterable[str] = ()) -> list[str]:
         Warnings to be told at every start: forced errors, and a workflow without safety blocks.
 
     Raises:
-        WorkflowError: an unknown code, or errors that are not forced; all are named.
+        WorkflowError: an unknown code.
+        CheckError: errors that are not forced; all are named.
     """
     forced = list(dict.fromkeys(force))
     for code in forced:
@@ -44,14 +45,10 @@ def refuse_errors(workflow: Workflow, force: Iterable[str] = ()) -> list[str]:
     errors = [found for found in result.findings if found.code not in forced]
     if errors:
         codes = " ".join(f"--force {code}" for code in dict.fromkeys(e.code for e in errors))
-        listed = (
-            f" {errors[0]}"
-            if len(errors) == 1
-            else "".join(f"\n  {i}. {found}" for i, found in enumerate(errors, 1))
-        )
-        raise WorkflowError(
+        raise CheckError(
             f"workflow {workflow.name!r} is not run, mend it or go on at your own risk with "
-            f"{codes}:{listed}"
+            f"{codes}:",
+            [str(found) for found in errors],
         )
     told = [f"forced: {found}" for found in result.findings]
     workflow.forced = tuple(dict.fromkeys(found.code for found in result.findings))
