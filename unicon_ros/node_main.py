@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from unicon_core.errors import UniconError
+from unicon_core.outlet import relayed_stderr
 from unicon_core.signals import SIGNALS, Interrupted
 from unicon_ros import compat
 
@@ -108,11 +109,14 @@ def _spin(rclpy: Any, arguments: list[str]) -> int:
     executor = rclpy.executors.SingleThreadedExecutor(context=context)
     executor.add_node(node)
     try:
-        status = node.spin(executor)
+        with relayed_stderr():
+            try:
+                status = node.spin(executor)
+            finally:
+                executor.shutdown()
+                node.destroy_node()
         if status == 1:
             print(f"unicon_node: error: {node.error}", file=sys.stderr)
         return status
     finally:
-        executor.shutdown()
-        node.destroy_node()
         rclpy.try_shutdown(context=context)

@@ -10,6 +10,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from unicon_core.errors import UniconError
+from unicon_core.outlet import relayed_stderr
 from unicon_core.signals import SIGNALS, Guard
 from unicon_ros.cli.console import Console
 from unicon_ros.cli.workflow_arguments import add_workflow
@@ -79,7 +80,7 @@ def run(arguments: argparse.Namespace) -> int:
     console = Console()
     # From here on a signal ends what is open, one step after the other, and is never lost.
     try:
-        with SIGNALS.guard() as guard:
+        with relayed_stderr(), SIGNALS.guard() as guard:
             ended = _run(arguments, document, console, guard)
     finally:
         console.close()
@@ -163,7 +164,10 @@ def _run(
             report.extra["recording"] = recording.counts()
     finally:
         if session is not None:
-            session.close()
+            try:
+                session.close()
+            except Exception as error:  # the run has its report all the same
+                console.warn(f"closing ROS failed: {type(error).__name__}: {error}")
     return _Ended(report, runner, picture, recording)
 
 
