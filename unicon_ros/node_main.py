@@ -93,6 +93,7 @@ def _refused(error: Exception) -> UniconError:
 
 
 def _spin(rclpy: Any, arguments: list[str]) -> int:
+    from unicon_ros.ending import exits_within
     from unicon_ros.node import UniconNode
     from unicon_ros.transport import without_shared_memory
 
@@ -108,15 +109,18 @@ def _spin(rclpy: Any, arguments: list[str]) -> int:
         raise _refused(error) from error
     executor = rclpy.executors.SingleThreadedExecutor(context=context)
     executor.add_node(node)
+    status = 1
     try:
         with relayed_stderr():
-            try:
-                status = node.spin(executor)
-            finally:
-                executor.shutdown()
-                node.destroy_node()
+            status = node.spin(executor)
         if status == 1:
             print(f"unicon_node: error: {node.error}", file=sys.stderr)
         return status
+    except Interrupted:
+        status = 0
+        raise
     finally:
-        rclpy.try_shutdown(context=context)
+        with exits_within(status):
+            executor.shutdown()
+            node.destroy_node()
+            rclpy.try_shutdown(context=context)

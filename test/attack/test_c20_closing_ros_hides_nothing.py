@@ -9,6 +9,8 @@ import pytest
 
 pytest.importorskip("rclpy")
 
+from unicon_core.errors import Fault
+from unicon_core.platforms.fake import FakePlatform
 from unicon_ros.bench.domains import free_domain
 from unicon_ros.bridge import RosSession
 from unicon_ros.bridge.own_node import OwnNode
@@ -22,7 +24,7 @@ robot: go2
 platform: fake
 rate: 50
 pacing: {hang: 10}
-commands: [{velocity_command: {constant: [.nan, 0.0, 0.0]}}]
+commands: [{velocity_command: {constant: [0.1, 0.0, 0.0]}}]
 flow: {sway: {gains: {"*_hip_joint": [1.0, 0, 0]}, time_constant: 0.0}}
 safety: [finite]
 """
@@ -43,7 +45,11 @@ def test_a_fault_stays_one_where_ros_cannot_be_closed(
         close(session)
         raise RuntimeError("the middleware is gone")
 
+    def silent(platform: FakePlatform) -> None:
+        raise Fault("the robot is silent")
+
     monkeypatch.setattr(RosSession, "close", fail)
+    monkeypatch.setattr(FakePlatform, "recv", silent)
     report = tmp_path / "report.json"
     command = ["run", str(tmp_path / "falls.yaml"), "--ros", "--quiet", "--report", str(report)]
     assert main([*command, "--duration", "1"]) == 3

@@ -84,7 +84,10 @@ def run(arguments: argparse.Namespace) -> int:
             ended = _run(arguments, document, console, guard)
     finally:
         console.close()
-    return _tell(arguments, ended)
+    status = _tell(arguments, ended)
+    if ended.session is not None:
+        _close(ended.session, status)
+    return status
 
 
 @dataclass(frozen=True)
@@ -95,6 +98,7 @@ class _Ended:
     runner: Runner
     picture: Any
     recording: Any
+    session: Any
 
 
 def _run(
@@ -162,13 +166,24 @@ def _run(
             report.bridge = session.counts()
         if recording is not None:
             report.extra["recording"] = recording.counts()
-    finally:
+    except BaseException:
         if session is not None:
-            try:
-                session.close()
-            except Exception as error:  # the run has its report all the same
-                console.warn(f"closing ROS failed: {type(error).__name__}: {error}")
-    return _Ended(report, runner, picture, recording)
+            session.close()
+        raise
+    return _Ended(report, runner, picture, recording, session)
+
+
+def _close(session: Any, status: int) -> None:
+    """Take ROS down, after all is written and told: it may fail or never end."""
+    from unicon_ros.ending import exits_within
+
+    try:
+        with exits_within(status):
+            session.close()
+    except Exception as error:
+        with suppress(OSError):
+            line = f"unicon: warning: closing ROS failed: {type(error).__name__}: {error}"
+            print(line, file=sys.stderr)
 
 
 def _viewer(workflow: Workflow) -> list[Block]:
