@@ -51,8 +51,8 @@ def test_all_errors_are_listed_with_the_codes_to_force(
     assert run(str(write_workflow(folder, LAME))) == 1
     told = capsys.readouterr().err
     assert "at your own risk with --force gains.damping --force gains.stiff:" in told
-    assert "\n  1. policy 'walk', damping: " in told
-    assert "\n  2. policy 'walk', stiffness: FL_hip_joint: 500 N·m/rad reaches its effort" in told
+    assert ": 1. policy 'walk', damping: " in told
+    assert "; 2. policy 'walk', stiffness: FL_hip_joint: 500 N·m/rad reaches its effort" in told
 
 
 def test_forced_errors_are_told_at_start_and_in_the_report(

@@ -44,14 +44,13 @@ def refuse_errors(workflow: Workflow, force: Iterable[str] = ()) -> list[str]:
     errors = [found for found in result.findings if found.code not in forced]
     if errors:
         codes = " ".join(f"--force {code}" for code in dict.fromkeys(e.code for e in errors))
-        listed = (
-            f" {errors[0]}"
-            if len(errors) == 1
-            else "".join(f"\n  {i}. {found}" for i, found in enumerate(errors, 1))
+        many = len(errors) > 1
+        listed = "; ".join(
+            f"{i}. {each}" if many else f"{each}" for i, each in enumerate(errors, 1)
         )
         raise WorkflowError(
             f"workflow {workflow.name!r} is not run, mend it or go on at your own risk with "
-            f"{codes}:{listed}"
+            f"{codes}: {listed}"
         )
     told = [f"forced: {found}" for found in result.findings]
     workflow.forced = tuple(dict.fromkeys(found.code for found in result.findings))
