@@ -12,7 +12,7 @@ __all__ = ["free_domain", "free_domains", "loopback_environment"]
 KEPT = 8
 """So many domains, the latest, stay ours though nobody is in them yet."""
 
-_kept: list[socket.socket] = []
+_kept: dict[int, socket.socket] = {}
 
 # Above 101 the ports would reach into Linux's ephemeral ones.
 _DOMAINS = range(1, 102)
@@ -28,7 +28,7 @@ def free_domains(count: int) -> list[int]:
     domains = random.SystemRandom().sample(_DOMAINS, len(_DOMAINS))
     free = list(islice(filter(_is_ours, domains), count))
     while len(_kept) > max(count, KEPT):
-        _kept.pop(0).close()
+        _kept.pop(next(iter(_kept))).close()
     return [*free, *(domain for domain in domains if domain not in free)][:count]
 
 
@@ -60,6 +60,8 @@ def _is_ours(domain: int) -> bool:
     A process takes seconds until it is in. Of two that asked at once and got the same, one would
     hear the other's emergency stop. The mark is a name that goes with the process, on Linux only.
     """
+    if domain in _kept:
+        return _is_free(domain)
     mark = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     try:
         mark.bind(f"\0unicon domain {domain}")
@@ -69,5 +71,5 @@ def _is_ours(domain: int) -> bool:
     if not _is_free(domain):
         mark.close()
         return False
-    _kept.append(mark)
+    _kept[domain] = mark
     return True
