@@ -9,14 +9,17 @@ from __future__ import annotations
 import os
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from queue import SimpleQueue
 from typing import Generic, TypeVar
 
-__all__ = ["Outlet", "to_stderr"]
+__all__ = ["Outlet", "relayed_stderr", "to_stderr"]
 
 CAPACITY = 256
 """Lines that may wait."""
+
+STDERR = 2
 
 
 Line = TypeVar("Line")
@@ -93,3 +96,43 @@ def to_stderr() -> Callable[[str], None]:
             rest = rest[os.write(handle, rest) :]
 
     return write
+
+
+@contextmanager
+def relayed_stderr() -> Iterator[None]:
+    """Let nothing wait for standard error: neither Python nor a library written in C.
+
+    Python's warnings and the logs of ROS go straight to the file, the latter with Python's lock
+    held, so that all threads stand still with them and no signal is heard. Meanwhile the file is
+    a pipe that never blocks: a thread hands on what comes, and what it cannot hold is lost. A
+    message with which a library aborts the process may be lost too.
+    """
+    try:
+        sys.stderr.flush()
+        kept = os.dup(STDERR)
+    except (OSError, ValueError, AttributeError):  # there is none
+        yield
+        return
+    if os.isatty(STDERR):  # rcutils looks at the file, which is a pipe from now on
+        os.environ.setdefault("RCUTILS_COLORIZED_OUTPUT", "1")
+    out, into = os.pipe()
+    os.set_blocking(into, False)
+    os.dup2(into, STDERR)
+    os.close(into)
+
+    def relay() -> None:
+        with suppress(OSError):
+            while some := os.read(out, 4096):
+                with suppress(OSError):  # the reader has gone
+                    while some:
+                        some = some[os.write(kept, some) :]
+
+    thread = threading.Thread(target=relay, name="stderr", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        with suppress(OSError, ValueError):
+            sys.stderr.flush()
+        os.dup2(kept, STDERR)  # which closes the pipe, so that the thread ends
+        thread.join(1.0)

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import os
 import signal
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -82,17 +83,20 @@ class Signals:
         self._pressed_ns = 0
 
     def __enter__(self) -> Signals:
-        """Install the handlers, where that is this thread's to do; nested use does nothing."""
-        self._depth += 1
-        if self._depth == 1:
-            self.asked = self._presses = self._pressed_ns = 0
-            try:
+        """Install the handlers; nested use does nothing, nor does that of another thread.
+
+        Only the main thread may handle signals: a run elsewhere is guarded while it does.
+        """
+        if _in_main_thread():
+            self._depth += 1
+            if self._depth == 1:
+                self.asked = self._presses = self._pressed_ns = 0
                 self._install()
-            except ValueError:  # not the main thread: the host handles signals
-                self._before.clear()
         return self
 
     def __exit__(self, *_: object) -> None:
+        if not _in_main_thread():
+            return
         self._depth -= 1
         if self._depth == 0:
             for number, before in self._before.items():
@@ -168,6 +172,10 @@ class Signals:
 
 SIGNALS = Signals()
 """The handlers of this process."""
+
+
+def _in_main_thread() -> bool:
+    return threading.current_thread() is threading.main_thread()
 
 
 def signal_name(number: int) -> str:

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from unicon_core.errors import UniconError
+from unicon_core.outlet import relayed_stderr
 from unicon_core.signals import SIGNALS, Interrupted
 from unicon_ros import compat
 
@@ -92,6 +93,7 @@ def _refused(error: Exception) -> UniconError:
 
 
 def _spin(rclpy: Any, arguments: list[str]) -> int:
+    from unicon_ros.ending import exits_within
     from unicon_ros.node import UniconNode
     from unicon_ros.transport import without_shared_memory
 
@@ -107,12 +109,18 @@ def _spin(rclpy: Any, arguments: list[str]) -> int:
         raise _refused(error) from error
     executor = rclpy.executors.SingleThreadedExecutor(context=context)
     executor.add_node(node)
+    status = 1
     try:
-        status = node.spin(executor)
+        with relayed_stderr():
+            status = node.spin(executor)
         if status == 1:
             print(f"unicon_node: error: {node.error}", file=sys.stderr)
         return status
+    except Interrupted:
+        status = 0
+        raise
     finally:
-        executor.shutdown()
-        node.destroy_node()
-        rclpy.try_shutdown(context=context)
+        with exits_within(status):
+            executor.shutdown()
+            node.destroy_node()
+            rclpy.try_shutdown(context=context)

@@ -108,6 +108,11 @@ class Runner:
                     f"platform {workflow.platform.name!r} cannot tell when its data arrive; "
                     "set pacing.trigger: deadline"
                 )
+        if self.options.speed == "max" and not workflow.platform.simulated:
+            raise PlatformError(
+                f"platform {workflow.platform.name!r} is a robot, which takes its time; "
+                "leave out speed max, or use a simulator"
+            )
         if self.pacing.overrun == "catch_up" and not workflow.platform.simulated:
             raise PlatformError(
                 f"platform {workflow.platform.name!r} is a robot, to which catch_up would send old "
@@ -188,18 +193,26 @@ class Runner:
         self._thread = threading.get_ident()
         with SIGNALS, SIGNALS.guard(self.stop, self._damp_now):
             self._stop |= bool(SIGNALS.asked)
-            restore = prepare_process(self.pacing, self.options.warn)
-            self._started_ns, self._age_s = time.perf_counter_ns(), process_age_s()
+            restore: Callable[[], object] = bool
+            fault: BaseException | None = None
+            before = 0
             try:
-                self._loop()
-            except BaseException as error:  # whatever it is, no further command is sent
-                self._failed(error)
-            finally:
-                self._ended_ns = time.perf_counter_ns()
+                try:
+                    restore = prepare_process(self.pacing, self.options.warn)
+                    self._started_ns, self._age_s = time.perf_counter_ns(), process_age_s()
+                    self._loop()
+                except BaseException as error:  # whatever it is, no further command is sent
+                    fault = error
+                self._ended_ns, before = time.perf_counter_ns(), len(self.faults)
                 self._close()
-                restore()
-                self._thread = None
-                self._ended.set()
+            except Interrupted as error:  # a second signal came just here; it has damped
+                fault = fault or error
+            # Damped first, told afterwards; no signal raises any more.
+            if fault is not None:
+                self._failed(fault, before)
+            restore()
+            self._thread = None
+            self._ended.set()
             self.interrupted = bool(SIGNALS.asked)
             report = self.report()
             report.ended = self._why()
@@ -216,11 +229,15 @@ class Runner:
         self._close()
         return True
 
-    def _failed(self, error: BaseException) -> None:
-        if isinstance(error, Interrupted) and self._closed:
+    def _failed(self, error: BaseException, place: int) -> None:
+        if isinstance(error, Interrupted) and self.faults:
             return  # told by whoever damped
-        self.faults.append(_reason(error))
-        if not isinstance(error, Fault) and not self.traceback:
+        try:
+            reason = _reason(error)
+        except Exception:  # its text cannot be had
+            reason = type(error).__name__
+        self.faults.insert(place, reason)  # before what closing found: the first is why
+        if not isinstance(error, Fault):
             self.traceback = "".join(traceback.format_exception(error))
 
     def _why(self) -> str:

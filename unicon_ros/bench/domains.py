@@ -9,6 +9,11 @@ from itertools import islice
 
 __all__ = ["free_domain", "free_domains", "loopback_environment"]
 
+KEPT = 8
+"""So many domains, the latest, stay ours though nobody is in them yet."""
+
+_kept: dict[int, socket.socket] = {}
+
 # Above 101 the ports would reach into Linux's ephemeral ones.
 _DOMAINS = range(1, 102)
 
@@ -21,7 +26,9 @@ def free_domain() -> int:
 def free_domains(count: int) -> list[int]:
     """Return that many random domains, no two alike; taken ones where too few are free."""
     domains = random.SystemRandom().sample(_DOMAINS, len(_DOMAINS))
-    free = list(islice(filter(_is_free, domains), count))
+    free = list(islice(filter(_is_ours, domains), count))
+    while len(_kept) > max(count, KEPT):
+        _kept.pop(next(iter(_kept))).close()
     return [*free, *(domain for domain in domains if domain not in free)][:count]
 
 
@@ -44,4 +51,25 @@ def _is_free(domain: int) -> bool:
             probe.bind(("", 7400 + 250 * domain + 10))
         except OSError:
             return False
+    return True
+
+
+def _is_ours(domain: int) -> bool:
+    """Return whether nobody is in a domain, nor has asked for it; from now on we have.
+
+    A process takes seconds until it is in. Of two that asked at once and got the same, one would
+    hear the other's emergency stop. The mark is a name that goes with the process, on Linux only.
+    """
+    if domain in _kept:
+        return _is_free(domain)
+    mark = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    try:
+        mark.bind(f"\0unicon domain {domain}")
+    except OSError:
+        mark.close()
+        return False
+    if not _is_free(domain):
+        mark.close()
+        return False
+    _kept[domain] = mark
     return True

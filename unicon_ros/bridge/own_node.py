@@ -7,6 +7,7 @@ from typing import Any
 
 from unicon_core.errors import UniconError
 from unicon_ros import compat
+from unicon_ros.ending import exits_within
 from unicon_ros.transport import without_shared_memory
 
 __all__ = ["OwnNode", "one_line"]
@@ -58,9 +59,11 @@ class OwnNode:
         """Destroy the node and shut its context down, once."""
         if not self._closed:
             self._closed = True
-            self.executor.shutdown()
-            self.node.destroy_node()
-            self._rclpy.try_shutdown(context=self.context)
+            # A middleware that never ends is a fault; whoever knows better asks for it sooner.
+            with exits_within(3, 20.0):
+                self.executor.shutdown()
+                self.node.destroy_node()
+                self._rclpy.try_shutdown(context=self.context)
 
 
 def one_line(error: Exception) -> str:

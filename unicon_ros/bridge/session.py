@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -236,17 +236,18 @@ class RosSession:
         if self._closed:
             return
         self._closed = True
-        self.slack.rest()
-        if self._timer is not None:
-            self.node.destroy_timer(self._timer)
-        closers = [topic.close for topic in self.incoming]
-        closers += [topic.close for topic in self.outgoing]
-        for close in (*closers, *self._others):
-            close()
-        if self._own is not None:
-            if self.estop is not None:
-                self.estop.close()
-            self._own.close()
+        with ExitStack() as rest:  # all of it, whatever fails; the last named goes first
+            if self._own is not None:
+                rest.callback(self._own.close)
+                if self.estop is not None:
+                    rest.callback(self.estop.close)
+            for close in self._others:
+                rest.callback(close)
+            for topic in self._topics():
+                rest.callback(topic.close)
+            if self._timer is not None:
+                rest.callback(self.node.destroy_timer, self._timer)
+            self.slack.rest()
 
     # -- helpers --------------------------------------------------------------------------------
 

@@ -10,6 +10,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from unicon_core.errors import UniconError
+from unicon_core.outlet import relayed_stderr
 from unicon_core.signals import SIGNALS, Guard
 from unicon_ros.cli.console import Console
 from unicon_ros.cli.workflow_arguments import add_workflow
@@ -79,11 +80,14 @@ def run(arguments: argparse.Namespace) -> int:
     console = Console()
     # From here on a signal ends what is open, one step after the other, and is never lost.
     try:
-        with SIGNALS.guard() as guard:
+        with relayed_stderr(), SIGNALS.guard() as guard:
             ended = _run(arguments, document, console, guard)
     finally:
         console.close()
-    return _tell(arguments, ended)
+    status = _tell(arguments, ended)
+    if ended.session is not None:
+        _close(ended.session, status)
+    return status
 
 
 @dataclass(frozen=True)
@@ -94,6 +98,7 @@ class _Ended:
     runner: Runner
     picture: Any
     recording: Any
+    session: Any
 
 
 def _run(
@@ -161,10 +166,24 @@ def _run(
             report.bridge = session.counts()
         if recording is not None:
             report.extra["recording"] = recording.counts()
-    finally:
+    except BaseException:
         if session is not None:
             session.close()
-    return _Ended(report, runner, picture, recording)
+        raise
+    return _Ended(report, runner, picture, recording, session)
+
+
+def _close(session: Any, status: int) -> None:
+    """Take ROS down, after all is written and told: it may fail or never end."""
+    from unicon_ros.ending import exits_within
+
+    try:
+        with exits_within(status):
+            session.close()
+    except Exception as error:
+        with suppress(OSError):
+            line = f"unicon: warning: closing ROS failed: {type(error).__name__}: {error}"
+            print(line, file=sys.stderr)
 
 
 def _viewer(workflow: Workflow) -> list[Block]:
