@@ -69,6 +69,7 @@ def _stand_in(factory: Factory, context: BuildContext, arguments: dict[str, Any]
         bound: Binding = examine(context.states, context.robot, context.period, **arguments)
         platform.reads, platform.writes = bound.reads, bound.writes
         platform.notes = bound.notes
+        platform.require = bound.require
     return platform
 
 
