@@ -15,6 +15,7 @@ from unicon_core.check.joints import check_joints
 from unicon_core.check.observation import check_frames, check_observation
 from unicon_core.check.pose import check_pose
 from unicon_core.check.result import CheckResult
+from unicon_core.check.safety import check_safety
 from unicon_core.check.start import check_start
 from unicon_core.check.subject import Subject, build_subject
 from unicon_core.errors import (
@@ -113,6 +114,7 @@ def static_checks(subject: Subject, result: CheckResult) -> None:
     check_commands(subject, result)
     check_pose(subject, result)
     check_start(subject, result)
+    check_safety(subject, result)
     check_robot(subject, result)
     if not subject.live:  # they read the platform, hash files, or repeat what the build has done
         check_frames(subject, result)

@@ -101,10 +101,6 @@ class Subject:
         path = self.workflow.platform.info().get("model")
         return None if path is None else Path(str(path))
 
-    def has_block(self, *names: str) -> bool:
-        """Whether a block of one of these names is in the workflow."""
-        return any(block.name in names for block in self.blocks)
-
 
 def platform_facts(document: WorkflowDocument) -> PlatformFacts:
     """Return what is known of the workflow's platform, and check its options without building it.
