@@ -30,8 +30,8 @@ REFUSED = {
     "a word for ros": ("ros: 'yes'", "ros: 'yes' is not a bool"),
     "a negative duration": ("duration: -1", "duration: -1 is not a time above 0"),
     "no duration": ("duration: 0", "duration: 0 is not a time above 0"),
-    "an endless duration": ("duration: .inf", "duration: inf is not a time above 0"),
-    "a duration of nan": ("duration: .nan", "duration: nan is not a time above 0"),
+    "an endless duration": ("duration: .inf", "duration: inf is not a finite number"),
+    "a duration of nan": ("duration: .nan", "duration: nan is not a finite number"),
     "a duration beyond time": ("duration: 1.0e+308", "duration: 1e+308 is not a time above 0"),
     "no safety list": ("safety: {finite: {}}", "is not a list of blocks"),
 }
@@ -60,7 +60,7 @@ def test_a_pose_of_nan_is_refused_by_both(
     flow = "flow={pose: {to: {FR_hip_joint: .nan}}}"
     assert main(["check", path, "--set", flow]) == 1
     assert main(["run", path, "--set", flow, "--quiet"]) == 1
-    assert "position of 'FR_hip_joint' is nan" in capsys.readouterr().err
+    assert "to is {'FR_hip_joint': nan}" in capsys.readouterr().err
 
 
 PLATFORM = """
@@ -127,7 +127,9 @@ def test_a_map_that_fits_is_clean(tmp_path: Path) -> None:
 
 
 PROTOCOL = """
-def make(states, robot, period):
+from unicon_core.platforms.platform import Platform
+
+def make(states, robot, period) -> Platform:
     raise AssertionError("nothing is opened")
 
 make.protocols = ("twig_can",)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,7 @@ from unicon_core.errors import (
     UniconError,
     alternatives,
 )
+from unicon_core.workflow import Hook
 from unicon_core.workflow.document import WorkflowDocument, load_document
 
 __all__ = ["check_section", "check_workflow", "static_checks"]
@@ -54,6 +55,7 @@ def check_workflow(
     *,
     twin: bool = False,
     more: Iterable[Callable[[Subject, CheckResult], None]] = (),
+    inputs: Sequence[Hook] = (),
 ) -> CheckResult:
     """Check a workflow without moving anything.
 
@@ -65,6 +67,7 @@ def check_workflow(
         overrides: `path=value` texts as of `--set`.
         twin: also run it in MuJoCo, and broken contracts beside it.
         more: further checks of the built workflow, such as that of its message map.
+        inputs: hooks that stand for what a run would add to the graph, such as topics.
 
     Returns:
         Tables, findings and notes; `findings` is empty where all is well.
@@ -74,7 +77,7 @@ def check_workflow(
         document = load_document(name_or_path, overrides)
         result.workflow = document.name
         settings = check_section(document, result)
-        subject = build_subject(document)
+        subject = build_subject(document, inputs)
     except UniconError as error:
         _cannot(result, error)
         return result

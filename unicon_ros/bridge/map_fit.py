@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from unicon_core.errors import PlatformError, UniconError
+from unicon_core.flow import Block
 from unicon_core.platforms.platform import Binding
 from unicon_core.resources import find_config
 from unicon_core.robots import Robot
@@ -25,14 +26,14 @@ from unicon_msgs_map import (
     load_map,
 )
 from unicon_ros import compat
-from unicon_ros.bridge.bindings import arrays_of, names_of, variables_of
+from unicon_ros.bridge.bindings import arrays_of, given_by_blocks, names_of, variables_of
 
 if TYPE_CHECKING:
     from unicon_core.check import CheckResult
     from unicon_core.check.subject import Subject
     from unicon_core.workflow import Workflow
 
-__all__ = ["check_mirror", "examine_platform", "refuse_untold", "wanted_of"]
+__all__ = ["check_mirror", "examine_platform", "mirror_inputs", "refuse_untold", "wanted_of"]
 
 NO_CODECS = "the message map was not looked at: {}"
 NO_ROS = "rclpy is not installed: whether ROS knows the map's types was not looked at"
@@ -111,6 +112,35 @@ def refuse_untold(
                 f"platform 'ros': the map {path} writes {len(written)} of {size} "
                 f"elements of {name}, which block {reader!r} reads; map the others too"
             )
+
+
+def mirror_inputs(workflow: Workflow, name: str | None = None) -> list[Block]:
+    """Return what stands in the graph for the topics that `--ros` hears, as the bridge has it.
+
+    A map that does not fit gives nothing here: `check_mirror` tells it.
+
+    Args:
+        workflow: on its way to be built; this is a hook of it.
+        name: of the map; None for the workflow's own, else the default.
+    """
+    path = find_config("maps", name or workflow.document.get("map", str) or "default")
+    try:
+        heard, _, _ = _codecs(path, arrays_of(workflow), names_of(workflow), variables_of(workflow))
+    except UniconError:
+        return []
+    states = {state for spec in heard for state in spec.states}
+    if not states or not states.isdisjoint(workflow.platform.writes):
+        return []
+    written = given_by_blocks(workflow)
+    return [
+        Block(
+            "ros inputs",
+            bool,
+            writes=tuple(sorted(states - written)),
+            amends=tuple(sorted(states & written)),
+            endless=True,
+        )
+    ]
 
 
 def check_mirror(subject: Subject, result: CheckResult, name: str | None = None) -> None:
