@@ -2,6 +2,7 @@
 
     UniconError                    base: one clear line, exit status 1
     ├── WorkflowError              a workflow file or graph is wrong (carries file and line)
+    ├── CheckError                 `unicon check` finds errors (lists them)
     ├── StateError                 a state is unknown, or its shape, dtype, unit or frame is wrong
     ├── RobotError                 a robot file is wrong, or lacks a fact that is needed
     ├── ModelError                 a simulator model is missing or lacks a joint, sensor or actuator
@@ -16,9 +17,10 @@ A message names the culprit, the alternatives and the remedy, in one line.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 __all__ = [
+    "CheckError",
     "Fault",
     "MissingDependencyError",
     "ModelError",
@@ -51,6 +53,25 @@ class WorkflowError(UniconError):
     def __init__(self, message: str, where: str | None = None) -> None:
         super().__init__(f"{where}: {message}" if where else message)
         self.where = where
+
+
+class CheckError(UniconError):
+    """A workflow has errors that `unicon check` finds: the only error of several lines.
+
+    Args:
+        message: that it is not run, and how to go on.
+        findings: what was found, one line each.
+    """
+
+    def __init__(self, message: str, findings: Sequence[str]) -> None:
+        super().__init__(message)
+        self.findings = tuple(" ".join(found.split("\n")) for found in findings)
+
+    def __str__(self) -> str:
+        if len(self.findings) == 1:
+            return f"{super().__str__()} {self.findings[0]}"
+        listed = (f"\n  {i}. {found}" for i, found in enumerate(self.findings, 1))
+        return super().__str__() + "".join(listed)
 
 
 class StateError(UniconError):

@@ -186,7 +186,7 @@ def _head(
     if len(topic) > 255 or "__" in topic or not _TOPIC.fullmatch(topic):
         shown = topic if len(topic) <= 60 else f"{topic[:57]}…"
         raise keys["topic"].fail(
-            f"topic {shown!r} is no ROS name; write words of letters, digits and '_' between "
+            f"topic {shown!r} is not a ROS name; write words of letters, digits and '_' between "
             "slashes, like imu/data"
         )
     try:

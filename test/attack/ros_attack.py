@@ -30,7 +30,7 @@ platforms: {{"{make}": {{connect: {connect}, map: {map}}}}}
 rate: 100
 pacing: {{hang: 5.0}}  # a busy machine may hold a process up
 flow: {{hold: {{}}}}
-safety: [{safety}]
+safety: {safety}
 """
 
 
@@ -68,5 +68,9 @@ def behind_topics(
 ) -> Path:
     """Write a workflow of a robot behind topics that holds its pose."""
     path = folder / "behind_topics.yaml"
-    path.write_text(BEHIND.format(make=MAKE, safety=safety, map=map, connect=connect))
+    path.write_text(
+        BEHIND.format(
+            make=MAKE, safety=f"[{safety}]" if safety else "none", map=map, connect=connect
+        )
+    )
     return path

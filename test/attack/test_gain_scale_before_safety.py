@@ -28,7 +28,7 @@ SAFETY = {
     "below every": "[{every: {n: 2, do: finite}}]",
     "below zip": "[{zip: [finite, joint_limits]}]",
     "below loop, after when": "[{when: {if: tick > 5, do: finite}}, {loop: {do: joint_limits}}]",
-    "none": "[]",
+    "none": "none",
 }
 
 

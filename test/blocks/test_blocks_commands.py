@@ -78,7 +78,7 @@ def test_ramp_and_limits_bound_the_command(bench: Build) -> None:
         ),
         (
             {"schedule": [[1, 0, 0, 0], [1, 0, 0, 0]]},
-            "the schedule's times [1.0, 1.0] do not rise from 0; put them in order",
+            "the schedule's times [1.0, 1.0] do not rise from 0 to 1e+09 s; correct them",
         ),
         (
             {"constant": [0, 0, 0], "limits": [[1, 0], [0, 1], [0, 1]]},

@@ -65,7 +65,7 @@ FILES: list[tuple[str, str]] = [
     ),
     (
         "publish:\n  - topic: a b\n    " + TWIST + "\n    fields: {}\n",
-        "m.yaml:2: topic 'a b' is no ROS name; write words of letters, digits and '_' between slashes, like imu/data",
+        "m.yaml:2: topic 'a b' is not a ROS name; write words of letters, digits and '_' between slashes, like imu/data",
     ),
     (
         "publish:\n  - topic: a\n    type: geometry_msgs/msg/Twst\n    fields: {}\n",

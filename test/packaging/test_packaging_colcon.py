@@ -12,7 +12,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass
 from pathlib import Path
@@ -97,11 +96,16 @@ def test_the_node_runs_the_workflow_of_its_parameter_and_ends_on_sigint(
         stderr=subprocess.STDOUT,
         text=True,
     )
+    output = ""
     try:
-        time.sleep(4.0)
+        assert process.stdout is not None
+        for line in process.stdout:
+            output += line
+            if "running go2_stand" in line:
+                break
         early = process.poll()
         process.send_signal(signal.SIGINT)
-        output, _ = process.communicate(timeout=30)
+        output += process.communicate(timeout=30)[0]
     finally:
         process.kill()
     assert early is None, f"the node ended by itself:\n{output}"

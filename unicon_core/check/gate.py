@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from unicon_core.check.check import check_section, static_checks
 from unicon_core.check.result import CODES, FIRM, CheckResult
 from unicon_core.check.subject import Subject, platform_facts
-from unicon_core.errors import WorkflowError, alternatives
+from unicon_core.errors import CheckError, WorkflowError, alternatives
 
 if TYPE_CHECKING:
     from unicon_core.workflow import Workflow
@@ -30,7 +30,8 @@ def refuse_errors(workflow: Workflow, force: Iterable[str] = ()) -> list[str]:
         without safety blocks.
 
     Raises:
-        WorkflowError: an unknown code, or errors that are not forced; all are named.
+        WorkflowError: an unknown code.
+        CheckError: errors that are not forced; all are named.
     """
     forced = list(dict.fromkeys(force))
     for code in forced:
@@ -46,15 +47,14 @@ def refuse_errors(workflow: Workflow, force: Iterable[str] = ()) -> list[str]:
     static_checks(Subject(document, workflow, platform_facts(document), live=True), result)
     errors = [found for found in result.findings if found.code not in forced]
     if errors:
-        found = dict.fromkeys(error.code for error in errors)
-        codes = " ".join(f"--force {code}" for code in found if code not in FIRM)
-        risk = f" or go on at your own risk with {codes}" if codes else ""
-        listed = (
-            f" {errors[0]}"
-            if len(errors) == 1
-            else "".join(f"\n  {i}. {found}" for i, found in enumerate(errors, 1))
+        codes = " ".join(
+            f"--force {code}" for code in dict.fromkeys(e.code for e in errors) if code not in FIRM
         )
-        raise WorkflowError(f"workflow {workflow.name!r} is not run, mend it{risk}:{listed}")
+        risk = f" or go on at your own risk with {codes}" if codes else ""
+        raise CheckError(
+            f"workflow {workflow.name!r} is not run, mend it{risk}:",
+            [str(found) for found in errors],
+        )
     told = [f"forced: {found}" for found in result.findings]
     told += [f"accepted by the workflow: {found}" for found in result.waived]
     decided = dict.fromkeys(found.code for found in [*result.findings, *result.waived])
