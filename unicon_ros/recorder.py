@@ -6,6 +6,7 @@ killed run left of that name is finished as `FILE.recovered-N.mcap` when the nex
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable
 from dataclasses import asdict
@@ -46,7 +47,7 @@ class Recorder:
         self, path: str | Path, warn: Callable[[str], None] = print, patient: bool = False
     ) -> None:
         self.path = Path(path)
-        if self.path.exists():
+        if os.path.lexists(self.path):  # a link that points nowhere too
             raise UniconError(f"recording {path} exists; move it away or give another name")
         self._file = self._create(warn)
         self._background = Background(self._file, warn, patient)

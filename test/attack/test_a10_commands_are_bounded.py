@@ -12,12 +12,14 @@ import pytest
 import yaml
 
 from unicon_core.check import check_workflow
-from unicon_core.errors import RobotError
+from unicon_core.errors import RobotError, WorkflowError
 from unicon_core.flow import Block
 from unicon_core.flow.block import Amends, Reads, Tick, Writes
+from unicon_core.policies.prefixed import PrefixedStates
 from unicon_core.resources import find_config
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner, RunOptions
+from unicon_core.states import Layout, States, standard_states
 from unicon_core.workflow import Workflow, load_workflow
 
 SWAY = """\
@@ -248,3 +250,48 @@ def test_a_topic_is_bounded_and_told_by_name(
         f"velocity_command vx is 1e+30, held to 1 m/s ({CAUTIOUS})",
         f"velocity_command wz is -50, held to -1 rad/s ({CAUTIOUS})",
     ]
+
+
+ODD = """
+robot: go2
+platform: fake
+rate: 50
+flow: {flow}
+"""
+
+
+def hurry(velocity_command: Amends) -> Callable[[], bool]:
+    """A condition that commands beside it."""
+
+    def tick() -> bool:
+        velocity_command[...] = 50.0
+        return True
+
+    return tick
+
+
+@pytest.mark.parametrize(
+    "flow",
+    [
+        "{when: {if: {call: {function: 'HERE:hurry'}}, do: SWAY}}",
+        "{loop: {do: SWAY, until: {call: {function: 'HERE:hurry'}}}}",
+        "{switch: {on: {call: {function: 'HERE:hurry'}}, cases: {a: SWAY, b: hold}}}",
+    ],
+)
+def test_a_condition_that_gives_commands_is_refused_by_name(tmp_path: Path, flow: str) -> None:
+    path = tmp_path / "odd.yaml"
+    sway = "{sway: {gains: {'*_hip_joint': [0.1, 0.1, 0.1]}}}"
+    text = flow.replace("HERE", __name__).replace("SWAY", sway)
+    path.write_text(ODD.format(flow=text), encoding="utf-8")
+    with pytest.raises(WorkflowError, match="chooses what runs and writes 'velocity_command'"):
+        load_workflow(path)
+
+
+def test_a_policy_of_several_reads_the_bounded_command_whatever_else_is_declared() -> None:
+    robot = load_robot("go2")
+    specs = standard_states(robot.joint_names)
+    states = States(Layout({**specs, "walk_velocity_command": specs["velocity_command"]}))
+    seen = PrefixedStates(states, "walk_")
+    seen["velocity_command"][...] = 7.0
+    assert states["velocity_command"].tolist() == [7.0, 7.0, 7.0]
+    assert seen.offset("velocity_command") == states.offset("velocity_command")

@@ -434,3 +434,20 @@ def test_others_read_what_is_written(tmp_path: Path) -> None:
     assert found == {"/even": list(range(1, 1002, 2)), "/odd": list(range(2, 1002, 2))}
     assert recorder.counts()["messages"] == 1001
     assert recorder.counts()["dropped"] == 0
+
+
+def test_a_name_that_is_too_long_is_refused_in_a_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([*RUN, "--speed", "max", "--record", str(tmp_path / ("x" * 300 + ".mcap"))]) == 1
+    assert "File name too long; give a path" in capsys.readouterr().err
+
+
+def test_a_link_is_neither_replaced_nor_written_through(tmp_path: Path) -> None:
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "a.mcap").symlink_to(tmp_path / "elsewhere" / "a")
+    (tmp_path / "b.mcap.partial").symlink_to(tmp_path / "elsewhere" / "b")
+    for name, told in (("a", "exists"), ("b", "symbolic links")):
+        with pytest.raises(UniconError, match=told):
+            Recorder(tmp_path / f"{name}.mcap")
+    assert list((tmp_path / "elsewhere").iterdir()) == []

@@ -166,3 +166,23 @@ def test_the_map_of_the_mirror_is_checked(
 def test_a_twin_waits_for_no_data(tmp_path: Path) -> None:
     document = load_document(written(tmp_path, "pacing: {trigger: state}"), {"platform": "ros"})
     assert on_platform(document, "mujoco").values["pacing"] == {}
+
+
+BLIND = """
+from unicon_core.platforms.platform import Platform
+
+def make(states, robot, period) -> Platform:
+    raise AssertionError("nothing is opened")
+
+make.writes = ("joint_pos", "joint_vel", "stamp_ns")
+"""
+
+
+def test_what_a_platform_says_that_it_does_not_write_is_not_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "toy_blind.py").write_text(BLIND, encoding="utf-8")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    path = written(tmp_path, "safety: [finite, tilt_stop]")
+    (found,) = check_workflow(path, ["platform=toy_blind:make"]).findings
+    assert "'tilt_stop' reads 'projected_gravity', which no block writes" in str(found)

@@ -33,6 +33,7 @@ STATES = States(
         "degrees": StateSpec((3,), unit="deg"),
         "count": StateSpec((3,), "int64"),
         "tip": StateSpec((3,), unit="m", frame="base"),
+        "set_point": StateSpec((3,), initial=1.0),
     }
 )
 
@@ -126,7 +127,7 @@ def test_amending_needs_a_writer_before() -> None:
         Zip(When(bool, block("sometimes", "phase")), block("clock", "", "phase")),
         Switch(lambda: 0, {"a": block("a", "phase"), "b": block("b", "", "phase")}),
         block("feedback", "phase", "phase"),
-        block("oriented", "base_quat projected_gravity"),
+        block("neutral", "set_point"),
         Zip(Deferred(block("observer", "phase"))),
         When(block("chooser", "", "phase"), block("chosen", "phase")),
         Every(2, Zip(block("clock", "", "phase"), block("reader", "phase"))),

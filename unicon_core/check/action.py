@@ -9,6 +9,7 @@ import numpy as np
 from unicon_core.check.gains import ROUNDING
 from unicon_core.check.mirror import mirror_pairs
 from unicon_core.check.result import CheckResult
+from unicon_core.check.safety import limits_targets
 from unicon_core.check.subject import Subject, listed
 from unicon_core.policies import PolicyContract
 from unicon_core.workflow.settings import waits_for_data
@@ -124,7 +125,7 @@ def _action(subject: Subject, result: CheckResult, key: str, contract: PolicyCon
             where,
         )
     if outside:
-        limited = subject.has_block("joint_limits")
+        limited = limits_targets(subject)
         text = f"actions within the table reach beyond the limits of {listed(outside)}"
         if limited:
             result.note("action.reach", f"policy {key!r}", f"{text}; joint_limits cuts them off")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from unicon_core.check.joints import check_joints
 from unicon_core.check.observation import check_frames, check_observation
 from unicon_core.check.pose import check_pose
 from unicon_core.check.result import CheckResult
+from unicon_core.check.safety import check_safety
 from unicon_core.check.start import check_start
 from unicon_core.check.subject import Subject, build_subject
 from unicon_core.errors import (
@@ -26,6 +27,7 @@ from unicon_core.errors import (
     UniconError,
     alternatives,
 )
+from unicon_core.workflow import Hook
 from unicon_core.workflow.document import WorkflowDocument, load_document
 
 __all__ = ["check_section", "check_workflow", "static_checks"]
@@ -53,6 +55,7 @@ def check_workflow(
     *,
     twin: bool = False,
     more: Iterable[Callable[[Subject, CheckResult], None]] = (),
+    inputs: Sequence[Hook] = (),
 ) -> CheckResult:
     """Check a workflow without moving anything.
 
@@ -64,6 +67,7 @@ def check_workflow(
         overrides: `path=value` texts as of `--set`.
         twin: also run it in MuJoCo, and broken contracts beside it.
         more: further checks of the built workflow, such as that of its message map.
+        inputs: hooks that stand for what a run would add to the graph, such as topics.
 
     Returns:
         Tables, findings and notes; `findings` is empty where all is well.
@@ -73,7 +77,7 @@ def check_workflow(
         document = load_document(name_or_path, overrides)
         result.workflow = document.name
         settings = check_section(document, result)
-        subject = build_subject(document)
+        subject = build_subject(document, inputs)
     except UniconError as error:
         _cannot(result, error)
         return result
@@ -113,6 +117,7 @@ def static_checks(subject: Subject, result: CheckResult) -> None:
     check_commands(subject, result)
     check_pose(subject, result)
     check_start(subject, result)
+    check_safety(subject, result)
     check_robot(subject, result)
     if not subject.live:  # they read the platform, hash files, or repeat what the build has done
         check_frames(subject, result)

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from unicon_core.check.check import check_section, static_checks
-from unicon_core.check.result import CODES, CheckResult
+from unicon_core.check.result import CODES, FIRM, CheckResult
 from unicon_core.check.subject import Subject, platform_facts
 from unicon_core.errors import CheckError, WorkflowError, alternatives
 
@@ -26,7 +26,8 @@ def refuse_errors(workflow: Workflow, force: Iterable[str] = ()) -> list[str]:
         force: codes of errors to go on with.
 
     Returns:
-        Warnings to be told at every start: forced errors, and a workflow without safety blocks.
+        Warnings to be told at every start: errors that are forced or accepted, and a workflow
+        without safety blocks.
 
     Raises:
         WorkflowError: an unknown code.
@@ -38,23 +39,30 @@ def refuse_errors(workflow: Workflow, force: Iterable[str] = ()) -> list[str]:
             raise WorkflowError(
                 f"force: no finding has the code {code!r}; {alternatives(code, CODES)}"
             )
+        if code in FIRM:
+            raise WorkflowError(f"force: a run cannot begin with {code!r}; mend what it finds")
     document = workflow.document
     result = CheckResult(workflow.name)
     check_section(document, result)
     static_checks(Subject(document, workflow, platform_facts(document), live=True), result)
     errors = [found for found in result.findings if found.code not in forced]
     if errors:
-        codes = " ".join(f"--force {code}" for code in dict.fromkeys(e.code for e in errors))
+        codes = " ".join(
+            f"--force {code}" for code in dict.fromkeys(e.code for e in errors) if code not in FIRM
+        )
+        risk = f" or go on at your own risk with {codes}" if codes else ""
         raise CheckError(
-            f"workflow {workflow.name!r} is not run, mend it or go on at your own risk with "
-            f"{codes}:",
+            f"workflow {workflow.name!r} is not run, mend it{risk}:",
             [str(found) for found in errors],
         )
     told = [f"forced: {found}" for found in result.findings]
-    workflow.forced = tuple(dict.fromkeys(found.code for found in result.findings))
-    if not workflow.safety:
-        told.append(
-            "safety: none: commands are sent as they are, also those that are not finite or beyond "
-            "the limits of a joint"
-        )
+    told += [f"accepted by the workflow: {found}" for found in result.waived]
+    decided = dict.fromkeys(found.code for found in [*result.findings, *result.waived])
+    workflow.forced = tuple(decided)
+    told += [
+        f"{note.culprit}: commands are sent as they are, also those that are not finite or beyond "
+        "the limits of a joint"
+        for note in result.notes
+        if note.code == "safety.none"
+    ]
     return told

@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 from unicon_core.errors import alternatives
 
-__all__ = ["CODES", "CheckResult", "Finding", "Section"]
+__all__ = ["CODES", "FIRM", "CheckResult", "Finding", "Section"]
 
 CODES = {
     "build": "the workflow cannot be built",
@@ -44,7 +44,8 @@ CODES = {
     "pose.feet": "in the default pose the robot does not stand on its feet",
     "pose.floor": "the simulation begins inside the floor or far above it",
     "pose.start": "a policy is the first to move a robot that lies (simulated: a note)",
-    "safety.none": "the workflow has no safety blocks (a note)",
+    "safety.none": "no safety block looks at commands (a note)",
+    "safety.partial": "a safety block does not look at every command, or at nothing",
     "platform.open": "what only the opened platform can tell (a note)",
     "map.fit": "the message map does not fit the states, or could not be looked at",
     "robot.facts": "the robot file lacks what is needed to drive the robot",
@@ -55,6 +56,17 @@ CODES = {
     "twin.suspect": "a broken contract does as well (a note where that does not tell much)",
 }
 """What can be found. A workflow accepts one with `check: {accept: [CODE]}`: it is then a note."""
+
+FIRM = (
+    "build",
+    "check.settings",
+    "graph",
+    "map.fit",
+    "robot.facts",
+    "timing.catch_up",
+    "timing.trigger",
+)
+"""What a run cannot begin with: nobody can accept it or force it."""
 
 
 @dataclass(frozen=True)
@@ -126,6 +138,7 @@ class CheckResult:
         notes: what does not.
         sections: tables.
         accepted: codes that the workflow accepts.
+        waived: errors that are notes because of that.
     """
 
     workflow: str
@@ -134,6 +147,7 @@ class CheckResult:
     notes: list[Finding] = field(default_factory=list)
     sections: list[Section] = field(default_factory=list)
     accepted: frozenset[str] = frozenset()
+    waived: list[Finding] = field(default_factory=list)
 
     def accept(self, codes: Any, where: str) -> None:
         """Take over the workflow's `check: {accept: [...]}`; an unknown code is a finding."""
@@ -142,6 +156,10 @@ class CheckResult:
             if not isinstance(code, str) or code not in CODES:
                 remedy = f"{alternatives(str(code), CODES)}"
                 self.find("check.settings", "check.accept", f"no finding {code!r}", remedy, where)
+            elif code in FIRM:
+                evidence = f"{code}: a run cannot begin with it, accepted or not"
+                remedy = "take it out of check.accept, and mend what it finds"
+                self.find("check.settings", "check.accept", evidence, remedy, where)
         self.accepted = frozenset(str(code) for code in listed)
 
     def find(
@@ -156,6 +174,8 @@ class CheckResult:
     ) -> None:
         """Add what fails the check, or a note where the workflow accepts it or it may be right."""
         if code in self.accepted:
+            if error:
+                self.waived.append(Finding(code, culprit, evidence, "", str(where)))
             self.note(code, culprit, f"{evidence} (accepted by the workflow)", "", where)
         elif error:
             self.findings.append(Finding(code, culprit, evidence, remedy, str(where)))

@@ -1,4 +1,4 @@
-"""How a run begins and what stands between the flow and the motors, for `unicon check`."""
+"""How a run begins, for `unicon check`."""
 
 from __future__ import annotations
 
@@ -16,16 +16,7 @@ STEP = 0.3
 
 
 def check_start(subject: Subject, result: CheckResult) -> None:
-    """A policy that takes over a robot which lies, and a workflow without safety blocks."""
-    if not subject.workflow.safety:
-        result.note(
-            "safety.none",
-            "safety: none",
-            "no block looks at commands before they are sent: what is not finite or beyond the "
-            "limits of a joint leaves as it is",
-            "",
-            subject.document.where("safety"),
-        )
+    """A policy that takes over a robot which lies."""
     first = next((b.tick for b in subject.blocks if isinstance(b.tick, (Pose, OnnxPolicy))), None)
     if not isinstance(first, OnnxPolicy):
         return

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -14,7 +14,7 @@ from unicon_core.policies import OnnxPolicy, PolicyContract
 from unicon_core.policies.observation import PackedStates
 from unicon_core.policies.prefixed import PrefixedStates
 from unicon_core.robots import Robot
-from unicon_core.workflow import Workflow
+from unicon_core.workflow import Hook, Workflow
 from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.hardware import is_simulator
 from unicon_core.workflow.platforms import find_platform, platform_options
@@ -101,10 +101,6 @@ class Subject:
         path = self.workflow.platform.info().get("model")
         return None if path is None else Path(str(path))
 
-    def has_block(self, *names: str) -> bool:
-        """Whether a block of one of these names is in the workflow."""
-        return any(block.name in names for block in self.blocks)
-
 
 def platform_facts(document: WorkflowDocument) -> PlatformFacts:
     """Return what is known of the workflow's platform, and check its options without building it.
@@ -124,14 +120,18 @@ def platform_facts(document: WorkflowDocument) -> PlatformFacts:
     return PlatformFacts(name, False, unmeasured, bool(getattr(factory, "waits", True)))
 
 
-def build_subject(document: WorkflowDocument) -> Subject:
+def build_subject(document: WorkflowDocument, inputs: Sequence[Hook] = ()) -> Subject:
     """Build what is to be checked as a run builds it, but for hardware, which is never opened.
+
+    Args:
+        document: the workflow.
+        inputs: as of `build_workflow`.
 
     Raises:
         UniconError: the workflow cannot be built.
     """
     facts = platform_facts(document)
-    return Subject(document, build_workflow(document, dry=True), facts)
+    return Subject(document, build_workflow(document, dry=True, inputs=inputs), facts)
 
 
 def on_platform(

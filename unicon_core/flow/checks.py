@@ -14,6 +14,7 @@ from unicon_core.flow.block import Block
 from unicon_core.flow.finding import Finding
 from unicon_core.flow.nodes import Node, blocks_of
 from unicon_core.states import States, StateSpec
+from unicon_core.states.standard import BASE_STATES
 
 __all__ = ["Finding", "check_graph", "raise_first"]
 
@@ -30,7 +31,8 @@ def check_graph(root: Node, states: States, *, given: Iterable[str] = ()) -> lis
         root: the tree.
         states: all states.
         given: states that something outside the graph writes (the runner, ROS). A state with an
-            initial value other than zero counts as given too.
+            initial value other than zero counts as given too, but not what is measured: a base
+            that nobody looks at is upright for ever.
 
     Returns:
         The findings, first those without which the others cannot be judged.
@@ -39,7 +41,9 @@ def check_graph(root: Node, states: States, *, given: Iterable[str] = ()) -> lis
     unknown = list(_unknown(root, states))
     if unknown:
         return unknown
-    initial = (name for name, spec in specs.items() if spec.initial != 0.0)
+    initial = (
+        name for name, spec in specs.items() if spec.initial != 0.0 and name not in BASE_STATES
+    )
     return [
         *_mismatches(root, states),
         *check_order.reads_before_writes(root, frozenset([*given, *initial])),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Literal
 
 import numpy as np
@@ -62,6 +62,7 @@ class FakePlatform:
     name = "fake"
     reads: tuple[str, ...] = COMMAND_STATES
     notes: tuple[str, ...] = ()
+    require: Callable[[Mapping[str, str]], None] | None = None
 
     def __init__(
         self,

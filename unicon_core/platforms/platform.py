@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -17,11 +17,13 @@ class Binding:
         writes: states that `recv` would write.
         reads: states that `send` would read.
         notes: what could not be looked at, one line each.
+        require: refuses states that it would write in part only, as of `Platform.require`.
     """
 
     writes: tuple[str, ...]
     reads: tuple[str, ...]
     notes: tuple[str, ...] = ()
+    require: Callable[[Mapping[str, str]], None] | None = None
 
 
 class Platform(Protocol):

@@ -59,7 +59,6 @@ class OnnxPolicy:
         prefix: str = "",
         network: Network | None = None,
     ) -> None:
-        declared = states
         if prefix:
             states = PrefixedStates(states, prefix)
         self.name = contract.name
@@ -99,7 +98,7 @@ class OnnxPolicy:
             self.phase = GaitPhase(contract.phase, states, contract.period)
         self._motion = _motion(states) if "motion_command" in states else ()
         self._primed = False
-        self.reads, self.writes = _reads_writes(contract, states, declared, prefix, self.phase)
+        self.reads, self.writes = _reads_writes(contract, states, self.phase)
 
     def __call__(self, dry: bool = False) -> None:
         """Run one tick, or take its path and discard the result.
@@ -192,8 +191,6 @@ def _motion(states: PackedStates) -> tuple[tuple[Any, Any], ...]:
 def _reads_writes(
     contract: PolicyContract,
     states: PackedStates,
-    declared: PackedStates,
-    prefix: str,
     phase: GaitPhase | None,
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Names as they are declared: what the policy takes from others, and what it writes."""
@@ -206,7 +203,7 @@ def _reads_writes(
     read += [name for name in contract.inputs if name != "observation" and name in states]
 
     def actual(name: str) -> str:
-        return f"{prefix}{name}" if prefix and f"{prefix}{name}" in declared else name
+        return states.actual(name) if isinstance(states, PrefixedStates) else name
 
     writes = tuple(dict.fromkeys([*map(actual, own), *_TARGETS]))
     reads = tuple(name for name in dict.fromkeys(map(actual, read)) if name not in writes)

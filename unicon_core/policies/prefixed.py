@@ -7,12 +7,16 @@ from typing import Any
 from numpy.typing import NDArray
 
 from unicon_core.policies.observation import PackedStates
+from unicon_core.states.standard import standard_states
 
 __all__ = ["PrefixedStates"]
 
 
 class PrefixedStates:
     """A view of states where `action` means `<prefix>action` if that is declared.
+
+    The standard states have one name for all: what bounds a command or looks at an IMU does so for
+    every policy.
 
     Args:
         states: the states of the workflow.
@@ -22,10 +26,12 @@ class PrefixedStates:
     def __init__(self, states: PackedStates, prefix: str) -> None:
         self._states = states
         self._prefix = prefix
+        self._standard = frozenset(standard_states(["joint"]))
 
-    def _actual(self, name: object) -> Any:
+    def actual(self, name: object) -> Any:
+        """Return the name under which a state is declared."""
         prefixed = f"{self._prefix}{name}"
-        return prefixed if prefixed in self._states else name
+        return prefixed if name not in self._standard and prefixed in self._states else name
 
     @property
     def num_robots(self) -> int | None:
@@ -33,17 +39,17 @@ class PrefixedStates:
         return self._states.num_robots
 
     def __getitem__(self, name: str) -> NDArray[Any]:
-        return self._states[self._actual(name)]
+        return self._states[self.actual(name)]
 
     def __contains__(self, name: object) -> bool:
-        return self._actual(name) in self._states
+        return self.actual(name) in self._states
 
     def __iter__(self) -> Any:
         return iter(self._states)
 
     def spec(self, name: str) -> Any:
         """Return the specification of a state."""
-        return self._states.spec(self._actual(name))
+        return self._states.spec(self.actual(name))
 
     def buffer_of(self, dtype: Any) -> NDArray[Any]:
         """Return all states of one dtype as one flat view."""
@@ -51,4 +57,4 @@ class PrefixedStates:
 
     def offset(self, name: str) -> int:
         """Return the index of a state's first element in `buffer_of`."""
-        return self._states.offset(self._actual(name))
+        return self._states.offset(self.actual(name))

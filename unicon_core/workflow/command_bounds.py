@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.flow import Block, Deferred, Node, Zip
+from unicon_core.errors import WorkflowError
+from unicon_core.flow import Block, Deferred, Loop, Node, Switch, When, Zip
 from unicon_core.flow.nodes import blocks_of, children_of, with_children
 from unicon_core.policies import PolicyContract
 from unicon_core.robots import Robot
@@ -190,12 +191,30 @@ def bounded_flow(flow: Node, make: Callable[[], Block]) -> Node:
     Args:
         flow: of a workflow, or one of its `commands:`.
         make: makes a block of bounds.
+
+    Raises:
+        WorkflowError: a condition or selector gives commands, behind which nothing can be put.
     """
     if isinstance(flow, Block):
         gives = COMMAND in (*flow.writes, *flow.amends)
         return Zip(flow, make(), where=flow.where) if gives else flow
     if isinstance(flow, Deferred):
         return flow
+    chooses = (
+        flow.predicate
+        if isinstance(flow, When)
+        else flow.until
+        if isinstance(flow, Loop)
+        else flow.selector
+        if isinstance(flow, Switch)
+        else None
+    )
+    if chooses is not None and COMMAND in (*chooses.writes, *chooses.amends):
+        raise WorkflowError(
+            f"block {chooses.name!r} chooses what runs and writes {COMMAND!r} beside it; let a "
+            "block of its own write it",
+            chooses.where or None,
+        )
     old = children_of(flow)
     new = tuple(bounded_flow(child, make) for child in old)
     return with_children(flow, new) if any(a is not b for a, b in zip(old, new)) else flow

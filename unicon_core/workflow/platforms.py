@@ -64,11 +64,13 @@ def _stand_in(factory: Factory, context: BuildContext, arguments: dict[str, Any]
     from unicon_core.platforms import fake
 
     platform = fake.make(context.states, context.robot, context.period)
+    platform.writes = tuple(getattr(factory, "writes", platform.writes))
     examine = getattr(factory, "examine", None)
     if examine is not None:
         bound: Binding = examine(context.states, context.robot, context.period, **arguments)
         platform.reads, platform.writes = bound.reads, bound.writes
         platform.notes = bound.notes
+        platform.require = bound.require
     return platform
 
 

@@ -89,6 +89,7 @@ class Workflow:
         command_bounds: what the velocity command is held to; empty where nobody reads it.
         warn: takes what blocks tell while they tick, one line each; the runner sets its own.
         safety: labels of the blocks between the flow and `send`; none with `safety: none`.
+        safety_nodes: these blocks as the file has them, with the conditions that they stand under.
         forced: codes of the check's errors that somebody decided to run with.
     """
 
@@ -107,6 +108,7 @@ class Workflow:
     command_bounds: tuple[CommandBound, ...] = ()
     warn: Callable[[str], None] = print
     safety: tuple[str, ...] = ()
+    safety_nodes: tuple[Node, ...] = ()
     forced: tuple[str, ...] = ()
 
     @property
@@ -223,6 +225,7 @@ def _assemble(workflow: Workflow, inputs: Sequence[Hook], observers: Sequence[Ho
         if isinstance(node, Block):
             node.role = "safety"
     _finite_first(document, safety)
+    workflow.safety_nodes = tuple(safety)
     workflow.safety = tuple(block.name for node in safety for block in blocks_of(node))
     after = [Deferred(node) for node in section("deferred")]
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from unicon_core.errors import UniconError
 from unicon_core.workflow import Workflow
 
-__all__ = ["arrays_of", "checked_prefix", "names_of", "variables_of"]
+__all__ = ["arrays_of", "checked_prefix", "given_by_blocks", "names_of", "variables_of"]
 
 
 def arrays_of(workflow: Workflow) -> dict[str, NDArray[Any]]:
@@ -52,3 +52,8 @@ def checked_prefix(prefix: str) -> str:
             f"write {right!r}"
         )
     return prefix
+
+
+def given_by_blocks(workflow: Workflow) -> set[str]:
+    """Return the states that blocks write or amend: a topic amends these, and writes all others."""
+    return {state for block in workflow.blocks for state in (*block.writes, *block.amends)}

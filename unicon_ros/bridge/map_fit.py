@@ -6,12 +6,12 @@ The codecs are built as the bridge and platform `ros` build them; neither node n
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from unicon_core.errors import PlatformError, UniconError
+from unicon_core.flow import Block
 from unicon_core.platforms.platform import Binding
 from unicon_core.resources import find_config
 from unicon_core.robots import Robot
@@ -26,14 +26,14 @@ from unicon_msgs_map import (
     load_map,
 )
 from unicon_ros import compat
-from unicon_ros.bridge.bindings import arrays_of, names_of, variables_of
+from unicon_ros.bridge.bindings import arrays_of, given_by_blocks, names_of, variables_of
 
 if TYPE_CHECKING:
     from unicon_core.check import CheckResult
     from unicon_core.check.subject import Subject
     from unicon_core.workflow import Workflow
 
-__all__ = ["check_mirror", "examine_platform"]
+__all__ = ["check_mirror", "examine_platform", "mirror_inputs", "refuse_untold", "wanted_of"]
 
 NO_CODECS = "the message map was not looked at: {}"
 NO_ROS = "rclpy is not installed: whether ROS knows the map's types was not looked at"
@@ -60,7 +60,7 @@ def examine_platform(
     names = {name: spec.names for name, spec in states.layout.specs.items() if spec.names}
     variables: dict[str, object] = {"joint_names": list(robot.joint_names)}
     try:
-        heard, said = _codecs(path, arrays, names, variables)
+        heard, said, decoders = _codecs(path, arrays, names, variables)
     except MapDependencyError as error:
         return Binding(tuple(states), COMMAND_STATES, (NO_CODECS.format(error),))
     except UniconError as error:
@@ -68,13 +68,79 @@ def examine_platform(
     if not heard:
         raise PlatformError(f"map {path} subscribes to nothing; a robot tells its joint_pos")
     written = dict.fromkeys(state for spec in heard for state in spec.states)
-    if "base_quat" in written:
+    turned = "base_quat" in written and "projected_gravity" not in written
+    if turned:
         written["projected_gravity"] = None
     writes = tuple(dict.fromkeys([*written, "stamp_ns"]))
     read = dict.fromkeys(state for spec in said for state in spec.states)
     reads = tuple(s for s in read if s in states and (s not in writes or s in COMMAND_STATES))
     note = _unknown_types([*heard, *said])
-    return Binding(writes, reads, (note,) if note else ())
+
+    def require(needed: Mapping[str, str]) -> None:
+        refuse_untold(path, wanted_of(needed, writes, turned), decoders, states)
+
+    return Binding(writes, reads, (note,) if note else (), require)
+
+
+def wanted_of(needed: Mapping[str, str], writes: Iterable[str], turned: bool) -> dict[str, str]:
+    """Return those of the needed states that messages tell, with who reads them.
+
+    Args:
+        needed: each state that a block on the critical path reads, and that block's name.
+        writes: states that the platform writes.
+        turned: whether gravity is computed of the orientation.
+    """
+    wanted = {name: reader for name, reader in needed.items() if name in writes}
+    if turned and "projected_gravity" in wanted:
+        wanted.setdefault("base_quat", wanted["projected_gravity"])
+    return wanted
+
+
+def refuse_untold(
+    path: Path, wanted: Mapping[str, str], decoders: Sequence[Decoder], states: States
+) -> None:
+    """Refuse a map that writes some elements only of a state that is needed.
+
+    Raises:
+        PlatformError: it does.
+    """
+    for name, reader in wanted.items():
+        told = [d.elements(name) for d in decoders if name in d.spec.states]
+        written, size = set().union(*told), states[name].size
+        if told and len(written) < size:
+            raise PlatformError(
+                f"platform 'ros': the map {path} writes {len(written)} of {size} "
+                f"elements of {name}, which block {reader!r} reads; map the others too"
+            )
+
+
+def mirror_inputs(workflow: Workflow, name: str | None = None) -> list[Block]:
+    """Return what stands in the graph for the topics that `--ros` hears, as the bridge has it.
+
+    A map that does not fit gives nothing here: `check_mirror` tells it.
+
+    Args:
+        workflow: on its way to be built; this is a hook of it.
+        name: of the map; None for the workflow's own, else the default.
+    """
+    path = find_config("maps", name or workflow.document.get("map", str) or "default")
+    try:
+        heard, _, _ = _codecs(path, arrays_of(workflow), names_of(workflow), variables_of(workflow))
+    except UniconError:
+        return []
+    states = {state for spec in heard for state in spec.states}
+    if not states or not states.isdisjoint(workflow.platform.writes):
+        return []
+    written = given_by_blocks(workflow)
+    return [
+        Block(
+            "ros inputs",
+            bool,
+            writes=tuple(sorted(states - written)),
+            amends=tuple(sorted(states & written)),
+            endless=True,
+        )
+    ]
 
 
 def check_mirror(subject: Subject, result: CheckResult, name: str | None = None) -> None:
@@ -88,7 +154,7 @@ def check_mirror(subject: Subject, result: CheckResult, name: str | None = None)
     workflow: Workflow = subject.workflow
     path = find_config("maps", name or subject.document.get("map", str) or "default")
     try:
-        heard, _ = _codecs(path, arrays_of(workflow), names_of(workflow), variables_of(workflow))
+        heard, _, _ = _codecs(path, arrays_of(workflow), names_of(workflow), variables_of(workflow))
     except MapDependencyError as error:
         result.note("map.fit", f"map {path}", NO_CODECS.format(error))
         return
@@ -113,8 +179,8 @@ def _codecs(
     arrays: Mapping[str, Any],
     names: Mapping[str, Sequence[str]],
     variables: Mapping[str, object],
-) -> tuple[list[Any], list[Any]]:
-    """Build every codec of a map; return the entries that are received and sent.
+) -> tuple[list[Any], list[Any], list[Decoder]]:
+    """Build every codec of a map; return the entries that are received and sent, and decoders.
 
     An optional entry whose states are not there is left out, as in a run.
 
@@ -123,32 +189,25 @@ def _codecs(
         UniconError: the map is wrong, or does not fit.
     """
 
-    def fits(spec: Any, build: Callable[[], Any]) -> bool:
+    def built(spec: Any, build: Callable[..., Any]) -> Any:
         try:
-            build()
+            return build(spec, arrays, names, variables)
         except MapStateError:
             if not spec.optional:
                 raise
-            return False
-        return True
+            return None
 
     try:
         mapping = load_map(path)
-        heard = [
-            spec
-            for spec in mapping.subscribe
-            if fits(spec, partial(Decoder.build, spec, arrays, names, variables))
-        ]
-        said = [
-            spec
-            for spec in mapping.publish
-            if fits(spec, partial(Encoder.build, spec, arrays, names, variables))
-        ]
+        decoders = [built(spec, Decoder.build) for spec in mapping.subscribe]
+        encoders = [built(spec, Encoder.build) for spec in mapping.publish]
     except MapDependencyError:
         raise
     except MapError as error:
         raise UniconError(str(error)) from error
-    return heard, said
+    heard = [spec for spec, made in zip(mapping.subscribe, decoders) if made is not None]
+    said = [spec for spec, made in zip(mapping.publish, encoders) if made is not None]
+    return heard, said, [made for made in decoders if made is not None]
 
 
 def _unknown_types(specs: Iterable[Any]) -> str:

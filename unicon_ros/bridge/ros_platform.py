@@ -34,7 +34,7 @@ from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_msgs_map import Decoder, Encoder, MapError, MapStateError, load_map
 from unicon_ros import compat
-from unicon_ros.bridge.map_fit import examine_platform
+from unicon_ros.bridge.map_fit import examine_platform, refuse_untold, wanted_of
 from unicon_ros.bridge.middleware_threads import calm_middleware_threads
 from unicon_ros.bridge.orientation import STATE, OrientationDecoder
 from unicon_ros.bridge.own_node import OwnNode
@@ -235,18 +235,10 @@ class RosPlatform:
         Raises:
             PlatformError: the map writes some elements of a state only, or messages do.
         """
-        wanted = {name: reader for name, reader in states.items() if name in self.writes}
-        if self._gravity is not None and "projected_gravity" in wanted:
-            wanted.setdefault(STATE, wanted["projected_gravity"])
-        for name, reader in wanted.items():
+        wanted = wanted_of(states, self.writes, self._gravity is not None)
+        refuse_untold(self._path, wanted, self._decoders, self._states)
+        for name in wanted:
             sources = [i for i, topic in enumerate(self._in) if name in topic.states]
-            written = set().union(*(self._decoders[i].elements(name) for i in sources))
-            size = self._states[name].size
-            if sources and len(written) < size:
-                raise PlatformError(
-                    f"platform 'ros': the map {self._path} writes {len(written)} of {size} "
-                    f"elements of {name}, which block {reader!r} reads; map the others too"
-                )
             for i in sources:
                 topic, decoder = self._in[i], self._decoders[i]
                 if isinstance(decoder, OrientationDecoder):

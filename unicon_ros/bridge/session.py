@@ -27,7 +27,13 @@ from unicon_core.workflow import Workflow
 from unicon_msgs_map import Decoder, Encoder, MapError, MapStateError, MessageMap, load_map
 from unicon_msgs_map.spec import PublishSpec, SubscribeSpec
 from unicon_ros import compat
-from unicon_ros.bridge.bindings import arrays_of, checked_prefix, names_of, variables_of
+from unicon_ros.bridge.bindings import (
+    arrays_of,
+    checked_prefix,
+    given_by_blocks,
+    names_of,
+    variables_of,
+)
 from unicon_ros.bridge.controls import SERVICES, Controls
 from unicon_ros.bridge.estop import EmergencyStop
 from unicon_ros.bridge.middleware_threads import calm_middleware_threads
@@ -110,7 +116,7 @@ class RosSession:
         """Return the blocks that poll subscriptions and ~/estop; a hook of `load_workflow`."""
         arrays, names = arrays_of(workflow), names_of(workflow)
         variables = variables_of(workflow, self.frame_prefix)
-        written = {s for block in workflow.blocks for s in (*block.writes, *block.amends)}
+        written = given_by_blocks(workflow)
         taken = set(workflow.platform.writes)
         for spec in self.map.subscribe:
             message = self._message(spec, "subscribe")

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import argparse
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from unicon_ros.cli.workflow_arguments import add_workflow
+
+if TYPE_CHECKING:
+    from unicon_core.flow import Block
+    from unicon_core.workflow import Workflow
 
 __all__ = ["add", "check"]
 
@@ -40,8 +44,19 @@ def check(arguments: argparse.Namespace) -> int:
 
             check_mirror(subject, result, arguments.map)
 
+    def heard(workflow: Workflow) -> list[Block]:
+        if not (arguments.ros or workflow.document.get("ros", bool, False)):
+            return []
+        from unicon_ros.bridge.map_fit import mirror_inputs
+
+        return mirror_inputs(workflow, arguments.map)
+
     result = check_workflow(
-        arguments.workflow, arguments.overrides, twin=arguments.twin, more=[mirror]
+        arguments.workflow,
+        arguments.overrides,
+        twin=arguments.twin,
+        more=[mirror],
+        inputs=[heard],
     )
     print(result.text())
     if arguments.json:

@@ -68,7 +68,7 @@ class McapFile:
         self._folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
         self._file = -1
         try:
-            flags = os.O_RDWR | os.O_CREAT
+            flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW
             self._file = os.open(self.partial.name, flags, 0o644, dir_fd=self._folder)
             lock(self._file)
             there = os.stat(self.partial.name, dir_fd=self._folder)

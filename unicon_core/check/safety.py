@@ -1,0 +1,107 @@
+"""What stands between the flow and the motors, and whether it looks at every command."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from unicon_core.blocks.limits import JointLimits
+from unicon_core.blocks.stops import Finite
+from unicon_core.check.result import CheckResult
+from unicon_core.check.subject import Subject, listed
+from unicon_core.flow import Block, Chain, Every, Loop, Node, Switch, When, blocks_of
+from unicon_core.flow.nodes import children_of
+
+__all__ = ["check_safety", "limits_targets"]
+
+TARGET = "joint_pos_target"
+"""What limits are for."""
+GIVEN = ("tick", "velocity_command")
+"""What the runner and people write, beside platform and blocks."""
+
+
+def limits_targets(subject: Subject) -> bool:
+    """Whether the targets that are sent are held within the limits of the joints."""
+    return any(
+        isinstance(block.tick, JointLimits) and set(block.amends) & _sent(subject)
+        for block in _safety(subject)
+    )
+
+
+def check_safety(subject: Subject, result: CheckResult) -> None:
+    """A workflow without safety blocks, and blocks that are there and see nothing, or seldom."""
+    where, sent = subject.document.where("safety"), _sent(subject)
+    blocks = _safety(subject)
+    if not any(sent & {*block.reads, *block.amends} for block in blocks):
+        what = "safety: none" if not blocks else f"safety: {listed([b.name for b in blocks])}"
+        result.note(
+            "safety.none",
+            what,
+            "no block looks at commands before they are sent: what is not finite or beyond the "
+            "limits of a joint leaves as it is",
+            "",
+            where,
+        )
+    for node in subject.workflow.safety_nodes:
+        for block, under in _conditional(node, ""):
+            result.find(
+                "safety.partial",
+                f"safety block {block.name!r}",
+                f"it stands under {under!r}, so it does not run in every tick",
+                "write it into safety: by itself, or take it out",
+                block.where or where,
+            )
+    told = {*subject.workflow.platform.writes, *GIVEN, *subject.written}
+    for block in blocks:
+        blind = _blind(block, sent, told)
+        if blind:
+            result.find(
+                "safety.partial",
+                f"safety block {block.name!r}",
+                blind,
+                "correct its states:, or take it out of safety:",
+                block.where or where,
+            )
+
+
+def _safety(subject: Subject) -> list[Block]:
+    return [block for node in subject.workflow.safety_nodes for block in blocks_of(node)]
+
+
+def _sent(subject: Subject) -> set[str]:
+    return set(subject.workflow.platform.reads)
+
+
+def _conditional(node: Node, under: str) -> Iterator[tuple[Block, str]]:
+    """Blocks that do not run in every tick, with the word that says so."""
+    if isinstance(node, Block):
+        if under:
+            yield node, under
+        return
+    chooses = isinstance(node, (Chain, Loop, Switch, When)) or (
+        isinstance(node, Every) and node.n > 1
+    )
+    if isinstance(node, Loop) and node.until is None:
+        chooses = False
+    if isinstance(node, Chain) and len(node.children) == 1:
+        chooses = False
+    chosen = type(node).__name__.lower() if chooses and not under else under
+    choosers = [getattr(node, name, None) for name in ("predicate", "selector", "until")]
+    for child in children_of(node):
+        if not any(child is chooser for chooser in choosers):
+            yield from _conditional(child, chosen)
+
+
+def _blind(block: Block, sent: set[str], told: set[str]) -> str:
+    """Return why a block sees nothing of what it is there for; empty where it does."""
+    if isinstance(block.tick, Finite):
+        missed = [name for name in sorted(sent) if name not in block.reads]
+        return f"it does not look at {listed(missed)}, which is sent" if missed else ""
+    clamps = getattr(block.tick, "clamps", False)
+    if block.amends and not sent & set(block.amends):
+        return f"it changes {listed(block.amends)}, which is not sent"
+    if clamps and TARGET not in block.amends:
+        return f"it changes {listed(block.amends)}, not {TARGET}"
+    silent = [name for name in block.reads if name not in told]
+    if silent and (clamps or len(silent) == len(block.reads)):
+        return f"nothing writes {listed(silent)}, which it reads"
+    return ""
