@@ -142,13 +142,20 @@ def _messages(keys: dict[str, Entry], typestore: object, folder: Path) -> Messag
 
 def _publish(entry: Entry, messages: Messages) -> PublishSpec:
     keys, topic, kind, where = _head(entry, "a publish entry", _BOTH, messages)
+    qos = _qos(keys.get("qos"))
+    if qos.history == "keep_all" and qos.reliability == "reliable":
+        # Fast DDS blocks a writer with a full history for 100 ms.
+        raise keys["qos"].fail(
+            f"topic {topic!r} is reliable and keep_all, so a reader that hangs would stop the "
+            "tick; say history: keep_last and a depth, or reliability: best_effort"
+        )
     spec = PublishSpec(
         topic=topic,
         type=kind,
         fields=_fields(keys["fields"], topic, receive=False),
         messages=messages,
         rate=_positive(keys, "rate", HIGHEST_RATE),
-        qos=_qos(keys.get("qos")),
+        qos=qos,
         optional=keys["optional"].boolean("optional") if "optional" in keys else False,
         where=where,
     )

@@ -64,6 +64,11 @@ FILES: list[tuple[str, str]] = [
         "topic, type",
     ),
     (
+        OUT + "    qos: {history: keep_all}\n    fields: {}\n",
+        "m.yaml:4: topic 'a' is reliable and keep_all, so a reader that hangs would stop the tick; "
+        "say history: keep_last and a depth, or reliability: best_effort",
+    ),
+    (
         "publish:\n  - topic: a b\n    " + TWIST + "\n    fields: {}\n",
         "m.yaml:2: topic 'a b' is not a ROS name; write words of letters, digits and '_' between slashes, like imu/data",
     ),

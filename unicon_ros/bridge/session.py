@@ -168,12 +168,6 @@ class RosSession:
             if taken and self.node.resolve_topic_name(spec.topic) in taken:
                 self._skip(spec, f"platform {platform.name!r} has it already")
                 continue
-            if spec.qos.history == "keep_all" and spec.qos.reliability == "reliable":
-                raise UniconError(  # Fast DDS blocks a writer with a full history for 100 ms
-                    f"{spec.where or spec.topic}: topic {spec.topic!r} is reliable and keep_all, "
-                    "so a reader that hangs would stop the tick; say history: keep_last and a "
-                    "depth, or reliability: best_effort"
-                )
             message = self._message(spec, "publish")
             if message is None:
                 continue
