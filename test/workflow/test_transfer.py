@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -36,7 +36,8 @@ def run(
     name: str | Path, overrides: Mapping[str, Any], seconds: float = 60.0
 ) -> tuple[Report, Workflow]:
     workflow = load_workflow(name, overrides)
-    return Runner(workflow, RunOptions(duration=seconds, speed="max")).run(), workflow
+    speed: Literal["real", "max"] = "max" if workflow.platform.simulated else "real"
+    return Runner(workflow, RunOptions(duration=seconds, speed=speed)).run(), workflow
 
 
 @pytest.fixture(params=sorted(SUBSETS))
