@@ -295,3 +295,30 @@ def test_a_policy_of_several_reads_the_bounded_command_whatever_else_is_declared
     seen["velocity_command"][...] = 7.0
     assert states["velocity_command"].tolist() == [7.0, 7.0, 7.0]
     assert seen.offset("velocity_command") == states.offset("velocity_command")
+
+
+@pytest.mark.parametrize("num_robots", [1, 3])
+def test_every_robot_of_a_batch_is_held_to_the_bounds(tmp_path: Path, num_robots: int) -> None:
+    path = tmp_path / "batch.yaml"
+    path.write_text(SWAY)
+
+    def hook(workflow: Workflow) -> list[Block]:
+        command = workflow.states.velocity_command
+
+        def give() -> None:
+            command[...] = 0.5
+            command[-1] = (50.0, -1e30, 0.1)
+
+        return [Block("source", give, writes=("velocity_command",))]
+
+    workflow = load_workflow(path, {"num_robots": num_robots}, inputs=[hook])
+    told: list[str] = []
+    runner = Runner(workflow, RunOptions(speed="max", warn=told.append))
+    runner.tick(0)
+    command = workflow.states.velocity_command
+    assert command.shape == (num_robots, 3)
+    assert command[-1].tolist() == pytest.approx([1.0, -0.5, 0.1])
+    if num_robots > 1:
+        assert command[0].tolist() == [0.5, 0.5, 0.5]
+    assert len(told) == 2
+    runner.close()
