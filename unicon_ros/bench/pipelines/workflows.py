@@ -11,7 +11,7 @@ __all__ = ["joint_states_entry", "write_bridged", "write_local"]
 PLATFORM = "unicon_ros.bridge.ros_platform:make"
 
 HELD = 60
-"""Longest time that a pipeline is held between its turns in [s], so that it is no fault."""
+"""Longest time that a pipeline is held between its turns in [s], so that it is not a fault."""
 
 _JOINT = (
     "{{name: joint_{i}, lower: -3.0, upper: 3.0, velocity: 20.0, effort: 50.0, default: 0.0, "
@@ -72,9 +72,11 @@ def write_bridged(
     topics = f"""\
 subscribe:
 {joint_states_entry(STATE, best_effort)}
+    timeout: {HELD}
   - topic: {IMU}
     type: sensor_msgs/msg/Imu
     qos: {qos}
+    timeout: {HELD}
     fields: {{orientation: base_quat, angular_velocity: base_ang_vel,
              linear_acceleration: base_lin_acc}}
 publish:
