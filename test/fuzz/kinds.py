@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import random
 import shutil
+import tempfile
+import time
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -15,7 +17,7 @@ from typing import Any
 
 import numpy as np
 import yaml
-from mutate import mutate_bytes, mutate_onnx, mutate_text, mutate_tree, to_text
+from mutate import mutate_bytes, mutate_mcap, mutate_onnx, mutate_text, mutate_tree, to_text
 from seeds import DEPLOY, ENV, LEGGED_GYM, SET_PATHS, WORKFLOWS
 
 from unicon_core.check import check_workflow
@@ -26,6 +28,8 @@ from unicon_core.show import show_text
 from unicon_core.states import Layout, States, standard_states
 from unicon_core.workflow import load_workflow
 from unicon_msgs_map import Decoder, Encoder, load_map
+from unicon_ros.recorder import Recorder
+from unicon_ros.recording import recover
 
 __all__ = ["KINDS"]
 
@@ -196,6 +200,37 @@ def onnx_model(dice: random.Random, folder: Path) -> Reader:
     return lambda: loaded(path)
 
 
+@cache
+def recorded() -> bytes:
+    """Return a small recording of two topics in three chunks."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "seed.mcap"
+        recorder = Recorder(path)
+        writers = [recorder.channel(topic, "std_msgs/msg/Int64") for topic in ("a", "b")]
+        recorder.start()
+        for number in range(30):
+            cdr = b"\x00\x01\x00\x00" + number.to_bytes(8, "little")
+            writers[number % 2](number + 1, cdr)
+            if number % 10 == 9:
+                time.sleep(0.5)  # a chunk
+        recorder.close()
+        return path.read_bytes()
+
+
+def recording(dice: random.Random, folder: Path) -> Reader:
+    """A recording that was cut off, with records changed under right checksums, or rubble."""
+    raw, way = recorded(), dice.random()
+    if way < 0.2:  # its beginning
+        raw = mutate_bytes(raw[:40], dice) + raw[40:]
+    elif way < 0.7:
+        raw = mutate_mcap(raw, dice)
+    else:
+        raw = mutate_bytes(raw, dice)
+    path = folder / "fuzzed.mcap.partial"
+    path.write_bytes(raw[: dice.randrange(len(raw) + 1)] if dice.random() < 0.5 else raw)
+    return lambda: recover(path)
+
+
 KINDS: dict[str, Callable[[random.Random, Path], Reader]] = {
     "workflow": workflow,
     "set": set_values,
@@ -204,4 +239,5 @@ KINDS: dict[str, Callable[[random.Random, Path], Reader]] = {
     "deploy": deploy,
     "map": message_map,
     "onnx": onnx_model,
+    "recording": recording,
 }

@@ -5,11 +5,15 @@ from __future__ import annotations
 import copy
 import math
 import random
+import struct
+import zlib
 from typing import Any
 
 import yaml
 
-__all__ = ["mutate_bytes", "mutate_onnx", "mutate_text", "mutate_tree", "to_text"]
+from unicon_ros.recording.records import CHUNK, CHUNK_HEAD
+
+__all__ = ["mutate_bytes", "mutate_mcap", "mutate_onnx", "mutate_text", "mutate_tree", "to_text"]
 
 SENTINEL = "unicon_pwned"
 """A file of this name appears in the working folder where something of a file was executed."""
@@ -177,6 +181,27 @@ def mutate_bytes(raw: bytes, dice: random.Random) -> bytes:
         else:
             data[at:at] = data[at : at + dice.randrange(1, 200)]
     return bytes(data)
+
+
+def mutate_mcap(raw: bytes, dice: random.Random) -> bytes:
+    """Change one record of a recording; a chunk's checksum is made right again."""
+    at, records = 8, []
+    while at + 9 <= len(raw) - 8:
+        opcode, length = struct.unpack_from("<BQ", raw, at)
+        records.append((at, opcode, length))
+        at += 9 + length
+    at, opcode, length = dice.choice(records)
+    body, rest = raw[at + 9 : at + 9 + length], raw[at + 9 + length :]
+    if opcode == CHUNK and dice.random() < 0.8:
+        head = list(CHUNK_HEAD.unpack_from(raw, at))
+        inner = mutate_bytes(raw[at + CHUNK_HEAD.size : at + 9 + length], dice)
+        head[4], head[5], head[7] = len(inner), zlib.crc32(inner), len(inner)
+        body = CHUNK_HEAD.pack(*head)[9:] + inner
+    else:
+        body = mutate_bytes(body, dice)
+    told = len(body) if dice.random() < 0.8 else dice.choice((0, 1, length + 1, 1 << 31, 1 << 63))
+    kind = opcode if dice.random() < 0.8 else dice.randrange(256)
+    return raw[:at] + struct.pack("<BQ", kind, told) + body + rest
 
 
 def mutate_onnx(raw: bytes, dice: random.Random) -> bytes:

@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 WORKER = Path(__file__).with_name("worker.py")
-KINDS = ("workflow", "set", "robot", "policy", "deploy", "map", "onnx")
+KINDS = ("workflow", "set", "robot", "policy", "deploy", "map", "onnx", "recording")
 QUICK, THOROUGH = 300, 5000
 SEED = 7
 STUCK_S = 120.0

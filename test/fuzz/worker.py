@@ -76,7 +76,8 @@ class Watch:
 
     def ours(self, path: Any) -> bool:
         try:
-            return os.fspath(path).startswith(self.folder)
+            # A recording is recovered beside itself, by names in its folder.
+            return os.fspath(path).startswith((self.folder, "fuzzed."))
         except TypeError:
             return isinstance(path, int)
 
