@@ -284,6 +284,7 @@ class RosPlatform:
 
     def rehearse(self) -> None:
         """Do what `send` does up to the publishing, to warm up."""
+        self._finite()
         for out in self._out:
             out.rehearse()
 
