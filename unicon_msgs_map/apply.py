@@ -21,7 +21,23 @@ from unicon_msgs_map.spec import SubscribeSpec
 from unicon_msgs_map.targets import Target
 from unicon_msgs_map.walker import Found
 
-__all__ = ["DOUBLE_MAX", "SINGLE_MAX", "Rejected", "Run", "apply", "limits", "select"]
+__all__ = [
+    "DOUBLE_MAX",
+    "SINGLE_MAX",
+    "Rejected",
+    "Run",
+    "apply",
+    "limits",
+    "orientation",
+    "select",
+    "state_of",
+]
+
+STAMP, COVARIANCE = -1, -2
+"""Numbers of what is read beside the fields: the stamp, an Imu's first orientation covariance."""
+
+UNIT = (0.9, 1.1)
+"""Bounds of the square of a quaternion's norm."""
 
 SINGLE_MAX = float(np.finfo(np.float32).max)
 DOUBLE_MAX = float(np.finfo(np.float64).max)
@@ -36,7 +52,8 @@ class Run:
     """Numbers of one field that are read alike.
 
     Attributes:
-        kind: `number`, `time`, `stamp`, `zero` (elements set to zero) or `required`.
+        kind: `number`, `time`, `stamp`, `zero` (elements set to zero), `required`, `unit` (elements
+            that are a quaternion) or `told` (an orientation's covariance that is not -1).
         target: the field; None for the stamp.
         order: byte order for `struct`.
         primitive: wire type; None for a time.
@@ -104,9 +121,39 @@ def select(found: Found, spec: SubscribeSpec, targets: list[Target], stamp: list
     if not carried and spec.missing != "zero":
         what = "known names" if by_name else "mapped elements"
         raise Rejected(f"it carries none of the {what}")
-    for offset, _, _ in found.numbers.get(-1, []):
+    for offset, _, _ in found.numbers.get(STAMP, []):
         runs.append(Run("stamp", None, found.order, None, (offset,), (0,), (0,), stamp))
     return runs
+
+
+def orientation(found: Found, runs: list[Run], state: str) -> list[Run]:
+    """Return what makes sure that a message tells an orientation.
+
+    A quaternion of zeros is what a driver sends that has none, and so is -1 in the first element of
+    an Imu's `orientation_covariance` (sensor_msgs/Imu).
+
+    Args:
+        found: in the message.
+        runs: what `select` returned.
+        state: of the quaternion.
+
+    Raises:
+        Rejected: nothing in the message is written to that state.
+    """
+    written = [run for run in runs if state_of(run) == state and run.kind == "number"]
+    if not written:
+        raise Rejected(f"it carries nothing for {state}")
+    offsets = tuple(offset for run in written for offset in run.offsets)
+    checks = [Run("unit", written[0].target, found.order, None, offsets, (), (), None)]
+    for offset, primitive, _ in found.numbers.get(COVARIANCE, []):
+        checks.append(Run("told", None, found.order, primitive, (offset,), (), (), None))
+    return checks
+
+
+def state_of(run: Run) -> str:
+    """Return the state that a run writes; empty for none."""
+    bound = None if run.target is None else run.target.bound
+    return "" if bound is None else bound.field.source.name
 
 
 def _ranks(found: Found, spec: SubscribeSpec, target: Target, count: int) -> list[int | None]:
@@ -192,9 +239,15 @@ def apply(raw: bytes, runs: list[Run], nonfinite: str) -> None:
         Rejected: a value is not acceptable; nothing was written.
     """
     writes: list[tuple[Any, int, Any]] = []
+    quaternion = next((state_of(run) for run in runs if run.kind == "unit"), "")
+    square = 0.0
     for run in runs:
         if run.kind == "zero":
             writes += [(run.flat, element, 0) for element in run.elements]
+            continue
+        if run.kind == "unit":
+            if not UNIT[0] <= square <= UNIT[1]:  # NaN too
+                raise Rejected(f"the quaternion's norm is {square**0.5:g}, not 1")
             continue
         if run.primitive is None:
             for offset, element in zip(run.offsets, run.elements):
@@ -216,8 +269,15 @@ def apply(raw: bytes, runs: list[Run], nonfinite: str) -> None:
                     f"not the required {run.target.required!r}"
                 )
             continue
+        if run.kind == "told":
+            if values[0] == -1.0:
+                raise Rejected("orientation_covariance[0] is -1: it has no orientation")
+            continue
         for value, element, rank in zip(values, run.elements, run.ranks):
-            writes.append((run.flat, element, _convert(run, value, rank, nonfinite)))
+            converted = _convert(run, value, rank, nonfinite)
+            if quaternion and state_of(run) == quaternion:
+                square += converted * converted
+            writes.append((run.flat, element, converted))
     for flat, element, value in writes:
         flat[element] = value
 

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from unicon_msgs_map.apply import Rejected, Run, apply, select
+from unicon_msgs_map.apply import COVARIANCE, STAMP, Rejected, Run, apply, orientation, select
 from unicon_msgs_map.binding import Arrays, Names, Variables
 from unicon_msgs_map.fast import compile_fast, merge
 from unicon_msgs_map.messages import HEADER, TIME, Struct
-from unicon_msgs_map.paths import Path
+from unicon_msgs_map.paths import Path, parse_path
 from unicon_msgs_map.spec import SubscribeSpec
 from unicon_msgs_map.targets import Target, bind_targets
 from unicon_msgs_map.walker import Found, Malformed, Want, walk
@@ -24,7 +24,7 @@ from unicon_msgs_map.walker import Found, Malformed, Want, walk
 __all__ = ["Decoder"]
 
 KEPT_LAYOUTS = 4  # publishers with layouts of their own that may alternate on one topic
-STAMP = -1
+IMU = "sensor_msgs/msg/Imu"
 
 
 _Fast = Callable[[bytes], bool | None]
@@ -54,6 +54,7 @@ class Decoder:
         "_layouts",
         "_loose",
         "_message",
+        "_orientation",
         "_stamp",
         "_targets",
         "_want",
@@ -82,6 +83,7 @@ class Decoder:
         self._layouts: list[_Layout] = []
         self._fast: _Fast = _miss
         self._loose = False
+        self._orientation = ""
 
     @classmethod
     def build(
@@ -117,6 +119,21 @@ class Decoder:
         """Return which elements of a state, in C order, a message may write."""
         bounds = [target.bound for target in self._targets if target.bound is not None]
         return {e for bound in bounds if bound.field.source.name == state for e in bound.elements}
+
+    def need_orientation(self, state: str) -> None:
+        """Refuse messages without an orientation from now on.
+
+        A robot that balances by one that is not there would be blind: a quaternion whose norm is
+        not 1, or an Imu that says it has none (-1 in `orientation_covariance`).
+
+        Args:
+            state: that the quaternion is written to.
+        """
+        self._orientation = state
+        if self.spec.type == IMU:
+            self._want.add(COVARIANCE, parse_path("orientation_covariance[0]"), self._message)
+        self._layouts.clear()
+        self._fast = _miss
 
     def decode(self, raw: bytes) -> bool:
         """Write the states that a message carries.
@@ -154,6 +171,8 @@ class Decoder:
         try:
             found = walk(raw, self._message, self._want)
             runs = select(found, self.spec, self._targets, self._stamp)
+            if self._orientation:
+                runs += orientation(found, runs, self._orientation)
         except (Malformed, Rejected) as error:
             return self._refuse(str(error))
         fast = self._remember(raw, found, runs)

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.lib.stride_tricks import as_strided
 
 from unicon_core.generated import define
-from unicon_msgs_map.apply import DOUBLE_MAX, SINGLE_MAX, Run, limits
+from unicon_msgs_map.apply import DOUBLE_MAX, SINGLE_MAX, UNIT, Run, limits, state_of
 from unicon_msgs_map.binding import AnyArray
 from unicon_msgs_map.magnitudes import high_byte, largest_of, ordinary_bytes, spans
 from unicon_msgs_map.messages import Primitive
@@ -95,6 +95,7 @@ class _Fast:
         self.space: dict[str, Any] = {"size": len(raw)}
         self.reads: dict[int, tuple[str, str]] = {}  # offset: struct code, variable
         self.times: dict[str, str] = {}  # variable of the seconds: variable of the time
+        self.values: dict[str, list[str]] = {}  # state: what is written to it one by one
         self.checks: list[str] = []
         self.work: list[str] = []
         self.writes: list[str] = []
@@ -102,10 +103,15 @@ class _Fast:
         for number, run in enumerate(runs):
             if run.kind == "zero":
                 self._zero(number, run)
+            elif run.kind == "unit":
+                self._unit(run)
             elif run.primitive is None:
                 self._time(number, run)
             elif run.kind == "required":
                 self._required(number, run, run.primitive)
+            elif run.kind == "told":
+                covariance = self._read(run.offsets[0], run.primitive.code)
+                self.checks.append(f"if {covariance} == -1.0: return False")
             elif len(run.offsets) > SCALAR_LIMIT and plain(run):
                 bulk.setdefault(run.primitive, []).append(run)
             else:
@@ -219,6 +225,15 @@ class _Fast:
         self.space[f"r{number}"] = run.target.required
         self.checks.append(f"if {name} != r{number}: return False")
 
+    def _unit(self, run: Run) -> None:
+        parts = self.values.get(state_of(run), [])
+        if len(parts) < len(run.offsets):  # of some number type that is read in bulk
+            self.checks.append("return False")
+            return
+        self.space |= {"unit_low": UNIT[0], "unit_high": UNIT[1]}
+        square = " + ".join(f"{part} * {part}" for part in parts)
+        self.work.append(f"if not unit_low <= {square} <= unit_high: return False")
+
     def _scalars(self, number: int, run: Run, primitive: Primitive) -> None:
         assert run.target is not None
         dtype, conversion = run.flat.dtype, run.target.conversion
@@ -232,6 +247,7 @@ class _Fast:
                 self.space[summand] = float(conversion[1][rank])
                 self.work.append(f"x{number}_{position} = {value} * {scale} + {summand}")
                 value = f"x{number}_{position}"
+            self.values.setdefault(state_of(run), []).append(value)
             if dtype.kind == "f":
                 narrow = dtype == np.float32 and (wire.itemsize == 8 or conversion is not None)
                 if real and (self.reject or narrow):

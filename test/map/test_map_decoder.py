@@ -272,6 +272,62 @@ def test_a_required_text_and_number_must_be_there() -> None:
     assert decoder.rejected == 3
 
 
+@pytest.mark.parametrize("nonfinite", ["reject", "accept"])
+@pytest.mark.parametrize("first", ["good", "bad"])
+def test_a_needed_orientation_must_be_one(nonfinite: str, first: str) -> None:
+    kind, quat, rate = "sensor_msgs/msg/Imu", np.full(4, 9, np.float32), np.full(3, 9, np.float32)
+    mapping: dict[str, object] = {"orientation": "quat", "angular_velocity": "rate"}
+    decoder = Decoder.build(
+        subscribe(kind, mapping, nonfinite=nonfinite), {"quat": quat, "rate": rate}
+    )
+
+    def imu(w: float, x: float = 0.0, covariance: float = 0.0) -> bytes:
+        message = zero_message(kind)
+        object.__setattr__(message.orientation, "w", w)
+        object.__setattr__(message.orientation, "x", x)
+        object.__setattr__(message.angular_velocity, "x", w)
+        message.orientation_covariance[0] = covariance
+        return serialize(message)
+
+    assert decoder.decode(imu(0.0))  # nobody needs it yet
+    decoder.need_orientation("quat")
+    if first == "good":
+        assert decoder.decode(imu(0.8, -0.6))
+        np.testing.assert_array_equal(quat, np.float32([0.8, -0.6, 0, 0]))
+    before = [*quat, *rate]
+    for raw, reason in (
+        (imu(0.0), "norm is 0, not 1"),
+        (imu(0.9), "norm is 0.9, not 1"),
+        (imu(1.0, 1.0), "norm is 1.41421, not 1"),
+        (imu(np.nan), "nan"),
+        (imu(np.inf), "inf"),
+        (imu(1.0, covariance=-1.0), "orientation_covariance[0] is -1: it has no orientation"),
+    ):
+        assert not decoder.decode(raw)
+        assert reason in decoder.last_error
+        assert [*quat, *rate] == before
+    assert decoder.decode(imu(1.0, covariance=-0.5))
+    np.testing.assert_array_equal(quat, [1, 0, 0, 0])
+    derived = decoder.derived
+    assert decoder.decode(imu(-0.6, 0.8))
+    assert decoder.derived == derived  # the fast path looks as well
+    assert not decoder.decode(imu(0.5))
+
+
+def test_a_needed_orientation_that_does_not_come_is_refused() -> None:
+    kind = "geometry_msgs/msg/PoseArray"
+    quat, message = np.zeros(4, np.float32), zero_message(kind)
+    message.poses.extend(zero_message("geometry_msgs/msg/Pose") for _ in range(2))
+    decoder = Decoder.build(subscribe(kind, {"poses[1].orientation": "quat"}), {"quat": quat})
+    decoder.need_orientation("quat")
+    assert not decoder.decode(serialize(message))
+    object.__setattr__(message.poses[1].orientation, "z", 1.0)
+    assert decoder.decode(serialize(message))
+    assert decoder.decode(serialize(message))
+    message.poses.pop()
+    assert not decoder.decode(serialize(message))
+
+
 def test_a_first_message_with_a_wrong_number_teaches_nothing_wrong() -> None:
     arrays = {"x": np.zeros((), np.float32)}
     mapping = {"orientation.w": 1, "position.x": "x"}

@@ -36,12 +36,13 @@ from unicon_msgs_map import Decoder, Encoder, MapError, MapStateError, load_map
 from unicon_ros import compat
 from unicon_ros.bridge.map_fit import examine_platform, refuse_untold, wanted_of
 from unicon_ros.bridge.middleware_threads import calm_middleware_threads
-from unicon_ros.bridge.orientation import STATE, OrientationDecoder
 from unicon_ros.bridge.own_node import OwnNode
 from unicon_ros.bridge.topics_in import TopicIn
 from unicon_ros.bridge.topics_out import TopicOut
 
 __all__ = ["RosPlatform", "make"]
+
+ORIENTATION = "base_quat"
 
 TIMEOUT = 0.5
 """Silence that is a fault where the map gives no `timeout`, [s]."""
@@ -147,8 +148,7 @@ class RosPlatform:
         for given in mapping.subscribe:
             # Silence is a fault here; zeros in its place would be commanded by the last damping.
             spec = replace(given, on_timeout="hold", timeout=given.timeout or TIMEOUT)
-            kind = OrientationDecoder if STATE in spec.states else Decoder
-            made = _made(spec, partial(kind.build, spec, arrays, names, variables))
+            made = _made(spec, partial(Decoder.build, spec, arrays, names, variables))
             if made is not None:
                 decoder, message = made
                 self._decoders.append(decoder)
@@ -171,8 +171,8 @@ class RosPlatform:
         written = dict.fromkeys(state for topic in self._in for state in topic.states)
         self._stamped = "stamp_ns" in written
         self._gravity: Callable[[], None] | None = None
-        if "base_quat" in written and "projected_gravity" not in written:
-            self._gravity = projected_gravity(states["base_quat"], states["projected_gravity"])
+        if ORIENTATION in written and "projected_gravity" not in written:
+            self._gravity = projected_gravity(states[ORIENTATION], states["projected_gravity"])
             written["projected_gravity"] = None
         self.writes = tuple(dict.fromkeys([*written, "stamp_ns"]))
         self.reads = tuple(
@@ -240,10 +240,9 @@ class RosPlatform:
         for name in wanted:
             sources = [i for i, topic in enumerate(self._in) if name in topic.states]
             for i in sources:
-                topic, decoder = self._in[i], self._decoders[i]
-                if isinstance(decoder, OrientationDecoder):
-                    decoder.strict |= name == STATE
-                    decoder.forget(name)
+                topic = self._in[i]
+                if name == ORIENTATION:
+                    self._decoders[i].need_orientation(name)
                 topic.heard = False  # what came so far may have told less than is needed
                 if topic not in self._needed:
                     self._needed.append(topic)
