@@ -15,9 +15,9 @@ pytest.importorskip("mujoco")
 
 import mujoco
 
+from unicon_core.models.kinematic_tree import frame_of, rotate
 from unicon_core.robots import Robot, load_robot
 from unicon_ros.bridge.camera_model import intrinsics, optical_frame
-from unicon_ros.bridge.kinematic_tree import frame_of, rotate
 
 HERE = Path(__file__).resolve().parent
 BALL = (2.0, 0.3, 0.55)

@@ -118,7 +118,8 @@ def test_wrong_options(build: Build, options: dict[str, Any], message: str) -> N
 
 def test_platform_modules_import_no_simulator() -> None:
     code = (
-        "import sys, unicon_core.platforms.fake, unicon_core.platforms.mujoco, unicon_core.blocks; "
+        "import sys, unicon_core.platforms.fake, unicon_core.platforms.sim.mujoco; "
+        "import unicon_core.blocks; "
         "print([m for m in ('mujoco', 'rclpy', 'onnxruntime') if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

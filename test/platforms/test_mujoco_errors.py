@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from unicon_core.errors import Fault, MissingDependencyError, ModelError, PlatformError
-from unicon_core.platforms.mujoco import MujocoPlatform, make
+from unicon_core.platforms.sim.mujoco import MujocoPlatform, make
 from unicon_core.robots import Robot
 from unicon_core.states import States
 

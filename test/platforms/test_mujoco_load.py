@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from unicon_core.errors import ModelError
-from unicon_core.platforms.mujoco import make
+from unicon_core.platforms.sim.mujoco import make
 from unicon_core.robots import Robot, load_robot
 from unicon_core.states import States
 

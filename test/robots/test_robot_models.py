@@ -154,7 +154,7 @@ def test_order_is_that_of_the_models_motors(model: tuple[str, Path]) -> None:
 @pytest.mark.filterwarnings("ignore:model .* mesh files are absent")
 def test_the_platform_loads_it_and_a_quadruped_stands(model: tuple[str, Path]) -> None:
     pytest.importorskip("mujoco", reason="the model is simulated")
-    from unicon_core.platforms.mujoco import make
+    from unicon_core.platforms.sim.mujoco import make
     from unicon_core.states import States, standard_states
 
     name, path = model

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from unicon_core.platforms.mujoco.load import load_model
+from unicon_core.models.kinematic_tree import Link, multiply, read_tree, rotate
+from unicon_core.models.load import load_model
+from unicon_core.models.urdf_write import _rpy, urdf
 from unicon_core.resources import find_resource
 from unicon_core.robots import Robot, load_robot
 from unicon_msgs_map import Encoder, parse_map
-from unicon_ros.bridge.kinematic_tree import Link, multiply, read_tree, rotate
-from unicon_ros.bridge.robot_description import _rpy, urdf
 from unicon_ros.bridge.transforms import LinkTransforms, tf_map
 
 mujoco = pytest.importorskip("mujoco")

@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 from ros_helpers import Peer
 
+from unicon_core.models.kinematic_tree import rotate
 from unicon_ros import compat
-from unicon_ros.bridge.kinematic_tree import rotate
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.timeout(900)]
 

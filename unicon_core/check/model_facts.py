@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.platforms.mujoco.joints import find_joints
+from unicon_core.models.joints import find_joints
 
 if TYPE_CHECKING:
     from unicon_core.check.subject import Subject

@@ -19,7 +19,7 @@ __all__ = ["lines_of_python", "lines_of_yaml", "run"]
 _SKIPPED = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT}
 
 COMPONENTS = (
-    ("platform mujoco", "unicon_core/platforms/mujoco"),
+    ("platform mujoco", "unicon_core/platforms/sim/mujoco"),
     ("platform ros", "unicon_ros/bridge/ros_platform.py"),
     ("policies, all formats", "unicon_core/policies"),
 )

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from unicon_core.errors import UniconError, alternatives
 from unicon_core.handles import FrameRing
-from unicon_core.platforms.mujoco.find import find_model
+from unicon_core.models.find import find_model
 from unicon_core.resources import find_config
 from unicon_core.robots import Robot
 from unicon_core.states import States, StateSpec

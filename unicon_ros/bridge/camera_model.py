@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from unicon_core.models.kinematic_tree import Float, frame_of, multiply
 from unicon_core.robots import Robot
 from unicon_ros.bridge.images import Intrinsics
-from unicon_ros.bridge.kinematic_tree import Float, frame_of, multiply
 
 __all__ = ["intrinsics", "optical_frame"]
 

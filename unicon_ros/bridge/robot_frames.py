@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from unicon_core.errors import UniconError
 from unicon_core.flow import Block
+from unicon_core.models.kinematic_tree import Link, tree_of
+from unicon_core.models.urdf_write import urdf
 from unicon_core.workflow import Workflow
 from unicon_msgs_map import Encoder, Messages, parse_map
 from unicon_ros import compat
-from unicon_ros.bridge.kinematic_tree import Link, tree_of
 from unicon_ros.bridge.qos import LATCHED, qos_profile
-from unicon_ros.bridge.robot_description import urdf
 from unicon_ros.bridge.topics_out import TopicOut
 from unicon_ros.bridge.transforms import LinkTransforms, tf_map
 

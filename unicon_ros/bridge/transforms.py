@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_ros.bridge.kinematic_tree import Link, multiply, rotate
+from unicon_core.models.kinematic_tree import Link, multiply, rotate
 
 __all__ = ["LinkTransforms", "tf_map"]
 

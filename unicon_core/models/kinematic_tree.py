@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import UniconError
-from unicon_core.platforms.mujoco.find import find_model
-from unicon_core.platforms.mujoco.joints import find_joints
-from unicon_core.platforms.mujoco.load import import_mujoco, load_model
+from unicon_core.models.find import find_model
+from unicon_core.models.joints import find_joints
+from unicon_core.models.load import import_mujoco, load_model
 from unicon_core.robots import Robot
 from unicon_core.workflow import Workflow
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import ModelError, PlatformError, alternatives
-from unicon_core.platforms.mujoco.load import LoadedModel
+from unicon_core.models.load import LoadedModel
 from unicon_core.robots import Robot
 
 __all__ = ["initial_positions"]

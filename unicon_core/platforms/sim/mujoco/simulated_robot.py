@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import Fault
-from unicon_core.platforms.mujoco.imu import BaseReader
-from unicon_core.platforms.mujoco.servo import Servo, actuator_kind, index_of
+from unicon_core.platforms.sim.mujoco.imu import BaseReader
+from unicon_core.platforms.sim.mujoco.servo import Servo, actuator_kind, index_of
 from unicon_core.states.standard import COMMAND_STATES
 
 __all__ = ["Disturbances", "SimulatedRobot"]

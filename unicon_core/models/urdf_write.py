@@ -13,8 +13,8 @@ from xml.etree import ElementTree as Xml
 import numpy as np
 from numpy.typing import NDArray
 
+from unicon_core.models.kinematic_tree import Geom, Link
 from unicon_core.robots import Robot
-from unicon_ros.bridge.kinematic_tree import Geom, Link
 
 __all__ = ["urdf"]
 

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 
 from unicon_core.errors import ModelError, PlatformError, alternatives
-from unicon_core.platforms.mujoco.find import find_model
-from unicon_core.platforms.mujoco.imu import find_base
-from unicon_core.platforms.mujoco.initial import Pose, initial_positions
-from unicon_core.platforms.mujoco.load import LoadedModel, import_mujoco, load_model
-from unicon_core.platforms.mujoco.servo import Servo
-from unicon_core.platforms.mujoco.simulated_robot import Disturbances, SimulatedRobot
-from unicon_core.platforms.mujoco.viewer import Viewer
+from unicon_core.models.find import find_model
+from unicon_core.models.load import LoadedModel, import_mujoco, load_model
+from unicon_core.platforms.sim.mujoco.imu import find_base
+from unicon_core.platforms.sim.mujoco.initial import Pose, initial_positions
+from unicon_core.platforms.sim.mujoco.servo import Servo
+from unicon_core.platforms.sim.mujoco.simulated_robot import Disturbances, SimulatedRobot
+from unicon_core.platforms.sim.mujoco.viewer import Viewer
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.states.standard import BASE_STATES, COMMAND_STATES, JOINT_STATES

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from unicon_core.errors import MissingDependencyError, ModelError
-from unicon_core.platforms.mujoco.joints import find_joints, joint_transmissions
-from unicon_core.platforms.mujoco.urdf import repaired_urdf
+from unicon_core.models.joints import find_joints, joint_transmissions
+from unicon_core.models.urdf_repair import repaired_urdf
 from unicon_core.robots import Robot
 
 __all__ = ["LoadedModel", "import_mujoco", "load_model"]

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.platforms.mujoco.joints import joint_transmissions
+from unicon_core.models.joints import joint_transmissions
 
 __all__ = ["Servo", "actuator_kind", "index_of"]
 

@@ -1,0 +1,1 @@
+"""Models: files of robots found, read, mended and written, for simulators, check and viewers."""

@@ -1,0 +1,1 @@
+"""Simulators, one folder each, for workflows that name one as their platform."""
