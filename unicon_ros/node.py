@@ -151,7 +151,7 @@ class UniconNode(LifecycleNode):
         self.diagnostics.runner = runner
         self.log.info(
             f"running {runner.workflow.name} on {runner.workflow.robot.name} "
-            f"({runner.workflow.platform.name}) at {1.0 / runner.workflow.period:g} Hz"
+            f"({runner.workflow.platform.facts.name}) at {1.0 / runner.workflow.period:g} Hz"
         )
         try:
             report = runner.run()

@@ -66,33 +66,33 @@ def test_a_flow_that_falls_is_found(folder: Path) -> None:
     flow = {
         "flow": {"chain": [{"pose": {"to": "stand", "duration": 0.5}}, {"damp": {"duration": 3.0}}]}
     }
-    values = {**flow, "policies": None, "rate": 50, "platforms.mujoco": {"initial_height": 3.0}}
+    values = {**flow, "policies": None, "rate": 50, "scene": {"initial_height": 3.0}}
     values |= {"check": {"accept": ["pose.floor"]}, "safety": ["finite", "tilt_stop"]}
-    values["platforms.mujoco"] |= {"push": {"every": 0.2, "velocity": 8.0}}
+    values["scene"] |= {"push": {"every": 0.2, "velocity": 8.0}}
     result = check_workflow(write_workflow(folder, None, values), twin=True)
     assert text_of(result, "twin.fall").startswith("flow: ")
 
 
 def test_hardware_is_exchanged_for_the_robots_model(folder: Path, tmp_path: Path) -> None:
-    document = load_document(write_workflow(folder, None, {"platform": "fake", "platforms": None}))
+    document = load_document(write_workflow(folder, None, {"platform": "fake", "scene": None}))
     other = on_platform(document, "mujoco", {"initial_pose": "policy:walk"})
-    assert other.values["platforms"] == {"mujoco": {"initial_pose": "policy:walk"}}
+    assert other.values["scene"] == {"initial_pose": "policy:walk"}
     assert document.values["platform"] == "fake"
     session = TwinSession(other)
-    assert session.workflow.platform.name == "mujoco"
+    assert session.workflow.platform.facts.name == "mujoco"
     assert session.run(1.0).stands
     session.close()
 
 
-def test_options_of_the_workflow_are_kept_in_the_twin(folder: Path) -> None:
+def test_the_scene_of_the_workflow_is_kept_in_the_twin(folder: Path) -> None:
     document = load_document(write_workflow(folder, None, {"num_robots": 3}))
-    other = on_platform(document, "mujoco", {"keyframe": "lie"})
-    assert other.values["platforms"] == WORKFLOW["platforms"]
+    other = on_platform(document, "mujoco", {"initial_pose": "keyframe:lie"})
+    assert other.values["scene"] == WORKFLOW["scene"]
     assert "num_robots" not in other.values
 
 
 def test_a_robot_without_a_model_cannot_have_a_twin(folder: Path) -> None:
-    path = write_workflow(folder, None, {"platform": "fake", "platforms": None}, {"model": NULL})
+    path = write_workflow(folder, None, {"platform": "fake", "scene": None}, {"model": NULL})
     line = text_of(check_workflow(path, twin=True), "twin.run")
     assert "names no simulation model; give one" in line
 

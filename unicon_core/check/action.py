@@ -11,6 +11,7 @@ from unicon_core.check.mirror import mirror_pairs
 from unicon_core.check.result import CheckResult
 from unicon_core.check.safety import limits_targets
 from unicon_core.check.subject import Subject, listed
+from unicon_core.platforms.platform import info_of
 from unicon_core.policies import PolicyContract
 from unicon_core.workflow.settings import waits_for_data
 
@@ -174,7 +175,7 @@ def check_timing(subject: Subject, result: CheckResult) -> None:
                 "give the control period in seconds: 0.02 for 50 Hz",
                 contract.path,
             )
-    info = workflow.platform.info()
+    info = info_of(workflow.platform)
     if "physics_step_s" in info:
         step = float(info["physics_step_s"])
         rows.append(
@@ -182,8 +183,8 @@ def check_timing(subject: Subject, result: CheckResult) -> None:
         )
     result.table("Timing", ["who", "period [s]", "rate [Hz]", "runs"], rows)
     platform = subject.platform
-    waits = platform.waits or getattr(workflow.platform, "wait", None) is not None
-    if waits_for_data(subject.document) and not waits and not subject.live:  # the runner tells it
+    unable = waits_for_data(subject.document) and not subject.waits
+    if unable and not subject.live:  # the runner tells it
         result.find(
             "timing.trigger",
             f"platform {platform.name!r}",

@@ -210,7 +210,7 @@ def _start(subject: Subject, result: CheckResult) -> None:
         return
     geom = min(heights, key=lambda g: heights[g])
     lowest, body = heights[geom], model.body(int(model.geom_bodyid[geom])).name
-    where = subject.document.where("platforms", subject.platform.name)
+    where = subject.document.where("scene")
     if lowest < -INSIDE_FLOOR:
         result.find(
             "pose.floor",

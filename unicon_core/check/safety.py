@@ -50,7 +50,7 @@ def check_safety(subject: Subject, result: CheckResult) -> None:
                 "write it into safety: by itself, or take it out",
                 block.where or where,
             )
-    told = {*subject.workflow.platform.writes, *GIVEN, *subject.written}
+    told = {*subject.workflow.platform.facts.writes, *GIVEN, *subject.written}
     for block in blocks:
         blind = _blind(block, sent, told)
         if blind:
@@ -68,7 +68,7 @@ def _safety(subject: Subject) -> list[Block]:
 
 
 def _sent(subject: Subject) -> set[str]:
-    return set(subject.workflow.platform.reads)
+    return set(subject.workflow.platform.facts.reads)
 
 
 def _conditional(node: Node, under: str) -> Iterator[tuple[Block, str]]:

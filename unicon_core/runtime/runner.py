@@ -15,6 +15,7 @@ import numpy as np
 
 from unicon_core.errors import Fault, PlatformError, UniconError
 from unicon_core.flow import Deferred, Zip, as_block, compile_graph
+from unicon_core.platforms.platform import CountsArrivals, Resettable, WaitsForData
 from unicon_core.runtime.arrivals import Arrivals
 from unicon_core.runtime.pacing import (
     CATCH_UP,
@@ -102,23 +103,23 @@ class Runner:
         self._between: deque[Callable[[], object]] = deque()
         self._platform_wait: Callable[[float], bool] | None = None
         if self.pacing.trigger == "state":
-            self._platform_wait = getattr(workflow.platform, "wait", None)
-            if self._platform_wait is None:
+            if not isinstance(workflow.platform, WaitsForData):
                 raise PlatformError(
-                    f"platform {workflow.platform.name!r} cannot tell when its data arrive; "
+                    f"platform {workflow.platform.facts.name!r} cannot tell when its data arrive; "
                     "set pacing.trigger: deadline"
                 )
-        if self.options.speed == "max" and not workflow.platform.simulated:
+            self._platform_wait = workflow.platform.wait
+        if self.options.speed == "max" and not workflow.platform.facts.simulated:
             raise PlatformError(
-                f"platform {workflow.platform.name!r} is a robot, which takes its time; "
+                f"platform {workflow.platform.facts.name!r} is a robot, which takes its time; "
                 "leave out speed max, or use a simulator"
             )
-        if self.pacing.overrun == "catch_up" and not workflow.platform.simulated:
+        if self.pacing.overrun == "catch_up" and not workflow.platform.facts.simulated:
             raise PlatformError(
-                f"platform {workflow.platform.name!r} is a robot, to which catch_up would send old "
-                "commands in one go; set pacing.overrun: skip"
+                f"platform {workflow.platform.facts.name!r} is a robot, to which catch_up would "
+                "send old commands in one go; set pacing.overrun: skip"
             )
-        self._hang_ns = self.pacing.hang_ns(self.period_ns, workflow.platform.simulated)
+        self._hang_ns = self.pacing.hang_ns(self.period_ns, workflow.platform.facts.simulated)
         workflow.gate.hung = self._hung
         self._tick = workflow.states["tick"]
         self._stop = False
@@ -153,7 +154,8 @@ class Runner:
             UniconError: another thread ticks.
         """
         self._only_here("reset", "call_soon(runner.reset)")
-        self.workflow.platform.reset()
+        if isinstance(self.workflow.platform, Resettable):
+            self.workflow.platform.reset()
         self.graph.reset()
 
     def tick(self, due_ns: int) -> bool:
@@ -281,7 +283,7 @@ class Runner:
         end = self._ended_ns or time.perf_counter_ns()
         wall = max((end - self._started_ns) * 1e-9, 1e-9)
         ticks = statistics.count
-        report = Report(workflow.name, workflow.robot.name, workflow.platform.name)
+        report = Report(workflow.name, workflow.robot.name, workflow.platform.facts.name)
         report.ticks = ticks
         report.duration_s = round(ticks * workflow.period, 9)
         report.rate_hz = round(ticks / wall, 3)
@@ -447,7 +449,7 @@ class Runner:
         Every arrival is waited for: later, a queue of one forgets those between two ticks.
         """
         platform, period = self.workflow.platform, self.period_ns
-        if getattr(platform, "arrivals", None) is None:
+        if not isinstance(platform, CountsArrivals):
             return None
         times: list[int] = []
         platform.recv()

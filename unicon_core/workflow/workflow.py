@@ -26,7 +26,7 @@ from unicon_core.flow import (
 from unicon_core.flow.checks import check_graph, raise_first
 from unicon_core.flow.critical_path import critical_path
 from unicon_core.flow.fuse import fuse
-from unicon_core.platforms.platform import Platform
+from unicon_core.platforms.platform import Platform, Rehearsable, RequiresStates
 from unicon_core.robots import Robot, load_robot, robot_names
 from unicon_core.signals import SIGNALS
 from unicon_core.states import Layout, States, StateSpec, standard_states
@@ -259,10 +259,12 @@ def _assemble(workflow: Workflow, inputs: Sequence[Hook], observers: Sequence[Ho
             commands = [bounded_flow(node, bounds) for node in commands]
     observed = [Deferred(block) for block in hooked(observers)]
     platform = workflow.platform
-    recv = Block("recv", platform.recv, writes=tuple(platform.writes), role="recv")
-    recv.dry_run = rehearsal.refresh(getattr(platform, "rehearse", None))
+    recv = Block("recv", platform.recv, writes=platform.facts.writes, role="recv")
+    recv.dry_run = rehearsal.refresh(
+        platform.rehearse if isinstance(platform, Rehearsable) else None
+    )
     send = Block(
-        "send", workflow.gate.before(platform.send), reads=tuple(platform.reads), role="send"
+        "send", workflow.gate.before(platform.send), reads=platform.facts.reads, role="send"
     )
     acting = (recv, *commands, *before, flow, *tuning, *safety, *last, send, *after)
     # Observers only look: what they would find missing is no reason not to run.
@@ -270,10 +272,9 @@ def _assemble(workflow: Workflow, inputs: Sequence[Hook], observers: Sequence[Ho
     path = critical_path(Zip(*acting, *observed))
     workflow.critical = path.critical
     workflow.root = fuse(path.root, workflow.states)
-    require = getattr(platform, "require", None)
-    if require is not None:
+    if isinstance(platform, RequiresStates):
         blocks = sorted(path.critical, key=lambda block: block.name)
-        require({state: b.name for b in blocks for state in (*b.reads, *b.amends)})
+        platform.require({state: b.name for b in blocks for state in (*b.reads, *b.amends)})
 
 
 def _finite_first(document: WorkflowDocument, safety: Sequence[Node]) -> None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from unicon_core.errors import PlatformError, UniconError
 from unicon_core.flow import Block
-from unicon_core.platforms.platform import Binding
+from unicon_core.platforms.platform import Binding, Facts
 from unicon_core.resources import find_config
 from unicon_core.robots import Robot
 from unicon_core.states import States
@@ -53,8 +53,6 @@ def examine_platform(
     Raises:
         PlatformError: the map does not fit the states or the robot.
     """
-    if states.num_robots is not None:
-        raise PlatformError("platform 'ros' has one robot; leave num_robots out")
     path = find_config("maps", map, error=PlatformError, relative_to=relative_to)
     arrays = {name: states[name] for name in states}
     names = {name: spec.names for name, spec in states.layout.specs.items() if spec.names}
@@ -62,7 +60,7 @@ def examine_platform(
     try:
         heard, said, decoders = _codecs(path, arrays, names, variables)
     except MapDependencyError as error:
-        return Binding(tuple(states), COMMAND_STATES, (NO_CODECS.format(error),))
+        return Binding(Facts("ros", writes=tuple(states), notes=(NO_CODECS.format(error),)))
     except UniconError as error:
         raise PlatformError(f"platform 'ros': {error}") from error
     if not heard:
@@ -79,7 +77,8 @@ def examine_platform(
     def require(needed: Mapping[str, str]) -> None:
         refuse_untold(path, wanted_of(needed, writes, turned), decoders, states)
 
-    return Binding(writes, reads, (note,) if note else (), require)
+    facts = Facts("ros", reads=reads, writes=writes, notes=(note,) if note else ())
+    return Binding(facts, require)
 
 
 def wanted_of(needed: Mapping[str, str], writes: Iterable[str], turned: bool) -> dict[str, str]:
@@ -129,7 +128,7 @@ def mirror_inputs(workflow: Workflow, name: str | None = None) -> list[Block]:
     except UniconError:
         return []
     states = {state for spec in heard for state in spec.states}
-    if not states or not states.isdisjoint(workflow.platform.writes):
+    if not states or not states.isdisjoint(workflow.platform.facts.writes):
         return []
     written = given_by_blocks(workflow)
     return [
@@ -164,7 +163,7 @@ def check_mirror(subject: Subject, result: CheckResult, name: str | None = None)
         return
     for spec in heard:
         for state in spec.states:
-            if state in workflow.platform.writes:
+            if state in workflow.platform.facts.writes:
                 result.find(
                     "map.fit",
                     spec.where or spec.topic,

@@ -39,6 +39,7 @@ from unicon_ros.bridge.estop import EmergencyStop
 from unicon_ros.bridge.middleware_threads import calm_middleware_threads
 from unicon_ros.bridge.own_node import OwnNode, one_line
 from unicon_ros.bridge.robot_frames import RobotFrames
+from unicon_ros.bridge.ros_platform import RosPlatform
 from unicon_ros.bridge.services import add_services
 from unicon_ros.bridge.slack import SlackServer
 from unicon_ros.bridge.stamps import WallStamp
@@ -117,7 +118,7 @@ class RosSession:
         arrays, names = arrays_of(workflow), names_of(workflow)
         variables = variables_of(workflow, self.frame_prefix)
         written = given_by_blocks(workflow)
-        taken = set(workflow.platform.writes)
+        taken = set(workflow.platform.facts.writes)
         for spec in self.map.subscribe:
             message = self._message(spec, "subscribe")
             if message is None:
@@ -126,7 +127,7 @@ class RosSession:
                 if state in taken:
                     raise UniconError(
                         f"{spec.where or spec.topic}: topic {spec.topic!r} would write state "
-                        f"{state!r}, which platform {workflow.platform.name!r} writes; "
+                        f"{state!r}, which platform {workflow.platform.facts.name!r} writes; "
                         "take the topic out of the map, or use platform 'ros'"
                     )
             decoder = self._built(spec, partial(Decoder.build, spec, arrays, names, variables))
@@ -155,18 +156,18 @@ class RosSession:
         variables = variables_of(workflow, self.frame_prefix)
         blocks: list[Block] = []
         platform = workflow.platform
-        if not platform.simulated:
-            source = arrays["stamp_ns"] if "stamp_ns" in platform.writes else None
+        if not platform.facts.simulated:
+            source = arrays["stamp_ns"] if "stamp_ns" in platform.facts.writes else None
             self._stamp = WallStamp(source)
             arrays["stamp_ns"] = self._stamp.out
             blocks.append(Block(self._stamp.name, self._stamp, reads=self._stamp.reads))
         phases: dict[int, int] = {}
         for spec in self.map.publish:
-            if spec.topic == CLOCK and not platform.simulated:
+            if spec.topic == CLOCK and not platform.facts.simulated:
                 continue  # only a simulator makes the time of others
-            taken = getattr(platform, "topics", ())
+            taken = platform.topics if isinstance(platform, RosPlatform) else ()
             if taken and self.node.resolve_topic_name(spec.topic) in taken:
-                self._skip(spec, f"platform {platform.name!r} has it already")
+                self._skip(spec, f"platform {platform.facts.name!r} has it already")
                 continue
             message = self._message(spec, "publish")
             if message is None:

@@ -188,11 +188,12 @@ def _close(session: Any, status: int) -> None:
 
 def _viewer(workflow: Workflow) -> list[Block]:
     from unicon_core.flow import as_block
+    from unicon_core.platforms.platform import Viewable
 
-    make = getattr(workflow.platform, "viewer", None)
-    if make is None:
-        raise UniconError(f"platform {workflow.platform.name!r} has no viewer; run without --view")
-    return [as_block(make())]
+    platform = workflow.platform
+    if not isinstance(platform, Viewable):
+        raise UniconError(f"platform {platform.facts.name!r} has no viewer; run without --view")
+    return [as_block(platform.viewer())]
 
 
 def _tell(arguments: argparse.Namespace, ended: _Ended) -> int:

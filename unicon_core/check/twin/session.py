@@ -16,6 +16,7 @@ from unicon_core.check.model_facts import joint_depths, joint_ids
 from unicon_core.check.twin.measures import Measures, Recorder
 from unicon_core.errors import Fault, UniconError
 from unicon_core.flow import Block
+from unicon_core.platforms.platform import info_of
 from unicon_core.policies import OnnxPolicy, PolicyContract
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import Workflow
@@ -71,7 +72,7 @@ class TwinSession:
             for block in self.workflow.blocks
             if isinstance(block.tick, OnnxPolicy)
         ]
-        info = self.workflow.platform.info()
+        info = info_of(self.workflow.platform)
         self._effort = np.array(list(info["effort_upper"].values()))
 
     @property

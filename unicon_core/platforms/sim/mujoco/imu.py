@@ -8,21 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["BaseReader", "find_base", "find_imu"]
+from unicon_core.platforms.kit.base import Mounting
+
+__all__ = ["BaseReader", "find_imu"]
 
 Float = NDArray[np.float64]
 Copy = Callable[[], None]
-
-
-def find_base(mujoco: Any, model: Any, joint: int) -> int | None:
-    """Return the id of the free joint that carries a robot's joint, or None for a fixed base."""
-    body = int(model.jnt_bodyid[joint])
-    while body != 0:
-        first = int(model.body_jntadr[body])
-        if first >= 0 and model.jnt_type[first] == int(mujoco.mjtJoint.mjJNT_FREE):
-            return first
-        body = int(model.body_parentid[body])
-    return None
 
 
 def find_imu(mujoco: Any, model: Any, body: int) -> dict[str, int]:
@@ -74,32 +65,31 @@ class BaseReader:
         imu = find_imu(mujoco, model, body)
         self.source = dict.fromkeys(("quat", "gyro", "accelerometer"), "free joint")
 
-        def sensor(kind: str) -> tuple[Float, Float] | None:
-            """Return the sensor's data and the rotation of its site in the base, or None."""
+        def sensor(kind: str) -> tuple[Float, Mounting | None] | None:
+            """Return the sensor's data and how it is mounted, None as the base; None without."""
             if kind not in imu:
                 return None
             self.source[kind] = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_SENSOR, imu[kind])
             start, size = int(model.sensor_adr[imu[kind]]), int(model.sensor_dim[imu[kind]])
-            quat = np.array(model.site_quat[model.sensor_objid[imu[kind]]], dtype=np.float64)
-            return data.sensordata[start : start + size], quat
+            mounting = Mounting(model.site_quat[model.sensor_objid[imu[kind]]])
+            return data.sensordata[start : start + size], mounting if mounting.turned else None
 
         copies: list[Copy] = []
-        none = np.empty(0)
         if "base_quat" in views:
-            copies.append(_quat(mujoco, views["base_quat"], sensor("quat"), qpos[3:7]))
+            copies.append(_quat(views["base_quat"], sensor("quat"), qpos[3:7]))
         if "base_ang_vel" in views:
             gyro = sensor("gyro")
-            copies.append(_vector(mujoco, views["base_ang_vel"], gyro or (qvel[3:6], none)))
+            copies.append(_vector(views["base_ang_vel"], gyro or (qvel[3:6], None)))
         if "base_lin_acc" in views:
             reading = sensor("accelerometer")
             if reading is not None:
-                copies.append(_vector(mujoco, views["base_lin_acc"], reading))
+                copies.append(_vector(views["base_lin_acc"], reading))
             else:
                 copies.append(
                     _specific_force(views["base_lin_acc"], qacc, self._rotation, model.opt.gravity)
                 )
         if "base_pos_w" in views:
-            copies.append(_vector(mujoco, views["base_pos_w"], (qpos[:3], none)))
+            copies.append(_vector(views["base_pos_w"], (qpos[:3], None)))
         self._copies = tuple(copies)
         self._linear = qvel[:3]
         self._world = np.zeros((2, 3))
@@ -120,44 +110,30 @@ class BaseReader:
         self._gravity[...] = self._base[1]
 
 
-def _is_identity(quat: Float) -> bool:
-    return quat.size == 0 or bool(np.allclose(np.abs(quat), (1.0, 0.0, 0.0, 0.0), atol=1e-9))
+def _quat(out: NDArray[Any], reading: tuple[Float, Mounting | None] | None, own: Float) -> Copy:
+    source, mounting = (own, None) if reading is None else reading
+
+    def plain() -> None:
+        out[...] = source
+
+    def turned() -> None:
+        assert mounting is not None
+        out[...] = mounting.quat(source)
+
+    return plain if mounting is None else turned
 
 
-def _quat(mujoco: Any, out: NDArray[Any], reading: tuple[Float, Float] | None, own: Float) -> Copy:
-    if reading is None or _is_identity(reading[1]):
-        source = own if reading is None else reading[0]
+def _vector(out: NDArray[Any], reading: tuple[Float, Mounting | None]) -> Copy:
+    source, mounting = reading
 
-        def plain() -> None:
-            out[...] = source
+    def plain() -> None:
+        out[...] = source
 
-        return plain
-    source, base_from_site = reading
-    site_to_base = base_from_site * (1.0, -1.0, -1.0, -1.0)
-    turned = np.zeros(4)
+    def turned() -> None:
+        assert mounting is not None
+        out[...] = mounting.vector(source)
 
-    def rotated() -> None:
-        mujoco.mju_mulQuat(turned, source, site_to_base)
-        out[...] = turned
-
-    return rotated
-
-
-def _vector(mujoco: Any, out: NDArray[Any], reading: tuple[Float, Float]) -> Copy:
-    source, base_from_site = reading
-    if _is_identity(base_from_site):
-
-        def plain() -> None:
-            out[...] = source
-
-        return plain
-    turned = np.zeros(3)
-
-    def rotated() -> None:
-        mujoco.mju_rotVecQuat(turned, source, base_from_site)
-        out[...] = turned
-
-    return rotated
+    return plain if mounting is None else turned
 
 
 def _specific_force(out: NDArray[Any], qacc: Float, rotation: Float, gravity: Float) -> Copy:
