@@ -203,7 +203,7 @@ def _start(subject: Subject, result: CheckResult) -> None:
     """How far the simulation begins above the floor or in it."""
     import mujoco
 
-    model, data = subject.model, subject.workflow.platform.data  # type: ignore[attr-defined]
+    model, data = subject.model, subject.program.platform.data  # type: ignore[attr-defined]
     ids = joint_ids(model, subject.robot.joint_names, subject.model_path)
     heights = _heights(mujoco, model, data, int(model.body_rootid[model.jnt_bodyid[ids[0]]]))
     if not heights or subject.robot.kind not in ("quadruped", "humanoid"):

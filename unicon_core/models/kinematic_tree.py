@@ -18,7 +18,7 @@ from unicon_core.models.find import find_model
 from unicon_core.models.joints import find_joints
 from unicon_core.models.load import import_mujoco, load_model
 from unicon_core.robots import Robot
-from unicon_core.workflow import Workflow
+from unicon_core.workflow import Program
 
 __all__ = ["Geom", "Link", "frame_of", "multiply", "read_tree", "rotate", "tree_of"]
 
@@ -85,14 +85,14 @@ class Link:
     geoms: list[Geom] = field(default_factory=list)
 
 
-def tree_of(workflow: Workflow) -> list[Link]:
+def tree_of(program: Program) -> list[Link]:
     """Return the links of a workflow's robot, root first, from its simulator's or its own model.
 
     Raises:
         UniconError: there is no model, or MuJoCo is not installed to read it.
     """
-    robot = workflow.robot
-    model = getattr(workflow.platform, "model", None)
+    robot = program.robot
+    model = getattr(program.platform, "model", None)
     if model is None:
         if robot.model is None:
             raise UniconError(f"robot {robot.name} names no model; add model: PATH to {robot.path}")
