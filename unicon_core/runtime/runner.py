@@ -178,6 +178,7 @@ class Runner:
                         gate()
                     self.phase = Phase.RUN
                     self._run.run(self._limit(), full_speed=self.options.speed == "max")
+                    self.interrupted = bool(SIGNALS.asked)
                     why = self._why()
                     self._ended_ns = time.perf_counter_ns()
                     self._wind_down()
