@@ -149,6 +149,10 @@ class Monitor:
         """Whether the base tilted further than a walking robot comes back from."""
         return not self._worst <= -self.FALL_COSINE
 
+    def finish(self) -> None:
+        """Let nothing count that comes from here on."""
+        self._pos = self._pos.copy()
+
     def fill(self, report: Report) -> None:
         """Write what was seen into the report."""
         moved = self._pos[0] - self._start[0] if self._started else np.zeros(3)
