@@ -15,7 +15,8 @@ pytest.importorskip("mujoco")
 
 import mujoco
 
-from unicon_core.models.kinematic_tree import frame_of, rotate
+from unicon_core.models.kinematic_tree import frame_of
+from unicon_core.models.quaternions import rotate
 from unicon_core.robots import Robot, load_robot
 from unicon_ros.bridge.camera_model import intrinsics, optical_frame
 

@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from unicon_core.models.kinematic_tree import Link, multiply, read_tree, rotate
+from unicon_core.models.kinematic_tree import read_tree
+from unicon_core.models.links import Link
 from unicon_core.models.load import load_model
+from unicon_core.models.quaternions import multiply, rotate
 from unicon_core.models.urdf_write import _rpy, urdf
 from unicon_core.resources import find_resource
 from unicon_core.robots import Robot, load_robot

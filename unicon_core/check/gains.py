@@ -34,7 +34,7 @@ def number(value: float) -> str:
 
 def check_gains(subject: Subject, result: CheckResult) -> None:
     """Add one table of gains for each policy, and its findings."""
-    model = model_joints(subject)
+    model = model_joints(subject.model)
     for key, contract in subject.policies.items():
         _table(subject, result, key, contract, model)
         _plausible(subject, result, key, contract, model)
@@ -82,7 +82,7 @@ def _table(
         j = passive[0]
         result.note(
             "gains.damping",
-            f"model {subject.model_path}",
+            f"model {model.path}",
             f"joint {robot.joint_names[j]} has a passive damping of {model.passive[j]:g} N·m·s/rad "
             "in the model beside the policy's own: damping may count twice in simulation",
         )
@@ -166,7 +166,7 @@ def _symmetry(
 
 def check_limits(subject: Subject, result: CheckResult) -> None:
     """Add the table of limits of robot and model, with differences."""
-    robot, model = subject.robot, model_joints(subject)
+    robot, model = subject.robot, model_joints(subject.model)
     columns = ["joint", "position [rad]", "velocity [rad/s]", "effort [N·m]"]
     if model is not None:
         columns += ["position, model", "effort, model", ""]
@@ -193,7 +193,7 @@ def check_limits(subject: Subject, result: CheckResult) -> None:
     if ranges:
         result.note(
             "limits.differ",
-            f"model {subject.model_path}",
+            f"model {model.path}",
             f"position limits differ from robot {robot.name}'s at {listed(ranges)}; targets are "
             "kept within the robot's",
         )
@@ -208,7 +208,7 @@ def check_limits(subject: Subject, result: CheckResult) -> None:
         )
         result.note(
             "limits.differ",
-            f"model {subject.model_path}",
+            f"model {model.path}",
             f"effort limits robot/model [N·m] differ: {names}; the smaller ones are simulated",
         )
     if far:

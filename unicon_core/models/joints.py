@@ -1,4 +1,4 @@
-"""Finds a robot's joints in a model by name, for the MuJoCo loader."""
+"""Finds a robot's joints in a model by name, what turns them and the free joint above them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 from unicon_core.errors import ModelError, alternatives
 
-__all__ = ["find_joints", "joint_transmissions"]
+__all__ = ["drives", "find_joints", "free_joint", "joint_names"]
 
 
 def _plain(name: str) -> str:
@@ -52,7 +52,32 @@ def find_joints(model_names: Sequence[str], wanted: Sequence[str], path: Path) -
     return found
 
 
-def joint_transmissions(mujoco: Any) -> tuple[int, int]:
-    """Return the transmission types by which an actuator turns a joint."""
+def joint_names(mujoco: Any, model: Any) -> list[str]:
+    """Return the names of a model's joints, "" for free and ball joints, which no motor turns."""
+    kinds = mujoco.mjtJoint
+    others = int(kinds.mjJNT_FREE), int(kinds.mjJNT_BALL)
+    return [
+        "" if int(model.jnt_type[i]) in others else model.joint(i).name for i in range(model.njnt)
+    ]
+
+
+def free_joint(mujoco: Any, model: Any, joint: int) -> int | None:
+    """Return the id of the free joint that carries a joint's body, None for a fixed base."""
+    body = int(model.jnt_bodyid[joint])
+    while body:
+        first = int(model.body_jntadr[body])
+        if first >= 0 and int(model.jnt_type[first]) == int(mujoco.mjtJoint.mjJNT_FREE):
+            return first
+        body = int(model.body_parentid[body])
+    return None
+
+
+def drives(mujoco: Any, model: Any) -> dict[int, list[int]]:
+    """Return joint id to the ids of the actuators that turn it, in the model's order."""
     kinds = mujoco.mjtTrn  # its members do not equal the model's numbers: compare as int
-    return int(kinds.mjTRN_JOINT), int(kinds.mjTRN_JOINTINPARENT)
+    turning = int(kinds.mjTRN_JOINT), int(kinds.mjTRN_JOINTINPARENT)
+    found: dict[int, list[int]] = {}
+    for i in range(model.nu):
+        if int(model.actuator_trntype[i]) in turning:
+            found.setdefault(int(model.actuator_trnid[i, 0]), []).append(i)
+    return found

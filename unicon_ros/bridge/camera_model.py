@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from unicon_core.models.kinematic_tree import Float, frame_of, multiply
+from unicon_core.models.kinematic_tree import frame_of
+from unicon_core.models.quaternions import Float, multiply
 from unicon_core.robots import Robot
 from unicon_ros.bridge.images import Intrinsics
 

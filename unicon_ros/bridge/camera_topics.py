@@ -12,7 +12,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.models.kinematic_tree import Link
+from unicon_core.models.links import Link
 from unicon_msgs_map import Encoder, Messages, parse_map
 from unicon_ros import compat
 from unicon_ros.bridge.images import INFO, STAMP, FrameMessage, Intrinsics, info_message

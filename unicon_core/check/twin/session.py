@@ -12,10 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from unicon_core.check.model_facts import joint_depths, joint_ids
 from unicon_core.check.twin.measures import Measures, Recorder
 from unicon_core.errors import Fault, UniconError
 from unicon_core.flow import Block
+from unicon_core.models.find import model_of
+from unicon_core.models.kinematic_tree import read_tree
+from unicon_core.models.load import load_model
 from unicon_core.policies import OnnxPolicy, PolicyContract
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import Workflow
@@ -71,7 +73,9 @@ class TwinSession:
             for block in self.workflow.blocks
             if isinstance(block.tick, OnnxPolicy)
         ]
-        info = self.workflow.platform.info()
+        robot, platform = self.workflow.robot, self.workflow.platform
+        self._model = load_model(model_of(platform, robot), robot, quiet=True)
+        info = platform.info()
         self._effort = np.array(list(info["effort_upper"].values()))
 
     @property
@@ -81,24 +85,21 @@ class TwinSession:
 
     def depths(self, joints: Sequence[str]) -> list[int]:
         """Return how many joints are above each joint in the model, shape (n,)."""
-        platform: Any = self.workflow.platform
-        depths = joint_depths(platform.model, self.workflow.robot.joint_names)
-        return [depths[name] for name in joints]
+        above: list[int] = []  # of each link
+        found: dict[str, int] = {}
+        for link in read_tree(self._model.model, self.workflow.robot):
+            count = above[link.parent] if link.parent >= 0 else 0
+            found[link.joint] = count
+            above.append(count + bool(link.joint))
+        return [found[name] for name in joints]
 
     def poses(self) -> dict[str, dict[str, float]]:
         """Return default poses that somebody else names: the robot file's and key frames'."""
-        platform: Any = self.workflow.platform
-        model, robot = platform.model, self.workflow.robot
-        found = {
-            "the robot file's default pose": dict(
-                zip(robot.joint_names, map(float, robot.default_joint_pos))
-            )
-        }
-        addresses = [int(model.jnt_qposadr[j]) for j in joint_ids(model, robot.joint_names)]
-        for i in range(model.nkey):
-            name = f"the pose of the model's key frame {model.key(i).name!r}"
-            found[name] = dict(zip(robot.joint_names, map(float, model.key_qpos[i][addresses])))
-        return found
+        robot = self.workflow.robot
+        found = {"the robot file's default pose": robot.default_joint_pos.astype(np.float64)}
+        for key, pose in self._model.key_poses().items():
+            found[f"the pose of the model's key frame {key!r}"] = pose
+        return {name: dict(zip(robot.joint_names, map(float, p))) for name, p in found.items()}
 
     def run(
         self,
