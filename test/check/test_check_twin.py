@@ -10,7 +10,7 @@ pytest.importorskip("mujoco", reason="the twin runs in MuJoCo")
 pytest.importorskip("onnxruntime", reason="the policies need onnxruntime")
 pytest.importorskip("onnx", reason="the test networks are written with onnx")
 
-from check_helpers import NULL, WORKFLOW, codes, section, text_of, write_workflow
+from check_helpers import WORKFLOW, codes, section, text_of, write_workflow
 
 from unicon_core.check import check_workflow
 from unicon_core.check.subject import on_platform
@@ -92,9 +92,9 @@ def test_options_of_the_workflow_are_kept_in_the_twin(folder: Path) -> None:
 
 
 def test_a_robot_without_a_model_cannot_have_a_twin(folder: Path) -> None:
-    path = write_workflow(folder, None, {"platform": "fake", "platforms": None}, {"model": NULL})
+    path = write_workflow(folder, None, {"platform": "fake", "platforms": None}, {"models": {}})
     line = text_of(check_workflow(path, twin=True), "twin.run")
-    assert "names no simulation model; give one" in line
+    assert "names no model (mjcf or urdf)" in line
 
 
 def test_two_runs_of_one_contract_are_equal_and_leave_no_trace(folder: Path) -> None:

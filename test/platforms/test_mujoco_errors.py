@@ -83,7 +83,8 @@ def test_no_model_at_all(build: Build, tmp_path: Path) -> None:
     with pytest.raises(ModelError) as error:
         build(model=None)
     assert message(error, tmp_path) == (
-        "robot toy names no simulation model; give one: model: PATH (MJCF or URDF)"
+        "robot toy names no model (mjcf or urdf); add models: {mjcf: PATH} to DIR/toy.yaml, or "
+        "let the workflow name one: model: PATH"
     )
 
 

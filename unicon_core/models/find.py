@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pkgutil
+from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
@@ -12,6 +13,7 @@ from typing import Protocol, runtime_checkable
 from unicon_core.errors import MissingDependencyError, ModelError, alternatives
 from unicon_core.resources import find_resource
 from unicon_core.robots import Robot
+from unicon_core.robots.robot import MODEL_FORMATS
 
 __all__ = ["Modelled", "find_model", "model_of", "pick_model"]
 
@@ -31,7 +33,7 @@ class Modelled(Protocol):
 
 
 def model_of(platform: object, robot: Robot) -> Path:
-    """Return the file that a platform simulates; of a platform without one the robot's own.
+    """Return the file that a platform simulates; of a platform without one the robot's own MJCF.
 
     Raises:
         ModelError: there is none.
@@ -43,24 +45,28 @@ def pick_model(
     robot: Robot,
     given: str | Path | None = None,
     relative_to: Path | None = None,
+    prefer: Sequence[str] = MODEL_FORMATS,
 ) -> Path:
-    """Return the model file for a robot: the one given, else that of its robot file.
+    """Return the model file for a robot: the one given, else the best one of its robot file.
 
     Args:
         robot: says its own.
         given: as for `find_model`; None for the robot's own.
         relative_to: folder of the file that gives it.
+        prefer: formats that the reader takes, the best one first.
 
     Raises:
         ModelError: there is none.
     """
     if given is not None:
         return find_model(given, relative_to)
-    if robot.model is None:
+    found = next((robot.models[kind] for kind in prefer if kind in robot.models), None)
+    if found is None:
         raise ModelError(
-            f"robot {robot.name} names no simulation model; give one: model: PATH (MJCF or URDF)"
+            f"robot {robot.name} names no model ({' or '.join(prefer)}); add models: "
+            f"{{{prefer[0]}: PATH}} to {robot.path}, or let the workflow name one: model: PATH"
         )
-    return find_model(robot.model, robot.path.parent)
+    return find_model(found, robot.path.parent)
 
 
 def find_model(reference: str | Path, relative_to: Path | None = None) -> Path:

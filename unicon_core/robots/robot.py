@@ -10,7 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["JOINT_FIELDS", "Imu", "Robot"]
+__all__ = ["JOINT_FIELDS", "MODEL_FORMATS", "Imu", "Robot"]
+
+MODEL_FORMATS = ("mjcf", "urdf")
+
 
 # Key of a joint in a robot file -> field of `Robot`.
 JOINT_FIELDS = {
@@ -52,8 +55,8 @@ class Robot:
     """quadruped, humanoid, hand or arm."""
     path: Path
     """The file that it was read from."""
-    model: str | None
-    """Default simulation model: relative to a configuration root, or `assets:PATH`."""
+    models: Mapping[str, str]
+    """Format (`mjcf`, `urdf`) to model: relative to a configuration root, or `assets:PATH`."""
     base_frame: str
     """Frame of the base, in which the IMU's pose is given."""
     joint_names: tuple[str, ...]

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from unicon_core.errors import UniconError, alternatives
 from unicon_core.handles import FrameRing
-from unicon_core.models.find import find_model
+from unicon_core.models.find import pick_model
 from unicon_core.resources import find_config
 from unicon_core.robots import Robot
 from unicon_core.states import States, StateSpec
@@ -193,9 +193,6 @@ def camera(
         raise UniconError(
             f"camera: no state {handle!r}; declare it under 'states:' as {{dtype: int64}}"
         )
-    reference = model if model is not None else robot.model
-    if reference is None:
-        raise UniconError(f"camera: robot {robot.name} names no model; give model: PATH")
     name = camera or f"{body}_camera"
     options = {
         "kind": kind,
@@ -204,7 +201,7 @@ def camera(
         "position": [float(x) for x in position],
         "fovy": float(fovy),
         "robot": str(robot.path),
-        "model": str(find_model(reference, relative_to)),
+        "model": str(pick_model(robot, model, relative_to)),
         "width": int(width),
         "height": int(height),
         "far": float(far),
