@@ -31,7 +31,7 @@ def check_pose(subject: Subject, result: CheckResult) -> None:
         _limits(subject, result, key, contract)
         _symmetry(result, key, contract)
     model = subject.model
-    if model is None or subject.robot.kind not in ("quadruped", "humanoid"):
+    if model is None or not subject.robot.walks:
         return
     for key, contract in subject.policies.items():
         _feet(subject, result, key, contract, PosedModel(model))

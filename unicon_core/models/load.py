@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +17,16 @@ from unicon_core.robots import Robot
 
 __all__ = ["load_model"]
 
-_FLOATING = ("quadruped", "humanoid")
 _URDF_TIMESTEP = 0.002  # [s]; MuJoCo's own default, said here since a URDF cannot say it
 
 
 def load_model(
-    path: Path, robot: Robot, timestep: float | None = None, *, quiet: bool = False
+    path: Path,
+    robot: Robot,
+    timestep: float | None = None,
+    *,
+    quiet: bool = False,
+    prepare: Callable[[Any], None] | None = None,
 ) -> LoadedModel:
     """Read and compile a model for a robot.
 
@@ -35,6 +40,7 @@ def load_model(
         robot: whose joints must all be there, found by name.
         timestep: physics step in [s], None for the model's own.
         quiet: warn of nothing: somebody else has loaded it and told.
+        prepare: changes the `MjSpec`, mended, before it is compiled.
 
     Raises:
         ModelError: the file is wrong, or lacks a joint of the robot.
@@ -43,7 +49,7 @@ def load_model(
     notes: list[str] = []
     is_urdf = path.suffix.lower() == ".urdf"
     spec = _read(mujoco, path, repaired_urdf(path, notes) if is_urdf else None)
-    absent = drop_absent_meshes(spec, path, robot.kind in _FLOATING)
+    absent = drop_absent_meshes(spec, path, robot.walks)
     for note in () if quiet else absent:
         warnings.warn(f"model {path}: {note}", stacklevel=3)
     notes += [*absent, *drop_absent_textures(spec, path)]
@@ -52,16 +58,18 @@ def load_model(
         spec.option.timestep = _URDF_TIMESTEP
         # A URDF has no armature: with Euler's step the vendor's damping blows an A1 up.
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-        if robot.kind in _FLOATING:
+        if robot.walks:
             _add_free_joint(mujoco, spec, notes)
     if timestep is not None:
         spec.option.timestep = float(timestep)
-    if robot.kind in _FLOATING and not list(spec.worldbody.geoms):
+    if robot.walks and not list(spec.worldbody.geoms):
         spec.worldbody.add_geom(
             name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 0.05]
         )
         spec.worldbody.add_light(pos=[0.0, 0.0, 4.0])
         notes.append("the model has no surroundings: a floor was added")
+    if prepare is not None:
+        prepare(spec)
     model = _compile(spec, path)
     joints = find_joints(joint_names(mujoco, model), robot.joint_names, path)
     if mend_actuators(mujoco, spec, model, joints, robot.joint_names, notes):

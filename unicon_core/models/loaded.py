@@ -26,7 +26,7 @@ def import_mujoco() -> Any:
     """
     try:
         import mujoco
-    except ImportError as error:
+    except ModuleNotFoundError as error:
         raise MissingDependencyError(
             "platform 'mujoco'", "mujoco", "pip install 'unicon_ros[sim]'"
         ) from error

@@ -95,6 +95,11 @@ class Robot:
         return len(self.joint_names)
 
     @property
+    def walks(self) -> bool:
+        """Whether it has feet and a base that floats."""
+        return self.kind in ("quadruped", "humanoid")
+
+    @property
     def position_controlled(self) -> bool:
         """Whether the vendor closes the loop: positions are sent, there are no gains to give."""
         return self.transport.get("command") == "position"
@@ -120,7 +125,7 @@ class Robot:
         needed = _NEEDED if self.position_controlled else _NEEDED + _NEEDED_FOR_TORQUE
         missing = ["joint_order"] if "joint_order" in self.unknown else []
         missing += [f"joints.{key}" for key in needed if np.isnan(self.joint_fact(key)).any()]
-        if self.kind in ("quadruped", "humanoid"):
+        if self.walks:
             if self.imu is None:
                 missing.append("imu")
             elif np.isnan(self.imu.quat).any():

@@ -197,7 +197,7 @@ def build_workflow(
     num_robots = document.get("num_robots", int)
     states = States(Layout(specs, num_robots))
     context = BuildContext(states, robot, period, policies, document.path.parent)
-    platform = build_platform(document, context, dry=dry)
+    platform = context.platform = build_platform(document, context, dry=dry)
     workflow = Workflow(document, robot, platform, states, period, policies, context)
     try:
         with SIGNALS.guard(damp=workflow.damp_now):
