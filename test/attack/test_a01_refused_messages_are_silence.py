@@ -46,12 +46,12 @@ def test_a_walking_go2_stops_half_a_second_after_its_driver_sends_only_garbage(
     path = tmp_path / "walk.yaml"
     path.write_text(WALK)
     with running(path) as run, peer("lying_driver", "0.8") as driver:
-        states, (topic,) = run.workflow.states, run.session.incoming
+        states, (topic,) = run.program.states, run.session.incoming
         wait_for(lambda: bool(driver.of("garbage")), "the garbage")
         begun = run.runner.statistics.count
         wait_for(lambda: topic.stale, "the time-out", 8.0)
         # Half a second and its rounding; the rest is for a busy machine.
-        assert (run.runner.statistics.count - begun) * run.workflow.period < 2.0
+        assert (run.runner.statistics.count - begun) * run.program.period < 2.0
         x, refused = float(states.base_pos_w[0]), topic.rejected
         wait_for(lambda: topic.rejected > refused + 300, "more garbage")
         assert topic.stale
@@ -93,7 +93,7 @@ def topic(tmp_path: Path) -> Iterator[TopicIn]:
     path = tmp_path / "react.yaml"
     path.write_text(REACT)
     session = RosSession(warn=[].append)
-    workflow = load_workflow(path, inputs=[session.inputs])
+    workflow = load_workflow(path, hooks=[session.hook])
     (found,) = session.incoming
     found.command = workflow.states.velocity_command  # type: ignore[attr-defined]
     yield found

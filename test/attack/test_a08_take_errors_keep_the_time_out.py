@@ -68,7 +68,7 @@ def test_a_command_that_cannot_be_taken_any_more_goes_to_zero(tmp_path: Path) ->
         assert run.session.incoming == [topic]
         ticks = run.runner.statistics.count
         wait_for(lambda: run.runner.statistics.count > ticks + 100, "ticks")
-        assert run.workflow.states.velocity_command.tolist() == [0.0, 0.0, 0.0]
+        assert run.program.states.velocity_command.tolist() == [0.0, 0.0, 0.0]
         assert broken.calls < 0.2 * (run.runner.statistics.count - begun)  # a slow pace
         broken.mended = take
         wait_for(lambda: driven() and not topic.stale, "the next command", 5.0)

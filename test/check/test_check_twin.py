@@ -79,7 +79,7 @@ def test_hardware_is_exchanged_for_the_robots_model(folder: Path, tmp_path: Path
     assert other.values["platforms"] == {"mujoco": {"initial_pose": "policy:walk"}}
     assert document.values["platform"] == "fake"
     session = TwinSession(other)
-    assert session.workflow.platform.name == "mujoco"
+    assert session.program.platform.name == "mujoco"
     assert session.run(1.0).stands
     session.close()
 

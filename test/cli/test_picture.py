@@ -78,9 +78,7 @@ def test_with_ros_the_recording_holds_the_very_messages_that_left(tmp_path: Path
     session = RosSession(map="default", warn=lambda line: None)
     try:
         recorder = Recording(file, "default", session).hook
-        workflow = load_workflow(
-            "go2_stand", inputs=[session.inputs], observers=[session.observers, recorder]
-        )
+        workflow = load_workflow("go2_stand", hooks=[session.hook, recorder])
         left: list[bytes] = []
         joints = next(out for out in session.outgoing if out.topic == "/joint_states")
         recorded, published = joints.tap, joints._publish

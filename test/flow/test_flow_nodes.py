@@ -21,6 +21,7 @@ from unicon_core.flow import (
     blocks_of,
     compile_graph,
 )
+from unicon_core.flow.stage import Stage
 
 
 class Recorder:
@@ -228,7 +229,7 @@ def test_attributes_of_a_callable_become_the_block() -> None:
         name = "recv"
         reads = "stamp_ns"
         writes = ("joint_pos", "joint_vel")
-        role = "recv"
+        stage = Stage.RECV
         endless = True
 
         def __call__(self) -> bool:
@@ -239,7 +240,7 @@ def test_attributes_of_a_callable_become_the_block() -> None:
     recv = Recv()
     block = as_block(recv, where="w.yaml:3")
     assert (block.name, block.reads, block.writes) == ("recv", ("stamp_ns",), recv.writes)
-    assert (block.role, block.where, block.reset) == ("recv", "w.yaml:3", recv.reset)
+    assert (block.stage, block.where, block.reset) == (Stage.RECV, "w.yaml:3", recv.reset)
     assert block.endless
 
 

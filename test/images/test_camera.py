@@ -18,13 +18,13 @@ pytest.importorskip("rclpy")
 pytest.importorskip("mujoco")
 
 from unicon_core.errors import UniconError
-from unicon_core.flow import Block
+from unicon_core.flow import Block, Stage
 from unicon_core.models.find import pick_model
 from unicon_core.models.kinematic_tree import tree_of
 from unicon_core.models.urdf_write import urdf
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Report, Runner, RunOptions
-from unicon_core.workflow import Workflow, load_workflow
+from unicon_core.workflow import Program, load_workflow
 from unicon_ros.bench.domains import free_domain
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]
@@ -118,8 +118,8 @@ def write(tmp_path: Path) -> Callable[..., Path]:
     return written
 
 
-def run(path: Path, seconds: float, observers: Any = ()) -> tuple[Report, Workflow]:
-    workflow = load_workflow(path, observers=list(observers))
+def run(path: Path, seconds: float, hooks: Any = ()) -> tuple[Report, Program]:
+    workflow = load_workflow(path, hooks=list(hooks))
     return Runner(workflow, RunOptions(duration=seconds)).run(), workflow
 
 
@@ -143,7 +143,7 @@ def test_a_plain_subscriber_sees_the_sky_above_and_the_floor_below(
     handles: list[int] = []
     shapes: list[Any] = []
 
-    def look(workflow: Workflow) -> list[Block]:
+    def look(workflow: Program) -> dict[Stage, list[Block]]:
         (camera,) = [b.tick for b in workflow.blocks if "camera" in b.name or b.name == "call"]
 
         def note() -> None:
@@ -152,7 +152,7 @@ def test_a_plain_subscriber_sees_the_sky_above_and_the_floor_below(
             frame = camera.frame(handle)
             shapes.append(None if frame is None else frame.shape)
 
-        return [Block("look", note)]
+        return {Stage.OBSERVE: [Block("look", note)]}
 
     report, _ = run(write(), 3.0, [look])
     heard = lines(peer)
@@ -181,8 +181,12 @@ def test_depths_are_where_the_floor_is(
     peer = viewer("camera/depth", name)
     heights: list[float] = []
 
-    def note(workflow: Workflow) -> list[Block]:
-        return [Block("note", lambda: heights.append(float(workflow.states["base_pos_w"][2])))]
+    def note(workflow: Program) -> dict[Stage, list[Block]]:
+        return {
+            Stage.OBSERVE: [
+                Block("note", lambda: heights.append(float(workflow.states["base_pos_w"][2])))
+            ]
+        }
 
     report, _ = run(write(kind=kind, topic="camera/depth"), 3.0, [note])
     heard = lines(peer)
@@ -228,7 +232,7 @@ def test_the_camera_info_stands_beside_the_pictures_with_their_stamps(
 def test_a_camera_process_that_is_killed_leaves_the_ticks_alone(write: Callable[..., Path]) -> None:
     killed: list[int] = []
 
-    def kill(workflow: Workflow) -> list[Block]:
+    def kill(workflow: Program) -> dict[Stage, list[Block]]:
         (camera,) = [b.tick for b in workflow.blocks if hasattr(b.tick, "frame")]
 
         def act() -> None:
@@ -236,7 +240,7 @@ def test_a_camera_process_that_is_killed_leaves_the_ticks_alone(write: Callable[
                 camera._process.kill()
                 killed.append(1)
 
-        return [Block("kill", act)]
+        return {Stage.OBSERVE: [Block("kill", act)]}
 
     report, _ = run(write(), 1.5, [kill])
     assert killed

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from unicon_core.flow import Block
+from unicon_core.flow import Block, Stage
 from unicon_core.runtime import Report, Runner, RunOptions, TickStatistics
 from unicon_core.workflow import load_workflow
 
@@ -91,10 +91,10 @@ def test_a_slow_observer_of_a_run_is_in_the_report(tmp_path: Path) -> None:
         if len(calls) % 5 == 0:
             time.sleep(0.03)
 
-    def hook(workflow: Any) -> list[Block]:
-        return [Block("sleepy", sleepy, reads=("joint_pos",))]
+    def hook(workflow: Any) -> dict[Stage, list[Block]]:
+        return {Stage.OBSERVE: [Block("sleepy", sleepy, reads=("joint_pos",))]}
 
-    runner = Runner(load_workflow(path, observers=[hook]), RunOptions())
+    runner = Runner(load_workflow(path, hooks=[hook]), RunOptions())
     report = runner.run()
     assert report.overrun_blocks["sleepy"] >= 3
     assert next(iter(report.overrun_blocks)) == "sleepy"

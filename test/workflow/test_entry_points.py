@@ -135,7 +135,7 @@ def test_their_block_does_what_it_says(path: Path) -> None:
     for runner in (moved, still):
         runner.tick(0)
         runner.close()
-    difference = moved.workflow.states.joint_pos_target - still.workflow.states.joint_pos_target
+    difference = moved.program.states.joint_pos_target - still.program.states.joint_pos_target
     assert difference.tolist() == pytest.approx([0.5] * 12, abs=1e-6)
 
 

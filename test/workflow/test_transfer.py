@@ -15,7 +15,7 @@ from unicon_core.policies import load_policy
 from unicon_core.robots import Robot, load_robot
 from unicon_core.runtime import Report, Runner, RunOptions
 from unicon_core.states import States
-from unicon_core.workflow import Workflow, load_workflow, workflow_names
+from unicon_core.workflow import Program, load_workflow, workflow_names
 
 pytest.importorskip("mujoco", reason="the robots move in mujoco")
 pytest.importorskip("onnxruntime", reason="the policies need onnxruntime")
@@ -34,7 +34,7 @@ SUBSETS: dict[str, Sequence[str]] = {
 
 def run(
     name: str | Path, overrides: Mapping[str, Any], seconds: float = 60.0
-) -> tuple[Report, Workflow]:
+) -> tuple[Report, Program]:
     workflow = load_workflow(name, overrides)
     speed: Literal["real", "max"] = "max" if workflow.platform.simulated else "real"
     return Runner(workflow, RunOptions(duration=seconds, speed=speed)).run(), workflow

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.blocks.joint_command import ticks_of
-from unicon_core.flow.block import Amends, Role
+from unicon_core.flow.block import Amends
+from unicon_core.flow.stage import Stage
 
 __all__ = ["FadeIn", "fade_in"]
 
@@ -24,7 +25,7 @@ def fade_in(joint_stiffness: Amends, *, period: float, duration: float = 1.0) ->
 class FadeIn:
     """The tick of `fade_in`."""
 
-    role: Role = "safety"
+    stage = Stage.SAFETY
 
     def __init__(self, stiffness: NDArray[np.float32], ticks: int) -> None:
         self._stiffness, self._ticks, self._tick = stiffness, ticks, 0

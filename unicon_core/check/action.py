@@ -12,7 +12,6 @@ from unicon_core.check.result import CheckResult
 from unicon_core.check.safety import limits_targets
 from unicon_core.check.subject import Subject, listed
 from unicon_core.policies import PolicyContract
-from unicon_core.workflow.settings import waits_for_data
 
 __all__ = ["check_action", "check_timing"]
 
@@ -160,10 +159,10 @@ def _symmetry(result: CheckResult, key: str, contract: PolicyContract) -> None:
 
 def check_timing(subject: Subject, result: CheckResult) -> None:
     """Add the table of rates; an implausible period or command is a finding."""
-    workflow = subject.workflow
-    rows = [["workflow", f"{workflow.period:g}", f"{1.0 / workflow.period:g}", "each tick"]]
+    program = subject.program
+    rows = [["workflow", f"{program.period:g}", f"{1.0 / program.period:g}", "each tick"]]
     for key, contract in subject.policies.items():
-        n = round(contract.period / workflow.period)
+        n = round(contract.period / program.period)
         often = "each tick" if n == 1 else f"every {n} ticks"
         rows.append([f"policy {key}", f"{contract.period:g}", f"{1.0 / contract.period:g}", often])
         if not 0.002 <= contract.period <= 0.1:
@@ -174,7 +173,7 @@ def check_timing(subject: Subject, result: CheckResult) -> None:
                 "give the control period in seconds: 0.02 for 50 Hz",
                 contract.path,
             )
-    info = workflow.platform.info()
+    info = program.platform.info()
     if "physics_step_s" in info:
         step = float(info["physics_step_s"])
         rows.append(
@@ -182,8 +181,10 @@ def check_timing(subject: Subject, result: CheckResult) -> None:
         )
     result.table("Timing", ["who", "period [s]", "rate [Hz]", "runs"], rows)
     platform = subject.platform
-    waits = platform.waits or getattr(workflow.platform, "wait", None) is not None
-    if waits_for_data(subject.document) and not waits and not subject.live:  # the runner tells it
+    waits = platform.waits or getattr(program.platform, "wait", None) is not None
+    if (
+        subject.program.pacing.trigger == "state" and not waits and not subject.live
+    ):  # the runner tells it
         result.find(
             "timing.trigger",
             f"platform {platform.name!r}",

@@ -189,7 +189,7 @@ def _balance(
 
 def _start(subject: Subject, result: CheckResult, posed: PosedModel) -> None:
     """How far the simulation begins above the floor or in it."""
-    platform, states = subject.workflow.platform, subject.workflow.states
+    platform, states = subject.program.platform, subject.program.states
     told = ("joint_pos", "base_pos_w", "base_quat")
     if not {*told} <= {*platform.writes}:
         return

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
-from unicon_core.flow import Block, blocks_of
+from unicon_core.flow import Block, Stage, blocks_of
 from unicon_core.models.find import Modelled
 from unicon_core.models.load import load_model
 from unicon_core.models.loaded import LoadedModel
@@ -16,11 +16,10 @@ from unicon_core.policies import OnnxPolicy, PolicyContract
 from unicon_core.policies.observation import PackedStates
 from unicon_core.policies.prefixed import PrefixedStates
 from unicon_core.robots import Robot
-from unicon_core.workflow import Hook, Workflow
+from unicon_core.workflow import Hook, Program
 from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.hardware import is_simulator
 from unicon_core.workflow.platforms import find_platform, platform_options
-from unicon_core.workflow.workflow import build_workflow
 
 __all__ = ["NOT_ON_HARDWARE", "PlatformFacts", "Subject", "build_subject", "platform_facts"]
 
@@ -60,32 +59,32 @@ class Subject:
     """
 
     document: WorkflowDocument
-    workflow: Workflow
+    program: Program
     platform: PlatformFacts
     live: bool = False
 
     @property
     def robot(self) -> Robot:
         """The robot."""
-        return self.workflow.robot
+        return self.program.robot
 
     @cached_property
     def policies(self) -> dict[str, PolicyContract]:
         """Key under `policies:` to contract, those that the flow uses."""
-        ticks = [block.tick for block in self.workflow.blocks]
+        ticks = [block.tick for block in self.program.blocks]
         used = [tick.contract for tick in ticks if isinstance(tick, OnnxPolicy)]
-        named = self.workflow.policies.items()
+        named = self.program.policies.items()
         return {key: contract for key, contract in named if contract in used}
 
     def states_of(self, key: str) -> PackedStates:
         """Return the states as one policy sees them: with several, each has its own `action`."""
-        states = self.workflow.states
-        return states if len(self.workflow.policies) < 2 else PrefixedStates(states, f"{key}_")
+        states = self.program.states
+        return states if len(self.program.policies) < 2 else PrefixedStates(states, f"{key}_")
 
     @cached_property
     def blocks(self) -> list[Block]:
         """All blocks of the flow, without recv and send."""
-        return [b for b in blocks_of(self.workflow.root) if b.role not in ("recv", "send")]
+        return [b for b in blocks_of(self.program.root) if b.stage not in (Stage.RECV, Stage.SEND)]
 
     @cached_property
     def written(self) -> frozenset[str]:
@@ -95,7 +94,7 @@ class Subject:
     @cached_property
     def model(self) -> LoadedModel | None:
         """The model that the platform simulates as its file has it; None if it simulates none."""
-        platform = self.workflow.platform
+        platform = self.program.platform
         if not isinstance(platform, Modelled):
             return None
         return load_model(platform.model_path, self.robot, quiet=True)
@@ -119,18 +118,18 @@ def platform_facts(document: WorkflowDocument) -> PlatformFacts:
     return PlatformFacts(name, False, unmeasured, bool(getattr(factory, "waits", True)))
 
 
-def build_subject(document: WorkflowDocument, inputs: Sequence[Hook] = ()) -> Subject:
+def build_subject(document: WorkflowDocument, hooks: Sequence[Hook] = ()) -> Subject:
     """Build what is to be checked as a run builds it, but for hardware, which is never opened.
 
     Args:
         document: the workflow.
-        inputs: as of `build_workflow`.
+        hooks: as of `Program`.
 
     Raises:
         UniconError: the workflow cannot be built.
     """
     facts = platform_facts(document)
-    return Subject(document, build_workflow(document, dry=True, inputs=inputs), facts)
+    return Subject(document, Program(document, dry=True, hooks=hooks), facts)
 
 
 def on_platform(

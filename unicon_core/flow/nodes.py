@@ -104,8 +104,9 @@ class Switch:
     Args:
         selector: function without parameters that returns a case's name or its number.
         cases: name to block.
-        blend: ticks K that a change of case is blended over; 0 for none.
-        blender: built by the workflow for the command states: `capture()` and `mix(weight)`.
+        blend: ticks K that a change of case is blended over; 0 for none. A float is a time in [s],
+            which the program makes into ticks when it is built.
+        blender: built by the program for the command states: `capture()` and `mix(weight)`.
     """
 
     def __init__(
@@ -113,17 +114,17 @@ class Switch:
         selector: Tick | Block,
         cases: Mapping[str, Node | Tick],
         *,
-        blend: int = 0,
+        blend: int | float = 0,
         blender: Blender | None = None,
         where: str = "",
     ) -> None:
         if not cases:
             raise WorkflowError("switch: no cases; give at least one, as name: block", where)
-        if blend is True or not isinstance(blend, int) or blend < 0:
+        if isinstance(blend, bool) or not isinstance(blend, (int, float)) or not blend >= 0:
             raise WorkflowError(
                 f"switch: blend is {blend!r}; give a whole number of ticks >= 0", where
             )
-        if blend and blender is None:
+        if blend and blender is None and not isinstance(blend, float):
             raise WorkflowError("switch: blend needs a blender (Blender(states))", where)
         self.selector = as_block(selector, name="selector", where=where)
         self.names = tuple(cases)

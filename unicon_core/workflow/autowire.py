@@ -123,7 +123,7 @@ def autowire(
     block.reads = tuple(dict.fromkeys([*used["reads"], *block.reads]))
     block.writes = tuple(dict.fromkeys([*used["writes"], *block.writes]))
     block.amends = tuple(dict.fromkeys([*used["amends"], *block.amends]))
-    block.role = block.role or getattr(factory, "role", "")
+    block.stage = block.stage or getattr(factory, "stage", None)
     return block
 
 

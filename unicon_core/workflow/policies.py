@@ -15,7 +15,7 @@ from unicon_core.robots import Robot
 from unicon_core.states import StateSpec
 from unicon_core.workflow.autowire import BuildContext
 from unicon_core.workflow.document import WorkflowDocument
-from unicon_core.workflow.flow_yaml import BlockUse
+from unicon_core.workflow.uses import Use
 
 __all__ = ["declared_states", "load_policies", "policies_reading", "policy_factory"]
 
@@ -67,7 +67,7 @@ def load_policies(document: WorkflowDocument, robot: Robot) -> dict[str, PolicyC
     return contracts
 
 
-def used_policy(use: BlockUse, policies: Mapping[str, Any]) -> str:
+def used_policy(use: Use, policies: Mapping[str, Any]) -> str:
     """Return the name of the policy that a `policy` block mentions.
 
     Raises:
@@ -94,7 +94,7 @@ def policies_reading(
 
 
 def declared_states(
-    use: BlockUse,
+    use: Use,
     policies: Mapping[str, Any],
     robot: Robot,
     extra: Mapping[str, StateSpec],
@@ -116,7 +116,7 @@ def _prefix(name: str, policies: Mapping[str, Any]) -> str:
     return f"{name}_" if len(policies) > 1 else ""
 
 
-def policy_factory(use: BlockUse, policies: Mapping[str, Any]) -> Callable[..., Any]:
+def policy_factory(use: Use, policies: Mapping[str, Any]) -> Callable[..., Any]:
     """Return the factory of the block that runs the mentioned policy."""
     name = used_policy(use, policies)
     contract, prefix = policies[name], _prefix(name, policies)

@@ -165,7 +165,7 @@ class _Twin:
             depths = session.depths(contract.joints)
             tried += [
                 (self.score(key, repair, 2.0).score, key, repair)
-                for repair in repairs(contract, session.workflow.robot, depths, poses)
+                for repair in repairs(contract, session.program.robot, depths, poses)
                 if time.monotonic() < until
             ]
         tried.sort(key=lambda entry: -entry[0])  # stable: the likelier first

@@ -14,15 +14,14 @@ import numpy as np
 
 from unicon_core.check.twin.measures import Measures, Recorder
 from unicon_core.errors import Fault, UniconError
-from unicon_core.flow import Block
+from unicon_core.flow import Block, Stage
 from unicon_core.models.find import model_of
 from unicon_core.models.kinematic_tree import read_tree
 from unicon_core.models.load import load_model
 from unicon_core.policies import OnnxPolicy, PolicyContract
 from unicon_core.runtime import Runner, RunOptions
-from unicon_core.workflow import Workflow
+from unicon_core.workflow import Program
 from unicon_core.workflow.document import WorkflowDocument
-from unicon_core.workflow.workflow import build_workflow
 
 __all__ = ["TwinSession"]
 
@@ -52,7 +51,7 @@ class TwinSession:
     """Runs of one workflow on the platform `mujoco`, one robot.
 
     Args:
-        document: the workflow, already on that platform.
+        document: the program, already on that platform.
         command: vx, vy [m/s], wz [rad/s]. None takes the workflow's own where it walks at 0.5 m/s
             or more, else 0.6 of the trained forward speed: broken contracts stand and creep too.
 
@@ -66,14 +65,14 @@ class TwinSession:
     def __init__(self, document: WorkflowDocument, command: Sequence[float] | None = None) -> None:
         self._command = command
         self.called: frozenset[str] = frozenset()
-        self.workflow = build_workflow(document, inputs=[self._commander])
-        keys = {id(contract): key for key, contract in self.workflow.policies.items()}
+        self.program = Program(document, hooks=[self._commander])
+        keys = {id(contract): key for key, contract in self.program.policies.items()}
         self._uses = [
             (keys[id(block.tick.contract)], block, block.tick)
-            for block in self.workflow.blocks
+            for block in self.program.blocks
             if isinstance(block.tick, OnnxPolicy)
         ]
-        robot, platform = self.workflow.robot, self.workflow.platform
+        robot, platform = self.program.robot, self.program.platform
         self._model = load_model(model_of(platform, robot), robot, quiet=True)
         info = platform.info()
         self._effort = np.array(list(info["effort_upper"].values()))
@@ -87,7 +86,7 @@ class TwinSession:
         """Return how many joints are above each joint in the model, shape (n,)."""
         above: list[int] = []  # of each link
         found: dict[str, int] = {}
-        for link in read_tree(self._model.model, self.workflow.robot):
+        for link in read_tree(self._model.model, self.program.robot):
             count = above[link.parent] if link.parent >= 0 else 0
             found[link.joint] = count
             above.append(count + bool(link.joint))
@@ -95,7 +94,7 @@ class TwinSession:
 
     def poses(self) -> dict[str, dict[str, float]]:
         """Return default poses that somebody else names: the robot file's and key frames'."""
-        robot = self.workflow.robot
+        robot = self.program.robot
         found = {"the robot file's default pose": robot.default_joint_pos.astype(np.float64)}
         for key, pose in self._model.key_poses().items():
             found[f"the pose of the model's key frame {key!r}"] = pose
@@ -118,13 +117,13 @@ class TwinSession:
             contract: in place of the given one.
             unlimited: without limits of effort.
         """
-        workflow = self.workflow
+        program = self.program
         counted = self._exchange(key, contract)
-        workflow.states.reset()
-        runner = Runner(workflow, RunOptions(speed="max", warn=lambda text: None))
+        program.states.reset()
+        runner = Runner(program, RunOptions(speed="max", warn=lambda text: None))
         runner.reset()
-        recorder = Recorder(workflow.states, workflow.robot, self._effort, workflow.period)
-        longest, walked = round(_LONGEST / workflow.period), round(seconds / workflow.period)
+        recorder = Recorder(program.states, program.robot, self._effort, program.period)
+        longest, walked = round(_LONGEST / program.period), round(seconds / program.period)
         fault, begun = "", 0
         limits = self._lift_limits() if unlimited else None
         try:
@@ -142,44 +141,45 @@ class TwinSession:
                 self._set_limits(*limits)
             self.called = frozenset(name for name, tick in counted.items() if tick.calls)
         ticks = len(recorder.rows)
-        asked = (ticks - begun + walked if counted else max(ticks, 1)) * workflow.period
+        asked = (ticks - begun + walked if counted else max(ticks, 1)) * program.period
         tracks = any(_reads_command(contract) for contract in self.contracts.values())
         return recorder.measures(asked, fault, tracks)
 
     def close(self) -> None:
         """Close the workflow; how a simulator ends does not matter."""
         with suppress(UniconError):
-            self.workflow.close()
+            self.program.close()
 
-    def _commander(self, workflow: Workflow) -> list[Block]:
+    def _commander(self, program: Program) -> dict[Stage, list[Block]]:
         """Return the block that commands a walk, as /cmd_vel would."""
-        contracts = workflow.policies.values()
+        contracts = program.policies.values()
         if not any(_reads_command(contract) for contract in contracts):
-            return []
+            return {}
         ranges = [contract.command_ranges for contract in contracts]
         fastest = [found["lin_vel_x"][1] for found in ranges if "lin_vel_x" in found]
         walk = (min(0.6 * fastest[0], 1.0) if fastest else _WALK, 0.0, 0.0)
         wanted = np.array(self._command or walk, np.float32)
         always = self._command is not None
-        command = workflow.states["velocity_command"]
+        command = program.states["velocity_command"]
 
         def twin_command() -> None:
             if always or float(np.hypot(command[0], command[1])) < _SLOW:
                 command[...] = wanted
 
-        return [Block("twin_command", twin_command, amends=("velocity_command",), endless=True)]
+        block = Block("twin_command", twin_command, amends=("velocity_command",), endless=True)
+        return {Stage.INPUT: [block]}
 
     def _exchange(self, key: str, contract: PolicyContract | None) -> dict[str, _Counted]:
-        workflow = self.workflow
+        program = self.program
         counted: dict[str, _Counted] = {}
         for used, block, policy in self._uses:
             running = policy
             if contract is not None and used == key:
                 running = OnnxPolicy(
                     contract,
-                    workflow.states,
-                    workflow.robot,
-                    prefix=f"{key}_" if len(workflow.policies) > 1 else "",
+                    program.states,
+                    program.robot,
+                    prefix=f"{key}_" if len(program.policies) > 1 else "",
                     network=policy.network,
                 )
             tick = counted.setdefault(used, _Counted(running))
@@ -191,12 +191,12 @@ class TwinSession:
             block.tick, block.reset, block.dry_run = policy, policy.reset, policy.dry_run
 
     def _lift_limits(self) -> tuple[Any, Any]:
-        model: Any = self.workflow.platform.model  # type: ignore[attr-defined]
+        model: Any = self.program.platform.model  # type: ignore[attr-defined]
         before = np.array(model.actuator_forcelimited), np.array(model.jnt_actfrclimited)
         self._set_limits(0, 0)
         return before
 
     def _set_limits(self, actuators: Any, joints: Any) -> None:
-        model: Any = self.workflow.platform.model  # type: ignore[attr-defined]
+        model: Any = self.program.platform.model  # type: ignore[attr-defined]
         model.actuator_forcelimited[:] = actuators
         model.jnt_actfrclimited[:] = joints
