@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -168,6 +169,19 @@ class MujocoPlatform:
 
     def close(self) -> None:
         """Let go; a simulation has no motors to damp."""
+
+    @contextmanager
+    def unlimited(self) -> Iterator[None]:
+        """Do without the limits of effort for a while, for the twin."""
+        limits = self.model.actuator_forcelimited, self.model.jnt_actfrclimited
+        before = [limit.copy() for limit in limits]
+        try:
+            for limit in limits:
+                limit[:] = 0
+            yield
+        finally:
+            for limit, was in zip(limits, before):
+                limit[:] = was
 
     def viewer(self, rate: float = 60.0) -> Viewer:
         """Return a block that shows the (first) robot in a window, at most `rate` times a second.
