@@ -10,6 +10,7 @@ from unicon_core.check.model_facts import ModelJoints, model_joints
 from unicon_core.check.result import CheckResult
 from unicon_core.check.subject import Subject, listed
 from unicon_core.policies import PolicyContract
+from unicon_core.robots import joint_index
 
 __all__ = ["check_gains", "check_limits", "number"]
 
@@ -53,8 +54,8 @@ def _table(
     rows = []
     different = []
     passive = []
-    for i, name in enumerate(contract.joints):
-        j = robot.joint_names.index(name)
+    policy_from_robot = joint_index(contract.joints, robot.joint_names)
+    for i, (name, j) in enumerate(zip(contract.joints, policy_from_robot)):
         kp, kd = float(contract.stiffness[i]), float(contract.damping[i])
         own = float(robot.joint_stiffness[j]), float(robot.joint_damping[j])
         row = [name, number(kp), number(own[0]), number(kd), number(own[1])]
@@ -96,7 +97,7 @@ def _plausible(
     model: ModelJoints | None,
 ) -> None:
     kp, kd = contract.stiffness, contract.damping
-    own = [subject.robot.joint_names.index(name) for name in contract.joints]
+    own = joint_index(contract.joints, subject.robot.joint_names)
     bare = np.flatnonzero((kp > 0.0) & (kd <= 0.0))
     if bare.size:
         names = listed(contract.joints[i] for i in bare)

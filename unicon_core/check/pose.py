@@ -41,8 +41,8 @@ def check_pose(subject: Subject, result: CheckResult) -> None:
 def _limits(subject: Subject, result: CheckResult, key: str, contract: PolicyContract) -> None:
     robot = subject.robot
     rows, outside, far = [], [], []
-    for i, name in enumerate(contract.joints):
-        j = robot.joint_names.index(name)
+    policy_from_robot = joint_index(contract.joints, robot.joint_names)
+    for i, (name, j) in enumerate(zip(contract.joints, policy_from_robot)):
         value, own = float(contract.default_joint_pos[i]), float(robot.default_joint_pos[j])
         lower, upper = float(robot.lower[j]), float(robot.upper[j])
         wrong = value < lower - 1e-4 or value > upper + 1e-4

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from unicon_core.models.joints import find_joints, free_joint, joint_names
+from unicon_core.models.joints import find_joints, free_joint
 from unicon_core.models.links import Geom, Link
 from unicon_core.models.load import load_model
 from unicon_core.models.loaded import import_mujoco
@@ -68,7 +68,7 @@ def frame_of(model: Any, robot: Robot, body: int) -> tuple[str, Float] | None:
 class _Reader:
     def __init__(self, mujoco: Any, model: Any, robot: Robot) -> None:
         self._mujoco, self._model, self._robot = mujoco, model, robot
-        joints = find_joints(joint_names(mujoco, model), robot.joint_names, robot.path)
+        joints = find_joints(mujoco, model, robot, robot.path)
         self._rank = {joint: rank for rank, joint in enumerate(joints)}
         base = free_joint(mujoco, model, joints[0])
         self._root = 0 if base is None else int(model.jnt_bodyid[base])

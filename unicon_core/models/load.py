@@ -10,7 +10,7 @@ from typing import Any
 from unicon_core.errors import ModelError
 from unicon_core.models.absent import drop_absent_meshes, drop_absent_textures
 from unicon_core.models.actuators import mend_actuators
-from unicon_core.models.joints import find_joints, joint_names
+from unicon_core.models.joints import find_joints
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.models.urdf_repair import repaired_urdf
 from unicon_core.robots import Robot
@@ -71,7 +71,7 @@ def load_model(
     if prepare is not None:
         prepare(spec)
     model = _compile(spec, path)
-    joints = find_joints(joint_names(mujoco, model), robot.joint_names, path)
+    joints = find_joints(mujoco, model, robot, path)
     if mend_actuators(mujoco, spec, model, joints, robot.joint_names, notes):
         model = _compile(spec, path)
     return LoadedModel(model, path, joints, notes)
