@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -18,6 +19,10 @@ pytest.importorskip("mujoco")
 
 from unicon_core.errors import UniconError
 from unicon_core.flow import Block, Stage
+from unicon_core.models.find import pick_model
+from unicon_core.models.kinematic_tree import tree_of
+from unicon_core.models.urdf_write import urdf
+from unicon_core.robots import load_robot
 from unicon_core.runtime import Report, Runner, RunOptions
 from unicon_core.workflow import Program, load_workflow
 from unicon_ros.bench.domains import free_domain
@@ -281,3 +286,46 @@ def test_without_opengl_the_error_names_what_to_install(
     monkeypatch.setenv("MUJOCO_GL", "nonsense")
     with pytest.raises(UniconError, match=r"camera: no offscreen OpenGL \(.*apt install libegl1"):
         load_workflow(write())
+
+
+@pytest.mark.usefixtures("gl")
+def test_the_camera_is_in_the_model_that_the_platform_simulates(
+    write: Callable[..., Path], tmp_path: Path
+) -> None:
+    go2 = (ROOT / "config" / "models" / "go2" / "go2.xml").read_text("utf-8")
+    mast = '<body name="mast" pos="0 0 3"/>\n</worldbody>'
+    (tmp_path / "mast.xml").write_text(go2.replace("</worldbody>", mast), "utf-8")
+    path = write(where="{body: mast}", topic="''")
+    refused(path, r"no body 'mast' in .*go2\.xml")
+    own = {"platform": "mujoco", "platforms.mujoco.model": "./mast.xml"}
+    load_workflow(path, own).close()
+
+
+@pytest.mark.usefixtures("gl")
+def test_a_urdf_without_its_meshes_is_drawn_too(write: Callable[..., Path], tmp_path: Path) -> None:
+    robot = load_robot("go2")
+    text = urdf(tree_of(robot, pick_model(robot)), robot)
+    mesh = '<visual><geometry><mesh filename="lost.stl"/></geometry></visual>'
+    (tmp_path / "go2.urdf").write_text(
+        text.replace('<link name="base_link">', f'<link name="base_link">{mesh}'), "utf-8"
+    )
+    options = f"{{body: FL_foot\n      model: {tmp_path}/go2.urdf}}"
+    report, _ = run(write(where=options, topic="''"), 0.2)
+    assert report.faults == []
+
+
+@pytest.mark.usefixtures("gl")
+def test_a_robot_that_stands_in_the_world_needs_no_base(
+    write: Callable[..., Path], tmp_path: Path
+) -> None:
+    go2 = load_robot("go2")
+    text = go2.path.read_text("utf-8").replace("kind: quadruped", "kind: arm")
+    text = text.replace("name: go2", "name: table").replace("feet: [", "#").replace("feet: ", "f: ")
+    (tmp_path / "table.yaml").write_text(text, "utf-8")
+    fixed = (ROOT / "config" / "models" / "go2" / "go2.xml").read_text("utf-8")
+    fixed = re.sub(r"<freejoint[^>]*/>|<keyframe>.*</keyframe>", "", fixed, flags=re.DOTALL)
+    (tmp_path / "table.xml").write_text(fixed, "utf-8")
+    own = {"robot": "./table.yaml", "platform": "mujoco", "platforms.mujoco.model": "./table.xml"}
+    workflow = load_workflow(write(topic="''"), own)
+    assert "base_pos_w" not in workflow.platform.writes
+    workflow.close()

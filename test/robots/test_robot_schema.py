@@ -29,6 +29,8 @@ BEYOND_A_SCHEMA = {
     "joint_twice",
     "key_twice",
     "lower_above_upper",
+    "model_leads_out",
+    "model_of_another_format",
     "name_differs",
     "no_source_for_gains",
     "null_not_in_unknown",

@@ -12,6 +12,7 @@ from unicon_core.check.result import CheckResult
 from unicon_core.check.safety import limits_targets
 from unicon_core.check.subject import Subject, listed
 from unicon_core.policies import PolicyContract
+from unicon_core.robots import joint_index
 
 __all__ = ["check_action", "check_timing"]
 
@@ -41,8 +42,9 @@ def _action(subject: Subject, result: CheckResult, key: str, contract: PolicyCon
     reach = np.sort(action.offset + action.scale * clip, axis=0)
     rows, outside, offsets, idle, jumps, torques = [], [], [], [], [], []
     beyond = False
-    for i, name in enumerate(action.joints):
-        j, k = robot.joint_names.index(name), contract.joints.index(name)
+    from_robot = joint_index(action.joints, robot.joint_names)
+    from_policy = joint_index(action.joints, contract.joints)
+    for i, (name, j, k) in enumerate(zip(action.joints, from_robot, from_policy)):
         lower, upper = float(robot.lower[j]), float(robot.upper[j])
         offset, scale = float(action.offset[i]), float(action.scale[i])
         low, high = reach[:, i]

@@ -65,7 +65,7 @@ def check_workflow(
     Args:
         name_or_path: a name in `config/workflows/`, or a path.
         overrides: `path=value` texts as of `--set`.
-        twin: also run it in MuJoCo, and broken contracts beside it.
+        twin: also simulate it, and broken contracts beside it.
         more: further checks of the built workflow, such as that of its message map.
         hooks: hooks that stand for what a run would add to the graph, such as topics.
 
@@ -97,7 +97,7 @@ def check_workflow(
     if twin:
         from unicon_core.check.twin import check_twin
 
-        check_twin(document, settings, result)
+        check_twin(document, subject.program.platform, settings, result)
     return result
 
 

@@ -15,8 +15,8 @@ __all__ = ["check_files", "check_robot"]
 def check_files(subject: Subject, result: CheckResult) -> None:
     """Add the table of files; loading refuses a network that is not the contract's."""
     files = [("workflow", subject.document.path), ("robot", subject.robot.path)]
-    if subject.model_path is not None:
-        files.append(("model", subject.model_path))
+    if subject.model is not None:
+        files.append(("model", subject.model.path))
     expected = {}
     for key, contract in subject.policies.items():
         files.append((f"policy {key}", contract.path))

@@ -17,9 +17,9 @@ __all__ = ["refuse_errors"]
 
 
 def refuse_errors(program: Program, force: Iterable[str] = ()) -> list[str]:
-    """Check a workflow that was built to run, without touching its platform.
+    """Check a workflow that was built to run; a simulator is left as it was.
 
-    The static checks of `unicon check` take the workflow as it is: 10 to 40 ms, once.
+    The static checks of `unicon check` take the workflow as it is: 20 to 50 ms, once.
 
     Args:
         workflow: built, not yet ticked; `forced` is set in it.

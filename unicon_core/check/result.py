@@ -51,6 +51,7 @@ CODES = {
     "robot.facts": "the robot file lacks what is needed to drive the robot",
     "check.settings": "the workflow's check: section is wrong",
     "twin.run": "the twin could not be run",
+    "twin.platform": "the twin runs on another platform than the workflow's (a note)",
     "twin.fall": "the policy falls in the twin",
     "twin.command": "the policy does not follow its command in the twin",
     "twin.suspect": "a broken contract does as well (a note where that does not tell much)",

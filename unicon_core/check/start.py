@@ -8,6 +8,7 @@ from unicon_core.blocks.pose import Pose
 from unicon_core.check.result import CheckResult
 from unicon_core.check.subject import Subject
 from unicon_core.policies import OnnxPolicy
+from unicon_core.robots import joint_index
 
 __all__ = ["check_start"]
 
@@ -21,7 +22,7 @@ def check_start(subject: Subject, result: CheckResult) -> None:
     if not isinstance(first, OnnxPolicy):
         return
     robot, contract = subject.robot, first.contract
-    own = [robot.joint_names.index(name) for name in contract.joints]
+    own = joint_index(contract.joints, robot.joint_names)
     way = np.abs(contract.default_joint_pos - robot.rest_joint_pos[own])
     if np.isnan(way).all():
         where = "nobody knows how far from where it is"

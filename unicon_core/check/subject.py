@@ -6,10 +6,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 from unicon_core.flow import Block, Stage, blocks_of
+from unicon_core.models.find import Modelled
+from unicon_core.models.load import load_model
+from unicon_core.models.loaded import LoadedModel
 from unicon_core.policies import OnnxPolicy, PolicyContract
 from unicon_core.policies.observation import PackedStates
 from unicon_core.policies.prefixed import PrefixedStates
@@ -52,7 +54,7 @@ class Subject:
         document: the workflow file.
         workflow: built; by `build_subject` with `fake` in place of hardware, so nothing moves.
         platform: of the document, not the exchanged one.
-        live: it is about to run: the platform is not touched, and what only tables show is not
+        live: it is about to run: the platform is left as it was, and what only tables show is not
             computed.
     """
 
@@ -89,16 +91,13 @@ class Subject:
         """States that some block of the workflow writes."""
         return frozenset(name for block in self.blocks for name in block.writes)
 
-    @property
-    def model(self) -> Any:
-        """The `MjModel` where the platform is MuJoCo, else None."""
-        return getattr(self.program.platform, "model", None)
-
-    @property
-    def model_path(self) -> Path | None:
-        """File of the model."""
-        path = self.program.platform.info().get("model")
-        return None if path is None else Path(str(path))
+    @cached_property
+    def model(self) -> LoadedModel | None:
+        """The model that the platform simulates as its file has it; None if it simulates none."""
+        platform = self.program.platform
+        if not isinstance(platform, Modelled):
+            return None
+        return load_model(platform.model_path, self.robot, quiet=True)
 
 
 def platform_facts(document: WorkflowDocument) -> PlatformFacts:

@@ -55,7 +55,7 @@ def robot_table(robot: Robot) -> str:
         ("manufacturer", robot.manufacturer),
         ("kind", robot.kind),
         ("file", str(robot.path)),
-        ("model", robot.model or "none; give one by path"),
+        ("models", ", ".join(f"{k} {path}" for k, path in robot.models.items()) or "none"),
         ("base frame", robot.base_frame),
         ("imu", _imu(robot)),
         ("fingertips" if robot.kind == "hand" else "feet", ", ".join(robot.feet) or "-"),

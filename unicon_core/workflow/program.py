@@ -124,7 +124,7 @@ class Program:
         self.context = BuildContext(
             self.states, self.robot, self.period, self.policies, document.path.parent
         )
-        self.platform = build_platform(document, self.context, dry=dry)
+        self.platform = self.context.platform = build_platform(document, self.context, dry=dry)
         self.blocks: list[Block] = []
         self.stages: dict[Stage, list[Node]] = {stage: [] for stage in Stage}
         self.gate = Gate()

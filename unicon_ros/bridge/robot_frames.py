@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from typing import Any
 
@@ -11,7 +10,9 @@ from numpy.typing import NDArray
 
 from unicon_core.errors import UniconError
 from unicon_core.flow import Block
-from unicon_core.models.kinematic_tree import Link, tree_of
+from unicon_core.models.find import model_of
+from unicon_core.models.kinematic_tree import tree_of
+from unicon_core.models.links import Link
 from unicon_core.models.urdf_write import urdf
 from unicon_core.workflow import Program
 from unicon_msgs_map import Encoder, Messages, parse_map
@@ -62,9 +63,7 @@ class RobotFrames:
         self._node, self._group, self._warn = node, group, warn
         self._latched: list[Any] = []
         try:
-            with warnings.catch_warnings():  # the platform has told what its model lacks
-                warnings.simplefilter("ignore")
-                links = tree_of(program)
+            links = tree_of(program.robot, model_of(program.platform, program.robot))
         except UniconError as error:
             warn(f"no robot_description and no frames of the links: {error}")
             return

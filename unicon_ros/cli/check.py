@@ -18,9 +18,7 @@ def add(commands: Any) -> None:
     """Add the command to the parser."""
     parser = commands.add_parser("check", help="check a workflow before a motor moves")
     add_workflow(parser)
-    parser.add_argument(
-        "--twin", action="store_true", help="also run it in MuJoCo, and broken twins"
-    )
+    parser.add_argument("--twin", action="store_true", help="also simulate it, and broken twins")
     parser.add_argument(
         "--ros",
         action="store_true",

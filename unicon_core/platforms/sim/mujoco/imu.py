@@ -8,21 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["BaseReader", "find_base", "find_imu"]
+__all__ = ["BaseReader", "find_imu"]
 
 Float = NDArray[np.float64]
 Copy = Callable[[], None]
-
-
-def find_base(mujoco: Any, model: Any, joint: int) -> int | None:
-    """Return the id of the free joint that carries a robot's joint, or None for a fixed base."""
-    body = int(model.jnt_bodyid[joint])
-    while body != 0:
-        first = int(model.body_jntadr[body])
-        if first >= 0 and model.jnt_type[first] == int(mujoco.mjtJoint.mjJNT_FREE):
-            return first
-        body = int(model.body_parentid[body])
-    return None
 
 
 def find_imu(mujoco: Any, model: Any, body: int) -> dict[str, int]:

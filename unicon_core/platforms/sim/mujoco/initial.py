@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import ModelError, PlatformError, alternatives
-from unicon_core.models.load import LoadedModel
+from unicon_core.models.loaded import LoadedModel
+from unicon_core.models.posed import heights
 from unicon_core.robots import Robot
 
 __all__ = ["initial_positions"]
@@ -17,7 +18,6 @@ __all__ = ["initial_positions"]
 Pose = str | Mapping[str, float]
 
 _CLEARANCE = 0.0005  # [m] between the lowest geom and the floor
-_FAR = 100.0  # [m]
 
 
 def initial_positions(
@@ -53,7 +53,7 @@ def initial_positions(
             )
         mujoco.mj_resetDataKeyframe(model, data, names.index(keyframe))
     elif pose != "model":
-        data.qpos[[int(model.jnt_qposadr[j]) for j in loaded.joints]] = _pose(robot, pose)
+        data.qpos[loaded.addresses] = _pose(robot, pose)
     if base is not None:
         z = int(model.jnt_qposadr[base]) + 2
         if height is not None:
@@ -61,7 +61,8 @@ def initial_positions(
         elif keyframe is None and pose != "model":
             mujoco.mj_kinematics(model, data)
             mujoco.mj_comPos(model, data)
-            data.qpos[z] += _lift(mujoco, model, data, int(model.jnt_bodyid[base]))
+            above = heights(model, data, int(model.jnt_bodyid[base]))
+            data.qpos[z] += _CLEARANCE - min(above.values(), default=_CLEARANCE)
     return np.array(data.qpos)
 
 
@@ -85,25 +86,3 @@ def _pose(robot: Robot, pose: Pose) -> NDArray[np.float64]:
             )
         standing[robot.joint_names.index(name)] = value
     return standing
-
-
-def _lift(mujoco: Any, model: Any, data: Any, body: int) -> float:
-    """Return how far to raise the base so that the robot stands on the floor in [m], else 0."""
-    floors = [
-        i
-        for i in range(model.ngeom)
-        if model.geom_type[i] == int(mujoco.mjtGeom.mjGEOM_PLANE) and model.geom_bodyid[i] == 0
-    ]
-    own = _geoms_of(model, body)
-    distances = [
-        mujoco.mj_geomDistance(model, data, floor, geom, _FAR, None)
-        for floor in floors
-        for geom in own
-        if model.geom_contype[floor] & model.geom_conaffinity[geom]
-        or model.geom_contype[geom] & model.geom_conaffinity[floor]
-    ]
-    return _CLEARANCE - min(distances) if distances else 0.0
-
-
-def _geoms_of(model: Any, root: int) -> Sequence[int]:
-    return [i for i in range(model.ngeom) if model.body_rootid[model.geom_bodyid[i]] == root]

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from unicon_core.errors import ModelError, PlatformError, alternatives
-from unicon_core.models.find import find_model
-from unicon_core.models.load import LoadedModel, import_mujoco, load_model
-from unicon_core.platforms.sim.mujoco.imu import find_base
+from unicon_core.models.find import pick_model
+from unicon_core.models.load import load_model
+from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.platforms.sim.mujoco.initial import Pose, initial_positions
 from unicon_core.platforms.sim.mujoco.servo import Servo
 from unicon_core.platforms.sim.mujoco.simulated_robot import Disturbances, SimulatedRobot
@@ -64,13 +65,7 @@ def make(
         PlatformError: an option is wrong.
     """
     mujoco = import_mujoco()
-    reference = model if model is not None else robot.model
-    if reference is None:
-        raise ModelError(
-            f"robot {robot.name} names no simulation model; give one: model: PATH (MJCF or URDF)"
-        )
-    path = find_model(reference, relative_to if model is not None else robot.path.parent)
-    loaded = load_model(path, robot, timestep)
+    loaded = load_model(pick_model(robot, model, relative_to), robot, timestep)
     disturbances = _disturbances(seed, delay, noise, push)
     return MujocoPlatform(
         mujoco, states, robot, period, loaded, disturbances, initial_pose, keyframe, initial_height
@@ -82,6 +77,7 @@ class MujocoPlatform:
 
     Attributes:
         model: the `MjModel`.
+        model_path: the file that it was read from.
         robots: the simulated robots, one unless the states have a batch axis.
         period: of a tick in [s].
         decimation: physics steps in a tick.
@@ -104,9 +100,10 @@ class MujocoPlatform:
     ) -> None:
         model = self.model = loaded.model
         self._mujoco, self._robot, self._loaded = mujoco, robot, loaded
+        self.model_path = loaded.path
         self.period = period
         self.decimation = _decimation(period, float(model.opt.timestep), loaded.path)
-        base = find_base(mujoco, model, loaded.joints[0])
+        base = loaded.base
         names = JOINT_STATES + (() if base is None else BASE_STATES) + ("stamp_ns",)
         self.writes = tuple(name for name in names if name in states)
         self.reads = COMMAND_STATES
@@ -172,6 +169,19 @@ class MujocoPlatform:
 
     def close(self) -> None:
         """Let go; a simulation has no motors to damp."""
+
+    @contextmanager
+    def unlimited(self) -> Iterator[None]:
+        """Do without the limits of effort for a while, for the twin."""
+        limits = self.model.actuator_forcelimited, self.model.jnt_actfrclimited
+        before = [limit.copy() for limit in limits]
+        try:
+            for limit in limits:
+                limit[:] = 0
+            yield
+        finally:
+            for limit, was in zip(limits, before):
+                limit[:] = was
 
     def viewer(self, rate: float = 60.0) -> Viewer:
         """Return a block that shows the (first) robot in a window, at most `rate` times a second.

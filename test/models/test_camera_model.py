@@ -15,9 +15,10 @@ pytest.importorskip("mujoco")
 
 import mujoco
 
-from unicon_core.models.kinematic_tree import frame_of, rotate
+from unicon_core.models.camera import intrinsics, optical_frame
+from unicon_core.models.kinematic_tree import frame_of
+from unicon_core.models.quaternions import rotate
 from unicon_core.robots import Robot, load_robot
-from unicon_ros.bridge.camera_model import intrinsics, optical_frame
 
 HERE = Path(__file__).resolve().parent
 BALL = (2.0, 0.3, 0.55)
