@@ -7,7 +7,7 @@ import numpy as np
 from unicon_core.blocks.pose import Pose
 from unicon_core.check.result import CheckResult
 from unicon_core.check.subject import Subject
-from unicon_core.policies import OnnxPolicy
+from unicon_core.policies import Policy
 
 __all__ = ["check_start"]
 
@@ -17,8 +17,8 @@ STEP = 0.3
 
 def check_start(subject: Subject, result: CheckResult) -> None:
     """A policy that takes over a robot which lies."""
-    first = next((b.tick for b in subject.blocks if isinstance(b.tick, (Pose, OnnxPolicy))), None)
-    if not isinstance(first, OnnxPolicy):
+    first = next((b.tick for b in subject.blocks if isinstance(b.tick, (Pose, Policy))), None)
+    if not isinstance(first, Policy):
         return
     robot, contract = subject.robot, first.contract
     own = [robot.joint_names.index(name) for name in contract.joints]

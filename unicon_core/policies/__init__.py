@@ -10,8 +10,8 @@ from unicon_core.policies.contract import (
 )
 from unicon_core.policies.load import ImportReport, import_policy, load_policy, policy_names
 from unicon_core.policies.observation import Observation, TermSlice, term_slices
-from unicon_core.policies.onnx_block import OnnxPolicy
 from unicon_core.policies.phase import GaitPhase
+from unicon_core.policies.policy import Policy
 from unicon_core.policies.policy_states import policy_states
 from unicon_core.policies.policy_yaml import load_policy_yaml, write_policy_yaml
 from unicon_core.policies.table import (
@@ -28,8 +28,8 @@ __all__ = [
     "Observation",
     "ObservationSpec",
     "ObservationTerm",
-    "OnnxPolicy",
     "PhaseSpec",
+    "Policy",
     "PolicyContract",
     "Recurrent",
     "TermSlice",

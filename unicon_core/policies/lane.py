@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 
 from unicon_core.errors import PolicyError
 from unicon_core.policies.contract import ObservationSpec, ObservationTerm, PolicyContract
-from unicon_core.policies.network import Network, Remembering
+from unicon_core.policies.networks import Network, Remembering, Tensor
 from unicon_core.policies.observation import Observation, PackedStates
-from unicon_core.policies.onnx_file import OnnxTensor
 
 __all__ = ["Lane", "build_lane"]
 
@@ -248,7 +247,7 @@ def _bind(
     feeds: dict[str, NDArray[Any]],
     fetches: dict[str, NDArray[Any]],
     rows: int,
-    tensors: dict[str, OnnxTensor],
+    tensors: dict[str, Tensor],
 ) -> list[Callable[[], None]]:
     """One call for all rows where every first axis is free, else one for each row."""
     flat = {name for name, t in tensors.items() if len(t.shape) == 1}
@@ -286,7 +285,7 @@ def _bind_outputs(
     contract: PolicyContract,
     states: PackedStates,
     rows: int,
-    tensors: dict[str, OnnxTensor],
+    tensors: dict[str, Tensor],
     fetches: dict[str, NDArray[Any]],
     published: list[Published],
 ) -> NDArray[np.float32]:
@@ -323,7 +322,7 @@ def _bind_outputs(
     return action
 
 
-def _tensor(label: str, what: str, name: str, tensors: dict[str, OnnxTensor]) -> OnnxTensor:
+def _tensor(label: str, what: str, name: str, tensors: dict[str, Tensor]) -> Tensor:
     if name not in tensors:
         listed = ", ".join(str(tensor) for tensor in tensors.values())
         raise PolicyError(f"{label}: the network has no {what} {name!r}; it has {listed}")
@@ -340,7 +339,7 @@ def _rows(view: NDArray[Any], rows: int, size: int, name: str, label: str) -> ND
 
 
 def _check_size(
-    label: str, contract: PolicyContract, observation: Observation, tensor: OnnxTensor
+    label: str, contract: PolicyContract, observation: Observation, tensor: Tensor
 ) -> None:
     size = tensor.shape[-1] if tensor.shape else 1
     if tensor.dtype != "float32":

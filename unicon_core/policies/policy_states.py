@@ -7,8 +7,8 @@ from math import prod
 
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.load import NamedJoints
+from unicon_core.policies.networks.onnx_file import read_onnx
 from unicon_core.policies.observation import Observation
-from unicon_core.policies.onnx_file import read_onnx
 from unicon_core.states import States, StateSpec, standard_states
 
 __all__ = ["policy_states"]

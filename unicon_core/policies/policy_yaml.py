@@ -17,7 +17,7 @@ from unicon_core.errors import PolicyError
 from unicon_core.policies.build import SCHEMA, build_contract
 from unicon_core.policies.contract import ObservationTerm, PolicyContract
 from unicon_core.policies.facts import Facts
-from unicon_core.policies.onnx_file import read_onnx
+from unicon_core.policies.networks.onnx_file import read_onnx
 from unicon_core.policies.tolerant_yaml import read_yaml
 
 __all__ = [

@@ -9,8 +9,8 @@ from typing import Any
 
 from unicon_core.errors import PolicyError, WorkflowError, alternatives
 from unicon_core.flow import Block
-from unicon_core.policies import OnnxPolicy, PolicyContract, load_policy, policy_states
-from unicon_core.policies.joint_command import lacking_joints
+from unicon_core.policies import Policy, PolicyContract, load_policy, policy_states
+from unicon_core.policies.action_map import lacking_joints
 from unicon_core.robots import Robot
 from unicon_core.states import StateSpec
 from unicon_core.workflow.autowire import BuildContext
@@ -89,7 +89,7 @@ def policies_reading(
 ) -> dict[str, PolicyContract]:
     """Return the policies that run in one of the blocks and read a state, by name."""
     ticks = [block.tick for block in blocks if state in block.reads]
-    used = [tick.contract for tick in ticks if isinstance(tick, OnnxPolicy)]
+    used = [tick.contract for tick in ticks if isinstance(tick, Policy)]
     return {name: contract for name, contract in policies.items() if contract in used}
 
 
@@ -122,7 +122,7 @@ def policy_factory(use: BlockUse, policies: Mapping[str, Any]) -> Callable[..., 
     contract, prefix = policies[name], _prefix(name, policies)
 
     def policy(context: BuildContext, use: str = "") -> Any:
-        return OnnxPolicy(contract, context.states, context.robot, prefix=prefix)
+        return Policy(contract, context.states, context.robot, prefix=prefix)
 
     # Annotations are text here; the autowiring evaluates them in this module.
     return policy

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.policies import Observation, OnnxPolicy, PolicyContract, policy_states
+from unicon_core.policies import Observation, Policy, PolicyContract, policy_states
 from unicon_core.robots import Robot, load_robot
 from unicon_core.runtime import DryRun, Pacing, WallClock, prepare_process
 from unicon_core.states import States, standard_states
@@ -181,7 +181,7 @@ def _usual_loop(robot: Robot, contract: PolicyContract) -> Callable[[int], NDArr
 
 
 def _unicon_loop(robot: Robot, contract: PolicyContract) -> Callable[[int], NDArray[np.float64]]:
-    policy = OnnxPolicy(contract, _states(contract, robot), robot)
+    policy = Policy(contract, _states(contract, robot), robot)
 
     def loop(ticks: int) -> NDArray[np.float64]:
         times = np.zeros(ticks)

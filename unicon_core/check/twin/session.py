@@ -16,7 +16,7 @@ from unicon_core.check.model_facts import joint_depths, joint_ids
 from unicon_core.check.twin.measures import Measures, Recorder
 from unicon_core.errors import Fault, UniconError
 from unicon_core.flow import Block
-from unicon_core.policies import OnnxPolicy, PolicyContract
+from unicon_core.policies import Policy, PolicyContract
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import Workflow
 from unicon_core.workflow.document import WorkflowDocument
@@ -38,7 +38,7 @@ def _reads_command(contract: PolicyContract) -> bool:
 class _Counted:
     """The tick of a policy block, with the number of its calls."""
 
-    def __init__(self, policy: OnnxPolicy) -> None:
+    def __init__(self, policy: Policy) -> None:
         self.policy, self.calls = policy, 0
 
     def __call__(self) -> None:
@@ -69,7 +69,7 @@ class TwinSession:
         self._uses = [
             (keys[id(block.tick.contract)], block, block.tick)
             for block in self.workflow.blocks
-            if isinstance(block.tick, OnnxPolicy)
+            if isinstance(block.tick, Policy)
         ]
         info = self.workflow.platform.info()
         self._effort = np.array(list(info["effort_upper"].values()))
@@ -174,7 +174,7 @@ class TwinSession:
         for used, block, policy in self._uses:
             running = policy
             if contract is not None and used == key:
-                running = OnnxPolicy(
+                running = Policy(
                     contract,
                     workflow.states,
                     workflow.robot,

@@ -1,4 +1,4 @@
-"""From a network's action to targets of all joints, aligned by name, for policy blocks."""
+"""ActionMap: from the action of a network to targets of all joints, aligned by name."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from unicon_core.errors import PolicyError, alternatives
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.robots import Robot
 
-__all__ = ["JointCommand", "lacking_joints"]
+__all__ = ["ActionMap", "lacking_joints"]
 
 Floats = NDArray[np.float32]
 
@@ -35,7 +35,7 @@ def lacking_joints(contract: PolicyContract, robot: Robot) -> str:
     )
 
 
-class JointCommand:
+class ActionMap:
     """`joint_pos_target = offset + scale · clip(action)`; other joints are held at default.
 
     Args:
@@ -46,7 +46,6 @@ class JointCommand:
     Attributes:
         stiffness: gain of every joint in the robot's order in [N·m/rad], shape (n,).
         damping: likewise in [N·m·s/rad].
-        covered: which joints the network moves, shape (n,), bool.
 
     Raises:
         PolicyError: a joint the robot has not, or a held joint whose pose or gains are unknown.
@@ -61,8 +60,6 @@ class JointCommand:
         robot_from_policy = np.array([place[name] for name in contract.joints], dtype=np.intp)
         robot_from_action = np.array([place[name] for name in action.joints], dtype=np.intp)
         n, m = robot.num_joints, len(action.joints)
-        self.covered = np.zeros(n, bool)
-        self.covered[robot_from_action] = True
         offset = robot.default_joint_pos.astype(np.float32)
         offset[robot_from_policy] = contract.default_joint_pos
         offset[robot_from_action] = action.offset
