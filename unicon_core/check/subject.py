@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from unicon_core.flow import Block, blocks_of
-from unicon_core.policies import Policy, PolicyContract
+from unicon_core.policies import PolicyContract
+from unicon_core.policies.controller import controller_contract
 from unicon_core.policies.observation import PackedStates
 from unicon_core.policies.prefixed import PrefixedStates
 from unicon_core.robots import Robot
@@ -70,8 +71,7 @@ class Subject:
     @cached_property
     def policies(self) -> dict[str, PolicyContract]:
         """Key under `policies:` to contract, those that the flow uses."""
-        ticks = [block.tick for block in self.workflow.blocks]
-        used = [tick.contract for tick in ticks if isinstance(tick, Policy)]
+        used = [controller_contract(block) for block in self.workflow.blocks]
         named = self.workflow.policies.items()
         return {key: contract for key, contract in named if contract in used}
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from unicon_core.errors import PolicyError, alternatives
 from unicon_core.policies.contract import PolicyContract
+from unicon_core.policies.controller import ControllerContract
 from unicon_core.robots import Robot
 
 __all__ = ["ActionMap", "lacking_joints"]
@@ -16,11 +17,11 @@ __all__ = ["ActionMap", "lacking_joints"]
 Floats = NDArray[np.float32]
 
 
-def lacking_joints(contract: PolicyContract, robot: Robot) -> str:
+def lacking_joints(contract: ControllerContract, robot: Robot) -> str:
     """Return a message that names the joints of a policy that a robot has not, "" if it has all.
 
     Args:
-        contract: the policy.
+        contract: of the policy, or of another controller.
         robot: the robot that is to move.
     """
     lacking = [name for name in contract.joints if name not in robot.joint_names]
@@ -30,7 +31,7 @@ def lacking_joints(contract: PolicyContract, robot: Robot) -> str:
         name = lacking[0]
         return f"robot {robot.name} has no joint {name!r}; {alternatives(name, robot.joint_names)}"
     return (
-        f"robot {robot.name} lacks {len(lacking)} of the policy's {len(contract.joints)} joints: "
+        f"robot {robot.name} lacks {len(lacking)} of the {len(contract.joints)} joints needed: "
         f"{', '.join(lacking)}; choose a robot that has them, or a policy made for {robot.name}"
     )
 

@@ -27,6 +27,8 @@ from unicon_core.flow.checks import check_graph, raise_first
 from unicon_core.flow.critical_path import critical_path
 from unicon_core.flow.fuse import fuse
 from unicon_core.platforms.platform import Platform
+from unicon_core.policies.action_map import lacking_joints
+from unicon_core.policies.controller import controller_contract
 from unicon_core.robots import Robot, load_robot, robot_names
 from unicon_core.signals import SIGNALS
 from unicon_core.states import Layout, States, StateSpec, standard_states
@@ -47,11 +49,10 @@ from unicon_core.workflow.flow_yaml import BlockUse, FlowReader
 from unicon_core.workflow.gate import Gate
 from unicon_core.workflow.platforms import build_platform
 from unicon_core.workflow.policies import (
+    controllers_reading,
     declared_states,
     load_policies,
-    policies_reading,
     policy_factory,
-    used_policy,
 )
 from unicon_core.workflow.registry import Factory, find_factory
 from unicon_core.workflow.rehearsal import Rehearsal
@@ -243,7 +244,7 @@ def _assemble(workflow: Workflow, inputs: Sequence[Hook], observers: Sequence[Ho
     if early or reads_command([flow, *safety]):
         states, readers = (
             workflow.states,
-            policies_reading(COMMAND, workflow.blocks, workflow.policies),
+            controllers_reading(COMMAND, workflow.blocks, workflow.policies),
         )
         workflow.command_bounds = command_bounds(readers, workflow.robot)
 
@@ -419,7 +420,7 @@ def _reader(workflow: Workflow, rehearsal: Rehearsal) -> FlowReader:
         block = build(context)
         rehearsal.add(block, factory, build)
         workflow.blocks.append(block)
-        return _at_its_period(block, workflow, use) if is_policy else block
+        return _at_its_period(block, workflow)
 
     def make_expression(text: str, where: str) -> Block:
         return expression(text, workflow.states, where)
@@ -432,16 +433,20 @@ def _reader(workflow: Workflow, rehearsal: Rehearsal) -> FlowReader:
     return FlowReader(document, make_block, make_expression, make_switch)
 
 
-def _at_its_period(block: Block, workflow: Workflow, use: BlockUse) -> Node:
-    """Run a policy every n-th tick where the workflow ticks faster than it was trained for."""
-    contract = workflow.policies[used_policy(use, workflow.policies)]
+def _at_its_period(block: Block, workflow: Workflow) -> Node:
+    """Run a controller every n-th tick where the workflow ticks faster than it is made for."""
+    contract = controller_contract(block)
+    if contract is None:
+        return block
+    if lacking := lacking_joints(contract, workflow.robot):
+        raise WorkflowError(f"block {block.name!r}: {lacking}", block.where)
     ticks = contract.period / workflow.period
     n = round(ticks)
     if n < 1 or abs(ticks - n) > 1e-6 * n:
         rate, wanted = 1.0 / workflow.period, 1.0 / contract.period
         raise WorkflowError(
-            f"policy {contract.name!r} was trained for {wanted:g} Hz, which does not divide the "
-            f"workflow's rate of {rate:g} Hz; set rate: {wanted:g} or a multiple",
-            use.where,
+            f"block {block.name!r}: {contract.name} is made for {wanted:g} Hz, which does not "
+            f"divide the workflow's rate of {rate:g} Hz; set rate: {wanted:g} or a multiple",
+            block.where,
         )
-    return Every(n, block, where=use.where) if n > 1 else block
+    return Every(n, block, where=block.where) if n > 1 else block
