@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from unicon_core.aligned import aligned
 from unicon_core.errors import PolicyError
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.load import NamedJoints, load_policy, policy_names
@@ -36,7 +37,7 @@ def policies_table() -> str:
                 " ".join(term.name for term in contract.terms),
             ]
         )
-    return _table(rows) if len(rows) > 1 else "no policies in config/policies"
+    return "\n".join(aligned(rows)) if len(rows) > 1 else "no policies in config/policies"
 
 
 def policy_table(contract: PolicyContract, robot: NamedJoints | None = None) -> str:
@@ -112,7 +113,7 @@ def joint_table(contract: PolicyContract, robot: NamedJoints | None = None) -> s
         for name in place
         if name not in contract.joints
     ]
-    return _table(rows)
+    return "\n".join(aligned(rows))
 
 
 def observation_table(
@@ -161,7 +162,8 @@ def observation_table(
         )
     layout = contract.observation
     order = f"{layout.layout}, newest {layout.newest}" if _has_history(slices) else "no history"
-    return f"{_table(rows)}\n{start} values, {order}; term = scale · clip(state − subtract)"
+    tail = f"{start} values, {order}; term = scale · clip(state − subtract)"
+    return "\n".join([*aligned(rows), tail])
 
 
 class _Joints:
@@ -193,12 +195,3 @@ def _range(low: float, high: float) -> str:
 
 def _pairs(items: Iterable[tuple[str, str]]) -> str:
     return ", ".join(f"{a} → {b}" for a, b in items) or "-"
-
-
-def _table(rows: list[list[str]]) -> str:
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    lines = [
-        "  ".join(cell.ljust(width) for cell, width in zip(row, widths)).rstrip() for row in rows
-    ]
-    lines.insert(1, "  ".join("─" * width for width in widths))
-    return "\n".join(lines)
