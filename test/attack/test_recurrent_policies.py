@@ -68,7 +68,9 @@ class Calls:
 
 def policy_of(folder: Path, **options: Any) -> tuple[Policy, States]:
     contract, machine = load_policy(folder), load_robot("go2")
-    states = States(standard_states(machine.joint_names) | policy_states(contract, machine))
+    states = States(
+        standard_states(machine.joint_names) | policy_states(contract, machine.joint_names)
+    )
     return Policy(contract, states, machine, **options), states
 
 

@@ -70,7 +70,7 @@ def test_what_is_only_read_is_not_taken_for_memory(folder: Path) -> None:
 @pytest.mark.parametrize("folder", ["Lstm"], indirect=True)
 def test_a_module_that_remembers_drives_one_robot(folder: Path) -> None:
     contract, machine = load_policy(folder), load_robot("go2")
-    specs = standard_states(machine.joint_names) | policy_states(contract, machine)
+    specs = standard_states(machine.joint_names) | policy_states(contract, machine.joint_names)
     with pytest.raises(PolicyError, match=r"recurrent \(cell_state, hidden_state\) and can drive"):
         Policy(contract, States(specs, 3), machine)
 

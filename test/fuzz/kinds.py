@@ -143,7 +143,7 @@ def loaded(path: Path, **options: Any) -> object:
     go2 = load_robot("go2")
     contract = load_policy(path, robot=go2, **options)
     policy_table(contract, go2)
-    specs = standard_states(go2.joint_names) | policy_states(contract, go2, {})
+    specs = standard_states(go2.joint_names) | policy_states(contract, go2.joint_names, {})
     return Policy(contract, States(Layout(specs)), go2)
 
 

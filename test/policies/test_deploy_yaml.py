@@ -82,7 +82,7 @@ def test_commands_reach_the_motors_by_name(tmp_path: Path) -> None:
     pytest.importorskip("onnxruntime")
     toy = robot(MOTORS)
     contract = load_policy(write(tmp_path), robot=toy)
-    states = States({**standard_states(MOTORS), **policy_states(contract, toy)})
+    states = States({**standard_states(MOTORS), **policy_states(contract, toy.joint_names)})
     policy = Policy(contract, states, toy)
     policy()
     assert states.joint_stiffness.tolist() == [100.0, 101.0, 102.0, 103.0]  # as in the file

@@ -119,7 +119,7 @@ def test_the_policy_block_runs_its_own_clock(tmp_path: Path) -> None:
     terms[0] = {"name": "sin", "state": "gait_phase_sin"}
     terms.append({"name": "cos", "state": "gait_phase_cos"})
     contract = load_policy(write_toy(tmp_path, values))
-    states = States({**standard_states(JOINTS), **policy_states(contract, robot())})
+    states = States({**standard_states(JOINTS), **policy_states(contract, robot().joint_names)})
     policy = Policy(contract, states, robot())
     states.velocity_command = [1.0, 0.0, 0.0]
     policy()

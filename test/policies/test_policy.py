@@ -28,7 +28,7 @@ def states_of(
     extra: dict[str, StateSpec] | None = None,
 ) -> States:
     specs = {**standard_states(machine.joint_names), **(extra or {})}
-    return States({**specs, **policy_states(contract, machine, extra)}, num_robots)
+    return States({**specs, **policy_states(contract, machine.joint_names, extra)}, num_robots)
 
 
 def fill(states: States, seed: int = 0) -> None:
@@ -284,7 +284,7 @@ def test_a_joint_that_the_robot_has_not_is_named(tmp_path: Path) -> None:
 def test_undeclared_or_wrong_policy_states_are_told(tmp_path: Path) -> None:
     contract = load_policy(write_toy(tmp_path))
     machine = robot()
-    specs = {**standard_states(JOINTS), **policy_states(contract, machine)}
+    specs = {**standard_states(JOINTS), **policy_states(contract, machine.joint_names)}
     specs["observation"] = StateSpec((14,))
     with pytest.raises(PolicyError) as caught:
         Policy(contract, States(specs), machine)
@@ -470,8 +470,8 @@ def test_two_policies_in_one_set_of_states_keep_to_their_prefix(tmp_path: Path) 
     machine = robot()
     specs = {
         **standard_states(JOINTS),
-        **policy_states(walk, machine, prefix="walk_"),
-        **policy_states(stand, machine, prefix="stand_"),
+        **policy_states(walk, machine.joint_names, prefix="walk_"),
+        **policy_states(stand, machine.joint_names, prefix="stand_"),
     }
     states = States(specs)
     one = Policy(walk, states, machine, prefix="walk_")

@@ -53,7 +53,7 @@ def folder(tmp_path: Path) -> Path:
 
 def policy_of(folder: Path, num_robots: int | None) -> tuple[Policy, States]:
     contract, machine = load_policy(folder), robot()
-    specs = standard_states(machine.joint_names) | policy_states(contract, machine)
+    specs = standard_states(machine.joint_names) | policy_states(contract, machine.joint_names)
     states = States(specs, num_robots)
     return Policy(contract, states, machine), states
 

@@ -127,7 +127,9 @@ def walk(
     seconds: float = 10.0,
 ) -> tuple[float, float]:
     """Return the distance along x in [m] and the lowest upright component of gravity."""
-    states = States({**standard_states(robot.joint_names), **policy_states(contract, robot)})
+    states = States(
+        {**standard_states(robot.joint_names), **policy_states(contract, robot.joint_names)}
+    )
     policy = Policy(contract, states, robot)
     simulation = Simulation(model, robot, states, step)
     simulation.start(contract, robot, height)

@@ -12,8 +12,8 @@ from typing import Any
 from unicon_core.flow import Block, blocks_of
 from unicon_core.policies import PolicyContract
 from unicon_core.policies.controller import controller_contract
-from unicon_core.policies.observation import PackedStates
 from unicon_core.policies.prefixed import PrefixedStates
+from unicon_core.policies.terms import PackedStates
 from unicon_core.robots import Robot
 from unicon_core.workflow import Hook, Workflow
 from unicon_core.workflow.document import WorkflowDocument

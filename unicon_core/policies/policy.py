@@ -5,24 +5,21 @@ Observation → network → check → targets; a NaN or infinity is a Fault befo
 
 from __future__ import annotations
 
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from unicon_core.errors import Fault, PolicyError
 from unicon_core.policies.action_map import ActionMap
+from unicon_core.policies.bind import build_lane
 from unicon_core.policies.contract import PolicyContract
-from unicon_core.policies.lane import build_lane
 from unicon_core.policies.networks import Network, open_network
-from unicon_core.policies.observation import PackedStates
 from unicon_core.policies.phase import GaitPhase
 from unicon_core.policies.prefixed import PrefixedStates
+from unicon_core.policies.terms import PackedStates
 from unicon_core.robots import Robot
 
 __all__ = ["Policy"]
-
-_Published: TypeAlias = tuple[tuple[NDArray[Any], NDArray[Any]], ...]
 
 _TARGETS = ("joint_pos_target", "joint_stiffness", "joint_damping")
 

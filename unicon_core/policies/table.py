@@ -11,8 +11,8 @@ from unicon_core.aligned import aligned
 from unicon_core.errors import PolicyError
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.load import NamedJoints, load_policy, policy_names
-from unicon_core.policies.observation import PackedStates, TermSlice, term_slices
 from unicon_core.policies.policy_states import policy_states
+from unicon_core.policies.terms import PackedStates, TermSlice, term_slices
 from unicon_core.states import States, standard_states
 
 __all__ = ["joint_table", "observation_table", "policies_table", "policy_table"]
@@ -133,8 +133,7 @@ def observation_table(
     """
     joints: Sequence[str] = contract.joints if robot is None else robot.joint_names
     if states is None:
-        named = _Joints(contract.robot or "", tuple(joints)) if robot is None else robot
-        states = States({**standard_states(joints), **policy_states(contract, named)})
+        states = States({**standard_states(joints), **policy_states(contract, joints)})
     slices = term_slices(contract, states, joints)
     rows = [["term", "state", "slice", "subtract", "scale", "clip", "history", "unit"]]
     start = 0
@@ -164,12 +163,6 @@ def observation_table(
     order = f"{layout.layout}, newest {layout.newest}" if _has_history(slices) else "no history"
     tail = f"{start} values, {order}; term = scale · clip(state − subtract)"
     return "\n".join([*aligned(rows), tail])
-
-
-class _Joints:
-    def __init__(self, name: str, joint_names: tuple[str, ...]) -> None:
-        self.name = name
-        self.joint_names = joint_names
 
 
 def _has_history(slices: Sequence[TermSlice]) -> bool:

@@ -115,7 +115,7 @@ def declared_states(
         extra: the workflow's own states, which terms may read.
     """
     name = used_policy(use, policies)
-    return policy_states(policies[name], robot, extra, prefix=_prefix(name, policies))
+    return policy_states(policies[name], robot.joint_names, extra, prefix=_prefix(name, policies))
 
 
 def _prefix(name: str, policies: Mapping[str, Any]) -> str:

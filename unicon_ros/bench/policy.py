@@ -50,7 +50,9 @@ def run(rounds: int | None = None) -> Bench:
 
 
 def _states(contract: PolicyContract, robot: Robot) -> States:
-    states = States({**standard_states(robot.joint_names), **policy_states(contract, robot)})
+    states = States(
+        {**standard_states(robot.joint_names), **policy_states(contract, robot.joint_names)}
+    )
     random = np.random.default_rng(0)
     for name in ("joint_pos", "joint_vel", "base_ang_vel", "velocity_command"):
         states[name][...] = random.normal(size=states[name].shape)
