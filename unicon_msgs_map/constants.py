@@ -6,7 +6,8 @@ import math
 import re
 from collections.abc import Mapping
 
-from unicon_msgs_map.errors import MapStateError, alternatives
+from unicon_core.errors import alternatives
+from unicon_msgs_map.errors import MapStateError
 from unicon_msgs_map.messages import Array, Primitive, String, Struct, TypeRef
 from unicon_msgs_map.spec import FieldSpec
 from unicon_msgs_map.template import Leaf

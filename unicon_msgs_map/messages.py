@@ -13,7 +13,8 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from unicon_msgs_map.errors import MapDependencyError, MessageTypeError, alternatives
+from unicon_core.errors import alternatives
+from unicon_msgs_map.errors import MapDependencyError, MessageTypeError
 
 __all__ = [
     "DEFAULT_DISTRO",
@@ -265,7 +266,7 @@ class Messages:
             same = [n for n in self.store.fielddefs if n.startswith(package + "/")]
             raise MessageTypeError(
                 f"message type {full!r} is unknown; "
-                f"{alternatives(full, same or self.store.fielddefs)}; "
+                f"{alternatives(full, same or self.store.fielddefs, limit=12)}; "
                 "or name its .msg file under 'messages'"
             )
         constants, fielddefs = self.store.fielddefs[full]

@@ -210,7 +210,7 @@ def test_joint_pos_is_absolute_and_joint_pos_rel_relative(tmp_path: Path) -> Non
         (
             "step_dt: 0.02",
             "step_dt: 0.02\nstep_dt: 0.01",
-            ":3: key 'step_dt' stands twice: 0.02 (line 2) and 0.01; remove one",
+            ":3: not valid YAML: key 'step_dt' stands twice, first in line 2; remove one",
         ),
     ],
 )

@@ -24,7 +24,7 @@ from unicon_core.flow import Block
 from unicon_core.resources import find_config
 from unicon_core.runtime import Runner
 from unicon_core.workflow import Workflow
-from unicon_msgs_map import Decoder, Encoder, MapError, MapStateError, MessageMap, load_map
+from unicon_msgs_map import Decoder, Encoder, MapStateError, load_map
 from unicon_msgs_map.spec import PublishSpec, SubscribeSpec
 from unicon_ros import compat
 from unicon_ros.bridge.bindings import (
@@ -85,7 +85,7 @@ class RosSession:
         estop: EmergencyStop | None = None,
     ) -> None:
         compat.import_rclpy()
-        self.map = _read_map(map)
+        self.map = load_map(find_config("maps", map or "default"))
         self.frame_prefix = checked_prefix(frame_prefix)
         self.warn = warn
         self._own = OwnNode(node_name, namespace, ros_args) if node is None else None
@@ -280,10 +280,8 @@ class RosSession:
             return build()
         except MapStateError as error:
             if not spec.optional:
-                raise UniconError(str(error)) from error
+                raise
             self._skip(spec, str(error))
-        except MapError as error:
-            raise UniconError(str(error)) from error
         return None
 
     def _skip(self, spec: PublishSpec | SubscribeSpec, reason: str) -> None:
@@ -316,11 +314,3 @@ def _warm_up(incoming: list[TopicIn], outgoing: list[TopicOut]) -> Callable[[], 
                 out.rehearse()
 
     return warm_up
-
-
-def _read_map(name: str | Path | None) -> MessageMap:
-    path = find_config("maps", name or "default")
-    try:
-        return load_map(path)
-    except MapError as error:
-        raise UniconError(str(error)) from error
