@@ -110,7 +110,7 @@ class RandomType:
             part.register(messages)
         full = f"twin_msgs/msg/{self.name}"
         if full not in messages.store.fielddefs:
-            messages.register_text(full, self.text)
+            messages.register({full: self.text})
         return full
 
 

@@ -448,7 +448,7 @@ def test_every_mistake_of_a_subscribe_entry(
 
 def test_several_names_need_a_choice() -> None:
     store = type(JAZZY)("jazzy")
-    store.register_text("own_msgs/msg/Two", "string[] a\nstring[] b\nfloat64[] x\n")
+    store.register({"own_msgs/msg/Two": "string[] a\nstring[] b\nfloat64[] x\n"})
     given = {"names": NAMES}
     mapping: dict[str, object] = {"a": "$names", "b": "$names", "x": "six"}
     with pytest.raises(MapStateError) as caught:

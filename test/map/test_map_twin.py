@@ -229,7 +229,7 @@ def test_fast_and_careful_path_write_the_same(data: st.DataObject, little: bool)
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 3.4028235677973366e38, 1e300])
 def test_floats_that_are_not_plain_numbers_encode_like_rosbags(value: float) -> None:
     text = "float64 a\nfloat32[3] b\nfloat64[] c\nfloat32[] d\n"
-    TWIN.register_text("twin_msgs/msg/Floats", text)
+    TWIN.register({"twin_msgs/msg/Floats": text})
     arrays = {"a": np.array(value), "b": np.full(3, value, np.float64)}
     arrays |= {"c": np.full(20, value), "d": np.full(20, value)}
     spec = publish("twin_msgs/msg/Floats", {k: k for k in "abcd"}, TWIN)

@@ -103,7 +103,6 @@ class RosSession:
         self._group = compat.polled_group()
         self._others: list[Callable[[], None]] = []
         self._timer: Any = None
-        self._runner: Runner | None = None
         self._stamp: WallStamp | None = None
         self._closed = False
         self._started_ns = time.perf_counter_ns()
@@ -197,7 +196,7 @@ class RosSession:
 
     def attach(self, runner: Runner) -> None:
         """Let services act on this runner, and its deadlines bound what they may take."""
-        self._runner = self.controls.runner = self.slack.runner = runner
+        self.controls.runner = self.slack.runner = runner
         calm_middleware_threads()
         if self._timer is None and any(topic.events.declared for topic in self._topics()):
             from rclpy.clock import Clock, ClockType
