@@ -12,8 +12,15 @@ import numpy as np
 from hypothesis import strategies as st
 
 from unicon_msgs_map import Messages, PublishSpec, SubscribeSpec
-from unicon_msgs_map.messages import Array, Primitive, String, Struct, TypeRef, shared_messages
-from unicon_msgs_map.paths import parse_path, parse_reference
+from unicon_msgs_map.layout.messages import (
+    Array,
+    Primitive,
+    String,
+    Struct,
+    TypeRef,
+    shared_messages,
+)
+from unicon_msgs_map.layout.paths import parse_path, parse_reference
 from unicon_msgs_map.spec import FieldSpec
 
 MAPS = Path(__file__).resolve().parents[2] / "config" / "maps"

@@ -12,7 +12,7 @@ import pytest
 
 import unicon_msgs_map
 from unicon_msgs_map import Messages, MessageTypeError, message_definition
-from unicon_msgs_map.messages import Array, Primitive, String, Struct
+from unicon_msgs_map.layout.messages import Array, Primitive, String, Struct
 
 
 def test_exported_names_exist_and_are_sorted() -> None:
@@ -108,7 +108,7 @@ def test_shipped_definitions_are_found_as_package_data(package: str) -> None:
     ],
 )
 def test_shipped_layouts_have_their_sizes(name: str, size: int) -> None:
-    from unicon_msgs_map.walker import static_size
+    from unicon_msgs_map.layout.walker import static_size
 
     messages = Messages()
     assert static_size(messages.struct(name), 0) == size

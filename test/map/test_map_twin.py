@@ -22,8 +22,8 @@ from map_helpers import (
 )
 
 from unicon_msgs_map import Decoder, Encoder
-from unicon_msgs_map.apply import apply
-from unicon_msgs_map.messages import Array, Primitive, Struct
+from unicon_msgs_map.codec.careful import apply
+from unicon_msgs_map.layout.messages import Array, Primitive, Struct
 
 quick = settings(
     max_examples=60,

@@ -13,13 +13,13 @@ from typing import Any
 
 from unicon_core.errors import alternatives
 from unicon_core.located_yaml import parse_yaml, read_text
-from unicon_msgs_map.check import check_publish, check_subscribe
 from unicon_msgs_map.errors import MapError, MapFileError
-from unicon_msgs_map.messages import Messages, full_name
-from unicon_msgs_map.paths import PathError, Reference, parse_path, parse_reference
-from unicon_msgs_map.source import Entry
+from unicon_msgs_map.layout.check import check_publish, check_subscribe
+from unicon_msgs_map.layout.messages import Messages, full_name
+from unicon_msgs_map.layout.paths import PathError, Reference, parse_path, parse_reference
+from unicon_msgs_map.layout.units import PER_SI
+from unicon_msgs_map.mapfile.entry import Entry
 from unicon_msgs_map.spec import FieldSpec, MessageMap, PublishSpec, Qos, SubscribeSpec
-from unicon_msgs_map.units import PER_SI
 
 __all__ = ["load_map", "parse_map"]
 

@@ -19,9 +19,9 @@ from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 
 from unicon_core.generated import define
-from unicon_msgs_map.binding import Bound
-from unicon_msgs_map.messages import Primitive
-from unicon_msgs_map.template import Slot, Template
+from unicon_msgs_map.codec.binding import Bound
+from unicon_msgs_map.layout.messages import Primitive
+from unicon_msgs_map.layout.template import Slot, Template
 
 __all__ = ["generate"]
 

@@ -8,8 +8,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
 
-from unicon_msgs_map.apply import Run
-from unicon_msgs_map.binding import AnyArray
+from unicon_msgs_map.codec.binding import AnyArray
+from unicon_msgs_map.codec.careful import Run
 
 __all__ = ["Grid", "address", "fuse", "grid_of", "line", "plain", "step"]
 

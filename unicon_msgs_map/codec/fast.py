@@ -22,11 +22,11 @@ import numpy as np
 from numpy.lib.stride_tricks import as_strided
 
 from unicon_core.generated import define
-from unicon_msgs_map.apply import DOUBLE_MAX, SINGLE_MAX, UNIT, Run, limits, state_of
-from unicon_msgs_map.binding import AnyArray
-from unicon_msgs_map.magnitudes import high_byte, largest_of, ordinary_bytes, spans
-from unicon_msgs_map.messages import Primitive
-from unicon_msgs_map.strides import Grid, address, fuse, grid_of, line, plain, step
+from unicon_msgs_map.codec.binding import AnyArray
+from unicon_msgs_map.codec.careful import DOUBLE_MAX, SINGLE_MAX, UNIT, Run, limits, state_of
+from unicon_msgs_map.codec.magnitudes import high_byte, largest_of, ordinary_bytes, spans
+from unicon_msgs_map.codec.strides import Grid, address, fuse, grid_of, line, plain, step
+from unicon_msgs_map.layout.messages import Primitive
 
 __all__ = ["compile_fast", "merge"]
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from unicon_msgs_map.binding import (
+from unicon_msgs_map.codec.binding import (
     Arrays,
     Bound,
     Names,
@@ -20,11 +20,11 @@ from unicon_msgs_map.binding import (
     bind_variable,
     quaternions,
 )
-from unicon_msgs_map.checksum import unitree_crc
-from unicon_msgs_map.constants import constant, owner_constants
-from unicon_msgs_map.emit import generate
+from unicon_msgs_map.codec.checksum import unitree_crc
+from unicon_msgs_map.codec.constants import constant, owner_constants
+from unicon_msgs_map.codec.emit import generate
 from unicon_msgs_map.errors import MapStateError, count_of
-from unicon_msgs_map.messages import (
+from unicon_msgs_map.layout.messages import (
     QUATERNION,
     Array,
     Primitive,
@@ -32,8 +32,7 @@ from unicon_msgs_map.messages import (
     Struct,
     TypeRef,
 )
-from unicon_msgs_map.spec import FieldSpec, PublishSpec
-from unicon_msgs_map.template import (
+from unicon_msgs_map.layout.template import (
     Leaf,
     Node,
     Place,
@@ -43,6 +42,7 @@ from unicon_msgs_map.template import (
     numeric_leaves,
     place,
 )
+from unicon_msgs_map.spec import FieldSpec, PublishSpec
 
 __all__ = ["Encoder"]
 
