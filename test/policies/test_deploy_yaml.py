@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from policy_helpers import robot, write_linear
-from twin_observation import ConcatenateObservation
+from reference_observation import ConcatenateObservation
 
 from unicon_core.errors import PolicyError
 from unicon_core.policies import OnnxPolicy, load_policy, policy_states

@@ -113,3 +113,15 @@ def test_the_start_up_is_told_where_it_is_known(tmp_path: Path) -> None:
         assert report.startup_s > 0.0
         assert f"start-up      {report.startup_s:.2f} s to the first tick" in report.summary()
     assert "start-up" not in Report("w", "r", "p").summary()
+
+
+def test_times_are_told_to_the_clocks_nanoseconds() -> None:
+    found = percentiles(np.array([1.001, 2.003, 46015.1856004]))
+    assert found == {"p50": 2.003, "p99": 45094.922, "max": 46015.186}
+
+
+def test_the_table_has_no_digits_that_mean_nothing() -> None:
+    kept = statistics(
+        (10_000, 200_000, 10_000, 123_400, 0), (400_000, 600_000, 410_000, 533_400, 0)
+    )
+    assert kept.table(1000.0).splitlines()[-1].split() == ["tick", "113", "123", "123", "11.3%"]
