@@ -133,7 +133,7 @@ class UniconNode(LifecycleNode):
     def _damp_now(self) -> bool:
         """Close the workflow that is open, if it is not running: a run closes itself."""
         runner = self.runner
-        return runner is not None and not self._running and runner.workflow.damp_now()
+        return runner is not None and not self._running and runner.program.damp_now()
 
     def _run(self) -> None:
         """Tick until something ends the run, then let the lifecycle follow."""
@@ -150,8 +150,8 @@ class UniconNode(LifecycleNode):
         self.diagnostics.fault = ""
         self.diagnostics.runner = runner
         self.log.info(
-            f"running {runner.workflow.name} on {runner.workflow.robot.name} "
-            f"({runner.workflow.platform.facts.name}) at {1.0 / runner.workflow.period:g} Hz"
+            f"running {runner.program.name} on {runner.program.robot.name} "
+            f"({runner.program.platform.facts.name}) at {1.0 / runner.program.period:g} Hz"
         )
         try:
             report = runner.run()
@@ -262,25 +262,20 @@ class UniconNode(LifecycleNode):
             executor=self._executor,
             estop=self.estop,
         )
-        observers: list[Hook] = [session.observers]
+        hooks: list[Hook] = [session.hook, self.tuning.hook]
         if settings.record:
             from unicon_ros.recorder import Recording
 
             patient = settings.speed == "max"
             recording = Recording(settings.record, map_name, session, warn, patient)
-            observers.append(recording.hook)
-        workflow = load_workflow(
-            settings.workflow,
-            settings.overrides,
-            inputs=[session.inputs, self.tuning.inputs],
-            observers=observers,
-        )
+            hooks.append(recording.hook)
+        program = load_workflow(settings.workflow, settings.overrides, hooks=hooks)
         try:
-            for line in refuse_errors(workflow, settings.force):
+            for line in refuse_errors(program, settings.force):
                 warn(line)
-            self.runner = Runner(workflow, RunOptions(speed=settings.speed, warn=warn))
+            self.runner = Runner(program, RunOptions(speed=settings.speed, warn=warn))
         except BaseException:
-            workflow.close()
+            program.close()
             raise
         session.attach(self.runner)
         self.diagnostics.outgoing, self.diagnostics.incoming = session.outgoing, session.incoming

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import MissingDependencyError, UniconError
-from unicon_core.flow import Block
+from unicon_core.flow import Block, Stage
 
 if TYPE_CHECKING:
-    from unicon_core.workflow import Workflow
+    from unicon_core.workflow import Program
 
 __all__ = ["Picture"]
 
@@ -45,17 +45,17 @@ class Picture:
         self._joints: tuple[str, ...] = ()
         self._period = 0.0
 
-    def hook(self, workflow: Workflow) -> list[Block]:
-        """Return the block that keeps the states; a hook of `load_workflow`."""
-        states = workflow.states
+    def hook(self, program: Program) -> dict[Stage, list[Block]]:
+        """Return the block that keeps the states."""
+        states = program.states
         views = [states[name] if states.num_robots is None else states[name][0] for name in _KEPT]
         start = 0
         for name, view in zip(_KEPT, views):
             self._columns[name] = slice(start, start + view.size)
             start += view.size
         self._rows = np.zeros((min(self._capacity, 4096), start), np.float32)
-        self._joints = workflow.robot.joint_names
-        self._period = workflow.period
+        self._joints = program.robot.joint_names
+        self._period = program.period
         places = [(self._columns[name], view) for name, view in zip(_KEPT, views)]
 
         def keep() -> None:
@@ -68,7 +68,7 @@ class Picture:
                 row[place] = view
             self._count += 1
 
-        return [Block("picture", keep, reads=_KEPT)]
+        return {Stage.OBSERVE: [Block("picture", keep, reads=_KEPT)]}
 
     def draw(self, title: str) -> None:
         """Write the PNG: base path, commanded and measured velocity, joint positions.
@@ -76,6 +76,7 @@ class Picture:
         Raises:
             UniconError: the file cannot be written.
         """
+        from matplotlib import colormaps
         from matplotlib.figure import Figure
 
         rows = self._rows[: self._count]
@@ -103,10 +104,13 @@ class Picture:
             speeds.plot(time, command[:, i], color=f"C{i}", linestyle="--", linewidth=1.5)
         speeds.set(title="velocity: measured, dashed as commanded", xlabel="time [s]")
         speeds.legend(loc="upper right")
+        # Matplotlib's own ten colours repeat: two joints would look like one.
+        joints.set_prop_cycle(color=colormaps["turbo"](np.linspace(0.0, 1.0, len(self._joints))))
         joints.plot(time, kept("joint_pos"), linewidth=0.8, label=self._joints)
         joints.set(title="joint positions", xlabel="time [s]", ylabel="[rad]")
-        if len(self._joints) <= 12:
-            joints.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=7)
+        if len(self._joints) <= 32:
+            columns = 1 + (len(self._joints) - 1) // 16
+            joints.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=7, ncols=columns)
         for axes in (path, speeds, joints):
             axes.grid(alpha=0.3)
         try:

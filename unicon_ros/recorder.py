@@ -15,16 +15,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from unicon_core.errors import MissingDependencyError, UniconError
-from unicon_core.flow import Block
+from unicon_core.flow import Block, Stage
 from unicon_core.resources import find_config
 from unicon_msgs_map import Encoder, MapStateError, load_map
-from unicon_msgs_map.messages import message_definition
+from unicon_msgs_map.layout.messages import message_definition
 from unicon_ros.recording import Background, McapFile, recover
 from unicon_ros.recording.mcap_file import Taken
 from unicon_ros.recording.records import Channel
 
 if TYPE_CHECKING:
-    from unicon_core.workflow import Workflow
+    from unicon_core.workflow import Program
     from unicon_ros.bridge import RosSession
 
 __all__ = ["Recorder", "Recording"]
@@ -159,30 +159,30 @@ class Recording:
             text += f", {counts['dropped']} lost"
         return text + (f" ({counts['error']})" if counts["error"] else "")
 
-    def hook(self, workflow: Workflow) -> list[Block]:
+    def hook(self, program: Program) -> dict[Stage, list[Block]]:
         """Return the block that records."""
         # A robot does not wait for a disk, however its run is paced.
-        patient = self._patient and workflow.platform.facts.simulated
+        patient = self._patient and program.platform.facts.simulated
         recorder = Recorder(self._path, self._warn, patient)
         try:
-            blocks = _blocks(recorder, workflow, self._map_name, self._session)
+            blocks = _blocks(recorder, program, self._map_name, self._session)
         except BaseException:
             recorder.discard()
             raise
         recorder.start()
         self._recorder = recorder
-        return blocks
+        return {Stage.OBSERVE: blocks}
 
 
 def _blocks(
-    recorder: Recorder, workflow: Workflow, map_name: str | None, session: RosSession | None
+    recorder: Recorder, program: Program, map_name: str | None, session: RosSession | None
 ) -> list[Block]:
     # Arrays, names and variables are the bridge's, so that bag and topics hold the same bytes.
     from unicon_ros.bridge.bindings import arrays_of, names_of, variables_of
 
-    arrays = arrays_of(workflow)
-    variables = variables_of(workflow, session.frame_prefix if session is not None else "")
-    simulated, stamp = workflow.platform.facts.simulated, workflow.states["stamp_ns"].reshape(-1)
+    arrays = arrays_of(program)
+    variables = variables_of(program, session.frame_prefix if session is not None else "")
+    simulated, stamp = program.platform.facts.simulated, program.states["stamp_ns"].reshape(-1)
 
     def now() -> int:
         return int(stamp[0]) if simulated else time.time_ns()
@@ -197,13 +197,13 @@ def _blocks(
             leaving[id(spec)].tap = partial(_stamped, write, now)
             continue
         try:
-            encoder = Encoder.build(spec, arrays, names_of(workflow), variables)
+            encoder = Encoder.build(spec, arrays, names_of(program), variables)
         except MapStateError:
             if not spec.optional:
                 raise
             continue
         write = recorder.channel(spec.topic, spec.type)
-        due.append((spec.every(workflow.period), encoder.encode, write))
+        due.append((spec.every(program.period), encoder.encode, write))
         reads.update(spec.states)
     tick = 0
 

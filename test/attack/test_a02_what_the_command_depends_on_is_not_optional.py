@@ -10,16 +10,10 @@ from ros_attack import Run, behind_topics, robot, wait_for
 from unicon_core.errors import PlatformError
 from unicon_core.robots import load_robot
 from unicon_core.workflow import load_workflow
-from unicon_ros.bench.domains import free_domain
 
-pytestmark = [pytest.mark.ros, pytest.mark.timeout(90)]
+pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("domain"), pytest.mark.timeout(90)]
 
 TILT = "finite, tilt_stop"
-
-
-@pytest.fixture(autouse=True)
-def domain(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(free_domain()))
 
 
 @pytest.mark.parametrize("lie", ["no imu", "zero quat", "no orientation"])
@@ -39,7 +33,7 @@ def test_an_optional_imu_that_tells_no_orientation_any_more_is_a_fault(
     assert fault.startswith(f"topic /imu/data: no {silent} for 0.5 s, ")
     assert report.ticks - sent < 200  # of 100 Hz
     # What was refused is not in the states: the last orientation that was one is.
-    assert run.workflow.states.base_quat.tolist() == [1.0, 0.0, 0.0, 0.0]
+    assert run.program.states.base_quat.tolist() == [1.0, 0.0, 0.0, 0.0]
 
 
 @pytest.mark.parametrize(
@@ -67,7 +61,7 @@ def test_an_imu_that_nobody_reads_stays_optional(tmp_path: Path) -> None:
         finally:
             report = run.end()
     assert report.faults == []
-    platform = run.workflow.platform
+    platform = run.program.platform
     assert [topic.topic for topic in platform._needed] == ["/joint_states"]
     assert [topic.topic for topic in platform._in] == ["/joint_states", "/imu/data"]
 

@@ -13,10 +13,9 @@ from ros_attack import Run, behind_topics, robot, wait_for
 from unicon_core.errors import Fault
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner
-from unicon_core.workflow import Workflow, load_workflow
-from unicon_ros.bench.domains import free_domain
+from unicon_core.workflow import Program, load_workflow
 
-pytestmark = [pytest.mark.ros, pytest.mark.timeout(90)]
+pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("domain"), pytest.mark.timeout(90)]
 
 GAINS = """\
 subscribe:
@@ -31,11 +30,6 @@ publish:
 """
 
 
-@pytest.fixture(autouse=True)
-def domain(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(free_domain()))
-
-
 @pytest.fixture
 def gains(tmp_path: Path) -> Path:
     path = tmp_path / "gains.yaml"
@@ -43,7 +37,7 @@ def gains(tmp_path: Path) -> Path:
     return path
 
 
-def ticked(path: Path, peer: Any, ticks: int = 30) -> tuple[Workflow, Runner]:
+def ticked(path: Path, peer: Any, ticks: int = 30) -> tuple[Program, Runner]:
     """Return a run of some ticks, of which the robot has heard."""
     workflow = load_workflow(path)
     runner = Runner(workflow)

@@ -84,7 +84,7 @@ def test_a_second_signal_while_a_fault_is_told_hides_it_not(tmp_path: Path) -> N
     report = run.run()
     assert report.ended == "fault"
     assert report.faults[0].startswith("Slow: the cable is out")
-    assert run.workflow.gate.closed
+    assert run.program.gate.closed
 
 
 def test_what_cannot_be_told_is_a_fault_all_the_same(tmp_path: Path) -> None:

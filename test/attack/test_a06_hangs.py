@@ -11,7 +11,7 @@ import pytest
 from runs import Run
 
 from unicon_core.errors import PlatformError
-from unicon_core.flow import Block
+from unicon_core.flow import Block, Stage
 from unicon_core.runtime import Runner
 from unicon_core.runtime.pacing import CATCH_UP
 from unicon_core.workflow import load_workflow
@@ -80,7 +80,7 @@ def test_catch_up_is_bounded_in_a_simulator(tmp_path: Path) -> None:
         if len(starts) == 10:
             time.sleep(0.5)
 
-    workflow = load_workflow(path, observers=[lambda _: [Block("sleepy", sleepy)]])
+    workflow = load_workflow(path, hooks=[lambda _: {Stage.OBSERVE: [Block("sleepy", sleepy)]}])
     report = Runner(workflow).run()
     assert report.faults == []
     hasty = sum(b - a < 5_000_000 for a, b in pairwise(starts[10:]))

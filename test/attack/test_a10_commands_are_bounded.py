@@ -13,14 +13,14 @@ import yaml
 
 from unicon_core.check import check_workflow
 from unicon_core.errors import RobotError, WorkflowError
-from unicon_core.flow import Block
+from unicon_core.flow import Block, Stage
 from unicon_core.flow.block import Amends, Reads, Tick, Writes
 from unicon_core.policies.prefixed import PrefixedStates
 from unicon_core.resources import find_config
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.states import Layout, States, standard_states
-from unicon_core.workflow import Workflow, load_workflow
+from unicon_core.workflow import Program, load_workflow
 
 SWAY = """\
 schema: unicon.workflow/1
@@ -66,22 +66,22 @@ class Seen:
         path.write_text(text)
         self.told: list[str] = []
 
-        def hook(workflow: Workflow) -> list[Block]:
+        def hook(workflow: Program) -> dict[Stage, list[Block]]:
             command = workflow.states.velocity_command
 
             def give() -> None:
                 command[...] = source(int(workflow.states.tick))
 
-            return [Block("source", give, writes=("velocity_command",))]
+            return {Stage.INPUT: [Block("source", give, writes=("velocity_command",))]}
 
-        self.workflow = load_workflow(path, overrides, inputs=[] if source is None else [hook])
-        self.runner = Runner(self.workflow, RunOptions(speed="max", warn=self.told.append))
+        self.program = load_workflow(path, overrides, hooks=[] if source is None else [hook])
+        self.runner = Runner(self.program, RunOptions(speed="max", warn=self.told.append))
 
     def after(self, ticks: int) -> list[float]:
         """Return the command after so many ticks."""
         for _ in range(ticks):
             self.runner.tick(0)
-        return [round(v, 6) for v in self.workflow.states.velocity_command.tolist()]
+        return [round(v, 6) for v in self.program.states.velocity_command.tolist()]
 
 
 @pytest.fixture
@@ -124,7 +124,7 @@ def test_a_block_of_ones_own_is_bounded_before_and_within_the_flow(
     sway = yaml.safe_load(SWAY)["flow"]
     inside = seen(SWAY, {"flow": {"zip": [own, sway]}})
     assert inside.after(3) == [1.0, -0.5, 1.0]
-    targets = inside.workflow.states.joint_pos_target
+    targets = inside.program.states.joint_pos_target
     go2 = load_robot("go2")
     assert np.abs(targets - go2.default_joint_pos).max() <= 1.0 + 1e-6
 
@@ -135,7 +135,7 @@ def test_a_block_that_reads_it_among_the_commands_gets_it_bounded(
     reader = {"call": {"function": f"{__name__}:lean"}}
     run = seen(SWAY, {"commands": [*SCRIPT, reader], "states": {"lean": {"shape": [1]}}})
     run.after(3)
-    assert run.workflow.states.lean.tolist() == [1.0]
+    assert run.program.states.lean.tolist() == [1.0]
 
 
 def test_the_robot_file_is_asked_where_the_policy_says_nothing(
@@ -163,11 +163,11 @@ def test_of_several_policies_the_tightest_holds_and_zero_is_always_allowed() -> 
         def __init__(self, **ranges: tuple[float, float]) -> None:
             self.command_ranges = ranges
 
-    policies: Any = {
-        "run": Contract(lin_vel_x=(0.5, 3.0), lin_vel_y=(-0.1, 0.1)),
-        "walk": Contract(lin_vel_x=(0.25, 0.75), ang_vel_z=(-math.inf, math.inf)),
-    }
-    vx, vy, wz = command_bounds(policies, load_robot("go2"))
+    readers: Any = [
+        ("policy 'run'", Contract(lin_vel_x=(0.5, 3.0), lin_vel_y=(-0.1, 0.1))),
+        ("policy 'walk'", Contract(lin_vel_x=(0.25, 0.75), ang_vel_z=(-math.inf, math.inf))),
+    ]
+    vx, vy, wz = command_bounds(readers, load_robot("go2"))
     assert (vx.low, vx.high, vx.sources[1]) == (0.0, 0.75, OF_WALK)
     assert (vy.low, vy.high, vy.given) == (np.float32(-0.1), np.float32(0.1), True)
     assert (wz.low, wz.high, wz.given) == (-1.0, 1.0, False)
@@ -202,7 +202,7 @@ def test_what_is_within_its_bounds_keeps_every_bit(seen: Callable[..., Seen]) ->
     run = seen(SWAY, source=lambda tick: given[tick])
     for row in given:
         run.after(1)
-        assert run.workflow.states.velocity_command.tobytes() == row.tobytes()
+        assert run.program.states.velocity_command.tobytes() == row.tobytes()
     assert run.told == []
 
 
@@ -231,11 +231,11 @@ def test_a_topic_is_bounded_and_told_by_name(
     path.write_text(SWAY)
     with ros_attack.running(path) as run:
         told: list[str] = []
-        run.workflow.warn = told.append
+        run.program.warn = told.append
         publisher = run.session.node.create_publisher(Twist, "cmd_vel", 10)
         twist = Twist()
         twist.linear.x, twist.angular.z = 1e30, -50.0
-        targets, default = run.workflow.states.joint_pos_target, load_robot("go2").default_joint_pos
+        targets, default = run.program.states.joint_pos_target, load_robot("go2").default_joint_pos
 
         def driven() -> bool:
             publisher.publish(twist)
@@ -302,16 +302,16 @@ def test_every_robot_of_a_batch_is_held_to_the_bounds(tmp_path: Path, num_robots
     path = tmp_path / "batch.yaml"
     path.write_text(SWAY)
 
-    def hook(workflow: Workflow) -> list[Block]:
+    def hook(workflow: Program) -> dict[Stage, list[Block]]:
         command = workflow.states.velocity_command
 
         def give() -> None:
             command[...] = 0.5
             command[-1] = (50.0, -1e30, 0.1)
 
-        return [Block("source", give, writes=("velocity_command",))]
+        return {Stage.INPUT: [Block("source", give, writes=("velocity_command",))]}
 
-    workflow = load_workflow(path, {"num_robots": num_robots}, inputs=[hook])
+    workflow = load_workflow(path, {"num_robots": num_robots}, hooks=[hook])
     told: list[str] = []
     runner = Runner(workflow, RunOptions(speed="max", warn=told.append))
     runner.tick(0)

@@ -139,7 +139,7 @@ def test_run_checks_the_workflow_that_it_runs(
     )
     refuse_errors(workflow)
     workflow.close()
-    assert seen[0].workflow is workflow
+    assert seen[0].program is workflow
     assert seen[0].live
 
 

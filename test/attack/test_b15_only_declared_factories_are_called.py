@@ -129,7 +129,7 @@ def test_data_files_import_nothing(
     mark = "open('pwn', 'w')\n"
     (folder / "imported_by_data.py").write_text(mark, "utf-8")
     texts = {
-        "robot": "schema: unicon.robot/1\nname: NAME\nmodel: NAME\n",
+        "robot": "schema: unicon.robot/1\nname: NAME\nmodels: {mjcf: NAME}\n",
         "map": "publish: [{topic: NAME, type: NAME, fields: {}}]\n",
         "policy": "schema: unicon.policy/1\nname: NAME\nonnx: NAME\n",
     }

@@ -1,4 +1,4 @@
-"""Runner and Workflow are guarded against other threads and against use after their end."""
+"""Runner and Program are guarded against other threads and against use after their end."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 
 from unicon_core.errors import Fault, UniconError
 from unicon_core.runtime import Runner, RunOptions
-from unicon_core.workflow import Workflow, load_workflow
+from unicon_core.workflow import Program, load_workflow
 
 WORKFLOW = """\
 robot: go2
@@ -23,8 +23,8 @@ flow: {hold: {}}
 
 
 @pytest.fixture
-def workflow(tmp_path: Path) -> Callable[..., Workflow]:
-    def load(**hooks: Any) -> Workflow:
+def workflow(tmp_path: Path) -> Callable[..., Program]:
+    def load(**hooks: Any) -> Program:
         path = tmp_path / "threads.yaml"
         path.write_text(WORKFLOW)
         return load_workflow(path, **hooks)
@@ -35,12 +35,12 @@ def workflow(tmp_path: Path) -> Callable[..., Workflow]:
 class Counted:
     """A workflow whose sends are counted, and a runner that ticks it in a thread of its own."""
 
-    def __init__(self, load: Callable[..., Workflow], between: Any = None) -> None:
+    def __init__(self, load: Callable[..., Program], between: Any = None) -> None:
         self.sends = 0
         self.after_close = 0
         self.closed = False
 
-        def hook(workflow: Workflow) -> list[Any]:
+        def hook(workflow: Program) -> dict[Any, Any]:
             platform: Any = workflow.platform
             send, close = platform.send, platform.close
 
@@ -54,10 +54,10 @@ class Counted:
                 close()
 
             platform.send, platform.close = counted, closing
-            return []
+            return {}
 
-        self.workflow = load(inputs=[hook])
-        self.runner = Runner(self.workflow, RunOptions())
+        self.program = load(hooks=[hook])
+        self.runner = Runner(self.program, RunOptions())
         self.reports: list[Any] = []
         self.thread = threading.Thread(target=lambda: self.reports.append(self.runner.run()))
 
@@ -68,7 +68,7 @@ class Counted:
         return self
 
 
-def test_close_of_another_thread_ends_the_run_and_waits(workflow: Callable[..., Workflow]) -> None:
+def test_close_of_another_thread_ends_the_run_and_waits(workflow: Callable[..., Program]) -> None:
     counted = Counted(workflow).start()
     counted.runner.close()
     assert counted.closed
@@ -79,16 +79,16 @@ def test_close_of_another_thread_ends_the_run_and_waits(workflow: Callable[..., 
 
 
 def test_workflow_close_of_another_thread_lets_nothing_more_out(
-    workflow: Callable[..., Workflow],
+    workflow: Callable[..., Program],
 ) -> None:
     counted = Counted(workflow).start()
-    counted.workflow.close()
+    counted.program.close()
     counted.thread.join(5.0)
     assert counted.after_close <= 1  # one that had passed the gate
     assert "the workflow is closed" in counted.reports[0].faults[0]
 
 
-def test_reset_of_another_thread_is_refused(workflow: Callable[..., Workflow]) -> None:
+def test_reset_of_another_thread_is_refused(workflow: Callable[..., Program]) -> None:
     counted = Counted(workflow).start()
     try:
         with pytest.raises(
@@ -105,7 +105,7 @@ def test_reset_of_another_thread_is_refused(workflow: Callable[..., Workflow]) -
     assert counted.reports[0].faults == []
 
 
-def test_an_action_that_raises_is_a_fault(workflow: Callable[..., Workflow]) -> None:
+def test_an_action_that_raises_is_a_fault(workflow: Callable[..., Program]) -> None:
     counted = Counted(workflow).start()
 
     def action() -> None:
@@ -118,7 +118,7 @@ def test_an_action_that_raises_is_a_fault(workflow: Callable[..., Workflow]) -> 
     assert counted.after_close == 0
 
 
-def test_a_closed_workflow_is_not_run_again(workflow: Callable[..., Workflow]) -> None:
+def test_a_closed_workflow_is_not_run_again(workflow: Callable[..., Program]) -> None:
     loaded = workflow()
     runner = Runner(loaded, RunOptions(speed="max", duration=0.1))
     runner.run()
@@ -131,7 +131,7 @@ def test_a_closed_workflow_is_not_run_again(workflow: Callable[..., Workflow]) -
 
 
 def test_a_second_runner_of_an_open_workflow_sends_nothing_after_the_first(
-    workflow: Callable[..., Workflow],
+    workflow: Callable[..., Program],
 ) -> None:
     loaded = workflow()
     first = Runner(loaded, RunOptions(speed="max", duration=0.1))
@@ -143,7 +143,7 @@ def test_a_second_runner_of_an_open_workflow_sends_nothing_after_the_first(
 
 
 def test_a_tick_that_hangs_does_not_hold_its_closer_for_ever(
-    workflow: Callable[..., Workflow], monkeypatch: pytest.MonkeyPatch
+    workflow: Callable[..., Program], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("unicon_core.runtime.runner.CLOSING", 0.2)
     counted = Counted(workflow).start()

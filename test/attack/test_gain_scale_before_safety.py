@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from unicon_core.errors import Fault
-from unicon_core.flow import Block
+from unicon_core.flow import Block, Stage
 from unicon_core.runtime import Runner, RunOptions
-from unicon_core.workflow import Workflow, load_workflow
+from unicon_core.workflow import Program, load_workflow
 from unicon_ros.bridge.tuning import Tuning, too_little_damping
 
 WORKFLOW = """\
@@ -32,14 +32,14 @@ SAFETY = {
 }
 
 
-def built(folder: Path, tuning: Tuning, safety: str, flow: str = "{hold: {}}") -> Workflow:
+def built(folder: Path, tuning: Tuning, safety: str, flow: str = "{hold: {}}") -> Program:
     path = folder / "scaled.yaml"
     path.write_text(WORKFLOW.format(safety=safety, flow=flow))
-    return load_workflow(path, inputs=[tuning.inputs, last_look])
+    return load_workflow(path, hooks=[tuning.hook, last_look])
 
 
-def last_look(workflow: Workflow) -> list[Block]:
-    return [Block("last look", lambda: None, role="safety", endless=True)]
+def last_look(workflow: Program) -> dict[Stage, list[Block]]:
+    return {Stage.SAFETY: [Block("last look", lambda: None, endless=True)]}
 
 
 @pytest.mark.parametrize("safety", SAFETY.values(), ids=SAFETY)
@@ -167,16 +167,16 @@ def test_the_node_does_not_start_with_scales_that_ring(capfd: pytest.CaptureFixt
 def test_a_fault_of_the_last_look_comes_before_send(tmp_path: Path) -> None:
     sent: list[int] = []
 
-    def stop(workflow: Workflow) -> list[Block]:
+    def stop(workflow: Program) -> dict[Stage, list[Block]]:
         def look() -> None:
             raise Fault("stop")
 
         send = workflow.platform.send
         workflow.platform.send = lambda: sent.append(1) or send()  # type: ignore[method-assign,func-returns-value]
-        return [Block("last look", look, role="safety", endless=True)]
+        return {Stage.SAFETY: [Block("last look", look, endless=True)]}
 
     path = tmp_path / "stopped.yaml"
     path.write_text(WORKFLOW.format(safety="[finite]", flow="{hold: {}}"))
-    report = Runner(load_workflow(path, inputs=[stop]), RunOptions(speed="max")).run()
+    report = Runner(load_workflow(path, hooks=[stop]), RunOptions(speed="max")).run()
     assert report.faults == ["stop"]
     assert sent == []

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from unicon_core.flow import Block
+from unicon_core.flow import Block, Stage
 from unicon_core.runtime import Runner, RunOptions
-from unicon_core.workflow import Workflow, load_workflow
+from unicon_core.workflow import Program, load_workflow
 
 WORKFLOW = """\
 robot: go2
@@ -28,16 +28,16 @@ def path(tmp_path: Path) -> Path:
 
 
 def test_a_run_that_leans_too_far_does_not_say_that_it_did_not_fall(path: Path) -> None:
-    def lean(workflow: Workflow) -> list[Block]:
+    def lean(workflow: Program) -> dict[Stage, list[Block]]:
         gravity, tick = workflow.states.projected_gravity, workflow.states.tick
 
         def tilted() -> None:
             if tick > 10:
                 gravity[...] = (0.7, 0.0, -0.714)  # 44°: a fault, and not yet a fall
 
-        return [Block("lean", tilted, amends=("projected_gravity",))]
+        return {Stage.INPUT: [Block("lean", tilted, amends=("projected_gravity",))]}
 
-    report = Runner(load_workflow(path, inputs=[lean]), RunOptions(speed="max")).run()
+    report = Runner(load_workflow(path, hooks=[lean]), RunOptions(speed="max")).run()
     assert report.faults
     assert report.ended == "fault"
     assert "did not fall" not in report.summary()
@@ -58,16 +58,16 @@ def test_simulated_and_wall_time_stand_apart(path: Path) -> None:
 
 
 def test_the_largest_tilt_is_told(path: Path) -> None:
-    def lean(workflow: Workflow) -> list[Block]:
+    def lean(workflow: Program) -> dict[Stage, list[Block]]:
         gravity, tick = workflow.states.projected_gravity, workflow.states.tick
 
         def tilted() -> None:
             if 10 < tick < 20:
                 gravity[...] = (0.5, 0.0, -0.8660254)
 
-        return [Block("lean", tilted, amends=("projected_gravity",))]
+        return {Stage.INPUT: [Block("lean", tilted, amends=("projected_gravity",))]}
 
-    report = Runner(load_workflow(path, inputs=[lean]), RunOptions(speed="max")).run()
+    report = Runner(load_workflow(path, hooks=[lean]), RunOptions(speed="max")).run()
     assert report.faults == []
     assert report.tilt_deg == pytest.approx(30.0, abs=0.2)
     assert "tilted up to 30°, did not fall" in report.summary()

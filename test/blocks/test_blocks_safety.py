@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from unicon_core.errors import Fault, RobotError, WorkflowError
+from unicon_core.flow import Stage
 
 Bench = Any
 Build = Callable[..., Bench]
@@ -27,8 +28,8 @@ SAFETY = (
 )
 
 
-def test_all_have_the_role_safety(bench: Build) -> None:
-    assert {bench().block(name).role for name in SAFETY} == {"safety"}
+def test_all_stand_in_stage_safety(bench: Build) -> None:
+    assert {bench().block(name).stage for name in SAFETY} == {Stage.SAFETY}
 
 
 def test_joint_limits_clip_in_place(bench: Build) -> None:

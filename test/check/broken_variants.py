@@ -65,8 +65,8 @@ class Draft:
     def __init__(self, policy: str, folder: Path, assets: Path) -> None:
         self.policy, self.folder, self.assets = policy, folder, assets
         path = ROOT / "config" / "workflows" / f"{WORKFLOWS[policy]}.yaml"
-        self.workflow: dict[str, Any] = yaml.safe_load(path.read_text(encoding="utf-8"))
-        entry = self.workflow["policies"]["walk"]
+        self.program: dict[str, Any] = yaml.safe_load(path.read_text(encoding="utf-8"))
+        entry = self.program["policies"]["walk"]
         self.given: dict[str, Any]
         if policy == "go2":  # ours: everything stands in its policy.yaml
             self.source = ROOT / "config" / "policies" / entry
@@ -127,22 +127,22 @@ class Draft:
             values["action"] = {**values["action"], "scale": values.pop("action.scale")}
             text = yaml.safe_dump(values, sort_keys=False)
             (policy / "policy.yaml").write_text(text, encoding="utf-8")
-            self.workflow["policies"]["walk"] = "./policy"
+            self.program["policies"]["walk"] = "./policy"
         else:
-            self.workflow["policies"]["walk"] = {"path": "./policy", "given": self.given}
-        path = self.folder / f"{self.workflow['name']}.yaml"
-        path.write_text(yaml.safe_dump(self.workflow, sort_keys=False), encoding="utf-8")
+            self.program["policies"]["walk"] = {"path": "./policy", "given": self.given}
+        path = self.folder / f"{self.program['name']}.yaml"
+        path.write_text(yaml.safe_dump(self.program, sort_keys=False), encoding="utf-8")
         return path
 
     def _write_robot(self, factor: float) -> None:
-        name = self.workflow["robot"]
+        name = self.program["robot"]
         text = (ROOT / "config" / "robots" / f"{name}.yaml").read_text(encoding="utf-8")
         robot = yaml.safe_load(text)
         for joint in robot["joints"]:
             joint["effort"] *= factor
         path = self.folder / f"{name}.yaml"
         path.write_text(yaml.safe_dump(robot, sort_keys=False), encoding="utf-8")
-        self.workflow["robot"] = f"./{path.name}"
+        self.program["robot"] = f"./{path.name}"
 
 
 def breadth_first(count: int) -> list[int]:
@@ -167,7 +167,7 @@ def low_effort(draft: Draft) -> None:
 
 
 def two_rates(draft: Draft) -> None:
-    draft.workflow["rate"] = 50
+    draft.program["rate"] = 50
     if draft.policy == "mjlab":
         draft.deploy["step_dt"] = 0.01
     else:

@@ -342,7 +342,7 @@ def test_all_mistakes_of_a_built_graph_are_listed(folder: Path) -> None:
 
     subject = build_subject(load_document(write_workflow(folder)))
     late = [Block(name, lambda: None, writes=("joint_pos_target",)) for name in ("second", "third")]
-    subject.workflow.root = Zip(subject.workflow.root, *late)
+    subject.program.root = Zip(subject.program.root, *late)
     result = CheckResult("toy")
     check_blocks(subject, result)
     assert set(codes(result)) == {"graph"}

@@ -10,7 +10,7 @@ pytest.importorskip("mujoco", reason="the twin runs in MuJoCo")
 pytest.importorskip("onnxruntime", reason="the policies need onnxruntime")
 pytest.importorskip("onnx", reason="the test networks are written with onnx")
 
-from check_helpers import NULL, WORKFLOW, codes, section, text_of, write_workflow
+from check_helpers import WORKFLOW, codes, section, text_of, write_workflow
 
 from unicon_core.check import check_workflow
 from unicon_core.check.subject import on_platform
@@ -59,7 +59,7 @@ def test_a_fall_is_found_and_no_cause_is_made_up(folder: Path) -> None:
 def test_the_whole_flow_is_run_where_it_has_no_policy() -> None:
     result = check_workflow("go2_stand", twin=True)
     assert result.clean, result.text()
-    assert section(result, "Twin in MuJoCo, the whole flow")[0][1] == "stays up for 15.0 s"
+    assert section(result, "Twin on platform mujoco, the whole flow")[0][1] == "stays up for 15.0 s"
 
 
 def test_a_flow_that_falls_is_found(folder: Path) -> None:
@@ -79,7 +79,7 @@ def test_hardware_is_exchanged_for_the_robots_model(folder: Path, tmp_path: Path
     assert other.values["scene"] == {"initial_pose": "policy:walk"}
     assert document.values["platform"] == "fake"
     session = TwinSession(other)
-    assert session.workflow.platform.facts.name == "mujoco"
+    assert session.program.platform.facts.name == "mujoco"
     assert session.run(1.0).stands
     session.close()
 
@@ -92,9 +92,9 @@ def test_the_scene_of_the_workflow_is_kept_in_the_twin(folder: Path) -> None:
 
 
 def test_a_robot_without_a_model_cannot_have_a_twin(folder: Path) -> None:
-    path = write_workflow(folder, None, {"platform": "fake", "scene": None}, {"model": NULL})
+    path = write_workflow(folder, None, {"platform": "fake", "scene": None}, {"models": {}})
     line = text_of(check_workflow(path, twin=True), "twin.run")
-    assert "names no simulation model; give one" in line
+    assert "names no model (mjcf or urdf)" in line
 
 
 def test_two_runs_of_one_contract_are_equal_and_leave_no_trace(folder: Path) -> None:
@@ -142,6 +142,51 @@ def test_several_policies_are_broken_one_by_one(folder: Path) -> None:
     assert "Observation of policy walk" in titles
     assert "Observation of policy trot" in titles
     result = check_workflow(path, ["check.duration=2"], twin=True)
-    rows = section(result, "Twin in MuJoCo")
+    rows = section(result, "Twin on platform mujoco")
     assert [row[0] for row in rows].count("walk: gravity upside down") == 1
     assert [row[0] for row in rows].count("trot: gravity upside down") == 1
+
+
+MINE = """\
+from dataclasses import replace
+
+from unicon_core.platforms.sim.mujoco import MujocoPlatform, make as mujoco
+
+class Mine(MujocoPlatform):
+    facts = replace(MujocoPlatform.facts, name="mine")
+
+def make(states, robot, period, scene, blind=False) -> Mine:
+    platform = mujoco(states, robot, period, scene=scene)
+    told = tuple(n for n in platform.facts.writes if not (blind and n == "base_pos_w"))
+    platform.facts = replace(Mine.facts, writes=told)
+    return platform
+"""
+
+
+@pytest.fixture
+def mine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    """Word of a simulator of somebody else."""
+    (tmp_path / "simulator_of_mine.py").write_text(MINE, "utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    return "simulator_of_mine:make"
+
+
+def test_the_twin_runs_on_the_simulator_that_the_workflow_names(folder: Path, mine: str) -> None:
+    path = write_workflow(folder, None, {"platform": mine, "scene": None})
+    result = check_workflow(path, ["check.duration=1"], twin=True)
+    assert section(result, "Twin on platform mine")
+    assert not any(note.code == "twin.platform" for note in result.notes)
+
+
+def test_that_it_runs_elsewhere_is_told(folder: Path) -> None:
+    path = write_workflow(folder, None, {"platform": "fake", "scene": None})
+    result = check_workflow(path, ["check.duration=1"], twin=True)
+    assert section(result, "Twin on platform mujoco")
+    (note,) = [str(note) for note in result.notes if note.code == "twin.platform"]
+    assert "it simulates no model: the twin runs in MuJoCo" in note
+
+
+def test_a_simulator_that_tells_too_little_cannot_judge(folder: Path, mine: str) -> None:
+    options = {"platform": mine, "platforms": {mine: {"blind": True}}}
+    line = text_of(check_workflow(write_workflow(folder, None, options), twin=True), "twin.run")
+    assert "platform 'mine' does not tell base_pos_w, by which the twin judges" in line

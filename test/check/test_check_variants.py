@@ -84,7 +84,7 @@ def test_the_good_ones_raise_no_alarm_at_other_speeds(
 
 
 def _twin_rows(result: CheckResult) -> tuple[tuple[str, ...], ...]:
-    return next(s.rows for s in result.sections if s.title.startswith("Twin in MuJoCo"))
+    return next(s.rows for s in result.sections if s.title.startswith("Twin on platform mujoco"))
 
 
 @pytest.mark.parametrize("policy", sorted(WORKFLOWS))

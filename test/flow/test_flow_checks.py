@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 import pytest
 
 from unicon_core.errors import WorkflowError
@@ -15,6 +14,7 @@ from unicon_core.flow import (
     Every,
     Loop,
     Node,
+    Stage,
     Switch,
     When,
     Zip,
@@ -39,7 +39,12 @@ STATES = States(
 
 
 def block(
-    name: str, reads: str = "", writes: str = "", amends: str = "", role: Any = "", **options: Any
+    name: str,
+    reads: str = "",
+    writes: str = "",
+    amends: str = "",
+    stage: Any = None,
+    **options: Any,
 ) -> Block:
     return Block(
         name,
@@ -47,7 +52,7 @@ def block(
         tuple(reads.split()),
         tuple(writes.split()),
         tuple(amends.split()),
-        role=role,
+        stage=stage,
         **options,
     )
 
@@ -56,9 +61,9 @@ def endless(name: str) -> Block:
     return block(name, endless=True)
 
 
-RECV = block("recv", "", "joint_pos joint_vel base_quat stamp_ns", role="recv")
+RECV = block("recv", "", "joint_pos joint_vel base_quat stamp_ns", stage=Stage.RECV)
 POLICY = block("policy", "joint_pos velocity_command", "joint_pos_target", where="w.yaml:8")
-SEND = block("send", "joint_pos_target", role="send")
+SEND = block("send", "joint_pos_target", stage=Stage.SEND)
 GIVEN = ("velocity_command", "tick")
 
 
@@ -67,7 +72,7 @@ def found(*parts: Node, given: Any = GIVEN) -> list[str]:
 
 
 def test_a_sound_graph_has_no_findings() -> None:
-    limits = block("joint_limits", "", "", "joint_pos_target", role="safety")
+    limits = block("joint_limits", "", "", "joint_pos_target", stage=Stage.SAFETY)
     pose = block("pose", "joint_pos", "joint_pos_target")
     flow = Chain(pose, Switch(block("mode", "tick"), {"walk": POLICY, "stand": pose}))
     recorder = Deferred(block("recorder", " ".join(STATES)))
@@ -111,7 +116,7 @@ def test_a_state_read_before_its_writer() -> None:
 
 
 def test_amending_needs_a_writer_before() -> None:
-    limits = block("limits", "", "", "joint_pos_target", role="safety")
+    limits = block("limits", "", "", "joint_pos_target", stage=Stage.SAFETY)
     assert found(RECV, limits, POLICY, SEND) == [
         "block 'limits' amends 'joint_pos_target' before 'policy' has written it; put it behind "
         "'policy'"
@@ -215,7 +220,7 @@ def test_a_command_written_behind_send() -> None:
 
 
 def test_a_safety_block_behind_send() -> None:
-    stop = block("tilt_stop", "joint_pos", role="safety", where="w.yaml:12")
+    stop = block("tilt_stop", "joint_pos", stage=Stage.SAFETY, where="w.yaml:12")
     expected = [
         "w.yaml:12: safety block 'tilt_stop' runs behind 'send': the motors have the command by "
         "then; put it before 'send', not into 'deferred'"
@@ -226,7 +231,7 @@ def test_a_safety_block_behind_send() -> None:
 
 
 def test_a_send_in_one_branch_is_not_sent_for_the_others() -> None:
-    stop = block("stop", "joint_pos", role="safety")
+    stop = block("stop", "joint_pos", stage=Stage.SAFETY)
     one = Switch(lambda: 0, {"a": Zip(POLICY, SEND), "b": bool})
     assert found(RECV, one, stop) == []
     both = Switch(lambda: 0, {"a": Zip(POLICY, SEND), "b": Zip(POLICY, SEND)})
@@ -276,7 +281,7 @@ def test_a_function_annotated_to_return_none_is_endless() -> None:
         return False
 
     class Policy:
-        role: str = ""
+        stage: Stage | None = None
 
         def __call__(self) -> None: ...
 
@@ -293,7 +298,7 @@ def copy_block(source: str, target: str, **options: Any) -> Block:
     linear = LinearMap(
         STATES[source], STATES[target], source_name=source, target_name=target, **options
     )
-    return Block("copy", linear.operation(), (source,), (target,), linear=linear, where="w.yaml:4")
+    return Block("copy", linear, (source,), (target,), linear=linear, where="w.yaml:4")
 
 
 def test_a_copy_between_units_or_frames() -> None:
@@ -310,18 +315,9 @@ def test_a_copy_between_units_or_frames() -> None:
 
 
 def test_a_copy_between_types() -> None:
-    class Cast:
-        source_label, target_label = "joint_pos", "count"
-        source, target = STATES["joint_pos"], STATES["count"]
-        index, scale, offset = np.arange(3), None, None
-        reads, writes = ("joint_pos",), ("count",)
-        name = "cast"
-
-        def __call__(self) -> None: ...
-
-    assert found(as_block(Cast()), given=("joint_pos",)) == [
-        "block 'cast' copies 'joint_pos' (dtype float32) into 'count' (dtype int64); give both "
-        "states one dtype"
+    assert found(copy_block("joint_pos", "count"), given=("joint_pos",)) == [
+        "w.yaml:4: block 'copy' copies 'joint_pos' (dtype float32) into 'count' (dtype int64); "
+        "give both states one dtype"
     ]
 
 

@@ -7,12 +7,17 @@ from typing import Any
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from unicon_core.flow import Block, Chain, Deferred, Every, Loop, Node, Zip, compile_graph
+from unicon_core.flow import Block, Chain, Deferred, Every, Loop, Node, Stage, Zip, compile_graph
 from unicon_core.flow.critical_path import CriticalPath, critical_path
 
 
 def block(
-    name: str, reads: str = "", writes: str = "", amends: str = "", role: Any = "", **options: Any
+    name: str,
+    reads: str = "",
+    writes: str = "",
+    amends: str = "",
+    stage: Any = None,
+    **options: Any,
 ) -> Block:
     return Block(
         name,
@@ -20,15 +25,15 @@ def block(
         tuple(reads.split()),
         tuple(writes.split()),
         tuple(amends.split()),
-        role=role,
+        stage=stage,
         **options,
     )
 
 
-RECV = block("recv", "", "joint_pos joint_vel", role="recv")
+RECV = block("recv", "", "joint_pos joint_vel", stage=Stage.RECV)
 POLICY = block("policy", "joint_pos command", "target")
-LIMITS = block("limits", "", "", "target", role="safety")
-SEND = block("send", "target", role="send")
+LIMITS = block("limits", "", "", "target", stage=Stage.SAFETY)
+SEND = block("send", "target", stage=Stage.SEND)
 
 
 def names(blocks: Any) -> set[str]:
@@ -62,7 +67,7 @@ def test_a_recorder_before_send_is_put_off() -> None:
 
 def test_what_send_needs_through_others_is_critical() -> None:
     chain = [block(f"b{i}", f"s{i}", f"s{i + 1}") for i in range(4)]
-    send = block("send", "s4", role="send")
+    send = block("send", "s4", stage=Stage.SEND)
     found = find(RECV, *chain, send)
     assert names(found.critical) == {"recv", "b0", "b1", "b2", "b3", "send"}
     assert not found.deferred
@@ -84,15 +89,15 @@ def test_a_chain_of_bystanders_is_put_off_in_order() -> None:
 def test_a_bystander_stays_when_a_kept_one_reads_what_it_writes() -> None:
     derive = block("derive", "joint_pos", "energy")
     log = block("log", "energy joint_vel")
-    clobber = block("clobber", "joint_pos", "joint_vel", role="safety")
+    clobber = block("clobber", "joint_pos", "joint_vel", stage=Stage.SAFETY)
     found = find(RECV, derive, log, clobber, SEND)
     assert found.kept[log] == "clobber shares joint_vel with it"
     assert found.kept[derive] == "log shares energy with it"
 
 
-def test_undeclared_blocks_and_blocks_with_a_role_stay() -> None:
+def test_undeclared_blocks_and_blocks_of_a_fixed_stage_stay() -> None:
     plain, keyboard = block("plain"), block("keyboard", "", "keys")
-    stop = block("stop", "joint_pos", role="safety")
+    stop = block("stop", "joint_pos", stage=Stage.SAFETY)
     found = find(RECV, plain, keyboard, stop, POLICY, SEND)
     assert found.kept == {plain: "plain declares no states", keyboard: "it reads no state"}
     assert stop in found.critical
@@ -158,7 +163,7 @@ described = st.lists(
         some,
         some,
         some,
-        st.sampled_from(["", "", "", "safety"]),
+        st.sampled_from([None, None, None, Stage.SAFETY]),
         st.sampled_from(["block", "block", "block", "deferred", "every", "zip"]),
         st.integers(0, 12),
     ),
@@ -172,7 +177,7 @@ def run(parts: Any, after: int, move: bool) -> tuple[Any, CriticalPath]:
     memory = dict.fromkeys(STATES, 1)
     seen: dict[str, list[Any]] = {}
 
-    def make(i: int, reads: Any, writes: Any, amends: Any, role: Any, ends: int) -> Block:
+    def make(i: int, reads: Any, writes: Any, amends: Any, stage: Any, ends: int) -> Block:
         log = seen.setdefault(f"p{i}", [])
 
         def tick() -> bool:
@@ -181,11 +186,11 @@ def run(parts: Any, after: int, move: bool) -> tuple[Any, CriticalPath]:
                 memory[name] = hash((i, name, len(log), *log[-1])) % 10_007
             return len(log) == ends
 
-        return Block(f"p{i}", tick, reads, writes, amends, role=role)
+        return Block(f"p{i}", tick, reads, writes, amends, stage=stage)
 
     nodes: list[Node] = []
-    for i, (reads, writes, amends, role, wrap, ends) in enumerate(parts):
-        made: Node = make(i, reads, writes, amends, role, ends)
+    for i, (reads, writes, amends, stage, wrap, ends) in enumerate(parts):
+        made: Node = make(i, reads, writes, amends, stage, ends)
         if wrap == "deferred":
             made = Deferred(made)
         elif wrap == "every":

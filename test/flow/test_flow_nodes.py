@@ -21,6 +21,7 @@ from unicon_core.flow import (
     blocks_of,
     compile_graph,
 )
+from unicon_core.flow.stage import Stage
 
 
 class Recorder:
@@ -133,6 +134,30 @@ def test_switch_blends_linearly_from_the_last_command_sent() -> None:
     assert sent == [0.0, 0.0, 2.0, 4.0, 6.0, 8.0, 8.0]
 
 
+def test_a_blend_is_the_same_where_the_case_writes_in_every_second_tick_only() -> None:
+    command = np.zeros(1, np.float32)
+    keys = iter([0, *[1] * 8])
+    sent = []
+
+    def rise() -> bool:
+        command[0] += 8.0  # on its own command of two ticks ago, not on a mixed one
+        return False
+
+    def stay() -> bool:
+        return False
+
+    switch = Switch(
+        lambda: next(keys),
+        {"stay": stay, "rise": Every(2, rise)},
+        blend=3,
+        blender=Blender({"joint_pos_target": command}),
+    )
+    graph = compile_graph(Zip(switch, lambda: sent.append(float(command[0]))))
+    for _ in range(7):
+        graph.step()
+    assert sent == [0.0, 2.0, 4.0, 12.0, 16.0, 24.0, 24.0]
+
+
 def test_a_change_during_a_blend_starts_from_the_blended_command() -> None:
     command = np.zeros(1, np.float32)
     keys = iter([0, 1, 0, 0])
@@ -228,7 +253,7 @@ def test_attributes_of_a_callable_become_the_block() -> None:
         name = "recv"
         reads = "stamp_ns"
         writes = ("joint_pos", "joint_vel")
-        role = "recv"
+        stage = Stage.RECV
         endless = True
 
         def __call__(self) -> bool:
@@ -239,7 +264,7 @@ def test_attributes_of_a_callable_become_the_block() -> None:
     recv = Recv()
     block = as_block(recv, where="w.yaml:3")
     assert (block.name, block.reads, block.writes) == ("recv", ("stamp_ns",), recv.writes)
-    assert (block.role, block.where, block.reset) == ("recv", "w.yaml:3", recv.reset)
+    assert (block.stage, block.where, block.reset) == (Stage.RECV, "w.yaml:3", recv.reset)
     assert block.endless
 
 

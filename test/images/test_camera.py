@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -17,9 +18,13 @@ pytest.importorskip("rclpy")
 pytest.importorskip("mujoco")
 
 from unicon_core.errors import UniconError
-from unicon_core.flow import Block
+from unicon_core.flow import Block, Stage
+from unicon_core.models.find import pick_model
+from unicon_core.models.kinematic_tree import tree_of
+from unicon_core.models.urdf_write import urdf
+from unicon_core.robots import load_robot
 from unicon_core.runtime import Report, Runner, RunOptions
-from unicon_core.workflow import Workflow, load_workflow
+from unicon_core.workflow import Program, load_workflow
 from unicon_ros.bench.domains import free_domain
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]
@@ -113,8 +118,8 @@ def write(tmp_path: Path) -> Callable[..., Path]:
     return written
 
 
-def run(path: Path, seconds: float, observers: Any = ()) -> tuple[Report, Workflow]:
-    workflow = load_workflow(path, observers=list(observers))
+def run(path: Path, seconds: float, hooks: Any = ()) -> tuple[Report, Program]:
+    workflow = load_workflow(path, hooks=list(hooks))
     return Runner(workflow, RunOptions(duration=seconds)).run(), workflow
 
 
@@ -138,7 +143,7 @@ def test_a_plain_subscriber_sees_the_sky_above_and_the_floor_below(
     handles: list[int] = []
     shapes: list[Any] = []
 
-    def look(workflow: Workflow) -> list[Block]:
+    def look(workflow: Program) -> dict[Stage, list[Block]]:
         (camera,) = [b.tick for b in workflow.blocks if "camera" in b.name or b.name == "call"]
 
         def note() -> None:
@@ -147,7 +152,7 @@ def test_a_plain_subscriber_sees_the_sky_above_and_the_floor_below(
             frame = camera.frame(handle)
             shapes.append(None if frame is None else frame.shape)
 
-        return [Block("look", note)]
+        return {Stage.OBSERVE: [Block("look", note)]}
 
     report, _ = run(write(), 3.0, [look])
     heard = lines(peer)
@@ -176,8 +181,12 @@ def test_depths_are_where_the_floor_is(
     peer = viewer("camera/depth", name)
     heights: list[float] = []
 
-    def note(workflow: Workflow) -> list[Block]:
-        return [Block("note", lambda: heights.append(float(workflow.states["base_pos_w"][2])))]
+    def note(workflow: Program) -> dict[Stage, list[Block]]:
+        return {
+            Stage.OBSERVE: [
+                Block("note", lambda: heights.append(float(workflow.states["base_pos_w"][2])))
+            ]
+        }
 
     report, _ = run(write(kind=kind, topic="camera/depth"), 3.0, [note])
     heard = lines(peer)
@@ -223,7 +232,7 @@ def test_the_camera_info_stands_beside_the_pictures_with_their_stamps(
 def test_a_camera_process_that_is_killed_leaves_the_ticks_alone(write: Callable[..., Path]) -> None:
     killed: list[int] = []
 
-    def kill(workflow: Workflow) -> list[Block]:
+    def kill(workflow: Program) -> dict[Stage, list[Block]]:
         (camera,) = [b.tick for b in workflow.blocks if hasattr(b.tick, "frame")]
 
         def act() -> None:
@@ -231,7 +240,7 @@ def test_a_camera_process_that_is_killed_leaves_the_ticks_alone(write: Callable[
                 camera._process.kill()
                 killed.append(1)
 
-        return [Block("kill", act)]
+        return {Stage.OBSERVE: [Block("kill", act)]}
 
     report, _ = run(write(), 1.5, [kill])
     assert killed
@@ -277,3 +286,46 @@ def test_without_opengl_the_error_names_what_to_install(
     monkeypatch.setenv("MUJOCO_GL", "nonsense")
     with pytest.raises(UniconError, match=r"camera: no offscreen OpenGL \(.*apt install libegl1"):
         load_workflow(write())
+
+
+@pytest.mark.usefixtures("gl")
+def test_the_camera_is_in_the_model_that_the_platform_simulates(
+    write: Callable[..., Path], tmp_path: Path
+) -> None:
+    go2 = (ROOT / "config" / "models" / "go2" / "go2.xml").read_text("utf-8")
+    mast = '<body name="mast" pos="0 0 3"/>\n</worldbody>'
+    (tmp_path / "mast.xml").write_text(go2.replace("</worldbody>", mast), "utf-8")
+    path = write(where="{body: mast}", topic="''")
+    refused(path, r"no body 'mast' in .*go2\.xml")
+    own = {"platform": "mujoco", "scene.model": "./mast.xml"}
+    load_workflow(path, own).close()
+
+
+@pytest.mark.usefixtures("gl")
+def test_a_urdf_without_its_meshes_is_drawn_too(write: Callable[..., Path], tmp_path: Path) -> None:
+    robot = load_robot("go2")
+    text = urdf(tree_of(robot, pick_model(robot)), robot)
+    mesh = '<visual><geometry><mesh filename="lost.stl"/></geometry></visual>'
+    (tmp_path / "go2.urdf").write_text(
+        text.replace('<link name="base_link">', f'<link name="base_link">{mesh}'), "utf-8"
+    )
+    options = f"{{body: FL_foot\n      model: {tmp_path}/go2.urdf}}"
+    report, _ = run(write(where=options, topic="''"), 0.2)
+    assert report.faults == []
+
+
+@pytest.mark.usefixtures("gl")
+def test_a_robot_that_stands_in_the_world_needs_no_base(
+    write: Callable[..., Path], tmp_path: Path
+) -> None:
+    go2 = load_robot("go2")
+    text = go2.path.read_text("utf-8").replace("kind: quadruped", "kind: arm")
+    text = text.replace("name: go2", "name: table").replace("feet: [", "#").replace("feet: ", "f: ")
+    (tmp_path / "table.yaml").write_text(text, "utf-8")
+    fixed = (ROOT / "config" / "models" / "go2" / "go2.xml").read_text("utf-8")
+    fixed = re.sub(r"<freejoint[^>]*/>|<keyframe>.*</keyframe>", "", fixed, flags=re.DOTALL)
+    (tmp_path / "table.xml").write_text(fixed, "utf-8")
+    own = {"robot": "./table.yaml", "platform": "mujoco", "scene.model": "./table.xml"}
+    workflow = load_workflow(write(topic="''"), own)
+    assert "base_pos_w" not in workflow.platform.facts.writes
+    workflow.close()

@@ -7,11 +7,11 @@ import pytest
 from rosbags.typesys import Stores, get_typestore
 
 from unicon_core.errors import UniconError
+from unicon_core.models.camera import Intrinsics
 from unicon_ros.bridge.images import (
     INFO,
     KINDS,
     STAMP,
-    Intrinsics,
     frame_message,
     info_message,
     rays,

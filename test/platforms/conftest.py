@@ -21,7 +21,7 @@ name: toy
 description: floating box with a limb
 manufacturer: ours
 kind: quadruped
-model: null
+models: {{}}
 base_frame: box
 joints:
 {joints}

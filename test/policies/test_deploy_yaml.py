@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from policy_helpers import robot, write_linear
-from twin_observation import ConcatenateObservation
+from reference_observation import ConcatenateObservation
 
 from unicon_core.errors import PolicyError
-from unicon_core.policies import OnnxPolicy, load_policy, policy_states
+from unicon_core.policies import Policy, load_policy, policy_states
 from unicon_core.states import States, standard_states
 
 MOTORS = ("m0", "m1", "m2", "m3")
@@ -82,8 +82,8 @@ def test_commands_reach_the_motors_by_name(tmp_path: Path) -> None:
     pytest.importorskip("onnxruntime")
     toy = robot(MOTORS)
     contract = load_policy(write(tmp_path), robot=toy)
-    states = States({**standard_states(MOTORS), **policy_states(contract, toy)})
-    policy = OnnxPolicy(contract, states, toy)
+    states = States({**standard_states(MOTORS), **policy_states(contract, toy.joint_names)})
+    policy = Policy(contract, states, toy)
     policy()
     assert states.joint_stiffness.tolist() == [100.0, 101.0, 102.0, 103.0]  # as in the file
     action = states.action
@@ -210,7 +210,7 @@ def test_joint_pos_is_absolute_and_joint_pos_rel_relative(tmp_path: Path) -> Non
         (
             "step_dt: 0.02",
             "step_dt: 0.02\nstep_dt: 0.01",
-            ":3: key 'step_dt' stands twice: 0.02 (line 2) and 0.01; remove one",
+            ":3: not valid YAML: key 'step_dt' stands twice, first in line 2; remove one",
         ),
     ],
 )

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from policy_helpers import JOINTS, robot, toy_values
-from twin_observation import ConcatenateObservation
+from reference_observation import ConcatenateObservation
 
 from unicon_core.errors import PolicyError
 from unicon_core.policies import Observation, PolicyContract, policy_states
@@ -33,7 +33,7 @@ def states_of(
     contract: PolicyContract, joints: tuple[str, ...], num_robots: int | None = None
 ) -> States:
     specs = {**standard_states(joints), **EXTRA}
-    specs |= policy_states(contract, robot(joints), EXTRA)
+    specs |= policy_states(contract, robot(joints).joint_names, EXTRA)
     return States(specs, num_robots)
 
 

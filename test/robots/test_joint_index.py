@@ -47,3 +47,12 @@ def test_joint_named_twice_is_refused(to: list[str], from_: list[str], which: st
     assert str(caught.value) == (
         f"joint 'a' stands twice in the {which} joint order; name each joint once"
     )
+
+
+def test_names_of_other_peoples_models_may_differ_in_namespace_and_ending() -> None:
+    theirs = ["g1/knee", "hip_joint", "hip", "a/wrist", "b/wrist"]
+    assert joint_index(["hip", "knee_joint"], theirs, loose=True).tolist() == [2, 0]
+    with pytest.raises(RobotError, match="no joint 'knee_joint'"):
+        joint_index(["hip", "knee_joint"], theirs)
+    with pytest.raises(RobotError, match="joint 'wrist' could be any of a/wrist, b/wrist"):
+        joint_index(["wrist"], theirs, loose=True)

@@ -9,13 +9,13 @@ from __future__ import annotations
 import json
 import sys
 
-from unicon_core.flow import Block
+from unicon_core.flow import Block, Stage
 from unicon_core.runtime import Runner, RunOptions
-from unicon_core.workflow import Workflow, load_workflow
+from unicon_core.workflow import Program, load_workflow
 from unicon_ros.bridge import RosSession
 
 
-def feet(workflow: Workflow) -> list[Block]:
+def feet(workflow: Program) -> dict[Stage, list[Block]]:
     data = workflow.platform.data  # type: ignore[attr-defined]
 
     def say() -> None:
@@ -23,15 +23,13 @@ def feet(workflow: Workflow) -> list[Block]:
         stamp = int(workflow.states.stamp_ns)
         print(json.dumps({"kind": "feet", "stamp": stamp, "at": at}), flush=True)
 
-    return [Block("feet", say)]
+    return {Stage.INPUT: [Block("feet", say)]}
 
 
 def main() -> None:
     session = RosSession()
     # Among the inputs, since `send` steps the simulator on to the next tick's place.
-    workflow = load_workflow(
-        sys.argv[1], inputs=[session.inputs, feet], observers=[session.observers]
-    )
+    workflow = load_workflow(sys.argv[1], hooks=[session.hook, feet])
     runner = Runner(workflow, RunOptions(duration=float(sys.argv[2])))
     session.attach(runner)
     runner.run()

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from unicon_core.runtime import Report, Runner, RunOptions
-from unicon_core.workflow import Workflow, load_workflow
+from unicon_core.workflow import Program, load_workflow
 from unicon_ros.bridge import RosSession
 
 SWAY = """\
@@ -95,13 +95,11 @@ def wait_for(condition: Callable[[], bool], what: str, timeout: float = 20.0) ->
 class Run:
     """A workflow that ticks in a thread, with its bridge."""
 
-    def __init__(self, path: Path, observers: Any = (), duration: float = 60.0, **session: Any):
+    def __init__(self, path: Path, hooks: Any = (), duration: float = 60.0, **session: Any):
         self.warnings: list[str] = []
         self.session = RosSession(warn=self.warnings.append, **session)
-        self.workflow: Workflow = load_workflow(
-            path, inputs=[self.session.inputs], observers=[self.session.observers, *observers]
-        )
-        self.runner = Runner(self.workflow, RunOptions(duration=duration, warn=print))
+        self.program: Program = load_workflow(path, hooks=[self.session.hook, *hooks])
+        self.runner = Runner(self.program, RunOptions(duration=duration, warn=print))
         self.session.attach(self.runner)
         self.report: Report | None = None
         self._thread = threading.Thread(target=self._run)

@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from unicon_core.models.kinematic_tree import Link, multiply, read_tree, rotate
+from unicon_core.models.find import pick_model
+from unicon_core.models.kinematic_tree import read_tree
+from unicon_core.models.links import Link
 from unicon_core.models.load import load_model
+from unicon_core.models.quaternions import multiply, rotate
 from unicon_core.models.urdf_write import _rpy, urdf
-from unicon_core.resources import find_resource
 from unicon_core.robots import Robot, load_robot
 from unicon_msgs_map import Encoder, parse_map
 from unicon_ros.bridge.transforms import LinkTransforms, tf_map
@@ -21,7 +23,7 @@ mujoco = pytest.importorskip("mujoco")
 
 
 def model_of(robot: Robot) -> tuple[Any, list[int]]:
-    loaded = load_model(find_resource(str(robot.model), "model"), robot)
+    loaded = load_model(pick_model(robot), robot)
     return loaded.model, loaded.joints
 
 

@@ -59,7 +59,7 @@ def frames_of(path: Path, prefix: str, monkeypatch: pytest.MonkeyPatch) -> dict[
     )
     monkeypatch.setattr(compat, "message_class", lambda n: Noted if n == kind else real(n))
     try:
-        workflow = load_workflow(path, inputs=[session.inputs], observers=[session.observers])
+        workflow = load_workflow(path, hooks=[session.hook])
         for out in session.outgoing:
             out.flush(0.0)
         workflow.close()

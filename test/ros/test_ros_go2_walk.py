@@ -15,9 +15,9 @@ def test_a_plain_peer_makes_the_go2_walk_backwards_where_the_script_says_forward
 ) -> None:
     run = runs("go2_walk")
     peer = peers("robot_watcher", "--command", "-0.4", "0", "0")
-    states = run.workflow.states
+    states = run.program.states
     peer.wait_for(lambda: run.session.incoming[0].received > 0, "cmd_vel")
-    seconds = round(9.0 / run.workflow.period)
+    seconds = round(9.0 / run.program.period)
     peer.wait_for(lambda: run.runner.statistics.count >= seconds, "nine seconds of the robot")
     x, _, z = states.base_pos_w.tolist()
     assert states.velocity_command.tolist() == pytest.approx([-0.4, 0.0, 0.0])

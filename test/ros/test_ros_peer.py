@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from unicon_core.flow import Block
-from unicon_core.workflow import Workflow
+from unicon_core.flow import Block, Stage
+from unicon_core.workflow import Program
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]
 
@@ -22,7 +22,7 @@ class Recorder:
         self.quats: dict[int, list[float]] = {}
         self.base: list[tuple[int, float]] = []
 
-    def hook(self, workflow: Workflow) -> list[Block]:
+    def hook(self, workflow: Program) -> dict[Stage, list[Block]]:
         states = workflow.states
 
         def record() -> None:
@@ -31,14 +31,14 @@ class Recorder:
             self.quats[stamp] = states.base_quat.tolist()
             self.base.append((stamp, float(states.base_pos_w[0])))
 
-        return [Block("recorder", record)]
+        return {Stage.OBSERVE: [Block("recorder", record)]}
 
 
 def test_a_plain_peer_sees_the_simulators_values_moves_the_robot_and_may_be_killed(
     runs: Callable[..., Any], peers: Callable[..., Any], sway: Path
 ) -> None:
     recorder = Recorder()
-    run = runs(sway, observers=[recorder.hook])
+    run = runs(sway, hooks=[recorder.hook])
     peer = peers("robot_watcher", "--command", "0.5", "0", "0")
 
     peer.wait_for(lambda: len(peer.of("joints")) > 20, "joint_states")
@@ -50,7 +50,7 @@ def test_a_plain_peer_sees_the_simulators_values_moves_the_robot_and_may_be_kill
     heard = [line for line in peer.of("joints") if line["stamp"] in joints]
     assert len(heard) > 100
     for line in heard:
-        assert line["names"] == list(run.workflow.robot.joint_names)
+        assert line["names"] == list(run.program.robot.joint_names)
         assert (line["position"], line["velocity"]) == joints[line["stamp"]]
     assert len(peer.of("imu")) > 100
     for line in peer.of("imu"):
@@ -65,11 +65,11 @@ def test_a_plain_peer_sees_the_simulators_values_moves_the_robot_and_may_be_kill
     leaning = recorder.base[-1][1]
     assert leaning - before[-1] > 0.02  # thighs turned by 0.3 rad move the base forward
     assert max(before[-50:]) - min(before[-50:]) < 0.005
-    assert run.workflow.states.velocity_command.tolist() == [0.5, 0.0, 0.0]
+    assert run.program.states.velocity_command.tolist() == [0.5, 0.0, 0.0]
 
     ticks = run.runner.statistics.count
     peer.kill()
-    command = run.workflow.states.velocity_command
+    command = run.program.states.velocity_command
     peer.wait_for(lambda: run.runner.statistics.count > ticks + 100, "ticks after the peer died")
     peer.wait_for(lambda: command.tolist() == [0.0, 0.0, 0.0], "the time-out of cmd_vel")
     assert any("cmd_vel: no message for 0.5 s" in line for line in run.warnings)

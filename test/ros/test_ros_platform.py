@@ -55,11 +55,11 @@ def test_ticks_come_with_joint_states_in_any_order_and_silence_is_a_fault(
         return bool(heard) and all(abs(heard[-1]["at"][n] - wanted[n]) < 0.01 for n in wanted)
 
     peer.wait_for(there, "the robot to reach the command, joint by joint")
-    states = run.workflow.states
+    states = run.program.states
     # A turn of 0.6 + 0.8i about x, 73.7°: gravity comes from y.
     assert states.base_quat.tolist() == pytest.approx([0.8, 0.6, 0.0, 0.0])
     assert states.projected_gravity.tolist() == pytest.approx([0.0, -0.96, -0.28], abs=1e-6)
-    platform = run.workflow.platform
+    platform = run.program.platform
     received = platform.info()["received"]["/joint_states"]
     ticks = run.runner.statistics.count
     assert abs(received - ticks) <= 0.2 * ticks + 10  # a tick for each state, not a free timer

@@ -71,7 +71,7 @@ def test_a_topic_rules_from_its_first_message_and_is_zero_after_its_time_out(
 ) -> None:
     run = runs(react)
     seen: list[tuple[float, ...]] = []
-    command = run.workflow.states.velocity_command
+    command = run.program.states.velocity_command
     publisher = plain.create_publisher(Twist, "cmd_vel", 10)
     plain.spin_until(lambda: publisher.get_subscription_count() == 1, "the bridge's subscription")
     plain.spin_until(lambda: run.runner.statistics.count > 3, "ticks")
@@ -80,7 +80,7 @@ def test_a_topic_rules_from_its_first_message_and_is_zero_after_its_time_out(
     message = Twist()
     message.linear.y = -0.25
     publisher.publish(message)
-    hips = run.workflow.states.joint_pos_target
+    hips = run.program.states.joint_pos_target
 
     def note() -> bool:
         seen.append(tuple(command.tolist()))
@@ -90,7 +90,7 @@ def test_a_topic_rules_from_its_first_message_and_is_zero_after_its_time_out(
     assert (0.0, -0.25, 0.0) in seen
     first = seen.index((0.0, -0.25, 0.0))
     # The script writes 0.1 in every tick; a reader between two blocks may see it, the flow may not.
-    default = run.workflow.robot.default_joint_pos
+    default = run.program.robot.default_joint_pos
     assert run.session.incoming[0].received == 1
     plain.spin_until(lambda: np.allclose(hips, default, atol=1e-6), "the flow to see zeros")
     allowed = {(0.0, -0.25, 0.0), (0.0, 0.0, 0.0), script}
@@ -99,7 +99,7 @@ def test_a_topic_rules_from_its_first_message_and_is_zero_after_its_time_out(
 
 def test_the_queue_is_drained_to_the_latest_message(react: Path, plain: Any) -> None:
     session = RosSession()
-    workflow = load_workflow(react, inputs=[session.inputs], observers=[session.observers])
+    workflow = load_workflow(react, hooks=[session.hook])
     (block,) = [b for b in workflow.blocks if b.name == "ros inputs"]
     publisher = plain.create_publisher(Twist, "cmd_vel", 10)
     plain.spin_until(lambda: publisher.get_subscription_count() == 1, "the bridge's subscription")
@@ -130,7 +130,7 @@ def test_a_late_joiner_gets_the_robot_description(
     plain.create_subscription(String, "robot_description", heard.append, latched)
     plain.spin_until(lambda: heard, "robot_description")
     assert heard[0].data.startswith("<?xml")
-    for name in run.workflow.robot.joint_names:
+    for name in run.program.robot.joint_names:
         assert f'<joint name="{name}" type="revolute">' in heard[0].data
 
 
@@ -163,7 +163,7 @@ def test_without_rclpys_private_names_the_public_ones_do(
 
     def answered() -> bool:
         publisher.publish(message)
-        hip = run.workflow.robot.joint_names.index("FL_hip_joint")
+        hip = run.program.robot.joint_names.index("FL_hip_joint")
         return any(abs(m.position[hip] - 0.6) < 1e-6 for m in heard)
 
     plain.spin_until(answered, "the command to come back as a joint position")
@@ -278,7 +278,7 @@ def test_a_wrong_map_is_one_line_that_names_the_culprit(
     def load() -> None:
         session = RosSession(map=path)
         try:
-            load_workflow(react, inputs=[session.inputs], observers=[session.observers])
+            load_workflow(react, hooks=[session.hook])
         finally:
             session.close()
 
@@ -312,7 +312,7 @@ def test_a_missing_rclpy_names_the_command_that_installs_it(
     def absent(name: str) -> Any:
         raise ImportError(name)
 
-    monkeypatch.setattr(compat.importlib, "import_module", absent)
+    monkeypatch.setattr("unicon_ros.compat.loading.importlib.import_module", absent)
     with pytest.raises(MissingDependencyError, match=r"needs rclpy: source /opt/ros/<distro>"):
         RosSession()
 
@@ -321,7 +321,7 @@ def test_the_middlewares_threads_do_not_preempt_the_tick_and_pythons_are_left_al
     react: Path,
 ) -> None:
     session = RosSession()
-    workflow = load_workflow(react, inputs=[session.inputs], observers=[session.observers])
+    workflow = load_workflow(react, hooks=[session.hook])
     waiting = threading.Event()
     mine = threading.Thread(target=waiting.wait)
     mine.start()
@@ -340,7 +340,7 @@ def test_the_middlewares_threads_do_not_preempt_the_tick_and_pythons_are_left_al
 
 def test_counts_can_be_written_as_json(react: Path) -> None:
     session = RosSession()
-    workflow = load_workflow(react, inputs=[session.inputs], observers=[session.observers])
+    workflow = load_workflow(react, hooks=[session.hook])
     assert json.loads(json.dumps(session.counts()))["published"] == 0
     workflow.close()
     session.close()

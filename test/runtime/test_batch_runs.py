@@ -10,9 +10,9 @@ import pytest
 from numpy.typing import NDArray
 from policy_workflows import write_workflow
 
-from unicon_core.flow import Block
+from unicon_core.flow import Block, Stage
 from unicon_core.runtime import Runner, RunOptions
-from unicon_core.workflow import Workflow, load_workflow
+from unicon_core.workflow import Program, load_workflow
 
 ROBOTS = 64
 TICKS = 110
@@ -44,18 +44,18 @@ def commands(ticks: int) -> NDArray[np.float32]:
 def runner(path: Path, told: NDArray[np.float32], robots: int | None) -> Runner:
     """A run whose velocity command is `told[tick]`."""
 
-    def hook(workflow: Workflow) -> list[Block]:
+    def hook(workflow: Program) -> dict[Stage, list[Block]]:
         command, tick = workflow.states["velocity_command"], workflow.states["tick"]
 
         def tell() -> None:
             command[...] = told[int(tick.flat[0])]
 
-        return [Block("tell", tell, writes=("velocity_command",))]
+        return {Stage.INPUT: [Block("tell", tell, writes=("velocity_command",))]}
 
     overrides: dict[str, Any] = {"commands": []}
     if robots is not None:
         overrides["num_robots"] = robots
-    return Runner(load_workflow(path, overrides, inputs=[hook]), RunOptions(speed="max"))
+    return Runner(load_workflow(path, overrides, hooks=[hook]), RunOptions(speed="max"))
 
 
 def test_without_a_policy_every_bit_is_that_of_a_single_run(tmp_path: Path) -> None:
@@ -67,13 +67,13 @@ def test_without_a_policy_every_bit_is_that_of_a_single_run(tmp_path: Path) -> N
     for _ in range(TICKS):
         many.tick(0)
         for name, seen in record.items():
-            seen.append(many.workflow.states[name].copy())
+            seen.append(many.program.states[name].copy())
     for k in range(ROBOTS):
         one = runner(path, told[:, k], None)
         for tick in range(TICKS):
             one.tick(0)
             for name, seen in record.items():
-                alone = one.workflow.states[name].tobytes()
+                alone = one.program.states[name].tobytes()
                 assert seen[tick][k].tobytes() == alone, (name, k, tick)
         one.close()
     many.close()
@@ -89,14 +89,14 @@ def test_with_a_policy_each_action_is_within_1e_5(tmp_path: Path, kind: str) -> 
     actions, targets = [], []
     for _ in range(TICKS):
         many.tick(0)
-        actions.append(many.workflow.states["action"].copy())
-        targets.append(many.workflow.states["joint_pos_target"].copy())
+        actions.append(many.program.states["action"].copy())
+        targets.append(many.program.states["joint_pos_target"].copy())
     for k in range(0, ROBOTS, 7):
         one = runner(path, told[:, k], None)
         for tick in range(TICKS):
             one.tick(0)
-            np.testing.assert_allclose(one.workflow.states["action"], actions[tick][k], atol=1e-5)
-            target = one.workflow.states["joint_pos_target"]
+            np.testing.assert_allclose(one.program.states["action"], actions[tick][k], atol=1e-5)
+            target = one.program.states["joint_pos_target"]
             np.testing.assert_allclose(target, targets[tick][k], atol=1e-5)
         one.close()
     many.close()

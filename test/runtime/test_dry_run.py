@@ -42,13 +42,13 @@ def test_the_states_of_every_tick_are_the_same_with_and_without_dry_runs(
         for runner in (one, two):
             if tick in resets:
                 runner.reset()
-            runner.workflow.states.base_ang_vel = kick
-        before = two.workflow.states.snapshot()
+            runner.program.states.base_ang_vel = kick
+        before = two.program.states.snapshot()
         for _ in range(count):
             two.graph.dry()
-        assert two.workflow.states.snapshot() == before
+        assert two.program.states.snapshot() == before
         assert one.tick(0) == two.tick(0)
-        assert one.workflow.states.snapshot() == two.workflow.states.snapshot()
+        assert one.program.states.snapshot() == two.program.states.snapshot()
     assert one.report().sha256_commands == two.report().sha256_commands
     for runner in (one, two):
         runner.close()

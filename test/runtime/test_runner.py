@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 
 from unicon_core.errors import Fault
-from unicon_core.flow import Block
+from unicon_core.flow import Block, Stage
 from unicon_core.runtime import Runner, RunOptions
-from unicon_core.workflow import Workflow, load_workflow
+from unicon_core.workflow import Program, load_workflow
 
 WORKFLOW = """
 robot: go2
@@ -35,7 +35,7 @@ def path(tmp_path: Path) -> Path:
 
 def observer(tick: Any, **options: Any) -> Any:
     """A hook that adds one block."""
-    return lambda workflow: [Block("observer", tick, **options)]
+    return lambda program: {Stage.OBSERVE: [Block("observer", tick, **options)]}
 
 
 def test_a_run_ends_when_its_flow_is_done(path: Path) -> None:
@@ -84,16 +84,16 @@ def test_a_fault_stops_before_send_and_closes_everything(path: Path) -> None:
         if ticks == 3:
             raise Fault("the test says so")
 
-    def inputs(workflow: Workflow) -> list[Block]:
+    def inputs(workflow: Program) -> dict[Stage, list[Block]]:
         platform = workflow.platform
         send, close = platform.send, platform.close
         monitored: Any = platform
         monitored.send = lambda: (calls.append("send"), send())[1]
         monitored.close = lambda: (calls.append("close"), close())[1]
-        return [Block("trip", trip, close=lambda: calls.append("trip closed"))]
+        return {Stage.INPUT: [Block("trip", trip, close=lambda: calls.append("trip closed"))]}
 
     # Hooks are asked before `send` is bound, so the counting one is what the graph calls.
-    runner = Runner(load_workflow(path, inputs=[inputs]), RunOptions(speed="max"))
+    runner = Runner(load_workflow(path, hooks=[inputs]), RunOptions(speed="max"))
     report = runner.run()
     assert report.faults == ["the test says so"]
     assert calls == ["send", "send", "close", "trip closed"]
@@ -112,7 +112,7 @@ def test_a_slow_tick_is_an_overrun_and_the_policy_says_what_follows(
         if len(starts) == 5:
             time.sleep(0.035)  # 3.5 periods
 
-    workflow = load_workflow(path, [f"pacing.overrun={overrun}"], observers=[observer(slow_once)])
+    workflow = load_workflow(path, [f"pacing.overrun={overrun}"], hooks=[observer(slow_once)])
     report = Runner(workflow).run()
     assert report.ticks == 20
     assert report.overruns >= wanted
@@ -130,7 +130,7 @@ def test_deadlines_do_not_drift(path: Path) -> None:
 
     # catch_up: where another process holds the core for a while, no tick is left out.
     overrides = ["flow.chain.1.hold.duration=0.6", "pacing.overrun=catch_up"]
-    Runner(load_workflow(path, overrides, observers=[observer(note)])).run()
+    Runner(load_workflow(path, overrides, hooks=[observer(note)])).run()
     assert (starts[-1] - starts[0]) / 1e7 == pytest.approx(len(starts) - 1, rel=0.1)
 
 

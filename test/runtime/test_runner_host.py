@@ -12,7 +12,7 @@ import pytest
 from unicon_core.errors import PlatformError
 from unicon_core.platforms.fake import FakePlatform
 from unicon_core.runtime import Runner, RunOptions
-from unicon_core.workflow import Workflow, load_workflow
+from unicon_core.workflow import Program, load_workflow
 
 WORKFLOW = """\
 schema: unicon.workflow/1
@@ -25,8 +25,8 @@ safety: [finite]
 
 
 @pytest.fixture
-def workflow(tmp_path: Path) -> Callable[..., Workflow]:
-    def load(*overrides: str) -> Workflow:
+def workflow(tmp_path: Path) -> Callable[..., Program]:
+    def load(*overrides: str) -> Program:
         path = tmp_path / "host.yaml"
         path.write_text(WORKFLOW)
         return load_workflow(path, overrides)
@@ -36,7 +36,7 @@ def workflow(tmp_path: Path) -> Callable[..., Workflow]:
 
 @pytest.mark.parametrize("speed", ["real", "max"])
 def test_actions_run_between_two_ticks_in_their_order(
-    workflow: Callable[..., Workflow], speed: Any
+    workflow: Callable[..., Program], speed: Any
 ) -> None:
     runner = Runner(workflow(), RunOptions(speed=speed, duration=0.2))
     seen: list[tuple[str, int]] = []
@@ -52,7 +52,7 @@ def test_actions_run_between_two_ticks_in_their_order(
     assert report.ticks == 100
 
 
-def test_a_long_action_is_no_overrun(workflow: Callable[..., Workflow]) -> None:
+def test_a_long_action_is_no_overrun(workflow: Callable[..., Program]) -> None:
     loaded = workflow()
     runner = Runner(loaded, RunOptions(duration=0.1))
     overruns: list[int] = []
@@ -67,7 +67,7 @@ def test_a_long_action_is_no_overrun(workflow: Callable[..., Workflow]) -> None:
     assert report.overruns < 50
 
 
-def test_reset_brings_a_simulator_back_to_time_0(workflow: Callable[..., Workflow]) -> None:
+def test_reset_brings_a_simulator_back_to_time_0(workflow: Callable[..., Program]) -> None:
     loaded = workflow()
     runner = Runner(loaded)
     for _ in range(10):
@@ -80,7 +80,7 @@ def test_reset_brings_a_simulator_back_to_time_0(workflow: Callable[..., Workflo
 
 
 def test_the_next_deadline_is_a_period_after_the_present_one(
-    workflow: Callable[..., Workflow],
+    workflow: Callable[..., Program],
 ) -> None:
     runner = Runner(workflow(), RunOptions(duration=0.05))
     assert runner.next_due_ns == 0
@@ -89,7 +89,7 @@ def test_the_next_deadline_is_a_period_after_the_present_one(
     assert runner.next_due_ns == last[0] + runner.period_ns
 
 
-def test_a_platform_that_cannot_wait_cannot_trigger(workflow: Callable[..., Workflow]) -> None:
+def test_a_platform_that_cannot_wait_cannot_trigger(workflow: Callable[..., Program]) -> None:
     loaded = workflow("pacing={trigger: state}")
     with pytest.raises(PlatformError) as caught:
         Runner(loaded)
@@ -100,7 +100,7 @@ def test_a_platform_that_cannot_wait_cannot_trigger(workflow: Callable[..., Work
 
 
 def test_ticks_come_with_the_data_and_without_them_as_overruns(
-    workflow: Callable[..., Workflow],
+    workflow: Callable[..., Program],
 ) -> None:
     loaded = workflow("pacing={trigger: state}")
     answers = [True] * 20 + [False] * 5 + [True] * 75
@@ -144,7 +144,7 @@ class Arrivals:
 
 @pytest.mark.parametrize("interval", [0.002, 0.0125, 0.02])
 def test_ticks_keep_their_rate_however_often_data_come(
-    workflow: Callable[..., Workflow], interval: float, monkeypatch: pytest.MonkeyPatch
+    workflow: Callable[..., Program], interval: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     data, recv = Arrivals(interval), FakePlatform.recv
 

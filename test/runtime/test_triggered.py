@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from unicon_core.flow import Stage
 from unicon_core.runtime import Runner, RunOptions
-from unicon_core.workflow import Workflow, load_workflow
+from unicon_core.workflow import Program, load_workflow
 
 WORKFLOW = """\
 robot: go2
@@ -52,7 +53,7 @@ class Stream:
         self._recv()
 
 
-def loaded(tmp_path: Path, *overrides: str) -> Workflow:
+def loaded(tmp_path: Path, *overrides: str) -> Program:
     path = tmp_path / "triggered.yaml"
     path.write_text(WORKFLOW, encoding="utf-8")
     return load_workflow(path, overrides)
@@ -65,13 +66,13 @@ def streamed(
     platform: Any = workflow.platform
     stream = Stream(platform, interval_ns)
     # The graph has bound `recv` at build: route it through the stand-in.
-    block = next(block for block in blocks(workflow) if block.role == "recv")
+    block = next(block for block in blocks(workflow) if block.stage is Stage.RECV)
     block.tick = stream.recv
     runner = Runner(workflow, RunOptions(duration=duration))
     return runner, stream, runner.run()
 
 
-def blocks(workflow: Workflow) -> Any:
+def blocks(workflow: Program) -> Any:
     from unicon_core.flow import blocks_of
 
     return blocks_of(workflow.root)
@@ -111,7 +112,7 @@ def test_the_policy_runs_dry_before_the_data_that_are_waited_for(tmp_path: Path)
     platform: Any = workflow.platform
     stream = Stream(platform, 2_000_000)
     order: list[str] = []
-    recv = next(block for block in blocks(workflow) if block.role == "recv")
+    recv = next(block for block in blocks(workflow) if block.stage is Stage.RECV)
     recv.tick = lambda: (order.append("tick"), stream.recv())[1]
     runner = Runner(workflow, RunOptions(duration=0.6))
     dry = runner.graph.dry

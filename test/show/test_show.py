@@ -20,6 +20,7 @@ from unicon_core.flow import (
     LinearMap,
     Loop,
     Node,
+    Stage,
     Switch,
     When,
     Zip,
@@ -35,19 +36,21 @@ from unicon_core.states import States, standard_states
 STATES = States(standard_states(["hip", "thigh", "calf"]), 2)
 
 
-def block(name: str, reads: str = "", writes: str = "", amends: str = "", role: Any = "") -> Block:
+def block(
+    name: str, reads: str = "", writes: str = "", amends: str = "", stage: Any = None
+) -> Block:
     return Block(
-        name, bool, tuple(reads.split()), tuple(writes.split()), tuple(amends.split()), role=role
+        name, bool, tuple(reads.split()), tuple(writes.split()), tuple(amends.split()), stage=stage
     )
 
 
-RECV = block("recv", "", "joint_pos joint_vel base_quat stamp_ns base_ang_vel", role="recv")
+RECV = block("recv", "", "joint_pos joint_vel base_quat stamp_ns base_ang_vel", stage=Stage.RECV)
 POSE = block("pose", "joint_pos", "joint_pos_target")
 WALK = block("walk", "joint_pos joint_vel velocity_command", "joint_pos_target")
 UNTIL = block('tick > 500 & "x"', "tick")
 MODE = block("mode", "tick")
-LIMITS = block("joint_limits", "", "", "joint_pos_target", "safety")
-SEND = block("send", "joint_pos_target", role="send")
+LIMITS = block("joint_limits", "", "", "joint_pos_target", Stage.SAFETY)
+SEND = block("send", "joint_pos_target", stage=Stage.SEND)
 LOG = block("log <1>", "joint_pos joint_pos_target")
 
 
@@ -158,7 +161,7 @@ def test_blocks_fused_from_critical_ones_are_critical() -> None:
         linear = LinearMap(STATES[name], STATES[f"{name}_target"])
         made = block(f"copy {name}", name, f"{name}_target")
         copies.append(replace(made, linear=linear, endless=True))
-    send = block("send", "joint_pos_target joint_vel_target", role="send")
+    send = block("send", "joint_pos_target joint_vel_target", stage=Stage.SEND)
     found = critical_path(Zip(RECV, *copies, send))
     root = fuse(found.root, STATES)
     text = show_text(root, STATES, found.critical)

@@ -11,12 +11,12 @@ import pytest
 
 from unicon_core.flow import blocks_of, compile_graph
 from unicon_core.show import show_mermaid, show_svg, show_text
-from unicon_core.workflow import Workflow, load_document, load_workflow, workflow_names
+from unicon_core.workflow import Program, load_document, load_workflow, workflow_names
 from unicon_ros.cli.main import main
 
 
 @pytest.fixture(scope="module", params=workflow_names())
-def workflow(request: pytest.FixtureRequest) -> Iterator[Workflow]:
+def workflow(request: pytest.FixtureRequest) -> Iterator[Program]:
     text = load_document(request.param).path.read_text(encoding="utf-8")
     if "assets:" in text:
         request.getfixturevalue("assets")
@@ -25,7 +25,7 @@ def workflow(request: pytest.FixtureRequest) -> Iterator[Workflow]:
     loaded.close()
 
 
-def test_text_names_every_block_state_and_table(workflow: Workflow) -> None:
+def test_text_names_every_block_state_and_table(workflow: Program) -> None:
     text = show_text(
         workflow.root,
         workflow.states,
@@ -44,7 +44,7 @@ def test_text_names_every_block_state_and_table(workflow: Workflow) -> None:
             assert term.name in text
 
 
-def test_mermaid_has_a_node_for_every_block_and_balanced_subgraphs(workflow: Workflow) -> None:
+def test_mermaid_has_a_node_for_every_block_and_balanced_subgraphs(workflow: Program) -> None:
     drawn = show_mermaid(workflow.root, workflow.states, workflow.critical)
     lines = [line for line in drawn.splitlines() if not line.startswith("%%")]
     assert lines[0].startswith(("flowchart", "graph"))
@@ -55,7 +55,7 @@ def test_mermaid_has_a_node_for_every_block_and_balanced_subgraphs(workflow: Wor
         assert block.name.split("(")[0].strip() in text
 
 
-def test_svg_is_well_formed_and_says_every_block(workflow: Workflow) -> None:
+def test_svg_is_well_formed_and_says_every_block(workflow: Program) -> None:
     root = ElementTree.fromstring(show_svg(workflow.root, workflow.states, workflow.critical))
     assert root.tag.endswith("svg")
     said = " ".join(text for element in root.iter() for text in [element.text or ""])
@@ -63,7 +63,7 @@ def test_svg_is_well_formed_and_says_every_block(workflow: Workflow) -> None:
         assert block.name in said
 
 
-def test_source_calls_every_block_and_compiles(workflow: Workflow) -> None:
+def test_source_calls_every_block_and_compiles(workflow: Program) -> None:
     source = compile_graph(workflow.root).source
     compile(source, "<shown>", "exec")
     for block in blocks_of(workflow.root):

@@ -17,7 +17,7 @@ from unicon_core.robots import Robot, load_robot
 from unicon_core.runtime import Report, Runner, RunOptions
 from unicon_core.states import States
 from unicon_core.states.standard import JOINT_STATES
-from unicon_core.workflow import Workflow, load_workflow, workflow_names
+from unicon_core.workflow import Program, load_workflow, workflow_names
 
 pytest.importorskip("mujoco", reason="the robots move in mujoco")
 pytest.importorskip("onnxruntime", reason="the policies need onnxruntime")
@@ -36,7 +36,7 @@ SUBSETS: dict[str, Sequence[str]] = {
 
 def run(
     name: str | Path, overrides: Mapping[str, Any], seconds: float = 60.0
-) -> tuple[Report, Workflow]:
+) -> tuple[Report, Program]:
     workflow = load_workflow(name, overrides)
     speed: Literal["real", "max"] = "max" if workflow.platform.facts.simulated else "real"
     return Runner(workflow, RunOptions(duration=seconds, speed=speed)).run(), workflow
@@ -137,7 +137,7 @@ def test_a_robot_without_the_policys_joints_is_refused_in_one_line_with_their_na
     with pytest.raises(PolicyError) as caught:
         load_workflow(name, {"robot": "h1"})
     line = str(caught.value)
-    assert line.startswith("policy 'walk': robot h1 lacks 13 of the policy's 29 joints: ")
+    assert line.startswith("policy 'walk': robot h1 lacks 13 of the 29 joints needed: ")
     for joint in ("left_ankle_roll_joint", "waist_pitch_joint", "right_wrist_yaw_joint"):
         assert joint in line
     assert "left_knee_joint" not in line
@@ -147,7 +147,7 @@ def test_a_robot_without_the_policys_joints_is_refused_in_one_line_with_their_na
 
 def test_motors_are_counted_on_the_robot_that_the_policy_was_made_for(assets: Path) -> None:
     """Atom has 29 joints too: without `given: {robot: …}` its joints would be taken silently."""
-    with pytest.raises(PolicyError, match="robot atom lacks 7 of the policy's 29 joints: waist_"):
+    with pytest.raises(PolicyError, match="robot atom lacks 7 of the 29 joints needed: waist_"):
         load_workflow("g1_walk", {"robot": "atom", "platform": "fake"})
 
 

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from unicon_core.bounds import POSITION, SHARE, VELOCITY, within
 from unicon_core.errors import RobotError, WorkflowError
-from unicon_core.flow.block import Amends, Reads, Role
+from unicon_core.flow.block import Amends, Reads
+from unicon_core.flow.stage import Stage
 from unicon_core.robots import Robot
 
 __all__ = [
@@ -46,7 +47,7 @@ def joint_limits(joint_pos_target: Amends, *, robot: Robot, margin: float = 0.0)
 class JointLimits:
     """The tick of `joint_limits`."""
 
-    role: Role = "safety"
+    stage = Stage.SAFETY
     clamps = True
 
     def __init__(self, target: Float, lower: Float, upper: Float) -> None:
@@ -95,7 +96,7 @@ def effort_limits(
 class EffortLimits:
     """The tick of `effort_limits`."""
 
-    role: Role = "safety"
+    stage = Stage.SAFETY
     clamps = True
 
     def __init__(
@@ -177,7 +178,7 @@ def rate_limit(
 class RateLimit:
     """The tick of `rate_limit`."""
 
-    role: Role = "safety"
+    stage = Stage.SAFETY
     clamps = True
 
     def __init__(self, pos: Float, target: Float, step: Float) -> None:

@@ -11,7 +11,8 @@ from unicon_core.blocks.joint_command import ticks_of
 from unicon_core.blocks.predicates import largest
 from unicon_core.bounds import STALE, TILT, VELOCITY, VELOCITY_FACTOR, within
 from unicon_core.errors import Fault, RobotError
-from unicon_core.flow.block import Reads, Role
+from unicon_core.flow.block import Reads
+from unicon_core.flow.stage import Stage
 from unicon_core.platforms.kit.command import FiniteCheck
 from unicon_core.robots import Robot
 
@@ -50,7 +51,7 @@ def finite(
 class Finite(FiniteCheck):
     """The tick of `finite`."""
 
-    role: Role = "safety"
+    stage = Stage.SAFETY
 
 
 def tilt_stop(projected_gravity: Reads, *, angle: float = 1.0) -> TiltStop:
@@ -66,7 +67,7 @@ def tilt_stop(projected_gravity: Reads, *, angle: float = 1.0) -> TiltStop:
 class TiltStop:
     """The tick of `tilt_stop`."""
 
-    role: Role = "safety"
+    stage = Stage.SAFETY
 
     def __init__(self, projected_gravity: NDArray[np.float32], angle: float) -> None:
         self._down, self._angle = projected_gravity[..., 2], angle
@@ -115,7 +116,7 @@ def velocity_stop(
 class VelocityStop:
     """The tick of `velocity_stop`."""
 
-    role: Role = "safety"
+    stage = Stage.SAFETY
 
     def __init__(
         self, vel: NDArray[np.float32], bound: NDArray[np.float32], joint_names: tuple[str, ...]
@@ -152,7 +153,7 @@ def stale_stop(stamp_ns: Reads, *, period: float, timeout: float = 0.1) -> Stale
 class StaleStop:
     """The tick of `stale_stop`."""
 
-    role: Role = "safety"
+    stage = Stage.SAFETY
 
     def __init__(self, stamp: NDArray[np.int64], ticks: int, timeout: float) -> None:
         self._stamp, self._ticks, self._timeout = stamp, ticks, timeout

@@ -13,7 +13,7 @@ from unicon_core.check.safety import limits_targets
 from unicon_core.check.subject import Subject, listed
 from unicon_core.platforms.platform import info_of
 from unicon_core.policies import PolicyContract
-from unicon_core.workflow.settings import waits_for_data
+from unicon_core.robots import joint_index
 
 __all__ = ["check_action", "check_timing"]
 
@@ -43,8 +43,9 @@ def _action(subject: Subject, result: CheckResult, key: str, contract: PolicyCon
     reach = np.sort(action.offset + action.scale * clip, axis=0)
     rows, outside, offsets, idle, jumps, torques = [], [], [], [], [], []
     beyond = False
-    for i, name in enumerate(action.joints):
-        j, k = robot.joint_names.index(name), contract.joints.index(name)
+    from_robot = joint_index(action.joints, robot.joint_names)
+    from_policy = joint_index(action.joints, contract.joints)
+    for i, (name, j, k) in enumerate(zip(action.joints, from_robot, from_policy)):
         lower, upper = float(robot.lower[j]), float(robot.upper[j])
         offset, scale = float(action.offset[i]), float(action.scale[i])
         low, high = reach[:, i]
@@ -161,10 +162,10 @@ def _symmetry(result: CheckResult, key: str, contract: PolicyContract) -> None:
 
 def check_timing(subject: Subject, result: CheckResult) -> None:
     """Add the table of rates; an implausible period or command is a finding."""
-    workflow = subject.workflow
-    rows = [["workflow", f"{workflow.period:g}", f"{1.0 / workflow.period:g}", "each tick"]]
+    program = subject.program
+    rows = [["workflow", f"{program.period:g}", f"{1.0 / program.period:g}", "each tick"]]
     for key, contract in subject.policies.items():
-        n = round(contract.period / workflow.period)
+        n = round(contract.period / program.period)
         often = "each tick" if n == 1 else f"every {n} ticks"
         rows.append([f"policy {key}", f"{contract.period:g}", f"{1.0 / contract.period:g}", often])
         if not 0.002 <= contract.period <= 0.1:
@@ -175,7 +176,7 @@ def check_timing(subject: Subject, result: CheckResult) -> None:
                 "give the control period in seconds: 0.02 for 50 Hz",
                 contract.path,
             )
-    info = info_of(workflow.platform)
+    info = info_of(program.platform)
     if "physics_step_s" in info:
         step = float(info["physics_step_s"])
         rows.append(
@@ -183,8 +184,9 @@ def check_timing(subject: Subject, result: CheckResult) -> None:
         )
     result.table("Timing", ["who", "period [s]", "rate [Hz]", "runs"], rows)
     platform = subject.platform
-    unable = waits_for_data(subject.document) and not subject.waits
-    if unable and not subject.live:  # the runner tells it
+    if (
+        subject.program.pacing.trigger == "state" and not subject.waits and not subject.live
+    ):  # the runner tells it
         result.find(
             "timing.trigger",
             f"platform {platform.name!r}",

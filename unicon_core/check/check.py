@@ -55,7 +55,7 @@ def check_workflow(
     *,
     twin: bool = False,
     more: Iterable[Callable[[Subject, CheckResult], None]] = (),
-    inputs: Sequence[Hook] = (),
+    hooks: Sequence[Hook] = (),
 ) -> CheckResult:
     """Check a workflow without moving anything.
 
@@ -65,9 +65,9 @@ def check_workflow(
     Args:
         name_or_path: a name in `config/workflows/`, or a path.
         overrides: `path=value` texts as of `--set`.
-        twin: also run it in MuJoCo, and broken contracts beside it.
+        twin: also simulate it, and broken contracts beside it.
         more: further checks of the built workflow, such as that of its message map.
-        inputs: hooks that stand for what a run would add to the graph, such as topics.
+        hooks: hooks that stand for what a run would add to the graph, such as topics.
 
     Returns:
         Tables, findings and notes; `findings` is empty where all is well.
@@ -77,7 +77,7 @@ def check_workflow(
         document = load_document(name_or_path, overrides)
         result.workflow = document.name
         settings = check_section(document, result)
-        subject = build_subject(document, inputs)
+        subject = build_subject(document, hooks)
     except UniconError as error:
         _cannot(result, error)
         return result
@@ -87,17 +87,17 @@ def check_workflow(
         result.subject = (
             f"robot {subject.robot.name}, platform {platform.name} ({kind}), {document.path}"
         )
-        for note in subject.workflow.platform.facts.notes:
+        for note in subject.program.platform.facts.notes:
             result.note("platform.open", f"platform {platform.name!r}", note)
         static_checks(subject, result)
         for check in more:
             check(subject, result)
     finally:
-        subject.workflow.close()
+        subject.program.close()
     if twin:
         from unicon_core.check.twin import check_twin
 
-        check_twin(document, settings, result)
+        check_twin(document, subject.program.platform, settings, result)
     return result
 
 

@@ -10,7 +10,7 @@ __all__ = ["check_commands"]
 
 def check_commands(subject: Subject, result: CheckResult) -> None:
     """Note what is commanded without a bound of its own: cautious ones hold then."""
-    open_ended = [each for each in subject.workflow.command_bounds if not each.given]
+    open_ended = [each for each in subject.program.command_bounds if not each.given]
     if open_ended:
         held = ", ".join(f"{b.axis} to {b.low:g}…{b.high:g} {b.unit}" for b in open_ended)
         result.note(

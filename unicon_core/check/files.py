@@ -7,7 +7,7 @@ from pathlib import Path
 
 from unicon_core.check.result import CheckResult
 from unicon_core.check.subject import Subject, listed
-from unicon_core.policies.onnx_file import read_onnx
+from unicon_core.policies.networks.onnx_file import read_onnx
 
 __all__ = ["check_files", "check_robot"]
 
@@ -15,8 +15,8 @@ __all__ = ["check_files", "check_robot"]
 def check_files(subject: Subject, result: CheckResult) -> None:
     """Add the table of files; loading refuses a network that is not the contract's."""
     files = [("workflow", subject.document.path), ("robot", subject.robot.path)]
-    if subject.model_path is not None:
-        files.append(("model", subject.model_path))
+    if subject.model is not None:
+        files.append(("model", subject.model.path))
     expected = {}
     for key, contract in subject.policies.items():
         files.append((f"policy {key}", contract.path))

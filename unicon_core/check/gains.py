@@ -10,6 +10,7 @@ from unicon_core.check.model_facts import ModelJoints, model_joints
 from unicon_core.check.result import CheckResult
 from unicon_core.check.subject import Subject, listed
 from unicon_core.policies import PolicyContract
+from unicon_core.robots import joint_index
 
 __all__ = ["check_gains", "check_limits", "number"]
 
@@ -34,7 +35,7 @@ def number(value: float) -> str:
 
 def check_gains(subject: Subject, result: CheckResult) -> None:
     """Add one table of gains for each policy, and its findings."""
-    model = model_joints(subject)
+    model = model_joints(subject.model)
     for key, contract in subject.policies.items():
         _table(subject, result, key, contract, model)
         _plausible(subject, result, key, contract, model)
@@ -53,8 +54,8 @@ def _table(
     rows = []
     different = []
     passive = []
-    for i, name in enumerate(contract.joints):
-        j = robot.joint_names.index(name)
+    policy_from_robot = joint_index(contract.joints, robot.joint_names)
+    for i, (name, j) in enumerate(zip(contract.joints, policy_from_robot)):
         kp, kd = float(contract.stiffness[i]), float(contract.damping[i])
         own = float(robot.joint_stiffness[j]), float(robot.joint_damping[j])
         row = [name, number(kp), number(own[0]), number(kd), number(own[1])]
@@ -82,7 +83,7 @@ def _table(
         j = passive[0]
         result.note(
             "gains.damping",
-            f"model {subject.model_path}",
+            f"model {model.path}",
             f"joint {robot.joint_names[j]} has a passive damping of {model.passive[j]:g} N·m·s/rad "
             "in the model beside the policy's own: damping may count twice in simulation",
         )
@@ -96,7 +97,7 @@ def _plausible(
     model: ModelJoints | None,
 ) -> None:
     kp, kd = contract.stiffness, contract.damping
-    own = [subject.robot.joint_names.index(name) for name in contract.joints]
+    own = joint_index(contract.joints, subject.robot.joint_names)
     bare = np.flatnonzero((kp > 0.0) & (kd <= 0.0))
     if bare.size:
         names = listed(contract.joints[i] for i in bare)
@@ -166,7 +167,7 @@ def _symmetry(
 
 def check_limits(subject: Subject, result: CheckResult) -> None:
     """Add the table of limits of robot and model, with differences."""
-    robot, model = subject.robot, model_joints(subject)
+    robot, model = subject.robot, model_joints(subject.model)
     columns = ["joint", "position [rad]", "velocity [rad/s]", "effort [N·m]"]
     if model is not None:
         columns += ["position, model", "effort, model", ""]
@@ -193,7 +194,7 @@ def check_limits(subject: Subject, result: CheckResult) -> None:
     if ranges:
         result.note(
             "limits.differ",
-            f"model {subject.model_path}",
+            f"model {model.path}",
             f"position limits differ from robot {robot.name}'s at {listed(ranges)}; targets are "
             "kept within the robot's",
         )
@@ -208,7 +209,7 @@ def check_limits(subject: Subject, result: CheckResult) -> None:
         )
         result.note(
             "limits.differ",
-            f"model {subject.model_path}",
+            f"model {model.path}",
             f"effort limits robot/model [N·m] differ: {names}; the smaller ones are simulated",
         )
     if far:

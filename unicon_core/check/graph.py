@@ -6,7 +6,7 @@ from unicon_core.check.result import CheckResult
 from unicon_core.check.subject import Subject
 from unicon_core.flow import Block
 from unicon_core.flow.checks import check_graph
-from unicon_core.workflow.workflow import GIVEN
+from unicon_core.workflow.program import GIVEN
 
 __all__ = ["check_blocks"]
 
@@ -16,20 +16,20 @@ def check_blocks(subject: Subject, result: CheckResult) -> None:
 
     The build stops at the first such mistake; here all of a built graph are listed.
     """
-    workflow = subject.workflow
+    program = subject.program
     rows = [
         [
             block.name,
-            block.role or "-",
-            "before send" if block in workflow.critical else "after send",
+            block.stage.value if block.stage else "-",
+            "before send" if block in program.critical else "after send",
             " ".join(block.reads) or "-",
             " ".join(_changed(block)) or "-",
         ]
         for block in subject.blocks
     ]
-    columns = ["block", "role", "runs", "reads", "writes (* amends)"]
+    columns = ["block", "stage", "runs", "reads", "writes (* amends)"]
     result.table("Blocks", columns, rows)
-    for found in check_graph(workflow.root, workflow.states, given=GIVEN):
+    for found in check_graph(program.root, program.states, given=GIVEN):
         result.find("graph", found.culprit, found.evidence, found.remedy, found.where)
 
 

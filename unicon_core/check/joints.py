@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from unicon_core.check.model_facts import joint_ids
 from unicon_core.check.result import CheckResult
 from unicon_core.check.subject import Subject, listed
 
@@ -14,7 +13,6 @@ def check_joints(subject: Subject, result: CheckResult) -> None:
     robot = subject.robot
     names = robot.joint_names
     model = subject.model
-    ids = None if model is None else joint_ids(model, names, subject.model_path)
     motors = robot.transport.get("motors")
     columns = ["robot", "joint", *(f"policy {name}" for name in subject.policies)]
     columns += [subject.platform.name]
@@ -27,8 +25,9 @@ def check_joints(subject: Subject, result: CheckResult) -> None:
             else:
                 place = str(contract.joints.index(name))
                 row.append(place if name in contract.action.joints else f"{place}, held")
-        if ids is not None:
-            row.append(f"joint {ids[i]} {model.joint(ids[i]).name}")
+        if model is not None:
+            joint = model.joints[i]
+            row.append(f"joint {joint} {model.model.joint(joint).name}")
         elif isinstance(motors, list) and i < len(motors) and not subject.platform.simulated:
             row.append(f"motor {motors[i]}")
         else:

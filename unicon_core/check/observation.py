@@ -9,7 +9,7 @@ from unicon_core.check.result import CheckResult
 from unicon_core.check.subject import NOT_ON_HARDWARE, Subject
 from unicon_core.platforms.platform import info_of
 from unicon_core.policies import PolicyContract, TermSlice, term_slices
-from unicon_core.policies.onnx_file import read_onnx
+from unicon_core.policies.networks.onnx_file import read_onnx
 
 __all__ = ["check_frames", "check_observation"]
 
@@ -147,9 +147,9 @@ def _term(
 
 def check_frames(subject: Subject, result: CheckResult) -> None:
     """Add the table of conventions; on a simulator compare orientation with gravity."""
-    states = subject.workflow.states
+    states = subject.program.states
     robot = subject.robot
-    sources = info_of(subject.workflow.platform).get("imu") or {}
+    sources = info_of(subject.program.platform).get("imu") or {}
     of = {"base_quat": "quat", "base_ang_vel": "gyro", "base_lin_acc": "accelerometer"}
     rows = []
     for name in ("base_quat", "base_ang_vel", "base_lin_acc", "projected_gravity", "base_lin_vel"):
@@ -164,7 +164,7 @@ def check_frames(subject: Subject, result: CheckResult) -> None:
     result.table("Conventions", ["state", "elements", "frame", "unit", "source"], rows, lines)
     if not subject.platform.simulated:
         return
-    subject.workflow.platform.recv()
+    subject.program.platform.recv()
     w, x, y, z = (float(v) for v in states["base_quat"].reshape(-1, 4)[0])
     down = np.array([2 * (w * y - x * z), -2 * (y * z + w * x), -(w * w - x * x - y * y + z * z)])
     gravity = states["projected_gravity"].reshape(-1, 3)[0]

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from unicon_core.check.mirror import mirror_pairs
-from unicon_core.check.model_facts import joint_ids
 from unicon_core.check.result import CheckResult
 from unicon_core.check.subject import Subject, listed
+from unicon_core.models.posed import PosedModel, foot_geoms
+from unicon_core.platforms.platform import Resettable
 from unicon_core.policies import PolicyContract
+from unicon_core.robots import joint_index
 
 __all__ = ["check_pose"]
 
@@ -24,8 +24,6 @@ INSIDE_FLOOR = 0.02
 """How far a simulation may begin inside the floor in [m]."""
 ABOVE_FLOOR = 0.3
 """How far above it."""
-_FAR = 10.0
-_ENDINGS = ("_foot", "_link", "_sphere", "_toe")
 
 
 def check_pose(subject: Subject, result: CheckResult) -> None:
@@ -33,17 +31,19 @@ def check_pose(subject: Subject, result: CheckResult) -> None:
     for key, contract in subject.policies.items():
         _limits(subject, result, key, contract)
         _symmetry(result, key, contract)
-        if subject.model is not None and subject.robot.kind in ("quadruped", "humanoid"):
-            _feet(subject, result, key, contract)
-    if subject.model is not None:
-        _start(subject, result)
+    model = subject.model
+    if model is None or not subject.robot.walks:
+        return
+    for key, contract in subject.policies.items():
+        _feet(subject, result, key, contract, PosedModel(model))
+    _start(subject, result, PosedModel(model))
 
 
 def _limits(subject: Subject, result: CheckResult, key: str, contract: PolicyContract) -> None:
     robot = subject.robot
     rows, outside, far = [], [], []
-    for i, name in enumerate(contract.joints):
-        j = robot.joint_names.index(name)
+    policy_from_robot = joint_index(contract.joints, robot.joint_names)
+    for i, (name, j) in enumerate(zip(contract.joints, policy_from_robot)):
         value, own = float(contract.default_joint_pos[i]), float(robot.default_joint_pos[j])
         lower, upper = float(robot.lower[j]), float(robot.upper[j])
         wrong = value < lower - 1e-4 or value > upper + 1e-4
@@ -98,30 +98,24 @@ def _symmetry(result: CheckResult, key: str, contract: PolicyContract) -> None:
         )
 
 
-def _feet(subject: Subject, result: CheckResult, key: str, contract: PolicyContract) -> None:
+def _feet(
+    subject: Subject, result: CheckResult, key: str, contract: PolicyContract, posed: PosedModel
+) -> None:
     """Put the default pose into the model, base upright, and look what is lowest."""
-    import mujoco
-
-    model, robot = subject.model, subject.robot
-    feet = _foot_geoms(mujoco, model, robot.feet)
+    model, robot = posed.loaded.model, subject.robot
+    feet = foot_geoms(model, robot.feet)
     if not feet:
         result.note(
             "pose.feet",
-            f"model {subject.model_path}",
+            f"model {posed.loaded.path}",
             f"none of the robot's feet ({listed(robot.feet) or 'none named'}) is in the model, so "
             "their height is not checked",
         )
         return
-    data = mujoco.MjData(model)
-    names = robot.joint_names
-    ids = joint_ids(model, names, subject.model_path)
     pose = np.nan_to_num(robot.default_joint_pos.astype(np.float64))
-    for i, name in enumerate(contract.joints):
-        pose[names.index(name)] = contract.default_joint_pos[i]
-    data.qpos[[int(model.jnt_qposadr[j]) for j in ids]] = pose
-    mujoco.mj_kinematics(model, data)
-    mujoco.mj_comPos(model, data)
-    heights = _heights(mujoco, model, data, int(model.body_rootid[model.jnt_bodyid[ids[0]]]))
+    pose[joint_index(contract.joints, robot.joint_names)] = contract.default_joint_pos
+    posed.put(pose)
+    heights = posed.heights()
     if not heights:
         return
     geoms = {geom for group in feet.values() for geom in group}
@@ -159,7 +153,7 @@ def _feet(subject: Subject, result: CheckResult, key: str, contract: PolicyContr
                 "correct the pose, its order, signs or unit",
                 contract.path,
             )
-    _balance(subject, result, key, contract, data, [g for group in feet.values() for g in group])
+    _balance(result, key, contract, posed, [g for group in feet.values() for g in group])
     for left, right in mirror_pairs(list(lowest_foot)):
         apart = abs(lowest_foot[left] - lowest_foot[right])
         if apart > 0.03:
@@ -173,15 +167,10 @@ def _feet(subject: Subject, result: CheckResult, key: str, contract: PolicyContr
 
 
 def _balance(
-    subject: Subject,
-    result: CheckResult,
-    key: str,
-    contract: PolicyContract,
-    data: Any,
-    geoms: list[int],
+    result: CheckResult, key: str, contract: PolicyContract, posed: PosedModel, geoms: list[int]
 ) -> None:
     """The centre of mass over the feet: a pose that is far off it is none to stand in."""
-    model = subject.model
+    model, data = posed.loaded.model, posed.data
     root = int(model.body_rootid[model.geom_bodyid[geoms[0]]])
     centre, places = data.subtree_com[root][:2], data.geom_xpos[geoms][:, :2]
     outside = np.maximum(places.min(axis=0) - centre, centre - places.max(axis=0))
@@ -199,16 +188,24 @@ def _balance(
         )
 
 
-def _start(subject: Subject, result: CheckResult) -> None:
+def _start(subject: Subject, result: CheckResult, posed: PosedModel) -> None:
     """How far the simulation begins above the floor or in it."""
-    import mujoco
-
-    model, data = subject.model, subject.workflow.platform.data  # type: ignore[attr-defined]
-    ids = joint_ids(model, subject.robot.joint_names, subject.model_path)
-    heights = _heights(mujoco, model, data, int(model.body_rootid[model.jnt_bodyid[ids[0]]]))
-    if not heights or subject.robot.kind not in ("quadruped", "humanoid"):
+    platform, states = subject.program.platform, subject.program.states
+    told = ("joint_pos", "base_pos_w", "base_quat")
+    if not {*told} <= {*platform.facts.writes}:
+        return
+    before = states.snapshot()
+    platform.recv()
+    first = slice(None) if states.num_robots is None else 0
+    posed.put(*(states[name][first] for name in told))
+    states.restore(before)
+    if isinstance(platform, Resettable):
+        platform.reset()
+    heights = posed.heights()
+    if not heights:
         return
     geom = min(heights, key=lambda g: heights[g])
+    model = posed.loaded.model
     lowest, body = heights[geom], model.body(int(model.geom_bodyid[geom])).name
     where = subject.document.where("scene")
     if lowest < -INSIDE_FLOOR:
@@ -227,53 +224,3 @@ def _start(subject: Subject, result: CheckResult) -> None:
             "lower initial_height, or leave it out and give initial_pose",
             where,
         )
-
-
-def _heights(mujoco: Any, model: Any, data: Any, root: int) -> dict[int, float]:
-    """Return the distance of each geom of the robot that can touch the floor from it in [m]."""
-    floors = [
-        i
-        for i in range(model.ngeom)
-        if model.geom_type[i] == int(mujoco.mjtGeom.mjGEOM_PLANE) and model.geom_bodyid[i] == 0
-    ]
-    if not floors:
-        return {}
-    floor = floors[0]
-    found = {}
-    for geom in range(model.ngeom):
-        if model.body_rootid[model.geom_bodyid[geom]] != root or geom == floor:
-            continue
-        touches = (
-            model.geom_contype[floor] & model.geom_conaffinity[geom]
-            or model.geom_contype[geom] & model.geom_conaffinity[floor]
-        )
-        if touches:
-            found[geom] = float(mujoco.mj_geomDistance(model, data, floor, geom, _FAR, None))
-    return found
-
-
-def _foot_geoms(mujoco: Any, model: Any, feet: tuple[str, ...]) -> dict[str, list[int]]:
-    """Return the geoms of each foot: of the body, site or geom of its name, or of its stem."""
-    found = {}
-    for foot in feet:
-        stem = foot
-        for ending in _ENDINGS:
-            stem = stem.removesuffix(ending)
-        for name in dict.fromkeys((foot, stem)):
-            geoms = _geoms_of(mujoco, model, name)
-            if geoms:
-                found[foot] = geoms
-                break
-    return found
-
-
-def _geoms_of(mujoco: Any, model: Any, name: str) -> list[int]:
-    kinds = mujoco.mjtObj
-    geom = mujoco.mj_name2id(model, kinds.mjOBJ_GEOM, name)
-    if geom >= 0:
-        return [geom]
-    body = mujoco.mj_name2id(model, kinds.mjOBJ_BODY, name)
-    if body < 0:
-        site = mujoco.mj_name2id(model, kinds.mjOBJ_SITE, name)
-        body = int(model.site_bodyid[site]) if site >= 0 else -1
-    return [] if body < 0 else [g for g in range(model.ngeom) if model.geom_bodyid[g] == body]

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+from unicon_core.aligned import aligned
 from unicon_core.errors import alternatives
 
 __all__ = ["CODES", "FIRM", "CheckResult", "Finding", "Section"]
@@ -51,6 +52,7 @@ CODES = {
     "robot.facts": "the robot file lacks what is needed to drive the robot",
     "check.settings": "the workflow's check: section is wrong",
     "twin.run": "the twin could not be run",
+    "twin.platform": "the twin runs on another platform than the workflow's (a note)",
     "twin.fall": "the policy falls in the twin",
     "twin.command": "the policy does not follow its command in the twin",
     "twin.suspect": "a broken contract does as well (a note where that does not tell much)",
@@ -116,14 +118,7 @@ class Section:
         """Return the table with its heading."""
         parts = [self.title]
         if self.rows:
-            table = [self.columns, *self.rows]
-            widths = [max(len(row[i]) for row in table) for i in range(len(self.columns))]
-            lines = [
-                "  " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths)).rstrip()
-                for row in table
-            ]
-            lines.insert(1, "  " + "  ".join("─" * width for width in widths))
-            parts += lines
+            parts += [f"  {line}" for line in aligned([self.columns, *self.rows])]
         return "\n".join([*parts, *(f"  {line}" for line in self.lines)])
 
 

@@ -10,6 +10,7 @@ from unicon_core.check.result import CheckResult
 from unicon_core.check.subject import Subject, listed
 from unicon_core.flow import Block, Chain, Every, Loop, Node, Switch, When, blocks_of
 from unicon_core.flow.nodes import children_of
+from unicon_core.flow.stage import Stage
 
 __all__ = ["check_safety", "limits_targets"]
 
@@ -41,7 +42,7 @@ def check_safety(subject: Subject, result: CheckResult) -> None:
             "",
             where,
         )
-    for node in subject.workflow.safety_nodes:
+    for node in subject.program.stages[Stage.SAFETY]:
         for block, under in _conditional(node, ""):
             result.find(
                 "safety.partial",
@@ -50,7 +51,7 @@ def check_safety(subject: Subject, result: CheckResult) -> None:
                 "write it into safety: by itself, or take it out",
                 block.where or where,
             )
-    told = {*subject.workflow.platform.facts.writes, *GIVEN, *subject.written}
+    told = {*subject.program.platform.facts.writes, *GIVEN, *subject.written}
     for block in blocks:
         blind = _blind(block, sent, told)
         if blind:
@@ -64,11 +65,11 @@ def check_safety(subject: Subject, result: CheckResult) -> None:
 
 
 def _safety(subject: Subject) -> list[Block]:
-    return [block for node in subject.workflow.safety_nodes for block in blocks_of(node)]
+    return [block for node in subject.program.stages[Stage.SAFETY] for block in blocks_of(node)]
 
 
 def _sent(subject: Subject) -> set[str]:
-    return set(subject.workflow.platform.facts.reads)
+    return set(subject.program.platform.facts.reads)
 
 
 def _conditional(node: Node, under: str) -> Iterator[tuple[Block, str]]:

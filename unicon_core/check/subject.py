@@ -6,20 +6,22 @@ from collections.abc import Iterable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
-from unicon_core.flow import Block, blocks_of
-from unicon_core.platforms.platform import Facts, info_of
-from unicon_core.policies import OnnxPolicy, PolicyContract
-from unicon_core.policies.observation import PackedStates
+from unicon_core.flow import Block, Stage, blocks_of
+from unicon_core.models.find import Modelled
+from unicon_core.models.load import load_model
+from unicon_core.models.loaded import LoadedModel
+from unicon_core.platforms.platform import Facts
+from unicon_core.policies import PolicyContract
+from unicon_core.policies.controller import controller_contract
 from unicon_core.policies.prefixed import PrefixedStates
+from unicon_core.policies.terms import PackedStates
 from unicon_core.robots import Robot
-from unicon_core.workflow import Hook, Workflow
+from unicon_core.workflow import Hook, Program
 from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.hardware import can_wait, declared_facts
 from unicon_core.workflow.platforms import find_platform, platform_options
-from unicon_core.workflow.workflow import build_workflow
 
 __all__ = ["NOT_ON_HARDWARE", "Subject", "build_subject", "declared_platform"]
 
@@ -36,12 +38,12 @@ class Subject:
         workflow: built; by `build_subject` with `fake` in place of hardware, so nothing moves.
         platform: facts that the document's platform declares, not the exchanged one.
         waits: whether ticks may come with that platform's data.
-        live: it is about to run: the platform is not touched, and what only tables show is not
+        live: it is about to run: the platform is left as it was, and what only tables show is not
             computed.
     """
 
     document: WorkflowDocument
-    workflow: Workflow
+    program: Program
     platform: Facts
     waits: bool
     live: bool = False
@@ -56,41 +58,37 @@ class Subject:
     @property
     def robot(self) -> Robot:
         """The robot."""
-        return self.workflow.robot
+        return self.program.robot
 
     @cached_property
     def policies(self) -> dict[str, PolicyContract]:
         """Key under `policies:` to contract, those that the flow uses."""
-        ticks = [block.tick for block in self.workflow.blocks]
-        used = [tick.contract for tick in ticks if isinstance(tick, OnnxPolicy)]
-        named = self.workflow.policies.items()
+        used = [controller_contract(block) for block in self.program.blocks]
+        named = self.program.policies.items()
         return {key: contract for key, contract in named if contract in used}
 
     def states_of(self, key: str) -> PackedStates:
         """Return the states as one policy sees them: with several, each has its own `action`."""
-        states = self.workflow.states
-        return states if len(self.workflow.policies) < 2 else PrefixedStates(states, f"{key}_")
+        states = self.program.states
+        return states if len(self.program.policies) < 2 else PrefixedStates(states, f"{key}_")
 
     @cached_property
     def blocks(self) -> list[Block]:
         """All blocks of the flow, without recv and send."""
-        return [b for b in blocks_of(self.workflow.root) if b.role not in ("recv", "send")]
+        return [b for b in blocks_of(self.program.root) if b.stage not in (Stage.RECV, Stage.SEND)]
 
     @cached_property
     def written(self) -> frozenset[str]:
         """States that some block of the workflow writes."""
         return frozenset(name for block in self.blocks for name in block.writes)
 
-    @property
-    def model(self) -> Any:
-        """The `MjModel` where the platform is MuJoCo, else None."""
-        return getattr(self.workflow.platform, "model", None)
-
-    @property
-    def model_path(self) -> Path | None:
-        """File of the model."""
-        path = info_of(self.workflow.platform).get("model")
-        return None if path is None else Path(str(path))
+    @cached_property
+    def model(self) -> LoadedModel | None:
+        """The model that the platform simulates as its file has it; None if it simulates none."""
+        platform = self.program.platform
+        if not isinstance(platform, Modelled):
+            return None
+        return load_model(platform.model_path, self.robot, quiet=True)
 
 
 def declared_platform(document: WorkflowDocument) -> tuple[Facts, bool]:
@@ -105,18 +103,18 @@ def declared_platform(document: WorkflowDocument) -> tuple[Facts, bool]:
     return declared_facts(factory, name), can_wait(factory)
 
 
-def build_subject(document: WorkflowDocument, inputs: Sequence[Hook] = ()) -> Subject:
+def build_subject(document: WorkflowDocument, hooks: Sequence[Hook] = ()) -> Subject:
     """Build what is to be checked as a run builds it, but for hardware, which is never opened.
 
     Args:
         document: the workflow.
-        inputs: as of `build_workflow`.
+        hooks: as of `Program`.
 
     Raises:
         UniconError: the workflow cannot be built.
     """
     facts, waits = declared_platform(document)
-    return Subject(document, build_workflow(document, dry=True, inputs=inputs), facts, waits)
+    return Subject(document, Program(document, dry=True, hooks=hooks), facts, waits)
 
 
 def on_platform(

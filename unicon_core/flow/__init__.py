@@ -20,6 +20,7 @@ from unicon_core.flow.nodes import (
     blocks_of,
     children_of,
 )
+from unicon_core.flow.stage import Stage
 
 __all__ = [
     "Access",
@@ -37,6 +38,7 @@ __all__ = [
     "Loop",
     "Node",
     "Reads",
+    "Stage",
     "Switch",
     "Tick",
     "When",

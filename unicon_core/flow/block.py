@@ -14,14 +14,13 @@ from typing import Annotated, Any, Literal, TypeAlias
 from numpy.typing import NDArray
 
 from unicon_core.errors import WorkflowError
-from unicon_core.flow.linear import LinearMap, linear_of
+from unicon_core.flow.linear import LinearMap
+from unicon_core.flow.stage import Stage
 
-__all__ = ["Access", "Amends", "Block", "Bundle", "Reads", "Role", "Tick", "Writes", "as_block"]
+__all__ = ["Access", "Amends", "Block", "Bundle", "Reads", "Tick", "Writes", "as_block"]
 
 Tick: TypeAlias = Callable[[], object]
 """A parameter-less function; a true result means done."""
-
-Role = Literal["", "recv", "tune", "safety", "send"]
 
 
 @dataclass(frozen=True)
@@ -60,8 +59,7 @@ class Block:
         dry_run: the same arithmetic on scratch memory, called shortly before the deadline to warm
             the caches; changes nothing observable, but may raise `Fault`; or None.
         close: called once at the end, in reverse order of building, or None.
-        role: what the graph check needs to know: `recv`, `send`, `safety`, or `tune` for what
-            changes commands at the host's wish, between flow and safety; or nothing.
+        stage: its place in the tick; the program sets it where the block does not say.
         where: `file:line` of its declaration, for messages.
         endless: True where the block can never be done; what it returns is not even looked at.
         expects: what it needs states to be: name to `shape`, `dtype`, `unit` or `frame`.
@@ -81,7 +79,7 @@ class Block:
     reset: Tick | None = None
     close: Tick | None = None
     dry_run: Tick | None = None
-    role: Role = ""
+    stage: Stage | None = None
     where: str = ""
     endless: bool = False
     expects: dict[str, dict[str, Any]] = field(default_factory=dict)
@@ -97,7 +95,7 @@ class Block:
 def as_block(candidate: Any, *, name: str = "", where: str = "") -> Block:
     """Wrap what a factory returned, or any callable, as a Block.
 
-    Attributes `reads`, `writes`, `amends`, `reset`, `close`, `dry_run`, `role`, `endless`,
+    Attributes `reads`, `writes`, `amends`, `reset`, `close`, `dry_run`, `stage`, `endless`,
     `expects`, `linear` and `name` of the callable are taken over where it has them. A callable
     annotated to return None is endless.
 
@@ -118,7 +116,8 @@ def as_block(candidate: Any, *, name: str = "", where: str = "") -> Block:
         value: Sequence[str] | Iterable[str] = getattr(candidate, attribute, ())
         return (value,) if isinstance(value, str) else tuple(value)
 
-    linear = linear_of(candidate)
+    linear = getattr(candidate, "linear", candidate)
+    linear = linear if isinstance(linear, LinearMap) else None
     label = name or getattr(candidate, "name", "") or getattr(candidate, "__name__", "")
     return Block(
         name=label or type(candidate).__name__,
@@ -129,7 +128,7 @@ def as_block(candidate: Any, *, name: str = "", where: str = "") -> Block:
         reset=getattr(candidate, "reset", None),
         close=getattr(candidate, "close", None),
         dry_run=getattr(candidate, "dry_run", None),
-        role=getattr(candidate, "role", ""),
+        stage=getattr(candidate, "stage", None),
         where=where,
         endless=bool(getattr(candidate, "endless", linear is not None or _never_done(candidate))),
         expects=dict(getattr(candidate, "expects", None) or {}),

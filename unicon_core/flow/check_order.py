@@ -18,6 +18,7 @@ from unicon_core.flow.nodes import (
     blocks_of,
     children_of,
 )
+from unicon_core.flow.stage import Stage
 
 __all__ = ["behind_send", "reads_before_writes"]
 
@@ -92,7 +93,7 @@ class _Reads:
 
 def behind_send(root: Node) -> list[Finding]:
     """Find safety blocks, and writers of what `send` reads, that run behind it in its tick."""
-    sends = [block for block in blocks_of(root) if block.role == "send"]
+    sends = [block for block in blocks_of(root) if block.stage is Stage.SEND]
     if not sends:
         return []
     sent = _Sent(sends[0].name, frozenset(name for block in sends for name in block.reads))
@@ -111,7 +112,7 @@ class _Sent:
         if isinstance(node, Block):
             if sent:
                 self.late(node)
-            return sent or node.role == "send"
+            return sent or node.stage is Stage.SEND
         if isinstance(node, Deferred):
             self.walk(node.child, True)  # in the tick that it was put off in, at least
             return sent
@@ -126,7 +127,7 @@ class _Sent:
         return before if isinstance(node, When) else sent
 
     def late(self, block: Block) -> None:
-        if block.role == "safety":
+        if block.stage is Stage.SAFETY:
             self.findings.append(
                 Finding(
                     f"safety block {block.name!r}",
@@ -136,7 +137,7 @@ class _Sent:
                 )
             )
         for name in (*block.writes, *block.amends):
-            if name in self.commands and block.role != "safety":
+            if name in self.commands and block.stage is not Stage.SAFETY:
                 self.findings.append(
                     Finding(
                         f"block {block.name!r}",

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 from unicon_core.flow.block import Block
 from unicon_core.flow.nodes import Deferred, Loop, Node, Zip, blocks_of, children_of, with_children
+from unicon_core.flow.stage import FIXED, Stage
 
 __all__ = ["CriticalPath", "critical_path"]
 
@@ -22,7 +23,7 @@ class CriticalPath:
 
     Attributes:
         root: the tree, with what could be put off in a `Deferred(…, ends=True)`.
-        critical: blocks that the command depends on, `send` and blocks with a role included.
+        critical: blocks that the command depends on, `send` and blocks of fixed stages included.
         deferred: blocks that were put off.
         kept: blocks off the path that stay before `send`, each with the reason.
     """
@@ -47,7 +48,7 @@ class _Part:
         self.now = _Touched([block for block in self.blocks if block not in self.put_off])
         self.late = _Touched([block for block in self.blocks if block in self.put_off])
         self.explicit = isinstance(node, Deferred)
-        self.roles = {block.role for block in self.blocks if block.role}
+        self.stages = {block.stage for block in self.blocks} & FIXED
 
 
 class _Touched:
@@ -66,12 +67,13 @@ class _Touched:
 def critical_path(root: Node) -> CriticalPath:
     """Find what `send` depends on, and put off what it does not.
 
-    A block is put off when it declares reads, has no role, no state that `send` needs depends on
-    it, and no part that it then runs after (or no longer after) writes what it touches or reads
-    what it writes. It may still end the graph. Without a `send` in the top-level Zip nothing moves.
+    A block is put off when it declares reads, stands in no fixed stage, no state that `send` needs
+    depends on it, and no part that it then runs after (or no longer after) writes what it touches
+    or reads what it writes. It may still end the graph. Without a `send` in the top-level Zip
+    nothing moves.
     """
     parts = [_Part(node) for node in _parts(root)]
-    sends = [i for i, part in enumerate(parts) if "send" in part.roles and not part.explicit]
+    sends = [i for i, part in enumerate(parts) if Stage.SEND in part.stages and not part.explicit]
     if not sends:
         return CriticalPath(root, frozenset(), (), {})
     needed = _needed(parts[: sends[-1] + 1])
@@ -106,7 +108,7 @@ def _parts(node: Node) -> Iterator[Node]:
 
 
 def _holds_send(node: Node) -> bool:
-    return isinstance(node, (Zip, Loop)) and any(b.role == "send" for b in blocks_of(node))
+    return isinstance(node, (Zip, Loop)) and any(b.stage is Stage.SEND for b in blocks_of(node))
 
 
 def _needed(parts: list[_Part]) -> set[int]:
@@ -114,7 +116,7 @@ def _needed(parts: list[_Part]) -> set[int]:
 
     What one tick leaves behind is read in the next: a writer may stand behind its reader.
     """
-    needed = {i for i, part in enumerate(parts) if part.roles and not part.explicit}
+    needed = {i for i, part in enumerate(parts) if part.stages and not part.explicit}
     while True:
         states = {name for i in needed for name in parts[i].now.reads}
         more = {i for i, part in enumerate(parts) if part.now.writes & states} - needed

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from unicon_core.flow.block import Block
 from unicon_core.flow.linear import LinearMap
 from unicon_core.flow.nodes import Node, Zip, children_of, with_children
+from unicon_core.flow.stage import FIXED
 from unicon_core.generated import define
 from unicon_core.states import States
 
@@ -71,12 +72,16 @@ class _Fuser:
 
     def piece(self, node: Node) -> _Piece | None:
         """Return the places of a map in the packed buffer; None where it must stay alone."""
-        if not isinstance(node, Block) or node.linear is None or node.reset or node.role:
+        if not isinstance(node, Block) or node.linear is None or node.reset:
+            return None
+        if node.stage in FIXED:
             return None
         linear = node.linear
         packed = self.states.buffer_of(linear.target.dtype)
         read, write = _places(linear.source, packed), _places(linear.target, packed)
         if read is None or write is None or linear.source.dtype != linear.target.dtype:
+            return None
+        if packed.dtype.kind != "f" and not linear.is_copy:
             return None
         if linear.index is not None:
             read = read[..., linear.index]

@@ -104,8 +104,9 @@ class Switch:
     Args:
         selector: function without parameters that returns a case's name or its number.
         cases: name to block.
-        blend: ticks K that a change of case is blended over; 0 for none.
-        blender: built by the workflow for the command states: `capture()` and `mix(weight)`.
+        blend: ticks K that a change of case is blended over; 0 for none. A float is a time in [s],
+            which the program makes into ticks when it is built.
+        blender: built by the program for the command states: see `Blender`.
     """
 
     def __init__(
@@ -113,17 +114,17 @@ class Switch:
         selector: Tick | Block,
         cases: Mapping[str, Node | Tick],
         *,
-        blend: int = 0,
+        blend: int | float = 0,
         blender: Blender | None = None,
         where: str = "",
     ) -> None:
         if not cases:
             raise WorkflowError("switch: no cases; give at least one, as name: block", where)
-        if blend is True or not isinstance(blend, int) or blend < 0:
+        if isinstance(blend, bool) or not isinstance(blend, (int, float)) or not blend >= 0:
             raise WorkflowError(
                 f"switch: blend is {blend!r}; give a whole number of ticks >= 0", where
             )
-        if blend and blender is None:
+        if blend and blender is None and not isinstance(blend, float):
             raise WorkflowError("switch: blend needs a blender (Blender(states))", where)
         self.selector = as_block(selector, name="selector", where=where)
         self.names = tuple(cases)
@@ -179,16 +180,26 @@ class Blender:
         self.names = tuple(arrays)
         self._live = [np.asarray(array) for array in arrays.values()]
         self._held = [array.copy() for array in self._live]
+        self._own = [array.copy() for array in self._live]
         self._scratch = [array.copy() for array in self._live]
 
     def capture(self) -> None:
         """Hold the present commands as the outgoing ones."""
-        for held, live in zip(self._held, self._live):
-            held[...] = live
+        for held, own, live in zip(self._held, self._own, self._live):
+            held[...] = own[...] = live
+
+    def resume(self) -> None:
+        """Take the last mixing back: what steps next may leave its commands as they are.
+
+        A policy that runs in every tenth tick does: its targets would be mixed ten times.
+        """
+        for own, live in zip(self._own, self._live):
+            live[...] = own
 
     def mix(self, weight: float) -> None:
         """Replace the commands by (1 - weight) · held + weight · present."""
-        for held, live, scratch in zip(self._held, self._live, self._scratch):
+        for held, own, live, scratch in zip(self._held, self._own, self._live, self._scratch):
+            own[...] = live
             live *= weight
             scratch[...] = held
             scratch *= 1.0 - weight

@@ -1,20 +1,72 @@
-"""Finds the model file that a workflow or a robot file names, for the MuJoCo platform."""
+"""Finds the model file that a workflow or a robot file names, for simulators and viewers."""
 
 from __future__ import annotations
 
 import os
 import pkgutil
+from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
+from typing import Protocol, runtime_checkable
 
 from unicon_core.errors import MissingDependencyError, ModelError, alternatives
 from unicon_core.resources import find_resource
+from unicon_core.robots import Robot
+from unicon_core.robots.robot import MODEL_FORMATS
 
-__all__ = ["find_model"]
+__all__ = ["Modelled", "find_model", "model_of", "pick_model"]
 
 _PREFIX = "robot_descriptions:"
 _PACKAGE = "robot_descriptions"
+
+
+@runtime_checkable
+class Modelled(Protocol):
+    """A platform that simulates a model file: frames, cameras, feet and checks read the same one.
+
+    Attributes:
+        model_path: MJCF or URDF, as `find_model` found it.
+    """
+
+    model_path: Path
+
+
+def model_of(platform: object, robot: Robot) -> Path:
+    """Return the file that a platform simulates; of a platform without one the robot's own MJCF.
+
+    Raises:
+        ModelError: there is none.
+    """
+    return platform.model_path if isinstance(platform, Modelled) else pick_model(robot)
+
+
+def pick_model(
+    robot: Robot,
+    given: str | Path | None = None,
+    relative_to: Path | None = None,
+    prefer: Sequence[str] = MODEL_FORMATS,
+) -> Path:
+    """Return the model file for a robot: the one given, else the best one of its robot file.
+
+    Args:
+        robot: says its own.
+        given: as for `find_model`; None for the robot's own.
+        relative_to: folder of the file that gives it.
+        prefer: formats that the reader takes, the best one first.
+
+    Raises:
+        ModelError: there is none.
+    """
+    if given is not None:
+        return find_model(given, relative_to)
+    found = next((robot.models[kind] for kind in prefer if kind in robot.models), None)
+    if found is None:
+        raise ModelError(
+            f"robot {robot.name} names no model ({' or '.join(prefer)}); add models: "
+            f"{{{prefer[0]}: PATH}} to {robot.path}, or let the workflow name one: model: PATH"
+        )
+    return find_model(found, robot.path.parent)
 
 
 def find_model(reference: str | Path, relative_to: Path | None = None) -> Path:

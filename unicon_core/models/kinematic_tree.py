@@ -6,99 +6,35 @@ A link's frame is where URDF has it: at its joint's anchor, turned as the body i
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from unicon_core.errors import UniconError
-from unicon_core.models.find import find_model
-from unicon_core.models.joints import find_joints
-from unicon_core.models.load import import_mujoco, load_model
+from unicon_core.models.joints import find_joints, free_joint
+from unicon_core.models.links import Geom, Link
+from unicon_core.models.load import load_model
+from unicon_core.models.loaded import import_mujoco
+from unicon_core.models.quaternions import Float, about, multiply, rotate
 from unicon_core.robots import Robot
-from unicon_core.workflow import Workflow
 
-__all__ = ["Geom", "Link", "frame_of", "multiply", "read_tree", "rotate", "tree_of"]
-
-Float = NDArray[np.float64]
+__all__ = ["frame_of", "read_tree", "tree_of"]
 
 BASE = "base_link"
 """Root of every tree (REP-105), whatever the robot calls its base."""
 
 
-@dataclass
-class Geom:
-    """One primitive of a link.
+def tree_of(robot: Robot, path: Path) -> list[Link]:
+    """Return the links of a robot in a model file, root first.
 
-    Attributes:
-        shape: `box`, `sphere` or `cylinder`.
-        size: box: edges; sphere: radius; cylinder: radius, length; in [m].
-        position: in the link's frame, [m], shape (3,).
-        quat: geom to link, wxyz.
-        rgba: colour.
-    """
-
-    shape: str
-    size: tuple[float, ...]
-    position: Float
-    quat: Float
-    rgba: tuple[float, ...]
-
-
-@dataclass
-class Link:
-    """One link and the joint that carries it.
-
-    Attributes:
-        name: frame name.
-        parent: number of the parent link, -1 for the root.
-        position: of the joint in the parent's frame in [m], shape (3,).
-        quat: link to parent at joint position 0, wxyz.
-        joint: name of the joint in the robot's words, "" where it is fixed.
-        index: number of the joint in the robot's order, -1 where it is none of them.
-        sliding: moves along the axis and does not turn about it.
-        axis: unit vector in the link's frame, shape (3,).
-        lower, upper: limits in [rad] or [m]; NaN where there are none.
-        mass: in [kg], 0 for a link without inertia.
-        centre: centre of mass in the link's frame in [m], shape (3,).
-        inertia_quat: principal axes to link, wxyz.
-        inertia: principal moments in [kg·m²], shape (3,).
-        geoms: what it looks like.
-    """
-
-    name: str
-    parent: int
-    position: Float
-    quat: Float
-    joint: str = ""
-    index: int = -1
-    sliding: bool = False
-    axis: Float = field(default_factory=lambda: np.array((0.0, 0.0, 1.0)))
-    lower: float = float("nan")
-    upper: float = float("nan")
-    mass: float = 0.0
-    centre: Float = field(default_factory=lambda: np.zeros(3))
-    inertia_quat: Float = field(default_factory=lambda: np.array((1.0, 0.0, 0.0, 0.0)))
-    inertia: Float = field(default_factory=lambda: np.zeros(3))
-    geoms: list[Geom] = field(default_factory=list)
-
-
-def tree_of(workflow: Workflow) -> list[Link]:
-    """Return the links of a workflow's robot, root first, from its simulator's or its own model.
+    Args:
+        robot: as for `read_tree`.
+        path: MJCF or URDF, as `find_model` found it.
 
     Raises:
-        UniconError: there is no model, or MuJoCo is not installed to read it.
+        UniconError: the file is wrong, lacks a joint, or MuJoCo is not installed to read it.
     """
-    robot = workflow.robot
-    model = getattr(workflow.platform, "model", None)
-    if model is None:
-        if robot.model is None:
-            raise UniconError(f"robot {robot.name} names no model; add model: PATH to {robot.path}")
-        import_mujoco()
-        model = load_model(find_model(robot.model), robot).model
-    return read_tree(model, robot)
+    return read_tree(load_model(path, robot, quiet=True).model, robot)
 
 
 def read_tree(model: Any, robot: Robot, *, colliding: bool = False) -> list[Link]:
@@ -134,10 +70,10 @@ class _Reader:
     def __init__(self, mujoco: Any, model: Any, robot: Robot, colliding: bool = False) -> None:
         self._mujoco, self._model, self._robot = mujoco, model, robot
         self._colliding = colliding
-        names = [self._name("JOINT", i) for i in range(model.njnt)]
-        joints = find_joints(names, robot.joint_names, robot.path)
+        joints = find_joints(mujoco, model, robot, robot.path)
         self._rank = {joint: rank for rank, joint in enumerate(joints)}
-        self._root = self._base_body(joints[0])
+        base = free_joint(mujoco, model, joints[0])
+        self._root = 0 if base is None else int(model.jnt_bodyid[base])
         self._links: list[Link] = []
         self.of_body: dict[int, tuple[int, Float]] = {}  # body -> last link, its shift
 
@@ -178,16 +114,6 @@ class _Reader:
         weld = {int(self._model.body_rootid[self._model.jnt_bodyid[joint]]) for joint in self._rank}
         return body in weld
 
-    def _base_body(self, joint: int) -> int:
-        model = self._model
-        body = int(model.jnt_bodyid[joint])
-        while body:
-            first = int(model.body_jntadr[body])
-            if first >= 0 and model.jnt_type[first] == int(self._mujoco.mjtJoint.mjJNT_FREE):
-                return body
-            body = int(model.body_parentid[body])
-        return 0
-
     def _add_body(self, body: int, parent_body: int) -> None:
         model = self._model
         parent, parent_shift = self.of_body[parent_body]
@@ -207,7 +133,7 @@ class _Reader:
             if sliding:
                 position = position - rotate(quat, axis * zero)
             else:
-                quat = multiply(quat, _about(axis, -zero))
+                quat = multiply(quat, about(axis, -zero))
             last = number == len(joints) - 1
             rank = self._rank.get(joint, -1)
             ranged = bool(model.jnt_limited[joint])
@@ -289,29 +215,3 @@ class _Reader:
             self._model, getattr(self._mujoco.mjtObj, f"mjOBJ_{kind}"), number
         )
         return name or ""
-
-
-def multiply(a: Float, b: Float) -> Float:
-    """Return the product of two quaternions wxyz, shape (…, 4)."""
-    aw, ax, ay, az = np.moveaxis(np.asarray(a), -1, 0)
-    bw, bx, by, bz = np.moveaxis(np.asarray(b), -1, 0)
-    return np.stack(
-        (
-            aw * bw - ax * bx - ay * by - az * bz,
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-        ),
-        axis=-1,
-    )
-
-
-def rotate(quat: Float, vector: Float) -> Float:
-    """Return a vector turned by a unit quaternion wxyz, shape (3,)."""
-    w, u = quat[0], quat[1:]
-    turned: Float = vector + 2.0 * np.cross(u, np.cross(u, vector) + w * vector)
-    return turned
-
-
-def _about(axis: Sequence[float] | Float, angle: float) -> Float:
-    return np.concatenate(([np.cos(0.5 * angle)], np.sin(0.5 * angle) * np.asarray(axis)))

@@ -7,8 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from unicon_core.models.kinematic_tree import Link, read_tree
-from unicon_core.models.load import LoadedModel
+from unicon_core.models.kinematic_tree import read_tree
+from unicon_core.models.links import Link
+from unicon_core.models.loaded import LoadedModel
 from unicon_core.models.urdf_write import urdf
 from unicon_core.robots import Robot
 

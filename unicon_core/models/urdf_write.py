@@ -11,14 +11,12 @@ from collections.abc import Sequence
 from xml.etree import ElementTree as Xml
 
 import numpy as np
-from numpy.typing import NDArray
 
-from unicon_core.models.kinematic_tree import Geom, Link
+from unicon_core.models.links import Geom, Link
+from unicon_core.models.quaternions import Float
 from unicon_core.robots import Robot
 
 __all__ = ["urdf"]
-
-Float = NDArray[np.float64]
 
 
 def urdf(links: Sequence[Link], robot: Robot) -> str:

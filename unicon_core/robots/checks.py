@@ -13,7 +13,7 @@ from unicon_core.robots.robot import JOINT_FIELDS
 __all__ = ["check_keys", "check_name", "check_number", "check_text"]
 
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_./:+-]*")
-_NULLABLE = ("model", "imu", "position", "quat", *JOINT_FIELDS)
+_NULLABLE = ("imu", "position", "quat", *JOINT_FIELDS)
 
 
 def check_keys(
@@ -30,7 +30,8 @@ def check_keys(
             raise located.error((*where, key), f"{place}unknown key {key!r}; {known}")
     for key in required:
         if key not in mapping:
-            remedy = "add it, null where not known" if key in _NULLABLE else "add it"
+            empty = "{} where there is none" if key == "models" else "null where not known"
+            remedy = f"add it, {empty}" if key in ("models", *_NULLABLE) else "add it"
             raise located.error(where, f"{place}missing key {key!r}; {remedy}")
 
 

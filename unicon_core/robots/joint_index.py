@@ -12,7 +12,9 @@ from unicon_core.errors import RobotError, alternatives
 __all__ = ["joint_index"]
 
 
-def joint_index(to: Sequence[str], from_: Sequence[str]) -> NDArray[np.intp]:
+def joint_index(
+    to: Sequence[str], from_: Sequence[str], *, loose: bool = False
+) -> NDArray[np.intp]:
     """Return the index that brings an array from one joint order into another.
 
     `x_from[joint_index(to, from_)]` is in the order of `to`: the result is a `to_from_from_`,
@@ -21,12 +23,15 @@ def joint_index(to: Sequence[str], from_: Sequence[str]) -> NDArray[np.intp]:
     Args:
         to: the joint names wanted, in their order; a subset of `from_`.
         from_: the joint names at hand, in their order.
+        loose: where the exact name is not there, the one is meant that is equal but for a namespace
+            (`g1/…`) and the ending `_joint`: models of others.
 
     Returns:
         Indices into `from_`, shape (len(to),).
 
     Raises:
-        RobotError: a joint of `to` is not in `from_`, or a list names a joint twice.
+        RobotError: a joint of `to` is not in `from_`, or could be two of it; a list names a joint
+            twice.
     """
     for which, names in (("wanted", to), ("given", from_)):
         twice = sorted({name for name in names if list(names).count(name) > 1})
@@ -35,7 +40,20 @@ def joint_index(to: Sequence[str], from_: Sequence[str]) -> NDArray[np.intp]:
                 f"joint {twice[0]!r} stands twice in the {which} joint order; name each joint once"
             )
     position = {name: i for i, name in enumerate(from_)}
+    alike: dict[str, list[str]] = {}
+    for name in from_ if loose else ():
+        alike.setdefault(_plain(name), []).append(name)
+    found = []
     for name in to:
-        if name not in position:
+        fits = [name] if name in position else alike.get(_plain(name), [])
+        if not fits:
             raise RobotError(f"no joint {name!r}; {alternatives(name, from_)}")
-    return np.array([position[name] for name in to], dtype=np.intp)
+        if len(fits) > 1:
+            raise RobotError(f"joint {name!r} could be any of {', '.join(fits)}")
+        found.append(position[fits[0]])
+    return np.array(found, dtype=np.intp)
+
+
+def _plain(name: str) -> str:
+    """Return a joint name without namespace and without the ending `_joint`."""
+    return name.rsplit("/", 1)[-1].removesuffix("_joint")

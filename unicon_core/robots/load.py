@@ -44,7 +44,7 @@ def load_robot(name_or_path: str | Path) -> Robot:
         manufacturer=document["manufacturer"],
         kind=document["kind"],
         path=path,
-        model=document["model"],
+        models=document["models"],
         base_frame=document["base_frame"],
         joint_names=tuple(joint["name"] for joint in joints),
         **{field: _array([joint[key] for joint in joints]) for key, field in JOINT_FIELDS.items()},

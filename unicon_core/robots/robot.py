@@ -10,7 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["JOINT_FIELDS", "Imu", "Robot"]
+__all__ = ["JOINT_FIELDS", "MODEL_FORMATS", "Imu", "Robot"]
+
+MODEL_FORMATS = ("mjcf", "urdf")
+
 
 # Key of a joint in a robot file -> field of `Robot`.
 JOINT_FIELDS = {
@@ -52,8 +55,8 @@ class Robot:
     """quadruped, humanoid, hand or arm."""
     path: Path
     """The file that it was read from."""
-    model: str | None
-    """Default simulation model: relative to a configuration root, or `assets:PATH`."""
+    models: Mapping[str, str]
+    """Format (`mjcf`, `urdf`) to model: relative to a configuration root, or `assets:PATH`."""
     base_frame: str
     """Frame of the base, in which the IMU's pose is given."""
     joint_names: tuple[str, ...]
@@ -92,6 +95,11 @@ class Robot:
         return len(self.joint_names)
 
     @property
+    def walks(self) -> bool:
+        """Whether it has feet and a base that floats."""
+        return self.kind in ("quadruped", "humanoid")
+
+    @property
     def position_controlled(self) -> bool:
         """Whether the vendor closes the loop: positions are sent, there are no gains to give."""
         return self.transport.get("command") == "position"
@@ -117,7 +125,7 @@ class Robot:
         needed = _NEEDED if self.position_controlled else _NEEDED + _NEEDED_FOR_TORQUE
         missing = ["joint_order"] if "joint_order" in self.unknown else []
         missing += [f"joints.{key}" for key in needed if np.isnan(self.joint_fact(key)).any()]
-        if self.kind in ("quadruped", "humanoid"):
+        if self.walks:
             if self.imu is None:
                 missing.append("imu")
             elif np.isnan(self.imu.quat).any():

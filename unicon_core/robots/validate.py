@@ -16,7 +16,7 @@ from unicon_core.robots.check_parts import (
     check_joints,
 )
 from unicon_core.robots.checks import check_keys, check_name, check_number, check_text
-from unicon_core.robots.robot import JOINT_FIELDS
+from unicon_core.robots.robot import JOINT_FIELDS, MODEL_FORMATS
 
 __all__ = ["COMMANDS", "KINDS", "SCHEMA", "validate"]
 
@@ -31,7 +31,7 @@ _REQUIRED = (
     "description",
     "manufacturer",
     "kind",
-    "model",
+    "models",
     "base_frame",
     "joints",
     "imu",
@@ -69,8 +69,7 @@ def validate(located: Located) -> None:
             ("kind",),
             f"kind {document['kind']!r} is not known; {alternatives(str(document['kind']), KINDS)}",
         )
-    if document["model"] is not None:
-        _model(located, document["model"])
+    _models(located, document["models"])
     check_joints(located, document["joints"])
     check_imu(located, document["imu"])
     check_contacts(located, document)
@@ -80,16 +79,28 @@ def validate(located: Located) -> None:
     _sources(located, document)
 
 
-def _model(located: Located, model: Any) -> None:
-    """A path below the file's folder or a configuration folder; a workflow may name any."""
-    check_text(located, ("model",), model)
-    path = PurePath(model.removeprefix("assets:"))
-    if path.is_absolute() or ".." in path.parts or model.startswith("~"):
+def _models(located: Located, models: Any) -> None:
+    """Paths below the file's folder or a configuration folder; a workflow may name any."""
+    if not isinstance(models, dict):
         raise located.error(
-            ("model",),
-            f"model {model!r} leads out of its folder; put it beside the robot file, or name it in "
-            "the workflow: platforms.mujoco.model",
+            ("models",),
+            f"models is {models!r}; write {{mjcf: PATH, urdf: PATH}}, {{}} where there is none",
         )
+    check_keys(located, ("models",), models, (), MODEL_FORMATS)
+    for kind, model in models.items():
+        check_text(located, ("models", kind), model)
+        path = PurePath(model.removeprefix("assets:"))
+        if path.is_absolute() or ".." in path.parts or model.startswith("~"):
+            raise located.error(
+                ("models", kind),
+                f"models: {kind} {model!r} leads out of its folder; put it beside the robot file, "
+                "or let the workflow name it: model: PATH",
+            )
+        if path.suffix and (path.suffix.lower() == ".urdf") != (kind == "urdf"):
+            other = "mjcf" if kind == "urdf" else "urdf"
+            raise located.error(
+                ("models", kind), f"models: {kind} {model!r} does not look so; write {other}: …"
+            )
 
 
 def _transport(located: Located, transport: Any) -> None:

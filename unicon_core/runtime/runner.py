@@ -1,37 +1,26 @@
-"""Runner: ticks a workflow until it is done, stopped or at fault, and damps at the end."""
+"""Runner: runs a program until it is done, stopped or at fault, and damps at the end."""
 
 from __future__ import annotations
 
 import threading
 import time
 import traceback
-from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
-
-import numpy as np
+from typing import Any, Literal, Protocol
 
 from unicon_core.errors import Fault, PlatformError, UniconError
-from unicon_core.flow import Deferred, Zip, as_block, compile_graph
-from unicon_core.platforms.platform import CountsArrivals, Resettable, WaitsForData
-from unicon_core.runtime.arrivals import Arrivals
-from unicon_core.runtime.pacing import (
-    CATCH_UP,
-    DryRun,
-    Pacing,
-    WallClock,
-    prepare_process,
-    process_age_s,
-)
-from unicon_core.runtime.report import Monitor, Report
-from unicon_core.runtime.statistics import TickStatistics
+from unicon_core.platforms.platform import Resettable, WaitsForData
+from unicon_core.runtime.pacing import prepare_process, process_age_s
+from unicon_core.runtime.phases import WIND_DOWN, Phase
+from unicon_core.runtime.report import Report
+from unicon_core.runtime.ticker import Ticker
 from unicon_core.signals import SIGNALS, Interrupted, signal_name
-from unicon_core.workflow import Workflow
-from unicon_core.workflow.gate import NEVER_NS
+from unicon_core.workflow import Program
 
-__all__ = ["RunOptions", "Runner"]
+__all__ = ["RunOptions", "Runner", "run"]
 
 
 @dataclass(frozen=True)
@@ -58,71 +47,45 @@ CLOSING = 3.0
 
 
 class Runner:
-    """Runs one workflow; `tick` and `close` may also be driven by a host such as the ROS node.
+    """Runs one program; `tick` and `close` may also be driven by a host such as the ROS node.
 
-    While `run` ticks, its thread alone may use the workflow: `stop`, `call_soon` and `close` are
+    While `run` ticks, its thread alone may use the program: `stop`, `call_soon` and `close` are
     for the others.
 
     Args:
-        workflow: what to run; not closed, and not run before.
+        program: what to run; not closed, and not run before.
         options: how.
 
     Attributes:
-        next_due_ns: when the next tick is due, on the clock of `time.perf_counter_ns`; 0 where
-            ticks are not paced. What comes after `send` may use the time until then.
+        phase: what the run is at.
+        graph: the compiled tick of the run.
+        statistics: of the run's ticks.
         faults: what went wrong, one line each; the first is why the run ended.
         traceback: where the first fault came from, if it was no `Fault`; else "".
         interrupted: a signal ended the run.
 
     Raises:
         PlatformError: the platform cannot be paced as the workflow says.
-        UniconError: the workflow is closed.
+        UniconError: the program is closed.
     """
 
-    def __init__(self, workflow: Workflow, options: RunOptions | None = None) -> None:
-        if workflow.gate.closed:
-            raise UniconError(f"workflow {workflow.name} is closed; build it anew to run it again")
-        self.workflow = workflow
+    def __init__(self, program: Program, options: RunOptions | None = None) -> None:
+        if program.gate.closed:
+            raise UniconError(f"workflow {program.name} is closed; build it anew to run it again")
+        self.program = program
         self.options = options or RunOptions()
-        workflow.warn = self.options.warn
-        try:
-            self.pacing = Pacing.from_dict(workflow.document.get("pacing", dict, {}))
-        except UniconError as error:
-            raise workflow.document.error(str(error), "pacing") from error
-        self.monitor = Monitor(workflow.states)
-        root = Zip(workflow.root, Deferred(as_block(self.monitor)))
-        self.graph = compile_graph(root, trace=True)
-        names = [block.name for block in self.graph.blocks]
-        self.statistics = TickStatistics(names, self.graph.deferred_blocks, self.options.capacity)
-        self.period_ns = round(workflow.period * 1e9)
+        program.warn = self.options.warn
+        _refuse_pace(program, self.options)
+        self.phase = Phase.START
+        self.monitor = program.monitor
+        status = None if self.options.status is None else self._status
+        self._run = self._ticker = Ticker(program, program.root, self.options.capacity, status)
+        self.graph, self.statistics = self._run.graph, self._run.statistics
+        self.pacing, self.period_ns = program.pacing, self._run.period_ns
         self.faults: list[str] = []
         self.traceback = ""
-        self.done = False
-        self.next_due_ns = 0
         self.interrupted = False
-        self._between: deque[Callable[[], object]] = deque()
-        self._platform_wait: Callable[[float], bool] | None = None
-        if self.pacing.trigger == "state":
-            if not isinstance(workflow.platform, WaitsForData):
-                raise PlatformError(
-                    f"platform {workflow.platform.facts.name!r} cannot tell when its data arrive; "
-                    "set pacing.trigger: deadline"
-                )
-            self._platform_wait = workflow.platform.wait
-        if self.options.speed == "max" and not workflow.platform.facts.simulated:
-            raise PlatformError(
-                f"platform {workflow.platform.facts.name!r} is a robot, which takes its time; "
-                "leave out speed max, or use a simulator"
-            )
-        if self.pacing.overrun == "catch_up" and not workflow.platform.facts.simulated:
-            raise PlatformError(
-                f"platform {workflow.platform.facts.name!r} is a robot, to which catch_up would "
-                "send old commands in one go; set pacing.overrun: skip"
-            )
-        self._hang_ns = self.pacing.hang_ns(self.period_ns, workflow.platform.facts.simulated)
-        workflow.gate.hung = self._hung
-        self._tick = workflow.states["tick"]
-        self._stop = False
+        self._hurry = False
         self._closed = False
         self._thread: int | None = None
         self._ended = threading.Event()
@@ -130,14 +93,34 @@ class Runner:
         self._age_s: float | None = None
         self._ended_ns = 0
 
+    @property
+    def next_due_ns(self) -> int:
+        """When the next tick is due, on the clock of `time.perf_counter_ns`; 0 for at once.
+
+        What comes after `send` may use the time until then.
+        """
+        return self._ticker.next_due_ns
+
+    @property
+    def done(self) -> bool:
+        """Whether the flow of the run was done."""
+        return self._run.done
+
+    @done.setter
+    def done(self, done: bool) -> None:
+        self._run.done = done
+
     def stop(self) -> None:
-        """Ask the run to end after the present tick; safe from a signal handler or a thread."""
-        self._stop = True
+        """Ask the phase to end after the present tick; safe from a signal handler or a thread.
+
+        The run goes on to its wind-down, a wind-down to its end.
+        """
+        self._ticker.stop = True
 
     @property
     def stopping(self) -> bool:
-        """Whether the run was asked to end."""
-        return self._stop
+        """Whether the present phase was asked to end."""
+        return self._ticker.stop
 
     def call_soon(self, action: Callable[[], object]) -> None:
         """Run an action between two ticks, in the thread of the ticks; safe from any thread.
@@ -145,7 +128,7 @@ class Runner:
         It may take its time (a pause): ticks missed meanwhile are not overruns. What it raises is
         a fault.
         """
-        self._between.append(action)
+        self._ticker.between.append(action)
 
     def reset(self) -> None:
         """Bring a simulator and the flow back to their beginning; call it between two ticks.
@@ -154,8 +137,8 @@ class Runner:
             UniconError: another thread ticks.
         """
         self._only_here("reset", "call_soon(runner.reset)")
-        if isinstance(self.workflow.platform, Resettable):
-            self.workflow.platform.reset()
+        if isinstance(self.program.platform, Resettable):
+            self.program.platform.reset()
         self.graph.reset()
 
     def tick(self, due_ns: int) -> bool:
@@ -166,15 +149,7 @@ class Runner:
             UniconError: another thread ticks.
         """
         self._only_here("tick", "call_soon")
-        return self._step(due_ns)
-
-    def _step(self, due_ns: int) -> bool:
-        graph = self.graph
-        done = graph.step()
-        done = graph.deferred() or done
-        self._tick += 1
-        self.statistics.add(due_ns, time.perf_counter_ns(), graph.stamps)
-        return done
+        return self._ticker.step(due_ns)
 
     def _only_here(self, what: str, instead: str) -> None:
         if self._thread not in (None, threading.get_ident()):
@@ -194,18 +169,26 @@ class Runner:
             raise UniconError(f"Runner.run: this run {state}; build the workflow anew")
         self._thread = threading.get_ident()
         with SIGNALS, SIGNALS.guard(self.stop, self._damp_now):
-            self._stop |= bool(SIGNALS.asked)
+            self._run.stop |= bool(SIGNALS.asked)
             restore: Callable[[], object] = bool
             fault: BaseException | None = None
-            before = 0
+            before, why = 0, ""
             try:
                 try:
                     restore = prepare_process(self.pacing, self.options.warn)
                     self._started_ns, self._age_s = time.perf_counter_ns(), process_age_s()
-                    self._loop()
+                    for gate in self.program.gates:
+                        gate()
+                    self.phase = Phase.RUN
+                    self._run.run(self._limit(), full_speed=self.options.speed == "max")
+                    self.interrupted = bool(SIGNALS.asked)
+                    why = self._why()
+                    self._ended_ns = time.perf_counter_ns()
+                    self._wind_down()
                 except BaseException as error:  # whatever it is, no further command is sent
                     fault = error
-                self._ended_ns, before = time.perf_counter_ns(), len(self.faults)
+                self._ended_ns = self._ended_ns or time.perf_counter_ns()
+                before = len(self.faults)
                 self._close()
             except Interrupted as error:  # a second signal came just here; it has damped
                 fault = fault or error
@@ -217,7 +200,7 @@ class Runner:
             self._ended.set()
             self.interrupted = bool(SIGNALS.asked)
             report = self.report()
-            report.ended = self._why()
+            report.ended = "fault" if self.faults else why or self._why()
             SIGNALS.stop_process()
         return report
 
@@ -250,10 +233,12 @@ class Runner:
             return "done"
         if self.interrupted:
             return signal_name(SIGNALS.asked)
-        return "stopped" if self._stop else "duration"
+        return "stopped" if self._run.stop else "duration"
 
     def close(self) -> None:
         """Damp and close, once. From another thread: end the run, which damps, and wait for it.
+
+        A wind-down is left out.
 
         Raises:
             UniconError: the ticking thread did not end in time; nothing is sent any more.
@@ -261,9 +246,10 @@ class Runner:
         if self._thread in (None, threading.get_ident()):
             self._close()
             return
+        self._hurry = True
         self.stop()
         if not self._ended.wait(CLOSING):
-            self.workflow.gate.close()
+            self.program.gate.close()
             raise UniconError(
                 f"Runner.close: the ticking thread did not end within {CLOSING:g} s; it sends "
                 "nothing any more; end the process"
@@ -271,26 +257,26 @@ class Runner:
 
     def _close(self) -> None:
         if not self._closed:
-            self._closed = True
+            self._closed, self.phase = True, Phase.CLOSE
             try:
-                self.workflow.close()
+                self.program.close()
             except Exception as error:
                 self.faults.append(f"closing: {_reason(error)}")
 
     def report(self) -> Report:
         """Return the report of the run so far."""
-        workflow, statistics = self.workflow, self.statistics
+        program, statistics = self.program, self.statistics
         end = self._ended_ns or time.perf_counter_ns()
         wall = max((end - self._started_ns) * 1e-9, 1e-9)
         ticks = statistics.count
-        report = Report(workflow.name, workflow.robot.name, workflow.platform.facts.name)
+        report = Report(program.name, program.robot.name, program.platform.facts.name)
         report.ticks = ticks
-        report.duration_s = round(ticks * workflow.period, 9)
+        report.duration_s = round(ticks * program.period, 9)
         report.rate_hz = round(ticks / wall, 3)
         report.wall_s = round(wall, 3)
         report.overruns = statistics.overruns
         if statistics.overruns:
-            report.overrun_blocks = statistics.overrun_blocks(workflow.period * 1e6)
+            report.overrun_blocks = statistics.overrun_blocks(program.period * 1e6)
         if self._age_s is not None and 0 < ticks <= self.options.capacity:
             first = int(statistics.kept()[0, 2])
             report.startup_s = round(self._age_s + (first - self._started_ns) * 1e-9, 3)
@@ -299,192 +285,102 @@ class Runner:
         report.blocks = statistics.block_us()
         report.faults = list(self.faults)
         report.traceback = self.traceback
-        report.safety, report.forced = list(workflow.safety), list(workflow.forced)
+        report.safety, report.forced = list(program.safety), list(program.forced)
         self.monitor.fill(report)
         return report
-
-    # -- the loop -----------------------------------------------------------------------------
 
     def _limit(self) -> int:
         duration = self.options.duration
         if duration is None:
-            duration = self.workflow.document.get("duration", (int, float))
-        return 1 << 62 if duration is None else round(duration / self.workflow.period)
+            duration = self.program.duration
+        return 1 << 62 if duration is None else round(duration / self.program.period)
 
-    def _loop(self) -> None:
-        limit = self._limit()
-        status_every = max(1, round(1.0 / self.workflow.period))
-        if self._platform_wait is not None:
-            self._triggered(limit, status_every, self._platform_wait)
+    def _wind_down(self) -> None:
+        """Tick the flow that follows the run; commands are zero from here on."""
+        root = self.program.wind_down
+        if root is None or self._hurry or self.program.gate.closed:
             return
-        if self.options.speed == "max":
-            while not self._stop and self.statistics.count < limit:
-                if self._between:
-                    self._act()
-                    if self._stop:
-                        break
-                if self._step(time.perf_counter_ns()):
-                    self.done = True
-                    break
-                if self.statistics.count % status_every == 0:
-                    self._status()
-            return
-        self._paced(limit, status_every)
-
-    def _paced(self, limit: int, status_every: int) -> None:
-        wait = self._dry_run(WallClock(round(self.pacing.spin_us * 1e3))).until
-        period, backlog = self.period_ns, 0 if self.pacing.overrun == "skip" else CATCH_UP
-        statistics, now, gate = self.statistics, time.perf_counter_ns, self.workflow.gate
-        due = now() + min(period, 10_000_000)
-        while not self._stop and statistics.count < limit:
-            if self._between:
-                self._act()
-                if self._stop:
-                    break
-                due = max(due, now())
-            gate.until_ns = due + self._hang_ns
-            if wait(due) > gate.until_ns:
-                self._missed(now() - due)
-            self.next_due_ns = due + period
-            try:
-                done = self._step(due)
-            except BaseException:
-                statistics.overruns += max(-(-(now() - due - period) // period), 0)
-                raise
-            if done:
-                self.done = True
-                break
-            due += period
-            late = now() - due
-            if late > 0:
-                missed = -(-late // period)
-                dropped = max(missed - backlog, 0)
-                # Each deadline that no tick met counts, those caught up when they run.
-                statistics.overruns += max(dropped, 1)
-                due += dropped * period
-                if late > self._hang_ns:
-                    raise Fault(self._hung())
-            if statistics.count % status_every == 0:
-                self._status()
-
-    def _missed(self, late_ns: int) -> None:
-        """Count the ticks that nobody ran, and end the run: the process stood still.
-
-        Raises:
-            Fault: always.
-        """
-        self.statistics.overruns += late_ns // self.period_ns
-        raise Fault(
-            f"no tick ran for {late_ns * 1e-9:.2f} s: the process was stopped or starved between "
-            f"two ticks; more than {self._hang_ns * 1e-9:g} s are a fault (pacing.hang)"
-        )
-
-    def _hung(self) -> str:
-        """Return what is said of the present tick, which took too long: the slowest block."""
-        stamps, names = self.graph.stamps, [block.name for block in self.graph.blocks]
-        ends = sorted((int(end), name) for end, name in zip(stamps[2:], names) if end)
-        before, slowest, longest = int(stamps[0]), "a block that has not ended", 0
-        for end, name in ends:
-            if end - before > longest:
-                slowest, longest = name, end - before
-            before = end
-        if time.perf_counter_ns() - before > longest:  # it has no stamp yet
-            slowest, longest = "what ran last", time.perf_counter_ns() - before
-        return (
-            f"a tick hung: {slowest} took {longest * 1e-9:.2f} s; ticks that are late by more than "
-            f"{self._hang_ns * 1e-9:g} s are a fault (pacing.hang)"
-        )
-
-    def _triggered(self, limit: int, status_every: int, wait: Callable[[float], bool]) -> None:
-        """Tick when data arrive; without data at a slow pace, so that safety sees that they lack.
-
-        Where data come more often than ticks, the one is waited for that is expected nearest to
-        the deadline; what has come before is taken in as old. The state of a tick is then as fresh
-        as a message can be, not up to an interval old. Deadlines are absolute there, so that early
-        and late arrivals do not add up to another rate.
-        """
-        statistics, now, period = self.statistics, time.perf_counter_ns, self.period_ns
-        platform = self.workflow.platform
-        until = self._dry_run(WallClock(0)).until
-        patience = 3e-9 * period
-        arrivals = self._arrivals(wait, patience)
-        due = last = now()
-        hasty, gate = 0, self.workflow.gate
-        silence = round(1e9 * patience) + 2 * period + self._hang_ns
-        while not self._stop and statistics.count < limit:
-            if self._between:
-                self._act()
-                if self._stop:
-                    break
-                last = now()
-            if arrivals is not None:
-                often = 1.5 * arrivals.interval_ns < period
-                due = max(due + period, now()) if often else last + round(arrivals.interval_ns)
-                until(arrivals.nearest(due) - arrivals.lead_ns())
-                if often:
-                    platform.recv()
-            came = wait(patience)
-            before, last = last, now()
-            if not came:
-                statistics.overruns += 1
-            if last - before > silence:
-                self._missed(last - before)
-            gate.until_ns = last + self._hang_ns
-            hasty = hasty + 1 if last - before < 0.6 * period else 0
-            if hasty >= 5:  # they come faster than was measured
-                arrivals, hasty = self._arrivals(wait, patience), 0
-                due = last = now()
-            self.next_due_ns = (due if arrivals is not None else last) + period
-            if self._step(last):
-                self.done = True
-                break
-            if came and arrivals is not None:
-                arrivals.note(last)
-            if statistics.count % status_every == 0:
-                self._status()
-
-    def _arrivals(self, wait: Callable[[float], bool], patience: float) -> Arrivals | None:
-        """Return what tells when the data come, or None where nothing is known of them.
-
-        Every arrival is waited for: later, a queue of one forgets those between two ticks.
-        """
-        platform, period = self.workflow.platform, self.period_ns
-        if not isinstance(platform, CountsArrivals):
-            return None
-        times: list[int] = []
-        platform.recv()
-        while len(times) < 10 and not self._stop:
-            if not wait(patience):
-                return None
-            times.append(time.perf_counter_ns())
-            platform.recv()
-            if len(times) == 4 and min(np.diff(times)) > 0.6 * period:
-                break
-        if len(times) < 2:
-            return None
-        return Arrivals(times)
-
-    def _dry_run(self, clock: WallClock) -> DryRun:
-        able = any(block.dry_run is not None for block in self.graph.blocks)
-        return DryRun(self.graph.dry, clock, round(self.pacing.dry_run_us * 1e3) if able else 0)
-
-    def _act(self) -> None:
-        self.workflow.gate.until_ns = NEVER_NS  # a pause takes its time, and may tick
-        for _ in range(len(self._between)):
-            self._between.popleft()()
+        self.phase = Phase.WIND_DOWN
+        self.monitor.finish()
+        self.program.states["velocity_command"][...] = 0.0
+        self._ticker = Ticker(self.program, root, self.options.capacity, None)
+        limit = max(1, round(WIND_DOWN / self.program.period))
+        self._ticker.run(limit, full_speed=self.options.speed == "max")
 
     def _status(self) -> None:
-        if self.options.status is None:
-            return
+        assert self.options.status is not None
         statistics = self.statistics
         wall = (time.perf_counter_ns() - self._started_ns) * 1e-9
         self.options.status(
             {
-                "t": f"{statistics.count * self.workflow.period:.1f} s",
+                "t": f"{statistics.count * self.program.period:.1f} s",
                 "rate": f"{statistics.count / wall:.1f} Hz",
                 "overruns": statistics.overruns,
                 "faults": len(self.faults),
             }
+        )
+
+
+class Attached(Protocol):
+    """What comes along with a run, such as a ROS session."""
+
+    def attach(self, runner: Runner) -> None:
+        """Get to know the runner, before the first tick."""
+        ...
+
+    def close(self) -> None:
+        """Let go, after the run."""
+        ...
+
+
+def run(program: Program, *attached: Attached, force: Sequence[str] = (), **options: Any) -> Report:
+    """Check a program, run it to the end and return the report; a fault is in it.
+
+        session = RosSession(map="default")
+        report = run(Program(…, hooks=[session.hook]), session)
+
+    Args:
+        program: what to run.
+        attached: what comes along, told before the first tick and closed after the last.
+        force: codes of errors of `unicon check` to go on with.
+        options: of `RunOptions`: duration, speed, warn.
+
+    Raises:
+        CheckError: what `unicon check` calls an error.
+        UniconError: it cannot be run.
+    """
+    # Imported here: the check builds programs itself.
+    from unicon_core.check import refuse_errors
+
+    wishes = RunOptions(**options)
+    with ExitStack() as rest:
+        for each in attached:
+            rest.callback(each.close)
+        rest.callback(program.close)
+        for line in refuse_errors(program, force):
+            wishes.warn(line)
+        runner = Runner(program, wishes)
+        for each in attached:
+            each.attach(runner)
+        return runner.run()
+
+
+def _refuse_pace(program: Program, options: RunOptions) -> None:
+    platform, pacing = program.platform, program.pacing
+    if pacing.trigger == "state" and not isinstance(platform, WaitsForData):
+        raise PlatformError(
+            f"platform {platform.facts.name!r} cannot tell when its data arrive; "
+            "set pacing.trigger: deadline"
+        )
+    if options.speed == "max" and not platform.facts.simulated:
+        raise PlatformError(
+            f"platform {platform.facts.name!r} is a robot, which takes its time; "
+            "leave out speed max, or use a simulator"
+        )
+    if pacing.overrun == "catch_up" and not platform.facts.simulated:
+        raise PlatformError(
+            f"platform {platform.facts.name!r} is a robot, to which catch_up would send old "
+            "commands in one go; set pacing.overrun: skip"
         )
 
 

@@ -16,6 +16,7 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 from unicon_core.errors import StateError, UniconError, WorkflowError, alternatives
 from unicon_core.flow.block import Access, Block, Bundle, as_block
+from unicon_core.platforms.platform import Platform
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.workflow.option_types import wrong_option
@@ -34,6 +35,7 @@ class BuildContext:
         period: tick period in [s].
         policies: name to loaded contract.
         relative_to: folder of the workflow file, for relative paths; None if there is none.
+        platform: of the workflow, once it is built.
     """
 
     states: States
@@ -41,6 +43,7 @@ class BuildContext:
     period: float
     policies: Mapping[str, Any] = field(default_factory=dict)
     relative_to: Path | None = None
+    platform: Platform | None = None
 
     def special(self) -> dict[str, Any]:
         """Return the parameter names that mean parts of the context."""
@@ -120,7 +123,7 @@ def autowire(
     block.reads = tuple(dict.fromkeys([*used["reads"], *block.reads]))
     block.writes = tuple(dict.fromkeys([*used["writes"], *block.writes]))
     block.amends = tuple(dict.fromkeys([*used["amends"], *block.amends]))
-    block.role = block.role or getattr(factory, "role", "")
+    block.stage = block.stage or getattr(factory, "stage", None)
     return block
 
 

@@ -14,7 +14,7 @@ from unicon_core.located_yaml import Located, parse_value, read_yaml
 from unicon_core.resources import find_config, list_config
 from unicon_core.workflow.settings import check_settings
 
-__all__ = ["KEYS", "WorkflowDocument", "load_document", "workflow_names"]
+__all__ = ["KEYS", "WorkflowDocument", "document_of", "load_document", "workflow_names"]
 
 SCHEMA = "unicon.workflow/1"
 
@@ -33,8 +33,10 @@ KEYS = {
     "ros": "true to mirror to ROS 2 without being asked",
     "states": "extra states: name to specification",
     "policies": "name to policy: a path, or {path, given}",
+    "estimate": "blocks that compute what is not measured, right behind recv",
     "commands": "blocks that make commands, before ROS inputs may replace them",
     "flow": "the graph",
+    "wind_down": "the graph after the run, before the platform damps and closes; at most 5 s",
     "safety": "blocks between the flow and send, or none",
     "deferred": "blocks after send",
     "pacing": "{trigger, overrun, hang, spin_us, dry_run_us, priority, cpu, lock_memory}",
@@ -124,7 +126,26 @@ def load_document(
     for dotted, value in pairs:
         _set(values, dotted, value)
         changed.append(dotted)
-    document = WorkflowDocument(path.stem, values, located, tuple(changed))
+    return _checked(WorkflowDocument(path.stem, values, located, tuple(changed)))
+
+
+def document_of(values: Mapping[str, Any], path: Path, line: int) -> WorkflowDocument:
+    """Return the document of a workflow that is written in Python.
+
+    Args:
+        values: as of a workflow file; flows may be nodes.
+        path: the Python file; relative paths are relative to its folder.
+        line: where it stands.
+
+    Raises:
+        WorkflowError: a key is unknown, missing or wrong.
+    """
+    given = {key: value for key, value in values.items() if value is not None}
+    return _checked(WorkflowDocument(path.stem, given, Located(path, given, {(): line})))
+
+
+def _checked(document: WorkflowDocument) -> WorkflowDocument:
+    values = document.values
     for key in values:
         if key not in KEYS:
             raise document.error(f"unknown key {key!r}; {alternatives(str(key), KEYS)}", key)
@@ -138,7 +159,7 @@ def load_document(
     for key in ("robot", "platform", "flow"):
         if values.get(key) is None:
             raise document.error(f"the key {key!r} is missing: {KEYS[key]}")
-    document.name = str(document.get("name", str, path.stem))
+    document.name = str(document.get("name", str, document.name))
     check_settings(document)
     return document
 

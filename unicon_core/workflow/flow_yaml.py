@@ -12,62 +12,35 @@ zip, chain, loop, every, when, switch, deferred. A value that is no mapping is t
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
 from unicon_core.errors import WorkflowError, alternatives
-from unicon_core.flow import Block, Chain, Deferred, Every, Loop, Node, Switch, When, Zip
+from unicon_core.flow import Block, Chain, Deferred, Every, Loop, Node, Switch, When, Zip, as_node
 from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.registry import known
+from unicon_core.workflow.uses import EXPRESSION, Use
 
-__all__ = ["FLOW_WORDS", "BlockUse", "FlowReader"]
+__all__ = ["FLOW_WORDS", "FlowReader"]
 
 FLOW_WORDS = ("zip", "chain", "loop", "every", "when", "switch", "deferred")
 
 MAX_NODES = 1000
 """Blocks and flow words of one workflow: each takes time to build, and aliases can repeat it."""
 
+NODES = (Zip, Chain, Loop, Every, When, Switch, Deferred)
+
 Where: TypeAlias = tuple[str | int, ...]
 
 
-@dataclass(frozen=True)
-class BlockUse:
-    """One mention of a block: its registered name, options, label, renamed states, `file:line`.
-
-    `first` is a single value given in place of options; the builder passes it to the factory's
-    first option.
-    """
-
-    name: str
-    options: dict[str, Any] = field(default_factory=dict)
-    first: Any = None
-    label: str = ""
-    rename: dict[str, str] = field(default_factory=dict)
-    where: str = ""
-
-
 class FlowReader:
-    """Reads a tree of YAML values into nodes.
+    """Reads a tree of YAML values into nodes whose blocks are yet to be built.
 
     Args:
-        document: the file, for `file:line`.
-        make_block: builds the block of one mention.
-        make_expression: builds a predicate of a text.
-        make_switch: builds the Switch of (selector, cases, blend in [s], where).
+        document: the file, for `file:line`. Of a program in Python its values are nodes already.
     """
 
-    def __init__(
-        self,
-        document: WorkflowDocument,
-        make_block: Callable[[BlockUse], Node],
-        make_expression: Callable[[str, str], Block],
-        make_switch: Callable[[Block, dict[str, Node], float, str], Switch],
-    ) -> None:
+    def __init__(self, document: WorkflowDocument) -> None:
         self._document = document
-        self._make_block = make_block
-        self._make_expression = make_expression
-        self._make_switch = make_switch
         self._count = 0
 
     def node(self, value: Any, path: Where) -> Node:
@@ -82,7 +55,9 @@ class FlowReader:
         if isinstance(value, list):
             raise self._error(path, "a list stands alone; write chain: [...] or zip: [...]")
         if isinstance(value, str):
-            return self._make_block(BlockUse(value, where=self._document.where(*path)))
+            return Use(value, where=self._document.where(*path))
+        if callable(value) or isinstance(value, NODES):
+            return as_node(value, where=self._document.where(*path))
         if not isinstance(value, dict) or len(value) != 1:
             keys = ", ".join(map(str, value)) if isinstance(value, dict) else repr(value)
             raise self._error(
@@ -100,15 +75,14 @@ class FlowReader:
             return Deferred(self.node(body, path), where=self._document.where(*path))
         if word in FLOW_WORDS:
             return self._control(word, body, path)
-        return self._make_block(self.use(str(word), body, path))
+        return self._use(str(word), body, path)
 
-    def use(self, name: str, body: Any, path: Where) -> BlockUse:
-        """Return the mention of a block with its options."""
+    def _use(self, name: str, body: Any, path: Where) -> Use:
         where = self._document.where(*path)
         if body is None:
-            return BlockUse(name, where=where)
+            return Use(name, where=where)
         if not isinstance(body, dict):
-            return BlockUse(name, first=body, where=where)
+            return Use(name, first=body, where=where)
         options = dict(body)
         rename = options.pop("states", None) or {}
         label = options.pop("name", "")
@@ -116,20 +90,23 @@ class FlowReader:
             raise self._error(
                 path, f"block {name!r}: states: needs a mapping of parameter to state"
             )
-        return BlockUse(name, options, None, str(label), rename, where)
+        return Use(name, options=options, label=str(label), rename=rename, where=where)
 
-    def predicate(self, value: Any, path: Where) -> Block:
+    def _predicate(self, value: Any, path: Where) -> Block:
         """Return the block of a predicate: an expression, a block's name, or a block."""
         if isinstance(value, bool) or value is None:
             raise self._error(path, f"{path[-1]}: needs a block or an expression over states")
         if isinstance(value, (int, float)):
-            return self._make_expression(str(value), self._document.where(*path))
+            return self._expression(str(value), path)
         if isinstance(value, str) and value not in known("blocks") and ":" not in value:
-            return self._make_expression(value, self._document.where(*path))
+            return self._expression(value, path)
         node = self.node(value, path)
         if not isinstance(node, Block):
             raise self._error(path, f"{path[-1]}: needs a block or an expression, not a flow")
         return node
+
+    def _expression(self, text: str, path: Where) -> Use:
+        return Use(EXPRESSION, first=text, label=text, where=self._document.where(*path))
 
     def _control(self, word: str, body: Any, path: Where) -> Node:
         forms = {
@@ -158,9 +135,9 @@ class FlowReader:
         if word == "every":
             return Every(body["n"], child, where=where)
         if word == "when":
-            return When(self.predicate(body["if"], (*path, "if")), child, where=where)
+            return When(self._predicate(body["if"], (*path, "if")), child, where=where)
         until = body.get("until")
-        stop = None if until is None else self.predicate(until, (*path, "until"))
+        stop = None if until is None else self._predicate(until, (*path, "until"))
         return Loop(child, stop, where=where)
 
     def _switch(self, body: dict[str, Any], path: Where, where: str) -> Node:
@@ -171,8 +148,8 @@ class FlowReader:
         if isinstance(blend, bool) or not isinstance(blend, (int, float)) or blend < 0:
             raise self._error((*path, "blend"), f"switch: blend: {blend!r} is no time >= 0 in [s]")
         nodes = {str(name): self.node(case, (*path, "cases", name)) for name, case in cases.items()}
-        selector = self.predicate(body["on"], (*path, "on"))
-        return self._make_switch(selector, nodes, float(blend), where)
+        selector = self._predicate(body["on"], (*path, "on"))
+        return Switch(selector, nodes, blend=float(blend), where=where)
 
     def _error(self, path: Where, message: str) -> WorkflowError:
         return self._document.error(message, *path)

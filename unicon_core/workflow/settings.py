@@ -13,9 +13,10 @@ from unicon_core.errors import UniconError, WorkflowError
 from unicon_core.resources import find_config
 
 if TYPE_CHECKING:
+    from unicon_core.runtime.pacing import Pacing
     from unicon_core.workflow.document import WorkflowDocument
 
-__all__ = ["DEFAULT_SAFETY", "check_settings", "safety_of", "waits_for_data"]
+__all__ = ["DEFAULT_SAFETY", "check_settings", "pacing_of", "safety_of"]
 
 DEFAULT_SAFETY: tuple[Any, ...] = ("finite", "joint_limits")
 """What stands between the flow and `send` where a workflow does not say."""
@@ -43,24 +44,23 @@ def check_settings(document: WorkflowDocument) -> None:
             find_config("maps", name)
         except UniconError as error:
             raise document.error(f"map: {error}", "map") from error
-    _pacing(document)
+    pacing_of(document)
     safety_of(document)
 
 
-def _pacing(document: WorkflowDocument) -> None:
+def pacing_of(document: WorkflowDocument) -> Pacing:
+    """Return how ticks are timed.
+
+    Raises:
+        WorkflowError: `pacing` is wrong; with file and line.
+    """
     # Imported here: the runner's package imports this one.
     from unicon_core.runtime.pacing import Pacing
 
     try:
-        Pacing.from_dict(document.get("pacing", dict, {}))
+        return Pacing.from_dict(document.get("pacing", dict, {}))
     except UniconError as error:
         raise document.error(str(error), "pacing") from error
-
-
-def waits_for_data(document: WorkflowDocument) -> bool:
-    """Return whether ticks shall come with the platform's data."""
-    pacing: dict[str, Any] = document.get("pacing", dict, {})
-    return pacing.get("trigger") == "state"
 
 
 def safety_of(document: WorkflowDocument) -> list[Any]:

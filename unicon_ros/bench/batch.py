@@ -50,8 +50,8 @@ def run(rounds: int | None = None) -> Bench:
         path.write_text(_WORKFLOW.replace("POLICY", "./policy"), encoding="utf-8")
         runners = {}
         for size in SIZES:
-            workflow = load_workflow(path, {"num_robots": size})
-            runners[size] = Runner(workflow, RunOptions(speed="max"))
+            program = load_workflow(path, {"num_robots": size})
+            runners[size] = Runner(program, RunOptions(speed="max"))
         for _ in range(rounds):
             for size, runner in runners.items():
                 times[size].append(_ticks(runner) / size)

@@ -1,4 +1,4 @@
-"""Bindings: what a message map may name of a workflow, for the bridge and the recorder."""
+"""Bindings: what a message map may name of a program, for the bridge and the recorder."""
 
 from __future__ import annotations
 
@@ -7,28 +7,28 @@ from typing import Any
 from numpy.typing import NDArray
 
 from unicon_core.errors import UniconError
-from unicon_core.workflow import Workflow
+from unicon_core.workflow import Program
 
 __all__ = ["arrays_of", "checked_prefix", "given_by_blocks", "names_of", "variables_of"]
 
 
-def arrays_of(workflow: Workflow) -> dict[str, NDArray[Any]]:
+def arrays_of(program: Program) -> dict[str, NDArray[Any]]:
     """Return the states' views by name; of the first robot where there are many."""
-    states = workflow.states
+    states = program.states
     if states.num_robots is None:
         return {name: states[name] for name in states}
     return {name: states[name][0, ...] for name in states}
 
 
-def names_of(workflow: Workflow) -> dict[str, tuple[str, ...]]:
+def names_of(program: Program) -> dict[str, tuple[str, ...]]:
     """Return the element names of the states that have some."""
-    specs = workflow.states.layout.specs
+    specs = program.states.layout.specs
     return {name: spec.names for name, spec in specs.items() if spec.names}
 
 
-def variables_of(workflow: Workflow, frame_prefix: str = "") -> dict[str, object]:
+def variables_of(program: Program, frame_prefix: str = "") -> dict[str, object]:
     """Return what a map may call `$name`; `frame_prefix` stands before the names of frames."""
-    robot = workflow.robot
+    robot = program.robot
     return {
         "joint_names": list(robot.joint_names),
         "robot": robot.name,
@@ -54,6 +54,6 @@ def checked_prefix(prefix: str) -> str:
     return prefix
 
 
-def given_by_blocks(workflow: Workflow) -> set[str]:
+def given_by_blocks(program: Program) -> set[str]:
     """Return the states that blocks write or amend: a topic amends these, and writes all others."""
-    return {state for block in workflow.blocks for state in (*block.writes, *block.amends)}
+    return {state for block in program.blocks for state in (*block.writes, *block.amends)}

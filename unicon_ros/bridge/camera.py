@@ -1,4 +1,4 @@
-"""Camera: a block that has a camera of the MuJoCo model rendered and published by another process.
+"""Camera: a block that has a camera of the robot's model drawn and published by another process.
 
     deferred:
       - call:
@@ -8,7 +8,8 @@
           rate: 10
           topic: camera/image_raw
 
-The picture is of the pose that the states tell, so it works beside any platform. The tick only
+The picture is of the pose that the states tell, so it works beside any platform that has a model
+file, or whose robot has one, and that tells where the base of a walking robot is. The tick only
 hands over the pose (some µs at `rate`) and takes a handle: the state `camera_handle` numbers the
 newest frame in `Camera.ring`, and `Camera.frame(handle)` is that frame in place.
 
@@ -31,10 +32,11 @@ from numpy.typing import NDArray
 
 from unicon_core.errors import UniconError, alternatives
 from unicon_core.handles import FrameRing
-from unicon_core.models.find import find_model
+from unicon_core.models.find import find_model, model_of
 from unicon_core.resources import find_config
 from unicon_core.robots import Robot
 from unicon_core.states import States, StateSpec
+from unicon_core.workflow.autowire import BuildContext
 from unicon_ros.bridge.bindings import checked_prefix
 from unicon_ros.bridge.images import frame_message
 
@@ -54,7 +56,7 @@ class Camera:
     """
 
     name = "camera"
-    reads = ("joint_pos", "base_pos_w", "base_quat", "stamp_ns")
+    reads: tuple[str, ...] = ("joint_pos", "base_pos_w", "base_quat", "stamp_ns")
     endless = True
 
     def __init__(
@@ -65,6 +67,8 @@ class Camera:
         handle: NDArray[np.int64],
         options: dict[str, Any],
     ) -> None:
+        if not robot.walks:  # its base stands where the model has it
+            self.reads = ("joint_pos", "stamp_ns")
         kind, size = options["kind"], (options["width"], options["height"])
         self.message = frame_message(kind, *size, options["frame_id"])
         self.ring = FrameRing.create(len(self.message.template))
@@ -125,10 +129,7 @@ class Camera:
 
 
 def camera(
-    states: States,
-    robot: Robot,
-    period: float,
-    relative_to: Path | None = None,
+    context: BuildContext,
     *,
     kind: str = "color",
     camera: str | None = None,
@@ -152,16 +153,13 @@ def camera(
     """Build a camera.
 
     Args:
-        states: of the workflow.
-        robot: whose model is rendered.
-        period: of a tick in [s].
-        relative_to: folder of the workflow, for a relative model path.
+        context: says states, robot, platform and period.
         kind: `color`, `depth` or `cloud`.
         camera: name of a camera of the model.
         body: body to mount a camera on, in place of `camera`.
         position: of that camera in the body's frame, [m]; it looks along x, z is up.
         fovy: its vertical field of view, [deg].
-        model: MJCF file, or `assets:PATH`; the robot's if None.
+        model: MJCF or URDF, as of `find_model`; the platform's if None, else the robot's.
         width: of the picture, [pixels].
         height: of the picture, [pixels].
         far: depth beyond which there is no measurement (NaN), [m].
@@ -179,6 +177,7 @@ def camera(
         UniconError: an option is wrong, there is no offscreen OpenGL, or no such camera or body.
         MissingDependencyError: rclpy is not installed.
     """
+    states, robot, platform = context.states, context.robot, context.platform
     if states.num_robots is not None:
         raise UniconError("camera: one robot is rendered; leave num_robots out")
     if (camera is None) == (body is None):
@@ -193,9 +192,7 @@ def camera(
         raise UniconError(
             f"camera: no state {handle!r}; declare it under 'states:' as {{dtype: int64}}"
         )
-    reference = model if model is not None else robot.model
-    if reference is None:
-        raise UniconError(f"camera: robot {robot.name} names no model; give model: PATH")
+    path = find_model(model, context.relative_to) if model else model_of(platform, robot)
     name = camera or f"{body}_camera"
     options = {
         "kind": kind,
@@ -204,7 +201,7 @@ def camera(
         "position": [float(x) for x in position],
         "fovy": float(fovy),
         "robot": str(robot.path),
-        "model": str(find_model(reference, relative_to)),
+        "model": str(path),
         "width": int(width),
         "height": int(height),
         "far": float(far),
@@ -216,7 +213,7 @@ def camera(
         "namespace": namespace,
         "ros_args": list(ros_args),
     }
-    every = max(1, round(1.0 / (rate * period)))
+    every = max(1, round(1.0 / (rate * context.period)))
     return Camera(states, robot, every, states[handle], options)
 
 

@@ -18,19 +18,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.errors import ModelError, UniconError, alternatives
+from unicon_core.errors import ModelError, UniconError
 from unicon_core.handles import FrameRing
+from unicon_core.models.camera import ModelCamera
 from unicon_core.robots import load_robot
-from unicon_ros.bridge.camera_model import intrinsics, optical_frame
 from unicon_ros.bridge.camera_topics import CameraTopics
 from unicon_ros.bridge.images import frame_message, rays
 
 __all__ = ["main"]
-
-NO_GL = (
-    "camera: no offscreen OpenGL ({reason}); on Debian and Ubuntu: apt install libegl1 "
-    "libgl1-mesa-dri, or libosmesa6 with MUJOCO_GL=osmesa"
-)
 
 
 def main() -> int:
@@ -65,124 +60,60 @@ def main() -> int:
 
 
 class _Camera:
-    """Renders one camera into a ring of messages.
+    """Draws one camera into a ring of messages.
 
     Attributes:
         message: layout of a frame.
-        pinhole: what the pictures are taken with.
-        mount: parent frame of the optical frame, position [m] and quaternion wxyz, or None.
+        pinhole, mount: as of `ModelCamera`.
     """
 
     def __init__(self, options: dict[str, Any]) -> None:
-        try:
-            import mujoco
-        except Exception as error:  # without a GL library already the import fails
-            raise UniconError(NO_GL.format(reason=_one_line(error))) from error
-        self._mujoco = mujoco
         self._kind, self._far = options["kind"], float(options["far"])
-        width, height = int(options["width"]), int(options["height"])
-        self.message = frame_message(self._kind, width, height, options["frame_id"])
+        size = int(options["width"]), int(options["height"])
+        self.message = frame_message(self._kind, *size, options["frame_id"])
         self.ring = FrameRing.attach(options["ring"])
-        model = self._model = _model(mujoco, options, width, height)
-        self._data = mujoco.MjData(model)
-        self._camera = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, options["camera"])
-        joints = [
-            mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name) for name in options["joints"]
-        ]
-        if min(joints) < 0:
-            missing = options["joints"][joints.index(-1)]
-            raise ModelError(f"camera: the model has no joint {missing!r}")
-        self._index = np.array([model.jnt_qposadr[joint] for joint in joints])
-        free = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)
-        self._base = int(model.jnt_qposadr[free[0]]) if free.size else -1
-        try:
-            self._renderer = mujoco.Renderer(model, height, width)
-        except Exception as error:  # GL libraries raise classes of their own
-            raise UniconError(NO_GL.format(reason=_one_line(error))) from error
-        if self._kind != "color":
-            self._renderer.enable_depth_rendering()
-        self.pinhole = intrinsics(model, self._camera, width, height)
+        self._camera = ModelCamera(
+            Path(options["model"]),
+            load_robot(options["robot"]),
+            options["camera"],
+            size,
+            body=options["body"],
+            position=options["position"],
+            fovy=options["fovy"],
+            depth=self._kind != "color",
+        )
+        self.pinhole, self.mount = self._camera.pinhole, self._camera.mount
         self._rays: NDArray[np.float32] | None = None
         if self._kind == "cloud":
             if not self.pinhole.fx:
                 raise ModelError(f"camera: {options['camera']!r} has no perspective, so no cloud")
-            self._rays = rays(width, height, self.pinhole)
-        self.mount = optical_frame(mujoco, model, load_robot(options["robot"]), self._camera)
+            self._rays = rays(*size, self.pinhole)
         for _ in range(self.ring.slots):
             slot = self.ring.fill()
             slot[:] = np.frombuffer(self.message.template, np.uint8)
             self.ring.commit(0)
 
     def shoot(self, record: bytes) -> bytes:
-        """Render a record's pose into the ring; return the message."""
-        mujoco, model, data = self._mujoco, self._model, self._data
+        """Draw a record's pose into the ring; return the message."""
         stamp_ns = int(np.frombuffer(record, np.int64, 1)[0])
         values = np.frombuffer(record, np.float64, offset=8)
-        data.qpos[self._index] = values[7:]
-        if self._base >= 0:
-            data.qpos[self._base : self._base + 7] = values[:7]
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_comPos(model, data)
-        mujoco.mj_camlight(model, data)
-        self._renderer.update_scene(data, self._camera)
+        picture = self._camera.shoot(values[7:], values[:3], values[3:7])
         slot = self.ring.fill()
         into = self.message.data(slot)
-        if self._kind == "color":
-            self._renderer.render(out=into)
+        if self._kind != "color":
+            picture[picture > self._far] = np.nan
+        if self._rays is None:
+            into[...] = picture
         else:
-            self._depth(self._renderer.render(), into)
+            np.multiply(self._rays, picture[..., None], out=into)
         self.message.stamp(slot, stamp_ns)
         message = slot.tobytes()
         self.ring.commit(stamp_ns)
         return message
 
-    def _depth(self, depth: NDArray[np.float32], into: NDArray[np.float32]) -> None:
-        depth[depth > self._far] = np.nan
-        if self._rays is None:
-            into[...] = depth
-        else:
-            np.multiply(self._rays, depth[..., None], out=into)
-
-
-def _model(mujoco: Any, options: dict[str, Any], width: int, height: int) -> Any:
-    path = Path(options["model"])
-    try:
-        spec = mujoco.MjSpec.from_file(str(path))
-    except ValueError as error:
-        raise ModelError(f"camera: {path}: {_one_line(error)}") from error
-    vis = spec.visual.global_
-    vis.offwidth, vis.offheight = max(width, vis.offwidth), max(height, vis.offheight)
-    if options["body"] is not None:
-        body = spec.body(options["body"])
-        if body is None:
-            known = [each.name for each in spec.bodies if each.name]
-            raise ModelError(
-                f"camera: no body {options['body']!r} in {path}; "
-                f"{alternatives(options['body'], known)}"
-            )
-        # MuJoCo's cameras look along -z with y up; this one along the body's x with z up.
-        body.add_camera(
-            name=options["camera"],
-            pos=options["position"],
-            quat=[0.5, 0.5, -0.5, -0.5],
-            fovy=options["fovy"],
-        )
-    elif options["camera"] not in [each.name for each in spec.cameras]:
-        known = [each.name for each in spec.cameras]
-        raise ModelError(
-            f"camera: no camera {options['camera']!r} in {path}; "
-            f"{alternatives(options['camera'], known)}; or mount one: body: NAME, position: [m]"
-        )
-    return spec.compile()
-
 
 def _nowhere(message: bytes) -> None:
     """Publish nothing: the frames are for handles alone."""
-
-
-def _one_line(error: BaseException) -> str:
-    text = " ".join(str(error).split())
-    return text or type(error).__name__
 
 
 if __name__ == "__main__":

@@ -12,10 +12,11 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.models.kinematic_tree import Link
+from unicon_core.models.camera import Intrinsics
+from unicon_core.models.links import Link
 from unicon_msgs_map import Encoder, Messages, parse_map
 from unicon_ros import compat
-from unicon_ros.bridge.images import INFO, STAMP, FrameMessage, Intrinsics, info_message
+from unicon_ros.bridge.images import INFO, STAMP, FrameMessage, info_message
 from unicon_ros.bridge.own_node import OwnNode
 from unicon_ros.bridge.qos import LATCHED, qos_profile
 from unicon_ros.bridge.transforms import tf_map

@@ -85,7 +85,7 @@ class Controls:
     def _only_simulators(self, what: str) -> str:
         if self.runner is None:
             return "nothing runs"
-        platform = self.runner.workflow.platform
+        platform = self.runner.program.platform
         if not platform.facts.simulated:
             return (
                 f"platform {platform.facts.name!r} is a real robot, which has no {what}; use ~/stop"

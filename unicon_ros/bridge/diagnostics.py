@@ -56,7 +56,7 @@ class Diagnostics:
         status = DiagnosticStatus(level=level, name=f"{self._node.get_name()}: tick")
         status.message = message
         if self.runner is not None:
-            status.hardware_id = self.runner.workflow.robot.name
+            status.hardware_id = self.runner.program.robot.name
         status.values = [KeyValue(key=key, value=value) for key, value in values.items()]
         array = DiagnosticArray(status=[status])
         array.header.stamp = self._node.get_clock().now().to_msg()
@@ -77,8 +77,8 @@ class Diagnostics:
             ticks, overruns = statistics.count, statistics.overruns
         self._ticks, self._overruns = statistics.count, statistics.overruns
         values = {
-            "workflow": runner.workflow.name,
-            "platform": runner.workflow.platform.facts.name,
+            "workflow": runner.program.name,
+            "platform": runner.program.platform.facts.name,
             "rate_hz": f"{ticks / seconds:.2f}",
             "ticks": str(statistics.count),
             "overruns": str(statistics.overruns),
@@ -90,8 +90,8 @@ class Diagnostics:
             level, message = WARN, f"{overruns} overruns in {seconds:.1f} s"
         level, message = self._topics(values, seconds, level, message)
         for name in TEMPERATURES:
-            if name in runner.workflow.states:
-                values[f"{name}_max"] = f"{float(runner.workflow.states[name].max()):.1f}"
+            if name in runner.program.states:
+                values[f"{name}_max"] = f"{float(runner.program.states[name].max()):.1f}"
         return level, message, values
 
     def _topics(

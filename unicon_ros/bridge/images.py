@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import UniconError, alternatives
+from unicon_core.models.camera import Intrinsics
 
 __all__ = [
     "INFO",
     "KINDS",
     "STAMP",
     "FrameMessage",
-    "Intrinsics",
     "frame_message",
     "info_message",
     "rays",
@@ -34,33 +34,6 @@ KINDS = ("color", "depth", "cloud")
 _FLOAT32 = 7  # PointField.FLOAT32
 STAMP = slice(4, 12)
 """Where the header's stamp stands in all these messages: behind the encapsulation header."""
-
-
-@dataclass(frozen=True)
-class Intrinsics:
-    """A pinhole without distortion, in [pixels]; the middle of the first pixel is (0, 0).
-
-    Attributes:
-        fx, fy: focal lengths; 0 where the camera is no pinhole.
-        cx, cy: principal point.
-    """
-
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-
-    @classmethod
-    def of_fovy(cls, width: int, height: int, fovy: float) -> Intrinsics:
-        """Return those of square pixels and a principal point in the middle of the image.
-
-        Args:
-            width: in pixels.
-            height: in pixels.
-            fovy: vertical field of view, [rad].
-        """
-        focal = 0.5 * height / float(np.tan(0.5 * fovy))
-        return cls(focal, focal, 0.5 * (width - 1), 0.5 * (height - 1))
 
 
 @dataclass(frozen=True)

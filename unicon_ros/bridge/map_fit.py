@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from unicon_core.errors import PlatformError, UniconError
-from unicon_core.flow import Block
+from unicon_core.flow import Block, Stage
 from unicon_core.platforms.platform import Binding, Facts
 from unicon_core.resources import find_config
 from unicon_core.robots import Robot
@@ -21,7 +21,6 @@ from unicon_msgs_map import (
     Decoder,
     Encoder,
     MapDependencyError,
-    MapError,
     MapStateError,
     load_map,
 )
@@ -31,9 +30,9 @@ from unicon_ros.bridge.bindings import arrays_of, given_by_blocks, names_of, var
 if TYPE_CHECKING:
     from unicon_core.check import CheckResult
     from unicon_core.check.subject import Subject
-    from unicon_core.workflow import Workflow
+    from unicon_core.workflow import Program
 
-__all__ = ["check_mirror", "examine_platform", "mirror_inputs", "refuse_untold", "wanted_of"]
+__all__ = ["check_mirror", "examine_platform", "mirror_hook", "refuse_untold", "wanted_of"]
 
 NO_CODECS = "the message map was not looked at: {}"
 NO_ROS = "rclpy is not installed: whether ROS knows the map's types was not looked at"
@@ -113,33 +112,27 @@ def refuse_untold(
             )
 
 
-def mirror_inputs(workflow: Workflow, name: str | None = None) -> list[Block]:
+def mirror_hook(program: Program, name: str | None = None) -> dict[Stage, list[Block]]:
     """Return what stands in the graph for the topics that `--ros` hears, as the bridge has it.
 
     A map that does not fit gives nothing here: `check_mirror` tells it.
 
     Args:
-        workflow: on its way to be built; this is a hook of it.
+        program: on its way to be built; this is a hook of it.
         name: of the map; None for the workflow's own, else the default.
     """
-    path = find_config("maps", name or workflow.document.get("map", str) or "default")
+    path = find_config("maps", name or program.document.get("map", str) or "default")
     try:
-        heard, _, _ = _codecs(path, arrays_of(workflow), names_of(workflow), variables_of(workflow))
+        heard, _, _ = _codecs(path, arrays_of(program), names_of(program), variables_of(program))
     except UniconError:
-        return []
+        return {}
     states = {state for spec in heard for state in spec.states}
-    if not states or not states.isdisjoint(workflow.platform.facts.writes):
-        return []
-    written = given_by_blocks(workflow)
-    return [
-        Block(
-            "ros inputs",
-            bool,
-            writes=tuple(sorted(states - written)),
-            amends=tuple(sorted(states & written)),
-            endless=True,
-        )
-    ]
+    if not states or not states.isdisjoint(program.platform.facts.writes):
+        return {}
+    written = given_by_blocks(program)
+    writes, amends = tuple(sorted(states - written)), tuple(sorted(states & written))
+    inputs = Block("ros inputs", bool, writes=writes, amends=amends, endless=True)
+    return {Stage.INPUT: [inputs]}
 
 
 def check_mirror(subject: Subject, result: CheckResult, name: str | None = None) -> None:
@@ -150,10 +143,10 @@ def check_mirror(subject: Subject, result: CheckResult, name: str | None = None)
         result: is added to.
         name: of the map; None for the workflow's own, else the default.
     """
-    workflow: Workflow = subject.workflow
+    program: Program = subject.program
     path = find_config("maps", name or subject.document.get("map", str) or "default")
     try:
-        heard, _, _ = _codecs(path, arrays_of(workflow), names_of(workflow), variables_of(workflow))
+        heard, _, _ = _codecs(path, arrays_of(program), names_of(program), variables_of(program))
     except MapDependencyError as error:
         result.note("map.fit", f"map {path}", NO_CODECS.format(error))
         return
@@ -163,7 +156,7 @@ def check_mirror(subject: Subject, result: CheckResult, name: str | None = None)
         return
     for spec in heard:
         for state in spec.states:
-            if state in workflow.platform.facts.writes:
+            if state in program.platform.facts.writes:
                 result.find(
                     "map.fit",
                     spec.where or spec.topic,
@@ -185,7 +178,7 @@ def _codecs(
 
     Raises:
         MapDependencyError: rosbags is not installed.
-        UniconError: the map is wrong, or does not fit.
+        MapError: the map is wrong, or does not fit.
     """
 
     def built(spec: Any, build: Callable[..., Any]) -> Any:
@@ -196,14 +189,9 @@ def _codecs(
                 raise
             return None
 
-    try:
-        mapping = load_map(path)
-        decoders = [built(spec, Decoder.build) for spec in mapping.subscribe]
-        encoders = [built(spec, Encoder.build) for spec in mapping.publish]
-    except MapDependencyError:
-        raise
-    except MapError as error:
-        raise UniconError(str(error)) from error
+    mapping = load_map(path)
+    decoders = [built(spec, Decoder.build) for spec in mapping.subscribe]
+    encoders = [built(spec, Encoder.build) for spec in mapping.publish]
     heard = [spec for spec, made in zip(mapping.subscribe, decoders) if made is not None]
     said = [spec for spec, made in zip(mapping.publish, encoders) if made is not None]
     return heard, said, [made for made in decoders if made is not None]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from typing import Any
 
@@ -11,9 +10,11 @@ from numpy.typing import NDArray
 
 from unicon_core.errors import UniconError
 from unicon_core.flow import Block
-from unicon_core.models.kinematic_tree import Link, tree_of
+from unicon_core.models.find import model_of
+from unicon_core.models.kinematic_tree import tree_of
+from unicon_core.models.links import Link
 from unicon_core.models.urdf_write import urdf
-from unicon_core.workflow import Workflow
+from unicon_core.workflow import Program
 from unicon_msgs_map import Encoder, Messages, parse_map
 from unicon_ros import compat
 from unicon_ros.bridge.qos import LATCHED, qos_profile
@@ -49,7 +50,7 @@ class RobotFrames:
     def __init__(
         self,
         node: Any,
-        workflow: Workflow,
+        program: Program,
         stamp: NDArray[Any],
         group: Any,
         warn: Callable[[str], None],
@@ -62,16 +63,14 @@ class RobotFrames:
         self._node, self._group, self._warn = node, group, warn
         self._latched: list[Any] = []
         try:
-            with warnings.catch_warnings():  # the platform has told what its model lacks
-                warnings.simplefilter("ignore")
-                links = tree_of(workflow)
+            links = tree_of(program.robot, model_of(program.platform, program.robot))
         except UniconError as error:
             warn(f"no robot_description and no frames of the links: {error}")
             return
-        self.description = urdf(links, workflow.robot)
+        self.description = urdf(links, program.robot)
         self._latch("robot_description", "std_msgs/msg/String", self.description)
         if compat.message_class("tf2_msgs/msg/TFMessage") is not None:
-            self._publish_frames(workflow, links, stamp)
+            self._publish_frames(program, links, stamp)
 
     def _latch(self, topic: str, kind: str, content: str | bytes) -> None:
         message = compat.message_class(kind)
@@ -82,8 +81,8 @@ class RobotFrames:
         publisher.publish(message(data=content) if isinstance(content, str) else content)
         self._latched.append(publisher)
 
-    def _publish_frames(self, workflow: Workflow, links: list[Link], stamp: NDArray[Any]) -> None:
-        states = workflow.states
+    def _publish_frames(self, program: Program, links: list[Link], stamp: NDArray[Any]) -> None:
+        states = program.states
         joint_pos = states["joint_pos"] if states.num_robots is None else states["joint_pos"][0]
         poses = LinkTransforms(links, joint_pos)
         names = [link.name for link in links]
@@ -104,7 +103,7 @@ class RobotFrames:
         encoder = Encoder.build(
             spec, {"stamp_ns": stamp, "positions": poses.positions, "quats": poses.quats}
         )
-        every = spec.every(workflow.period)
+        every = spec.every(program.period)
         message = compat.message_class(spec.type)
         out = TopicOut(
             self._node, encoder, message, every, every - 1, self._group, self._warn, poses.update

@@ -1,8 +1,7 @@
 """RosSession: a running workflow's place in ROS 2; for `unicon run --ros` and the node.
 
     session = RosSession(map="default", node_name="unicon")
-    workflow = load_workflow(name, inputs=[session.inputs], observers=[session.observers])
-    runner = Runner(workflow); session.attach(runner)
+    runner = Runner(load_workflow(name, hooks=[session.hook])); session.attach(runner)
     report = runner.run(); report.bridge = session.counts()
     session.close()
 
@@ -20,11 +19,11 @@ from pathlib import Path
 from typing import Any
 
 from unicon_core.errors import UniconError
-from unicon_core.flow import Block
+from unicon_core.flow import Block, Stage
 from unicon_core.resources import find_config
 from unicon_core.runtime import Runner
-from unicon_core.workflow import Workflow
-from unicon_msgs_map import Decoder, Encoder, MapError, MapStateError, MessageMap, load_map
+from unicon_core.workflow import Program
+from unicon_msgs_map import Decoder, Encoder, MapStateError, load_map
 from unicon_msgs_map.spec import PublishSpec, SubscribeSpec
 from unicon_ros import compat
 from unicon_ros.bridge.bindings import (
@@ -86,7 +85,7 @@ class RosSession:
         estop: EmergencyStop | None = None,
     ) -> None:
         compat.import_rclpy()
-        self.map = _read_map(map)
+        self.map = load_map(find_config("maps", map or "default"))
         self.frame_prefix = checked_prefix(frame_prefix)
         self.warn = warn
         self._own = OwnNode(node_name, namespace, ros_args) if node is None else None
@@ -104,7 +103,6 @@ class RosSession:
         self._group = compat.polled_group()
         self._others: list[Callable[[], None]] = []
         self._timer: Any = None
-        self._runner: Runner | None = None
         self._stamp: WallStamp | None = None
         self._closed = False
         self._started_ns = time.perf_counter_ns()
@@ -113,12 +111,18 @@ class RosSession:
 
     # -- hooks ----------------------------------------------------------------------------------
 
-    def inputs(self, workflow: Workflow) -> list[Block]:
-        """Return the blocks that poll subscriptions and ~/estop; a hook of `load_workflow`."""
-        arrays, names = arrays_of(workflow), names_of(workflow)
-        variables = variables_of(workflow, self.frame_prefix)
-        written = given_by_blocks(workflow)
-        taken = set(workflow.platform.facts.writes)
+    def hook(self, program: Program) -> dict[Stage, list[Block]]:
+        """Return the blocks that poll subscriptions and ~/estop, publish and serve."""
+        stages = {Stage.INPUT: [self._inputs(program)]}
+        if self.estop is not None:
+            stages[Stage.SAFETY] = [self.estop.before_send()]
+        return stages | {Stage.OBSERVE: self._observers(program)}
+
+    def _inputs(self, program: Program) -> Block:
+        arrays, names = arrays_of(program), names_of(program)
+        variables = variables_of(program, self.frame_prefix)
+        written = given_by_blocks(program)
+        taken = set(program.platform.facts.writes)
         for spec in self.map.subscribe:
             message = self._message(spec, "subscribe")
             if message is None:
@@ -127,7 +131,7 @@ class RosSession:
                 if state in taken:
                     raise UniconError(
                         f"{spec.where or spec.topic}: topic {spec.topic!r} would write state "
-                        f"{state!r}, which platform {workflow.platform.facts.name!r} writes; "
+                        f"{state!r}, which platform {program.platform.facts.name!r} writes; "
                         "take the topic out of the map, or use platform 'ros'"
                     )
             decoder = self._built(spec, partial(Decoder.build, spec, arrays, names, variables))
@@ -141,21 +145,19 @@ class RosSession:
             self.incoming.append(topic)
             self.slack.always |= not topic.polled
         states = {state for topic in self.incoming for state in topic.states}
-        poll = Block(
+        return Block(
             "ros inputs",
             _poll_all(self.incoming),
             dry_run=_warm_up(self.incoming, self.outgoing),
             writes=tuple(sorted(states - written)),
             amends=tuple(sorted(states & written)),
         )
-        return [poll] if self.estop is None else [poll, self.estop.before_send()]
 
-    def observers(self, workflow: Workflow) -> list[Block]:
-        """Return the blocks that publish and serve; a hook of `load_workflow`."""
-        arrays, names = arrays_of(workflow), names_of(workflow)
-        variables = variables_of(workflow, self.frame_prefix)
+    def _observers(self, program: Program) -> list[Block]:
+        arrays, names = arrays_of(program), names_of(program)
+        variables = variables_of(program, self.frame_prefix)
         blocks: list[Block] = []
-        platform = workflow.platform
+        platform = program.platform
         if not platform.facts.simulated:
             source = arrays["stamp_ns"] if "stamp_ns" in platform.facts.writes else None
             self._stamp = WallStamp(source)
@@ -175,7 +177,7 @@ class RosSession:
             encoder = self._built(spec, partial(Encoder.build, spec, arrays, names, variables))
             if encoder is None:
                 continue
-            every = spec.every(workflow.period)
+            every = spec.every(program.period)
             phase = phases[every] = phases.get(every, -1) + 1
             try:
                 topic = TopicOut(self.node, encoder, message, every, phase, self._group, self.warn)
@@ -184,7 +186,7 @@ class RosSession:
             self.outgoing.append(topic)
             blocks.append(topic.block)
         frames = RobotFrames(
-            self.node, workflow, arrays["stamp_ns"], self._group, self.warn, self.frame_prefix
+            self.node, program, arrays["stamp_ns"], self._group, self.warn, self.frame_prefix
         )
         self._others.append(frames.close)
         if frames.out is not None:
@@ -198,7 +200,7 @@ class RosSession:
 
     def attach(self, runner: Runner) -> None:
         """Let services act on this runner, and its deadlines bound what they may take."""
-        self._runner = self.controls.runner = self.slack.runner = runner
+        self.controls.runner = self.slack.runner = runner
         calm_middleware_threads()
         if self._timer is None and any(topic.events.declared for topic in self._topics()):
             from rclpy.clock import Clock, ClockType
@@ -281,10 +283,8 @@ class RosSession:
             return build()
         except MapStateError as error:
             if not spec.optional:
-                raise UniconError(str(error)) from error
+                raise
             self._skip(spec, str(error))
-        except MapError as error:
-            raise UniconError(str(error)) from error
         return None
 
     def _skip(self, spec: PublishSpec | SubscribeSpec, reason: str) -> None:
@@ -317,11 +317,3 @@ def _warm_up(incoming: list[TopicIn], outgoing: list[TopicOut]) -> Callable[[], 
                 out.rehearse()
 
     return warm_up
-
-
-def _read_map(name: str | Path | None) -> MessageMap:
-    path = find_config("maps", name or "default")
-    try:
-        return load_map(path)
-    except MapError as error:
-        raise UniconError(str(error)) from error

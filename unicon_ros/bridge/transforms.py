@@ -11,7 +11,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.models.kinematic_tree import Link, multiply, rotate
+from unicon_core.models.links import Link
+from unicon_core.models.quaternions import multiply, rotate
 
 __all__ = ["LinkTransforms", "tf_map"]
 

@@ -10,8 +10,8 @@ import math
 
 import numpy as np
 
-from unicon_core.flow import Block, Tick
-from unicon_core.workflow import Workflow
+from unicon_core.flow import Block, Stage, Tick
+from unicon_core.workflow import Program
 
 __all__ = ["NO_LIMIT", "Tuning", "too_little_damping"]
 
@@ -51,39 +51,36 @@ class Tuning:
         self.damping_scale = 1.0
         self.command_limit = np.full(3, NO_LIMIT, np.float32)
 
-    def inputs(self, workflow: Workflow) -> list[Block]:
+    def hook(self, program: Program) -> dict[Stage, list[Block]]:
         """Return the blocks that limit the velocity command and scale the gains.
 
-        A hook of `load_workflow`; place it after the hook that receives commands.
+        Place it after the hook that receives commands.
         """
-        command = workflow.states["velocity_command"]
+        command = program.states["velocity_command"]
         limit = self.command_limit
 
         def limited() -> None:
             if limit.min() < NO_LIMIT:
                 np.clip(command, -limit, limit, out=command)
 
-        unscaled, scaled = self._gain_scale(workflow)
-        return [
-            Block("command limits", limited, amends=("velocity_command",), endless=True),
-            # Declares nothing: it takes back what `gain scale` did, and no more.
-            Block("gains unscaled", unscaled, endless=True),
-            Block(
-                "gain scale",
-                scaled,
-                amends=("joint_stiffness", "joint_damping"),
-                role="tune",
-                endless=True,
-            ),
-        ]
+        unscaled, scaled = self._gain_scale(program)
+        gains = ("joint_stiffness", "joint_damping")
+        return {
+            Stage.INPUT: [
+                Block("command limits", limited, amends=("velocity_command",), endless=True),
+                # Declares nothing: it takes back what `gain scale` did, and no more.
+                Block("gains unscaled", unscaled, endless=True),
+            ],
+            Stage.TUNE: [Block("gain scale", scaled, amends=gains, endless=True)],
+        }
 
-    def _gain_scale(self, workflow: Workflow) -> tuple[Tick, Tick]:
+    def _gain_scale(self, program: Program) -> tuple[Tick, Tick]:
         """Return what takes the scales out of the gains before the flow, and puts them in after.
 
         A flow need not write its gains in every tick (a policy that runs every fourth does not), so
         without the former the factors would add up.
         """
-        live = (workflow.states["joint_stiffness"], workflow.states["joint_damping"])
+        live = (program.states["joint_stiffness"], program.states["joint_damping"])
         own = tuple(array.copy() for array in live)
         changed = False
 

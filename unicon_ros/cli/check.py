@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 from unicon_ros.cli.workflow_arguments import add_workflow
 
 if TYPE_CHECKING:
-    from unicon_core.flow import Block
-    from unicon_core.workflow import Workflow
+    from unicon_core.flow import Block, Stage
+    from unicon_core.workflow import Program
 
 __all__ = ["add", "check"]
 
@@ -18,9 +18,7 @@ def add(commands: Any) -> None:
     """Add the command to the parser."""
     parser = commands.add_parser("check", help="check a workflow before a motor moves")
     add_workflow(parser)
-    parser.add_argument(
-        "--twin", action="store_true", help="also run it in MuJoCo, and broken twins"
-    )
+    parser.add_argument("--twin", action="store_true", help="also simulate it, and broken twins")
     parser.add_argument(
         "--ros",
         action="store_true",
@@ -44,19 +42,19 @@ def check(arguments: argparse.Namespace) -> int:
 
             check_mirror(subject, result, arguments.map)
 
-    def heard(workflow: Workflow) -> list[Block]:
-        if not (arguments.ros or workflow.document.get("ros", bool, False)):
-            return []
-        from unicon_ros.bridge.map_fit import mirror_inputs
+    def heard(program: Program) -> dict[Stage, list[Block]]:
+        if not (arguments.ros or program.document.get("ros", bool, False)):
+            return {}
+        from unicon_ros.bridge.map_fit import mirror_hook
 
-        return mirror_inputs(workflow, arguments.map)
+        return mirror_hook(program, arguments.map)
 
     result = check_workflow(
         arguments.workflow,
         arguments.overrides,
         twin=arguments.twin,
         more=[mirror],
-        inputs=[heard],
+        hooks=[heard],
     )
     print(result.text())
     if arguments.json:

@@ -16,9 +16,9 @@ from unicon_ros.cli.console import Console
 from unicon_ros.cli.workflow_arguments import add_workflow
 
 if TYPE_CHECKING:
-    from unicon_core.flow import Block
+    from unicon_core.flow import Block, Stage
     from unicon_core.runtime import Report, Runner
-    from unicon_core.workflow import Hook, Workflow
+    from unicon_core.workflow import Hook, Program
     from unicon_core.workflow.document import WorkflowDocument
 
 __all__ = ["add", "run"]
@@ -106,10 +106,9 @@ def _run(
 ) -> _Ended:
     from unicon_core.check import refuse_errors
     from unicon_core.runtime import Runner, RunOptions
-    from unicon_core.workflow import build_workflow
+    from unicon_core.workflow import Program
 
-    inputs: list[Hook] = []
-    observers: list[Hook] = []
+    hooks: list[Hook] = []
     with_ros = document.get("ros", bool, False) if arguments.ros is None else arguments.ros
     session: Any = None
     picture: Any = None
@@ -125,8 +124,7 @@ def _run(
             warn=console.warn,
             frame_prefix=arguments.frame_prefix,
         )
-        inputs.append(session.inputs)
-        observers.append(session.observers)
+        hooks.append(session.hook)
     try:
         if arguments.record:
             from unicon_ros.recorder import Recording
@@ -134,16 +132,16 @@ def _run(
             map_name = arguments.map or document.get("map", str)
             patient = arguments.speed == "max"
             recording = Recording(arguments.record, map_name, session, console.warn, patient)
-            observers.append(recording.hook)
+            hooks.append(recording.hook)
         if arguments.picture:
             from unicon_ros.picture import Picture
 
             picture = Picture(arguments.picture)
-            observers.append(picture.hook)
+            hooks.append(picture.hook)
         if arguments.view:
-            observers.append(_viewer)
-        workflow = build_workflow(document, inputs=inputs, observers=observers)
-        guard.damp = workflow.damp_now
+            hooks.append(_viewer)
+        program = Program(document, hooks=hooks)
+        guard.damp = program.damp_now
         options = RunOptions(
             duration=arguments.duration,
             speed=arguments.speed,
@@ -151,14 +149,14 @@ def _run(
             status=None if arguments.quiet or not console.terminal else console.status,
         )
         try:
-            for line in refuse_errors(workflow, arguments.force):
+            for line in refuse_errors(program, arguments.force):
                 console.warn(line)
-            runner = Runner(workflow, options)
+            runner = Runner(program, options)
             if session is not None:
                 session.attach(runner)
             SIGNALS.check()
         except BaseException:
-            workflow.close()
+            program.close()
             raise
         report = runner.run()
         guard.damp = None
@@ -186,14 +184,14 @@ def _close(session: Any, status: int) -> None:
             print(line, file=sys.stderr)
 
 
-def _viewer(workflow: Workflow) -> list[Block]:
-    from unicon_core.flow import as_block
+def _viewer(program: Program) -> dict[Stage, list[Block]]:
+    from unicon_core.flow import Stage, as_block
     from unicon_core.platforms.platform import Viewable
 
-    platform = workflow.platform
+    platform = program.platform
     if not isinstance(platform, Viewable):
         raise UniconError(f"platform {platform.facts.name!r} has no viewer; run without --view")
-    return [as_block(platform.viewer())]
+    return {Stage.OBSERVE: [as_block(platform.viewer())]}
 
 
 def _tell(arguments: argparse.Namespace, ended: _Ended) -> int:
@@ -203,7 +201,7 @@ def _tell(arguments: argparse.Namespace, ended: _Ended) -> int:
     written, problems = _write(arguments, ended)
     try:
         if not arguments.quiet:
-            print(runner.statistics.table(runner.workflow.period * 1e6))
+            print(runner.statistics.table(runner.program.period * 1e6))
             print()
         print("\n".join([report.summary(), *written]))
     except BrokenPipeError:

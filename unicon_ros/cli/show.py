@@ -26,14 +26,15 @@ def add(commands: Any) -> None:
 def show(arguments: argparse.Namespace) -> int:
     """Run the command."""
     from unicon_core.flow import compile_graph
+    from unicon_core.runtime.phases import describe
     from unicon_core.show import show_mermaid, show_svg, show_text
     from unicon_core.workflow import load_workflow
 
-    workflow = load_workflow(arguments.workflow, arguments.overrides)
+    program = load_workflow(arguments.workflow, arguments.overrides)
     try:
-        facts = (workflow.root, workflow.states, workflow.critical)
+        facts = (program.root, program.states, program.critical)
         if arguments.source:
-            print(compile_graph(workflow.root).source, end="")
+            print(compile_graph(program.root).source, end="")
         elif arguments.mermaid:
             print(show_mermaid(*facts))
         elif arguments.svg:
@@ -43,7 +44,10 @@ def show(arguments: argparse.Namespace) -> int:
                 raise UniconError(f"cannot write {arguments.svg}: {error.strerror}") from error
             print(arguments.svg)
         else:
-            print(show_text(*facts, robot=workflow.robot, policies=workflow.policies))
+            print(show_text(*facts, robot=program.robot, policies=program.policies))
+            print("\nPhases")
+            for phase, what in describe(program):
+                print(f"  {phase:<10} {what}")
     finally:
-        workflow.close()
+        program.close()
     return 0

@@ -15,9 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
-from unicon_core.flow import Block
+from unicon_core.flow import Block, Stage
 from unicon_core.runtime import Runner, RunOptions
-from unicon_core.workflow import Workflow, load_workflow
+from unicon_core.workflow import Program, load_workflow
 from unicon_ros.bench.pipelines.log import arguments
 from unicon_ros.bench.pipelines.workflows import write_bridged
 
@@ -32,7 +32,7 @@ def main() -> None:
     begin = 0.0
     traced = [0, 0]
 
-    def note_sent(workflow: Workflow) -> list[Block]:
+    def note_sent(workflow: Program) -> dict[Stage, list[Block]]:
         stamp = workflow.states["stamp_ns"]
 
         def note() -> None:
@@ -47,14 +47,14 @@ def main() -> None:
                 gc.collect()
                 traced[1] = tracemalloc.get_traced_memory()[0]
 
-        return [Block("note", note, reads=("stamp_ns",))]
+        return {Stage.OBSERVE: [Block("note", note, reads=("stamp_ns",))]}
 
     with tempfile.TemporaryDirectory() as folder:
         path, topics = write_bridged(Path(folder), options.joints, options.rate, False, "state")
         # The command's queue is deep on both sides: what was sent must arrive.
         before, _, command = topics.read_text().rpartition("depth: 1")
         topics.write_text(f"{before}depth: 50{command}")
-        workflow = load_workflow(path, observers=[note_sent])
+        workflow = load_workflow(path, hooks=[note_sent])
         # So few rows are full, and their memory touched, within the first seconds.
         runner = Runner(workflow, RunOptions(capacity=64))
         report = runner.run()

@@ -17,7 +17,7 @@ from unicon_ros.bridge import RosSession
 
 def main() -> None:
     session = RosSession(node_name="steady", warn=lambda text: print(text, file=sys.stderr))
-    workflow = load_workflow(sys.argv[1], inputs=[session.inputs], observers=[session.observers])
+    workflow = load_workflow(sys.argv[1], hooks=[session.hook])
     runner = Runner(workflow, RunOptions(capacity=200_000))
     session.attach(runner)
     report = runner.run()

@@ -1,4 +1,4 @@
-"""The preflight twin: the deploy graph in MuJoCo, broken contracts beside it, and a verdict."""
+"""The preflight twin: the deploy graph simulated, broken contracts beside it, and a verdict."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ from unicon_core.check.twin.perturb import perturbations
 from unicon_core.check.twin.repair import Repair, repairs
 from unicon_core.check.twin.session import TwinSession
 from unicon_core.errors import UniconError
+from unicon_core.models.find import Modelled
+from unicon_core.platforms.platform import Platform
 from unicon_core.policies import PolicyContract
 from unicon_core.workflow.document import WorkflowDocument
 
@@ -30,22 +32,32 @@ _PATIENCE = 40.0  # [s] of wall time for the search
 
 
 def check_twin(
-    document: WorkflowDocument, settings: Mapping[str, Any], result: CheckResult
+    document: WorkflowDocument, platform: Platform, settings: Mapping[str, Any], result: CheckResult
 ) -> None:
-    """Run the workflow in MuJoCo and add tables and findings.
+    """Run the workflow on its simulator and add tables and findings.
 
     Args:
-        document: the workflow, on whatever platform.
+        document: the workflow.
+        platform: as it was built for the checks. One that simulates no model, such as hardware and
+            `fake`, is exchanged for MuJoCo, and a note says so.
         settings: its `check:` section.
         result: is added to.
     """
+    simulator = named = document.get("platform", str)
+    if not isinstance(platform, Modelled):
+        simulator = "mujoco"
+        result.note(
+            "twin.platform",
+            f"platform {named!r}",
+            "it simulates no model: the twin runs in MuJoCo (platform 'mujoco')",
+        )
     policies = list(document.get("policies", dict, {}))
     pose = {"initial_pose": f"policy:{policies[0]}"} if len(policies) == 1 else {}
     try:
-        session = TwinSession(on_platform(document, "mujoco", pose), settings.get("command"))
+        session = TwinSession(on_platform(document, simulator, pose), settings.get("command"))
     except UniconError as error:
         evidence, _, remedy = str(error).rpartition("; ")
-        result.find("twin.run", "twin on platform 'mujoco'", evidence or remedy, remedy)
+        result.find("twin.run", f"twin on platform {simulator!r}", evidence or remedy, remedy)
         return
     try:
         _Twin(session, float(settings.get("duration", 5.0)), result, document).check()
@@ -165,8 +177,8 @@ class _Twin:
             depths = session.depths(contract.joints)
             tried += [
                 (self.score(key, repair, 2.0).score, key, repair)
-                for repair in repairs(contract, session.workflow.robot, depths, poses)
-                if time.monotonic() < until
+                for repair in repairs(contract, session.program.robot, depths, poses)
+                if time.monotonic() < until and (session.lifts or not repair.unlimited)
             ]
         tried.sort(key=lambda entry: -entry[0])  # stable: the likelier first
         best: tuple[str, Repair, Measures] | None = None
@@ -185,7 +197,7 @@ class _Twin:
 
     def tables(self, given: Measures) -> None:
         what = f"{self.seconds:g} s of the policy" if self.contracts else "the whole flow"
-        title = f"Twin in MuJoCo, {what}"
+        title = f"Twin on platform {self.session.program.platform.facts.name}, {what}"
         columns = ["contract", "outcome", "score", "tracking", "error", "rate [rad/s]"]
         lines = ["score = survival · (0.7 · tracking + 0.3 · smoothness), from 0 to 1"]
         lines.append("a walk does not validate the rate: half the rate walks as well")

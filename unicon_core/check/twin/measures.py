@@ -24,7 +24,12 @@ from numpy.typing import NDArray
 from unicon_core.robots import Robot
 from unicon_core.states import States
 
-__all__ = ["Measures", "Recorder"]
+__all__ = ["JUDGED", "Measures", "Recorder"]
+
+JUDGED = (
+    "joint_pos", "joint_effort", "base_ang_vel", "base_lin_vel", "base_pos_w", "projected_gravity"
+)  # fmt: skip
+"""States of a simulator by which a run is judged."""
 
 TRACKING_SIGMA = 0.25
 """Width of the tracking kernel in [m²/s²]."""
@@ -117,12 +122,8 @@ class Recorder:
 
     def __init__(self, states: States, robot: Robot, effort: Float, period: float) -> None:
         self._robot, self._period = robot, period
-        names = ("joint_pos", "joint_effort", "joint_pos_target", "base_ang_vel")
+        names = (*JUDGED, "joint_pos_target", "velocity_command")
         self._views = {name: states[name].reshape(-1, states.spec(name).size)[0] for name in names}
-        self._velocity = states["base_lin_vel"].reshape(-1, 3)[0]
-        self._command = states["velocity_command"].reshape(-1, 3)[0]
-        self._gravity = states["projected_gravity"].reshape(-1, 3)[0]
-        self._height = states["base_pos_w"].reshape(-1, 3)[0]
         self._effort = effort
         self._standing: float | None = None
         self.fell = False
@@ -136,21 +137,21 @@ class Recorder:
                 did is forgotten then.
         """
         views = self._views
+        height = float(views["base_pos_w"][2])
         if walking and self._standing is None:
             self.rows.clear()
-            self._standing = float(self._height[2])
-        velocity = np.array([self._velocity[0], self._velocity[1], views["base_ang_vel"][2]])
+            self._standing = height
+        velocity = np.array([*views["base_lin_vel"][:2], views["base_ang_vel"][2]])
         self.rows.append(
             (
                 views["joint_pos"].astype(np.float64),
                 views["joint_effort"].astype(np.float64),
                 views["joint_pos_target"].astype(np.float64),
                 velocity.astype(np.float64),
-                self._command.astype(np.float64),
+                views["velocity_command"].astype(np.float64),
             )
         )
-        height = float(self._height[2])
-        tilted = float(self._gravity[2]) > -FALL_COSINE
+        tilted = float(views["projected_gravity"][2]) > -FALL_COSINE
         sunk = self._standing is not None and height < FALL_HEIGHT * self._standing
         self.fell = tilted or sunk
         return self.fell

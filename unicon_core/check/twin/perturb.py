@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from unicon_core.check.mirror import mirror_pairs
 from unicon_core.policies.contract import ActionSpec, ObservationTerm, PolicyContract
+from unicon_core.robots import joint_index
 
 __all__ = [
     "Perturbation",
@@ -91,9 +92,9 @@ def permuted(contract: PolicyContract, names: Sequence[str]) -> PolicyContract:
         names: the same joints in another order.
     """
     joints, action = contract.joints, contract.action
-    index = [joints.index(name) for name in names]
+    index = joint_index(names, joints)
     moved = [name for name in names if name in action.joints]
-    at = [action.joints.index(name) for name in moved]
+    at = joint_index(moved, action.joints)
 
     def per_joint(term: ObservationTerm) -> ObservationTerm:
         if term.index is not None or not (

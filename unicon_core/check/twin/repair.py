@@ -11,7 +11,7 @@ import numpy as np
 from unicon_core.check.mirror import mirror_pairs
 from unicon_core.check.twin.perturb import other_order, permuted, perturbations, renamed, with_terms
 from unicon_core.policies.contract import ObservationTerm, PolicyContract
-from unicon_core.robots import Robot
+from unicon_core.robots import Robot, joint_index
 
 __all__ = ["Repair", "repairs"]
 
@@ -106,7 +106,7 @@ def _gains(contract: PolicyContract, robot: Robot, depths: Sequence[int]) -> Ite
         culprit,
         replace(contract, stiffness=contract.damping, damping=contract.stiffness),
     )
-    own = [robot.joint_names.index(name) for name in contract.joints]
+    own = joint_index(contract.joints, robot.joint_names)
     stiffness, damping = robot.joint_stiffness[own], robot.joint_damping[own]
     if np.isfinite(stiffness).all() and np.isfinite(damping).all():
         yield Repair(

@@ -1,4 +1,4 @@
-"""One workflow in MuJoCo, run again and again with other contracts of its policy.
+"""One workflow on a simulator, run again and again with other contracts of its policy.
 
 The workflow is built once; between two runs only the tick of its policy block is exchanged, so
 everything else is the graph that would be deployed.
@@ -7,21 +7,22 @@ everything else is the graph that would be deployed.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import suppress
-from typing import Any
+from contextlib import AbstractContextManager, nullcontext, suppress
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from unicon_core.check.model_facts import joint_depths, joint_ids
-from unicon_core.check.twin.measures import Measures, Recorder
-from unicon_core.errors import Fault, UniconError
-from unicon_core.flow import Block
+from unicon_core.check.twin.measures import JUDGED, Measures, Recorder
+from unicon_core.errors import Fault, PlatformError, UniconError
+from unicon_core.flow import Block, Stage
+from unicon_core.models.find import model_of
+from unicon_core.models.kinematic_tree import read_tree
+from unicon_core.models.load import load_model
 from unicon_core.platforms.platform import info_of
-from unicon_core.policies import OnnxPolicy, PolicyContract
+from unicon_core.policies import Policy, PolicyContract
 from unicon_core.runtime import Runner, RunOptions
-from unicon_core.workflow import Workflow
+from unicon_core.workflow import Program
 from unicon_core.workflow.document import WorkflowDocument
-from unicon_core.workflow.workflow import build_workflow
 
 __all__ = ["TwinSession"]
 
@@ -39,7 +40,7 @@ def _reads_command(contract: PolicyContract) -> bool:
 class _Counted:
     """The tick of a policy block, with the number of its calls."""
 
-    def __init__(self, policy: OnnxPolicy) -> None:
+    def __init__(self, policy: Policy) -> None:
         self.policy, self.calls = policy, 0
 
     def __call__(self) -> None:
@@ -47,33 +48,56 @@ class _Counted:
         self.policy()
 
 
+@runtime_checkable
+class Unlimited(Protocol):
+    """A simulator that can do without its limits of effort for a while."""
+
+    def unlimited(self) -> AbstractContextManager[None]:
+        """Return the while: the limits are back when it is left."""
+        ...
+
+
 class TwinSession:
-    """Runs of one workflow on the platform `mujoco`, one robot.
+    """Runs of one workflow on a simulator, one robot.
 
     Args:
-        document: the workflow, already on that platform.
+        document: the program, already on that simulator.
         command: vx, vy [m/s], wz [rad/s]. None takes the workflow's own where it walks at 0.5 m/s
             or more, else 0.6 of the trained forward speed: broken contracts stand and creep too.
 
     Attributes:
         called: keys of the policies that ran in the last run.
+        lifts: whether limits of effort can be left out.
 
     Raises:
-        UniconError: the workflow cannot be built.
+        UniconError: the workflow cannot be built, or its simulator does not tell enough.
     """
 
     def __init__(self, document: WorkflowDocument, command: Sequence[float] | None = None) -> None:
         self._command = command
         self.called: frozenset[str] = frozenset()
-        self.workflow = build_workflow(document, inputs=[self._commander])
-        keys = {id(contract): key for key, contract in self.workflow.policies.items()}
+        self.program = Program(document, hooks=[self._commander])
+        keys = {id(contract): key for key, contract in self.program.policies.items()}
         self._uses = [
             (keys[id(block.tick.contract)], block, block.tick)
-            for block in self.workflow.blocks
-            if isinstance(block.tick, OnnxPolicy)
+            for block in self.program.blocks
+            if isinstance(block.tick, Policy)
         ]
-        info = info_of(self.workflow.platform)
-        self._effort = np.array(list(info["effort_upper"].values()))
+        robot, platform = self.program.robot, self.program.platform
+        self.lifts = isinstance(platform, Unlimited)
+        try:
+            untold = [name for name in JUDGED if name not in platform.facts.writes]
+            if untold:
+                raise PlatformError(
+                    f"platform {platform.facts.name!r} does not tell {', '.join(untold)}, by which "
+                    "the twin judges; leave --twin out"
+                )
+            self._model = load_model(model_of(platform, robot), robot, quiet=True)
+        except BaseException:
+            self.close()
+            raise
+        limits = info_of(platform).get("effort_upper", {}).values()  # the model's, where tighter
+        self._effort = np.array(list(limits) or np.nan_to_num(robot.effort_limit, nan=np.inf))
 
     @property
     def contracts(self) -> dict[str, PolicyContract]:
@@ -82,24 +106,21 @@ class TwinSession:
 
     def depths(self, joints: Sequence[str]) -> list[int]:
         """Return how many joints are above each joint in the model, shape (n,)."""
-        platform: Any = self.workflow.platform
-        depths = joint_depths(platform.model, self.workflow.robot.joint_names)
-        return [depths[name] for name in joints]
+        above: list[int] = []  # of each link
+        found: dict[str, int] = {}
+        for link in read_tree(self._model.model, self.program.robot):
+            count = above[link.parent] if link.parent >= 0 else 0
+            found[link.joint] = count
+            above.append(count + bool(link.joint))
+        return [found[name] for name in joints]
 
     def poses(self) -> dict[str, dict[str, float]]:
         """Return default poses that somebody else names: the robot file's and key frames'."""
-        platform: Any = self.workflow.platform
-        model, robot = platform.model, self.workflow.robot
-        found = {
-            "the robot file's default pose": dict(
-                zip(robot.joint_names, map(float, robot.default_joint_pos))
-            )
-        }
-        addresses = [int(model.jnt_qposadr[j]) for j in joint_ids(model, robot.joint_names)]
-        for i in range(model.nkey):
-            name = f"the pose of the model's key frame {model.key(i).name!r}"
-            found[name] = dict(zip(robot.joint_names, map(float, model.key_qpos[i][addresses])))
-        return found
+        robot = self.program.robot
+        found = {"the robot file's default pose": robot.default_joint_pos.astype(np.float64)}
+        for key, pose in self._model.key_poses().items():
+            found[f"the pose of the model's key frame {key!r}"] = pose
+        return {name: dict(zip(robot.joint_names, map(float, p))) for name, p in found.items()}
 
     def run(
         self,
@@ -116,20 +137,22 @@ class TwinSession:
                 to its end.
             key: a policy under `policies:` whose contract is exchanged.
             contract: in place of the given one.
-            unlimited: without limits of effort.
+            unlimited: without limits of effort, where the simulator lifts them.
         """
-        workflow = self.workflow
+        program = self.program
         counted = self._exchange(key, contract)
-        workflow.states.reset()
-        runner = Runner(workflow, RunOptions(speed="max", warn=lambda text: None))
+        program.states.reset()
+        runner = Runner(program, RunOptions(speed="max", warn=lambda text: None))
         runner.reset()
-        recorder = Recorder(workflow.states, workflow.robot, self._effort, workflow.period)
-        longest, walked = round(_LONGEST / workflow.period), round(seconds / workflow.period)
+        recorder = Recorder(program.states, program.robot, self._effort, program.period)
+        longest, walked = round(_LONGEST / program.period), round(seconds / program.period)
         fault, begun = "", 0
-        limits = self._lift_limits() if unlimited else None
+        lifted: AbstractContextManager[None] = nullcontext()
+        if unlimited and isinstance(program.platform, Unlimited):
+            lifted = program.platform.unlimited()
         try:
             # A broken contract may well send numbers of any size.
-            with np.errstate(over="ignore", invalid="ignore"):
+            with lifted, np.errstate(over="ignore", invalid="ignore"):
                 while len(recorder.rows) < longest and not runner.tick(0):
                     begun += any(tick.calls for tick in counted.values())
                     if recorder(begun > 0) or (counted and begun >= walked):
@@ -138,48 +161,47 @@ class TwinSession:
             fault = str(error)
         finally:
             self._restore()
-            if limits is not None:
-                self._set_limits(*limits)
             self.called = frozenset(name for name, tick in counted.items() if tick.calls)
         ticks = len(recorder.rows)
-        asked = (ticks - begun + walked if counted else max(ticks, 1)) * workflow.period
+        asked = (ticks - begun + walked if counted else max(ticks, 1)) * program.period
         tracks = any(_reads_command(contract) for contract in self.contracts.values())
         return recorder.measures(asked, fault, tracks)
 
     def close(self) -> None:
         """Close the workflow; how a simulator ends does not matter."""
         with suppress(UniconError):
-            self.workflow.close()
+            self.program.close()
 
-    def _commander(self, workflow: Workflow) -> list[Block]:
+    def _commander(self, program: Program) -> dict[Stage, list[Block]]:
         """Return the block that commands a walk, as /cmd_vel would."""
-        contracts = workflow.policies.values()
+        contracts = program.policies.values()
         if not any(_reads_command(contract) for contract in contracts):
-            return []
+            return {}
         ranges = [contract.command_ranges for contract in contracts]
         fastest = [found["lin_vel_x"][1] for found in ranges if "lin_vel_x" in found]
         walk = (min(0.6 * fastest[0], 1.0) if fastest else _WALK, 0.0, 0.0)
         wanted = np.array(self._command or walk, np.float32)
         always = self._command is not None
-        command = workflow.states["velocity_command"]
+        command = program.states["velocity_command"]
 
         def twin_command() -> None:
             if always or float(np.hypot(command[0], command[1])) < _SLOW:
                 command[...] = wanted
 
-        return [Block("twin_command", twin_command, amends=("velocity_command",), endless=True)]
+        block = Block("twin_command", twin_command, amends=("velocity_command",), endless=True)
+        return {Stage.INPUT: [block]}
 
     def _exchange(self, key: str, contract: PolicyContract | None) -> dict[str, _Counted]:
-        workflow = self.workflow
+        program = self.program
         counted: dict[str, _Counted] = {}
         for used, block, policy in self._uses:
             running = policy
             if contract is not None and used == key:
-                running = OnnxPolicy(
+                running = Policy(
                     contract,
-                    workflow.states,
-                    workflow.robot,
-                    prefix=f"{key}_" if len(workflow.policies) > 1 else "",
+                    program.states,
+                    program.robot,
+                    prefix=f"{key}_" if len(program.policies) > 1 else "",
                     network=policy.network,
                 )
             tick = counted.setdefault(used, _Counted(running))
@@ -189,14 +211,3 @@ class TwinSession:
     def _restore(self) -> None:
         for _, block, policy in self._uses:
             block.tick, block.reset, block.dry_run = policy, policy.reset, policy.dry_run
-
-    def _lift_limits(self) -> tuple[Any, Any]:
-        model: Any = self.workflow.platform.model  # type: ignore[attr-defined]
-        before = np.array(model.actuator_forcelimited), np.array(model.jnt_actfrclimited)
-        self._set_limits(0, 0)
-        return before
-
-    def _set_limits(self, actuators: Any, joints: Any) -> None:
-        model: Any = self.workflow.platform.model  # type: ignore[attr-defined]
-        model.actuator_forcelimited[:] = actuators
-        model.jnt_actfrclimited[:] = joints

@@ -14,8 +14,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.errors import ModelError, PlatformError, alternatives
-from unicon_core.models.find import find_model
+from unicon_core.errors import PlatformError, alternatives
+from unicon_core.models.find import pick_model
 from unicon_core.robots import Robot
 from unicon_core.robots.poses import named_pose, robot_poses
 
@@ -108,14 +108,7 @@ class Scene:
         Raises:
             ModelError: neither names one, or it is not there.
         """
-        if self.model is not None:
-            return find_model(self.model, self.folder)
-        if robot.model is None:
-            raise ModelError(
-                f"robot {robot.name} names no simulation model; "
-                "give one: scene: {model: PATH} (MJCF or URDF)"
-            )
-        return find_model(robot.model, robot.path.parent)
+        return pick_model(robot, self.model, self.folder)
 
     def joint_pos(self, robot: Robot) -> NDArray[np.float64]:
         """Return the initial joint positions in [rad], shape (n,); unknown ones stand, or are 0.

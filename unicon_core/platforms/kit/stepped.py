@@ -57,8 +57,8 @@ class SteppedSimulator(ABC):
         unmeasured = () if start.floating else BASE_STATES
         told = [name for name in self.facts.writes if name not in unmeasured]
         self.facts = replace(self.facts, writes=tuple(told))
-        self._names, self._model, self.start = robot.joint_names, start.loaded.path, start
-        self.timestep, self.decimation = timestep, steps_in(period, timestep, self._model)
+        self._names, self.start, self.model_path = robot.joint_names, start, start.loaded.path
+        self.timestep, self.decimation = timestep, steps_in(period, timestep, self.model_path)
         self._tick_ns = tick_ns(timestep, self.decimation)
         self._command = Command({n: states[n] for n in COMMAND_STATES}, robot.joint_names)
         self._servo = Servo(self._command.rows, robot.effort_limit)
@@ -128,7 +128,7 @@ class SteppedSimulator(ABC):
     def info(self) -> dict[str, Any]:
         """Return model and physics step."""
         return {
-            "model": str(self._model),
+            "model": str(self.model_path),
             "physics_step_s": self.timestep,
             "physics_steps_per_tick": self.decimation,
         }

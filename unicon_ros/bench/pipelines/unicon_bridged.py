@@ -6,9 +6,9 @@ import tempfile
 import time
 from pathlib import Path
 
-from unicon_core.flow import Block
+from unicon_core.flow import Block, Stage
 from unicon_core.runtime import Runner
-from unicon_core.workflow import Workflow, load_workflow
+from unicon_core.workflow import Program, load_workflow
 from unicon_ros.bench.pipelines.log import Log, arguments
 from unicon_ros.bench.pipelines.workflows import write_bridged
 
@@ -19,15 +19,15 @@ def main() -> None:
     log = Log(options.out, "stamp", "seen", "begin", "end")
     seen_ns = 0
 
-    def seen(workflow: Workflow) -> list[Block]:
+    def seen(program: Program) -> dict[Stage, list[Block]]:
         def note() -> None:
             nonlocal seen_ns
             seen_ns = time.time_ns()
 
-        return [Block("seen", note)]
+        return {Stage.INPUT: [Block("seen", note)]}
 
-    def sent(workflow: Workflow) -> list[Block]:
-        stamp = workflow.states["stamp_ns"]
+    def sent(program: Program) -> dict[Stage, list[Block]]:
+        stamp = program.states["stamp_ns"]
 
         def note() -> None:
             now = time.time_ns()
@@ -35,13 +35,13 @@ def main() -> None:
                 # What lies between is the identity copy: Send begins where Recv has ended.
                 log.add(int(stamp), seen_ns, seen_ns, now)
 
-        return [Block("sent", note, reads=("stamp_ns",))]
+        return {Stage.OBSERVE: [Block("sent", note, reads=("stamp_ns",))]}
 
     with tempfile.TemporaryDirectory() as folder:
         path, _ = write_bridged(
             Path(folder), options.joints, options.rate, options.best_effort, options.variant
         )
-        runner = Runner(load_workflow(path, inputs=[seen], observers=[sent]))
+        runner = Runner(load_workflow(path, hooks=[seen, sent]))
         runner.run()
         log.save()
 

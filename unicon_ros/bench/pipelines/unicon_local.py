@@ -6,9 +6,9 @@ import tempfile
 import time
 from pathlib import Path
 
-from unicon_core.flow import Block
+from unicon_core.flow import Block, Stage
 from unicon_core.runtime import Runner
-from unicon_core.workflow import Workflow, load_workflow
+from unicon_core.workflow import Program, load_workflow
 from unicon_ros.bench.pipelines.log import Log, arguments
 from unicon_ros.bench.pipelines.workflows import write_local
 from unicon_ros.bridge import RosSession
@@ -19,9 +19,9 @@ def main() -> None:
     options = arguments()
     log = Log(options.out, "stamp", "end")
 
-    def note(workflow: Workflow) -> list[Block]:
+    def note(program: Program) -> dict[Stage, list[Block]]:
         # The first block after `send`: the command of this tick has just been handed over.
-        stamp, tick, now = workflow.states["stamp_ns"], workflow.states["tick"], time.monotonic_ns
+        stamp, tick, now = program.states["stamp_ns"], program.states["tick"], time.monotonic_ns
         every = max(1, round(options.state_rate / options.rate))
 
         def note_command() -> None:
@@ -29,17 +29,15 @@ def main() -> None:
             if int(tick) % every == 0:
                 log.add(int(stamp), at)
 
-        return [Block("note", note_command, reads=("stamp_ns", "tick"))]
+        return {Stage.OBSERVE: [Block("note", note_command, reads=("stamp_ns", "tick"))]}
 
     with tempfile.TemporaryDirectory() as folder:
         workflow_file, map_file = write_local(
             Path(folder), options.joints, options.rate, options.state_rate, options.best_effort
         )
         session = RosSession(map=map_file, node_name="controller")
-        workflow = load_workflow(
-            workflow_file, inputs=[session.inputs], observers=[note, session.observers]
-        )
-        runner = Runner(workflow)
+        program = load_workflow(workflow_file, hooks=[note, session.hook])
+        runner = Runner(program)
         session.attach(runner)
         runner.run()
         log.save()

@@ -8,8 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.platforms.kit.base import Mounting
-
 __all__ = ["BaseReader", "find_imu"]
 
 Float = NDArray[np.float64]
@@ -65,31 +63,32 @@ class BaseReader:
         imu = find_imu(mujoco, model, body)
         self.source = dict.fromkeys(("quat", "gyro", "accelerometer"), "free joint")
 
-        def sensor(kind: str) -> tuple[Float, Mounting | None] | None:
-            """Return the sensor's data and how it is mounted, None as the base; None without."""
+        def sensor(kind: str) -> tuple[Float, Float] | None:
+            """Return the sensor's data and the rotation of its site in the base, or None."""
             if kind not in imu:
                 return None
             self.source[kind] = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_SENSOR, imu[kind])
             start, size = int(model.sensor_adr[imu[kind]]), int(model.sensor_dim[imu[kind]])
-            mounting = Mounting(model.site_quat[model.sensor_objid[imu[kind]]])
-            return data.sensordata[start : start + size], mounting if mounting.turned else None
+            quat = np.array(model.site_quat[model.sensor_objid[imu[kind]]], dtype=np.float64)
+            return data.sensordata[start : start + size], quat
 
         copies: list[Copy] = []
+        none = np.empty(0)
         if "base_quat" in views:
-            copies.append(_quat(views["base_quat"], sensor("quat"), qpos[3:7]))
+            copies.append(_quat(mujoco, views["base_quat"], sensor("quat"), qpos[3:7]))
         if "base_ang_vel" in views:
             gyro = sensor("gyro")
-            copies.append(_vector(views["base_ang_vel"], gyro or (qvel[3:6], None)))
+            copies.append(_vector(mujoco, views["base_ang_vel"], gyro or (qvel[3:6], none)))
         if "base_lin_acc" in views:
             reading = sensor("accelerometer")
             if reading is not None:
-                copies.append(_vector(views["base_lin_acc"], reading))
+                copies.append(_vector(mujoco, views["base_lin_acc"], reading))
             else:
                 copies.append(
                     _specific_force(views["base_lin_acc"], qacc, self._rotation, model.opt.gravity)
                 )
         if "base_pos_w" in views:
-            copies.append(_vector(views["base_pos_w"], (qpos[:3], None)))
+            copies.append(_vector(mujoco, views["base_pos_w"], (qpos[:3], none)))
         self._copies = tuple(copies)
         self._linear = qvel[:3]
         self._world = np.zeros((2, 3))
@@ -110,30 +109,44 @@ class BaseReader:
         self._gravity[...] = self._base[1]
 
 
-def _quat(out: NDArray[Any], reading: tuple[Float, Mounting | None] | None, own: Float) -> Copy:
-    source, mounting = (own, None) if reading is None else reading
-
-    def plain() -> None:
-        out[...] = source
-
-    def turned() -> None:
-        assert mounting is not None
-        out[...] = mounting.quat(source)
-
-    return plain if mounting is None else turned
+def _is_identity(quat: Float) -> bool:
+    return quat.size == 0 or bool(np.allclose(np.abs(quat), (1.0, 0.0, 0.0, 0.0), atol=1e-9))
 
 
-def _vector(out: NDArray[Any], reading: tuple[Float, Mounting | None]) -> Copy:
-    source, mounting = reading
+def _quat(mujoco: Any, out: NDArray[Any], reading: tuple[Float, Float] | None, own: Float) -> Copy:
+    if reading is None or _is_identity(reading[1]):
+        source = own if reading is None else reading[0]
 
-    def plain() -> None:
-        out[...] = source
+        def plain() -> None:
+            out[...] = source
 
-    def turned() -> None:
-        assert mounting is not None
-        out[...] = mounting.vector(source)
+        return plain
+    source, base_from_site = reading
+    site_to_base = base_from_site * (1.0, -1.0, -1.0, -1.0)
+    turned = np.zeros(4)
 
-    return plain if mounting is None else turned
+    def rotated() -> None:
+        mujoco.mju_mulQuat(turned, source, site_to_base)
+        out[...] = turned
+
+    return rotated
+
+
+def _vector(mujoco: Any, out: NDArray[Any], reading: tuple[Float, Float]) -> Copy:
+    source, base_from_site = reading
+    if _is_identity(base_from_site):
+
+        def plain() -> None:
+            out[...] = source
+
+        return plain
+    turned = np.zeros(3)
+
+    def rotated() -> None:
+        mujoco.mju_rotVecQuat(turned, source, base_from_site)
+        out[...] = turned
+
+    return rotated
 
 
 def _specific_force(out: NDArray[Any], qacc: Float, rotation: Float, gravity: Float) -> Copy:

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.models.load import LoadedModel, import_mujoco, load_model
+from unicon_core.models.load import load_model
+from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.platforms.kit.clock import steps_in
 from unicon_core.platforms.kit.scene import Scene
-from unicon_core.platforms.kit.start import find_base, initial_positions
+from unicon_core.platforms.kit.start import initial_positions
 from unicon_core.platforms.platform import SIMULATED, Facts
 from unicon_core.platforms.sim.mujoco.servo import Servo
 from unicon_core.platforms.sim.mujoco.simulated_robot import SimulatedRobot
@@ -57,6 +59,7 @@ class MujocoPlatform:
 
     Attributes:
         model: the `MjModel`.
+        model_path: the file that it was read from.
         robots: the simulated robots, one unless the states have a batch axis.
         period: of a tick in [s].
         decimation: physics steps in a tick.
@@ -75,13 +78,14 @@ class MujocoPlatform:
     ) -> None:
         model = self.model = loaded.model
         self._mujoco, self._robot, self._loaded = mujoco, robot, loaded
+        self.model_path = loaded.path
         self.period = period
         self.decimation = steps_in(period, float(model.opt.timestep), loaded.path)
-        base = find_base(mujoco, model, loaded.joints[0])
+        base = loaded.base
         unmeasured = BASE_STATES if base is None else ()
         writes = [name for name in SIMULATED if name in states and name not in unmeasured]
         self.facts = replace(self.facts, writes=tuple(writes))
-        qpos = initial_positions(loaded, robot, base, scene)
+        qpos = initial_positions(loaded, robot, scene)
         # A blow-up must be seen: by itself MuJoCo would go on from the initial state.
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         self._servo = Servo(mujoco, model, loaded.joints, robot.effort_limit)
@@ -143,6 +147,19 @@ class MujocoPlatform:
 
     def close(self) -> None:
         """Let go; a simulation has no motors to damp."""
+
+    @contextmanager
+    def unlimited(self) -> Iterator[None]:
+        """Do without the limits of effort for a while, for the twin."""
+        limits = self.model.actuator_forcelimited, self.model.jnt_actfrclimited
+        before = [limit.copy() for limit in limits]
+        try:
+            for limit in limits:
+                limit[:] = 0
+            yield
+        finally:
+            for limit, was in zip(limits, before):
+                limit[:] = was
 
     def viewer(self, rate: float = 60.0) -> Viewer:
         """Return a block that shows the (first) robot in a window, at most `rate` times a second.

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.models.joints import joint_transmissions
+from unicon_core.models.joints import drives
 
 __all__ = ["Servo", "actuator_kind", "index_of"]
 
@@ -53,10 +53,7 @@ class Servo:
     def __init__(
         self, mujoco: Any, model: Any, joints: Sequence[int], effort_limit: NDArray[np.float32]
     ) -> None:
-        driven: dict[int, list[int]] = {}
-        for i in range(model.nu):
-            if model.actuator_trntype[i] in joint_transmissions(mujoco):
-                driven.setdefault(int(model.actuator_trnid[i, 0]), []).append(i)
+        driven = drives(mujoco, model)
         self.actuators = [driven[joint][0] for joint in joints]
         self.silenced = [i for joint in joints for i in driven[joint][1:]]
         count = len(joints)

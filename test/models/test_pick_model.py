@@ -1,0 +1,49 @@
+"""Which model file a robot, a workflow or a platform means."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from unicon_core.errors import ModelError
+from unicon_core.models.find import Modelled, model_of, pick_model
+from unicon_core.robots import load_robot
+
+GO2 = Path(__file__).resolve().parents[2] / "config" / "models" / "go2" / "go2.xml"
+
+
+class Simulator:
+    def __init__(self, path: Path) -> None:
+        self.model_path = path
+
+
+def test_what_a_platform_simulates_goes_before_the_robots_own(tmp_path: Path) -> None:
+    robot = load_robot("go2")
+    simulator = Simulator(tmp_path / "other.xml")
+    assert isinstance(simulator, Modelled)
+    assert model_of(simulator, robot) == simulator.model_path
+    assert model_of(object(), robot) == GO2
+
+
+def test_what_is_given_goes_before_the_robots_own(tmp_path: Path) -> None:
+    (tmp_path / "other.xml").write_text("<mujoco/>", "utf-8")
+    robot = load_robot("go2")
+    assert pick_model(robot, "other.xml", tmp_path) == tmp_path / "other.xml"
+    with pytest.raises(ModelError, match=r"nowhere\.xml"):
+        pick_model(robot, "nowhere.xml", tmp_path)
+
+
+def test_a_robot_without_a_model_says_so() -> None:
+    with pytest.raises(ModelError, match="robot a1 names no model"):
+        pick_model(load_robot("a1"))
+
+
+def test_the_format_that_a_reader_prefers_wins() -> None:
+    other = replace(load_robot("go2"), models={"urdf": "nowhere.urdf", "mjcf": str(GO2)})
+    assert pick_model(other) == GO2
+    with pytest.raises(ModelError, match=r"nowhere\.urdf"):
+        pick_model(other, prefer=("urdf", "mjcf"))
+    with pytest.raises(ModelError, match=r"names no model \(urdf\); add models: {urdf: PATH} to "):
+        pick_model(load_robot("go2"), prefer=("urdf",))

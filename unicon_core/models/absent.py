@@ -1,0 +1,91 @@
+"""Leaves out of a model what refers to absent files: meshes and textures, for the loader."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+__all__ = ["drop_absent_meshes", "drop_absent_textures"]
+
+_MESHES = (".stl", ".obj", ".msh")  # what MuJoCo reads; COLLADA counts as absent
+
+
+def _mesh_places(path: Path, folder: Path, file: str) -> Iterator[Path]:
+    """Yield where a mesh may be: in meshdir, beside the model, in the ROS package it names."""
+    name = file.removeprefix("package://")
+    yield folder / name
+    yield path.parent / name
+    yield folder / Path(name).name
+    if name != file:
+        package, _, rest = name.partition("/")
+        for above in path.parents:
+            yield above / name
+            if above.name == package:
+                yield above / rest
+
+
+def drop_absent_meshes(spec: Any, path: Path, floats: bool) -> list[str]:
+    """Take the meshes without a file and their geoms out; return a line that says so, if any.
+
+    Args:
+        spec: the `MjSpec`.
+        path: of the model.
+        floats: the robot needs geoms that keep it on the floor.
+    """
+    folder = path.parent / (spec.compiler.meshdir or spec.meshdir or "")
+    absent: dict[str, Any] = {}
+    for mesh in spec.meshes:
+        if not mesh.file or mesh.file in spec.assets:
+            continue
+        readable = Path(mesh.file).suffix.lower() in _MESHES
+        there = (place for place in _mesh_places(path, folder, mesh.file) if place.is_file())
+        found = next(there, None) if readable else None
+        if found is None:
+            absent[mesh.name or Path(mesh.file).stem] = mesh
+        elif mesh.file.startswith("package://"):
+            mesh.file = str(found.resolve())
+    if not absent:
+        return []
+    dropped = colliding = 0
+    for geom in list(spec.geoms):
+        if geom.meshname in absent:
+            dropped += 1
+            colliding += bool(geom.contype or geom.conaffinity)
+            _delete(spec, geom)
+    for mesh in absent.values():
+        _delete(spec, mesh)
+    note = (
+        f"{len(absent)} mesh files are absent (first: {next(iter(absent.values())).file}): "
+        f"{dropped} geoms left out, {colliding} of them may collide"
+    )
+    own = (g for g in spec.geoms if g.parent != spec.worldbody)
+    if floats and not any(geom.contype or geom.conaffinity for geom in own):
+        note += "; nothing else of it does, so it falls through the floor: add the files"
+    return [note]
+
+
+def drop_absent_textures(spec: Any, path: Path) -> list[str]:
+    """Take the textures without a file out; return a line that says so, if any."""
+    folder = path.parent / (spec.compiler.texturedir or spec.texturedir or "")
+    absent = [
+        texture
+        for texture in spec.textures
+        for file in (texture.file, *texture.cubefiles)
+        if file and not (folder / file).is_file()
+    ]
+    names = {texture.name or Path(texture.file).stem for texture in absent}
+    if not absent:
+        return []
+    for material in spec.materials:
+        material.textures = ["" if name in names else name for name in material.textures]
+    for texture in {id(texture): texture for texture in absent}.values():
+        _delete(spec, texture)
+    return [f"{len(names)} textures are absent ({', '.join(sorted(names))}): left out"]
+
+
+def _delete(spec: Any, element: Any) -> None:
+    if hasattr(spec, "delete"):
+        spec.delete(element)
+    else:  # mujoco < 3.3.3
+        element.delete()

@@ -1,0 +1,212 @@
+"""A camera of a robot's model: what it sees of a pose, its intrinsics and its optical frame.
+
+MuJoCo draws, whatever simulates the robot. Its documentation (Modeling, "Cameras"; XML reference,
+`camera`): a camera looks along the -z axis of its frame, with x right and y up; `fovy` is the
+vertical field of view, unless `sensorsize` gives intrinsics. An optical frame has z forward, x
+right and y down (REP-103): half a turn about x.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.errors import ModelError, UniconError, alternatives
+from unicon_core.models.kinematic_tree import frame_of
+from unicon_core.models.load import load_model
+from unicon_core.models.loaded import import_mujoco
+from unicon_core.models.posed import PosedModel
+from unicon_core.models.quaternions import Float, multiply
+from unicon_core.robots import Robot
+
+__all__ = ["Intrinsics", "ModelCamera", "intrinsics", "optical_frame"]
+
+NO_GL = (
+    "camera: no offscreen OpenGL ({reason}); on Debian and Ubuntu: apt install libegl1 "
+    "libgl1-mesa-dri, or libosmesa6 with MUJOCO_GL=osmesa"
+)
+ODOM = "odom"
+"""The frame of the world that the states' base poses are in (REP-105)."""
+OPTICAL = np.array((0.0, 1.0, 0.0, 0.0))
+"""Optical frame to MuJoCo's camera frame, wxyz."""
+
+
+@dataclass(frozen=True)
+class Intrinsics:
+    """A pinhole without distortion, in [pixels]; the middle of the first pixel is (0, 0).
+
+    Attributes:
+        fx, fy: focal lengths; 0 where the camera is no pinhole.
+        cx, cy: principal point.
+    """
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+    @classmethod
+    def of_fovy(cls, width: int, height: int, fovy: float) -> Intrinsics:
+        """Return those of square pixels and a principal point in the middle of the image.
+
+        Args:
+            width: in pixels.
+            height: in pixels.
+            fovy: vertical field of view, [rad].
+        """
+        focal = 0.5 * height / float(np.tan(0.5 * fovy))
+        return cls(focal, focal, 0.5 * (width - 1), 0.5 * (height - 1))
+
+
+class ModelCamera:
+    """Draws what a camera of a robot's model sees.
+
+    Args:
+        path: MJCF or URDF of the robot.
+        robot: whose joints the model has.
+        name: of the camera.
+        size: width and height of the picture, [pixels].
+        body: body to mount the camera on; None for one that the model has.
+        position: where it is mounted in the body's frame, [m]; it looks along x, z is up.
+        fovy: vertical field of view of a mounted camera, [deg].
+        depth: draw depths and not colours.
+
+    Attributes:
+        pinhole: what the pictures are taken with.
+        mount: parent frame of the optical frame, position [m] and quaternion wxyz, or None.
+
+    Raises:
+        UniconError: no such camera or body, or there is no offscreen OpenGL.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        robot: Robot,
+        name: str,
+        size: tuple[int, int],
+        *,
+        body: str | None = None,
+        position: Sequence[float] = (0.0, 0.0, 0.0),
+        fovy: float = 60.0,
+        depth: bool = False,
+    ) -> None:
+        try:
+            mujoco = import_mujoco()
+        except Exception as error:  # without a GL library already the import fails
+            raise _no_gl(error) from error
+
+        def prepare(spec: Any) -> None:
+            vis = spec.visual.global_
+            vis.offwidth, vis.offheight = max(size[0], vis.offwidth), max(size[1], vis.offheight)
+            if body is not None:
+                # MuJoCo's cameras look along -z with y up; this one along the body's x, z up.
+                _body(spec, body, path).add_camera(
+                    name=name, pos=position, quat=[0.5, 0.5, -0.5, -0.5], fovy=fovy
+                )
+            elif name not in (known := [each.name for each in spec.cameras]):
+                raise ModelError(
+                    f"camera: no camera {name!r} in {path}; {alternatives(name, known)}; "
+                    "or mount one: body: NAME, position: [m]"
+                )
+
+        self._posed = PosedModel(load_model(path, robot, quiet=True, prepare=prepare))
+        self._mujoco, model = mujoco, self._posed.loaded.model
+        self._camera = int(model.camera(name).id)
+        try:
+            self._renderer = mujoco.Renderer(model, size[1], size[0])
+        except Exception as error:  # GL libraries raise classes of their own
+            raise _no_gl(error) from error
+        if depth:
+            self._renderer.enable_depth_rendering()
+        self.pinhole = intrinsics(model, self._camera, *size)
+        self.mount = optical_frame(mujoco, model, robot, self._camera)
+
+    def shoot(self, joint_pos: Float, base_pos: Float, base_quat: Float) -> NDArray[Any]:
+        """Return the picture of a pose, as `PosedModel.put` takes it.
+
+        Returns:
+            RGB as uint8, shape (height, width, 3); or depths along the view axis in [m] as float32,
+            shape (height, width). The caller may change it.
+        """
+        data = self._posed.put(joint_pos, base_pos, base_quat)
+        self._mujoco.mj_camlight(self._posed.loaded.model, data)
+        self._renderer.update_scene(data, self._camera)
+        picture: NDArray[Any] = self._renderer.render()
+        return picture
+
+
+def _body(spec: Any, name: str, path: Path) -> Any:
+    body = spec.body(name)
+    if body is None:
+        known = [each.name for each in spec.bodies if each.name]
+        raise ModelError(f"camera: no body {name!r} in {path}; {alternatives(name, known)}")
+    return body
+
+
+def _no_gl(error: Exception) -> UniconError:
+    if isinstance(error, UniconError):
+        return error
+    reason = " ".join(str(error).split()) or type(error).__name__
+    return UniconError(NO_GL.format(reason=reason))
+
+
+def intrinsics(model: Any, camera: int, width: int, height: int) -> Intrinsics:
+    """Return what a picture of a camera is taken with; all 0 for one without perspective.
+
+    Args:
+        model: an `MjModel`.
+        camera: its number there.
+        width: of the picture, [pixels].
+        height: of the picture, [pixels].
+    """
+    # Older MuJoCos have cam_orthographic in its place; 0 is perspective in both.
+    field = "cam_projection" if hasattr(model, "cam_projection") else "cam_orthographic"
+    if getattr(model, field)[camera]:
+        return Intrinsics(0.0, 0.0, 0.0, 0.0)
+    whole = Intrinsics.of_fovy(width, height, float(np.radians(model.cam_fovy[camera])))
+    across, down = (float(size) for size in model.cam_sensorsize[camera])
+    if not down > 0.0:
+        return whole
+    fx, fy, right, up = (float(value) for value in model.cam_intrinsic[camera])  # [m]
+    right, up = right / across * width, up / down * height
+    return Intrinsics(fx / across * width, fy / down * height, whole.cx - right, whole.cy - up)
+
+
+def optical_frame(
+    mujoco: Any, model: Any, robot: Robot, camera: int
+) -> tuple[str, Float, Float] | None:
+    """Return the parent frame of a camera's optical frame, its position [m] and quaternion wxyz.
+
+    The parent is the frame of the robot's link that carries the camera, as /tf has it. A camera
+    that stands in the world has its place in `odom`, or in the base of a robot that stands there.
+
+    Args:
+        mujoco: the module.
+        model: an `MjModel` that has the robot's joints.
+        robot: gives names to the frames.
+        camera: its number in the model.
+
+    Returns:
+        None for a camera that turns by itself, such as one that tracks a body.
+    """
+    if model.cam_mode[camera] != int(mujoco.mjtCamLight.mjCAMLIGHT_FIXED):
+        return None
+    carrier = frame_of(model, robot, int(model.cam_bodyid[camera]))
+    if carrier is not None:
+        name, origin = carrier
+        position, quat = model.cam_pos[camera] - origin, np.array(model.cam_quat[camera])
+        return name, position, multiply(quat, OPTICAL)
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    mujoco.mj_camlight(model, data)
+    quat = np.empty(4)
+    mujoco.mju_mat2Quat(quat, data.cam_xmat[camera])
+    world = frame_of(model, robot, 0)
+    return world[0] if world else ODOM, data.cam_xpos[camera].copy(), multiply(quat, OPTICAL)

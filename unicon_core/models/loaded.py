@@ -1,0 +1,67 @@
+"""A compiled model and where a robot's joints are in it, for simulators, checks and viewers."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.errors import MissingDependencyError
+from unicon_core.models.joints import free_joint
+
+__all__ = ["LoadedModel", "import_mujoco"]
+
+_log = logging.getLogger(__name__)
+
+
+def import_mujoco() -> Any:
+    """Return the mujoco module.
+
+    Raises:
+        MissingDependencyError: it is not installed.
+    """
+    try:
+        import mujoco
+    except ModuleNotFoundError as error:
+        raise MissingDependencyError(
+            "platform 'mujoco'", "mujoco", "pip install 'unicon_ros[sim]'"
+        ) from error
+    if mujoco.get_mju_user_warning() is None:  # else MuJoCo writes MUJOCO_LOG.TXT where we stand
+        mujoco.set_mju_user_warning(_log.info)
+    return mujoco
+
+
+@dataclass
+class LoadedModel:
+    """A compiled model and how it was found.
+
+    Attributes:
+        model: the `MjModel`.
+        path: its file.
+        joints: joint id of each robot joint, in the robot's order, length n.
+        notes: what was changed or left out, one line each.
+    """
+
+    model: Any
+    path: Path
+    joints: list[int]
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def base(self) -> int | None:
+        """Id of the free joint that carries the robot, None for a fixed base."""
+        return free_joint(import_mujoco(), self.model, self.joints[0])
+
+    @property
+    def addresses(self) -> NDArray[np.intp]:
+        """Where each robot joint stands in `qpos`, shape (n,)."""
+        return np.array(self.model.jnt_qposadr[self.joints], dtype=np.intp)
+
+    def key_poses(self) -> dict[str, NDArray[np.float64]]:
+        """Return key frame to joint positions in the robot's order, [rad] or [m], shape (n,)."""
+        model = self.model
+        return {model.key(i).name: model.key_qpos[i][self.addresses] for i in range(model.nkey)}

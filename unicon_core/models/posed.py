@@ -1,0 +1,115 @@
+"""A model put where states say, without physics: heights above the floor, and feet, for checks."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from unicon_core.models.loaded import LoadedModel, import_mujoco
+
+__all__ = ["PosedModel", "foot_geoms", "heights"]
+
+_FAR = 100.0  # [m]
+_ENDINGS = ("_foot", "_link", "_sphere", "_toe")
+
+
+class PosedModel:
+    """A robot's model whose joints and base stand where somebody put them.
+
+    Attributes:
+        loaded: the model.
+        data: its `MjData`; kinematics are up to date after `put`.
+    """
+
+    def __init__(self, loaded: LoadedModel) -> None:
+        self.loaded, self._mujoco = loaded, import_mujoco()
+        self.data = self._mujoco.MjData(loaded.model)
+        self._joints, base = loaded.addresses, loaded.base
+        start = None if base is None else int(loaded.model.jnt_qposadr[base])
+        self._position = slice(0) if start is None else slice(start, start + 3)
+        self._quat = slice(0) if start is None else slice(start + 3, start + 7)
+        self.floating = start is not None
+
+    def put(self, joint_pos: ArrayLike, base_pos: ArrayLike = (), base_quat: ArrayLike = ()) -> Any:
+        """Put the robot somewhere; return `data`.
+
+        Args:
+            joint_pos: in the robot's order in [rad] or [m], shape (n,).
+            base_pos: of the base in the world in [m], shape (3,); empty leaves the model's own. A
+                fixed base stays where it is.
+            base_quat: base to world, wxyz; empty leaves the model's own.
+        """
+        data, model = self.data, self.loaded.model
+        data.qpos[self._joints] = joint_pos
+        for place, value in ((self._position, base_pos), (self._quat, base_quat)):
+            if self.floating and np.size(value):
+                data.qpos[place] = value
+        self._mujoco.mj_kinematics(model, data)
+        self._mujoco.mj_comPos(model, data)
+        return data
+
+    def heights(self) -> dict[int, float]:
+        """Return `heights` of the robot as it stands."""
+        model = self.loaded.model
+        return heights(model, self.data, int(model.jnt_bodyid[self.loaded.joints[0]]))
+
+
+def heights(model: Any, data: Any, body: int) -> dict[int, float]:
+    """Return the height of each geom of a robot above the floor, [m]; empty without a floor.
+
+    Geoms that do not collide with the floor are left out; none is higher than 100 m.
+
+    Args:
+        model: an `MjModel`.
+        data: its `MjData`, kinematics up to date.
+        body: any of the robot.
+    """
+    mujoco = import_mujoco()
+    plane, root = int(mujoco.mjtGeom.mjGEOM_PLANE), model.body_rootid[body]
+    geoms = range(model.ngeom)
+    floors = [i for i in geoms if model.geom_type[i] == plane and model.geom_bodyid[i] == 0]
+    found: dict[int, float] = {}
+    for geom in geoms:
+        if model.body_rootid[model.geom_bodyid[geom]] != root or geom in floors:
+            continue
+        for floor in floors:
+            if (
+                model.geom_contype[floor] & model.geom_conaffinity[geom]
+                or model.geom_contype[geom] & model.geom_conaffinity[floor]
+            ):
+                height = float(mujoco.mj_geomDistance(model, data, floor, geom, _FAR, None))
+                found[geom] = min(height, found.get(geom, _FAR))
+    return found
+
+
+def foot_geoms(model: Any, feet: tuple[str, ...]) -> dict[str, list[int]]:
+    """Return the geoms of each foot: of the body, site or geom of its name, or of its stem.
+
+    Args:
+        model: an `MjModel`.
+        feet: names; those that the model does not have are left out.
+    """
+    found = {}
+    for foot in feet:
+        stem = foot
+        for ending in _ENDINGS:
+            stem = stem.removesuffix(ending)
+        geoms = _geoms_of(model, foot) or _geoms_of(model, stem)
+        if geoms:
+            found[foot] = geoms
+    return found
+
+
+def _geoms_of(model: Any, name: str) -> list[int]:
+    mujoco = import_mujoco()
+    kinds = mujoco.mjtObj
+    geom = mujoco.mj_name2id(model, kinds.mjOBJ_GEOM, name)
+    if geom >= 0:
+        return [geom]
+    body = mujoco.mj_name2id(model, kinds.mjOBJ_BODY, name)
+    if body < 0:
+        site = mujoco.mj_name2id(model, kinds.mjOBJ_SITE, name)
+        body = int(model.site_bodyid[site]) if site >= 0 else -1
+    return [] if body < 0 else [g for g in range(model.ngeom) if model.geom_bodyid[g] == body]

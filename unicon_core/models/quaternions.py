@@ -1,0 +1,37 @@
+"""Products of quaternions wxyz and vectors turned by them, for frames of links and cameras."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Float", "about", "multiply", "rotate"]
+
+Float = NDArray[np.float64]
+
+
+def multiply(a: Float, b: Float) -> Float:
+    """Return the product of two quaternions wxyz, shape (…, 4)."""
+    aw, ax, ay, az = np.moveaxis(np.asarray(a), -1, 0)
+    bw, bx, by, bz = np.moveaxis(np.asarray(b), -1, 0)
+    return np.stack(
+        (
+            aw * bw - ax * bx - ay * by - az * bz,
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+        ),
+        axis=-1,
+    )
+
+
+def rotate(quat: Float, vector: Float) -> Float:
+    """Return a vector turned by a unit quaternion wxyz, shape (3,)."""
+    w, u = quat[0], quat[1:]
+    turned: Float = vector + 2.0 * np.cross(u, np.cross(u, vector) + w * vector)
+    return turned
+
+
+def about(axis: Float, angle: float) -> Float:
+    """Return the unit quaternion wxyz of a turn by an angle [rad] about a unit vector."""
+    return np.concatenate(([np.cos(0.5 * angle)], np.sin(0.5 * angle) * axis))

@@ -1,0 +1,245 @@
+"""Ticker: ticks one graph at its times until it is done or stopped; for the runner."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable
+
+import numpy as np
+
+from unicon_core.errors import Fault
+from unicon_core.flow import Node, compile_graph
+from unicon_core.platforms.platform import CountsArrivals
+from unicon_core.runtime.arrivals import Arrivals
+from unicon_core.runtime.pacing import CATCH_UP, DryRun, WallClock
+from unicon_core.runtime.statistics import TickStatistics
+from unicon_core.workflow import Program
+from unicon_core.workflow.gate import NEVER_NS
+
+__all__ = ["Ticker"]
+
+
+class Ticker:
+    """Ticks the graph of one phase.
+
+    Args:
+        program: whose states and platform it is about.
+        root: the tree of a tick.
+        capacity: ticks whose time stamps are kept.
+        status: called about once a second, or None.
+
+    Attributes:
+        graph: the compiled tree.
+        statistics: time stamps of its ticks.
+        done: the graph was done.
+        stop: set it, and the present tick is the last.
+        next_due_ns: when the next tick is due, on the clock of `time.perf_counter_ns`; 0 where
+            ticks are not paced.
+        between: actions to be called between two ticks.
+    """
+
+    def __init__(
+        self, program: Program, root: Node, capacity: int, status: Callable[[], object] | None
+    ) -> None:
+        self._program, self._status = program, status
+        self.pacing, self.period_ns = program.pacing, round(program.period * 1e9)
+        self.graph = compile_graph(root, trace=True)
+        names = [block.name for block in self.graph.blocks]
+        self.statistics = TickStatistics(names, self.graph.deferred_blocks, capacity)
+        self.done = self.stop = False
+        self.next_due_ns = 0
+        self.between: deque[Callable[[], object]] = deque()
+        self._hang_ns = self.pacing.hang_ns(self.period_ns, program.platform.facts.simulated)
+        self._tick = program.states["tick"]
+
+    def step(self, due_ns: int) -> bool:
+        """Run one tick: step, then the deferred blocks. True when the graph is done.
+
+        Raises:
+            Fault: a block tripped; the caller must close, which damps.
+        """
+        graph = self.graph
+        done = graph.step()
+        done = graph.deferred() or done
+        self._tick += 1
+        self.statistics.add(due_ns, time.perf_counter_ns(), graph.stamps)
+        return done
+
+    def run(self, limit: int, *, full_speed: bool = False) -> None:
+        """Tick until the graph is done or asked to stop.
+
+        Args:
+            limit: most ticks.
+            full_speed: tick as fast as it goes.
+
+        Raises:
+            Fault: a block tripped, or a tick hung.
+        """
+        program = self._program
+        program.gate.hung = self._hung
+        status_every = max(1, round(1.0 / program.period))
+        if program.pacing.trigger == "state":
+            self._triggered(limit, status_every, program.platform.wait)  # type: ignore[attr-defined]
+        elif full_speed:
+            self._unpaced(limit, status_every)
+        else:
+            self._paced(limit, status_every)
+
+    def _unpaced(self, limit: int, status_every: int) -> None:
+        while not self.stop and self.statistics.count < limit:
+            if self.between:
+                self._act()
+                if self.stop:
+                    break
+            if self.step(time.perf_counter_ns()):
+                self.done = True
+                break
+            if self.statistics.count % status_every == 0:
+                self._tell()
+
+    def _paced(self, limit: int, status_every: int) -> None:
+        wait = self._dry_run(WallClock(round(self.pacing.spin_us * 1e3))).until
+        period, backlog = self.period_ns, 0 if self.pacing.overrun == "skip" else CATCH_UP
+        statistics, now, gate = self.statistics, time.perf_counter_ns, self._program.gate
+        due = now() + min(period, 10_000_000)
+        while not self.stop and statistics.count < limit:
+            if self.between:
+                self._act()
+                if self.stop:
+                    break
+                due = max(due, now())
+            gate.until_ns = due + self._hang_ns
+            if wait(due) > gate.until_ns:
+                self._missed(now() - due)
+            self.next_due_ns = due + period
+            try:
+                done = self.step(due)
+            except BaseException:
+                statistics.overruns += max(-(-(now() - due - period) // period), 0)
+                raise
+            if done:
+                self.done = True
+                break
+            due += period
+            late = now() - due
+            if late > 0:
+                missed = -(-late // period)
+                dropped = max(missed - backlog, 0)
+                # Each deadline that no tick met counts, those caught up when they run.
+                statistics.overruns += max(dropped, 1)
+                due += dropped * period
+                if late > self._hang_ns:
+                    raise Fault(self._hung())
+            if statistics.count % status_every == 0:
+                self._tell()
+
+    def _missed(self, late_ns: int) -> None:
+        """Count the ticks that nobody ran, and end the run: the process stood still.
+
+        Raises:
+            Fault: always.
+        """
+        self.statistics.overruns += late_ns // self.period_ns
+        raise Fault(
+            f"no tick ran for {late_ns * 1e-9:.2f} s: the process was stopped or starved between "
+            f"two ticks; more than {self._hang_ns * 1e-9:g} s are a fault (pacing.hang)"
+        )
+
+    def _hung(self) -> str:
+        """Return what is said of the present tick, which took too long: the slowest block."""
+        stamps, names = self.graph.stamps, [block.name for block in self.graph.blocks]
+        ends = sorted((int(end), name) for end, name in zip(stamps[2:], names) if end)
+        before, slowest, longest = int(stamps[0]), "a block that has not ended", 0
+        for end, name in ends:
+            if end - before > longest:
+                slowest, longest = name, end - before
+            before = end
+        if time.perf_counter_ns() - before > longest:  # it has no stamp yet
+            slowest, longest = "what ran last", time.perf_counter_ns() - before
+        return (
+            f"a tick hung: {slowest} took {longest * 1e-9:.2f} s; ticks that are late by more than "
+            f"{self._hang_ns * 1e-9:g} s are a fault (pacing.hang)"
+        )
+
+    def _triggered(self, limit: int, status_every: int, wait: Callable[[float], bool]) -> None:
+        """Tick when data arrive; without data at a slow pace, so that safety sees that they lack.
+
+        Where data come more often than ticks, the one is waited for that is expected nearest to
+        the deadline; what has come before is taken in as old. The state of a tick is then as fresh
+        as a message can be, not up to an interval old. Deadlines are absolute there, so that early
+        and late arrivals do not add up to another rate.
+        """
+        statistics, now, period = self.statistics, time.perf_counter_ns, self.period_ns
+        platform = self._program.platform
+        until = self._dry_run(WallClock(0)).until
+        patience = 3e-9 * period
+        arrivals = self._arrivals(wait, patience)
+        due = last = now()
+        hasty, gate = 0, self._program.gate
+        silence = round(1e9 * patience) + 2 * period + self._hang_ns
+        while not self.stop and statistics.count < limit:
+            if self.between:
+                self._act()
+                if self.stop:
+                    break
+                last = now()
+            if arrivals is not None:
+                often = 1.5 * arrivals.interval_ns < period
+                due = max(due + period, now()) if often else last + round(arrivals.interval_ns)
+                until(arrivals.nearest(due) - arrivals.lead_ns())
+                if often:
+                    platform.recv()
+            came = wait(patience)
+            before, last = last, now()
+            if not came:
+                statistics.overruns += 1
+            if last - before > silence:
+                self._missed(last - before)
+            gate.until_ns = last + self._hang_ns
+            hasty = hasty + 1 if last - before < 0.6 * period else 0
+            if hasty >= 5:  # they come faster than was measured
+                arrivals, hasty = self._arrivals(wait, patience), 0
+                due = last = now()
+            self.next_due_ns = (due if arrivals is not None else last) + period
+            if self.step(last):
+                self.done = True
+                break
+            if came and arrivals is not None:
+                arrivals.note(last)
+            if statistics.count % status_every == 0:
+                self._tell()
+
+    def _arrivals(self, wait: Callable[[float], bool], patience: float) -> Arrivals | None:
+        """Return what tells when the data come, or None where nothing is known of them.
+
+        Every arrival is waited for: later, a queue of one forgets those between two ticks.
+        """
+        platform, period = self._program.platform, self.period_ns
+        if not isinstance(platform, CountsArrivals):
+            return None
+        times: list[int] = []
+        platform.recv()
+        while len(times) < 10 and not self.stop:
+            if not wait(patience):
+                return None
+            times.append(time.perf_counter_ns())
+            platform.recv()
+            if len(times) == 4 and min(np.diff(times)) > 0.6 * period:
+                break
+        if len(times) < 2:
+            return None
+        return Arrivals(times)
+
+    def _dry_run(self, clock: WallClock) -> DryRun:
+        able = any(block.dry_run is not None for block in self.graph.blocks)
+        return DryRun(self.graph.dry, clock, round(self.pacing.dry_run_us * 1e3) if able else 0)
+
+    def _act(self) -> None:
+        self._program.gate.until_ns = NEVER_NS  # a pause takes its time, and may tick
+        for _ in range(len(self.between)):
+            self.between.popleft()()
+
+    def _tell(self) -> None:
+        if self._status is not None:
+            self._status()

@@ -1,0 +1,264 @@
+"""Building: the parts of a program made of what a workflow says; for `Program` alone."""
+
+from __future__ import annotations
+
+import inspect
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from unicon_core.blocks.stops import Finite
+from unicon_core.errors import RobotError, UniconError, WorkflowError, alternatives
+from unicon_core.flow import (
+    Blender,
+    Block,
+    Every,
+    Loop,
+    Node,
+    Switch,
+    When,
+    blocks_of,
+    children_of,
+)
+from unicon_core.flow.nodes import with_children
+from unicon_core.flow.stage import Stage
+from unicon_core.policies.action_map import lacking_joints
+from unicon_core.policies.controller import controller_contract
+from unicon_core.robots import Robot, load_robot, robot_names
+from unicon_core.signals import SIGNALS
+from unicon_core.states import StateSpec, standard_states
+from unicon_core.states.spec import check_name
+from unicon_core.states.standard import COMMAND_STATES
+from unicon_core.workflow.autowire import BuildContext, autowire, option_names
+from unicon_core.workflow.document import WorkflowDocument
+from unicon_core.workflow.expression import expression
+from unicon_core.workflow.flow_yaml import FlowReader
+from unicon_core.workflow.policies import declared_states, policy_factory
+from unicon_core.workflow.registry import Factory, find_factory
+from unicon_core.workflow.rehearsal import Rehearsal
+from unicon_core.workflow.settings import safety_of
+from unicon_core.workflow.uses import EXPRESSION, Use
+
+if TYPE_CHECKING:
+    from unicon_core.workflow.program import Program
+
+__all__ = ["Builder", "Sections", "finite_first", "load_robot_of", "period_of", "specs_of"]
+
+Sections = dict[Stage, list[Node]]
+"""What a workflow says for each stage."""
+
+_KEYS = {
+    Stage.ESTIMATE: "estimate",
+    Stage.COMMAND: "commands",
+    Stage.OBSERVE: "deferred",
+}
+
+
+def sections_of(document: WorkflowDocument) -> tuple[Sections, Node | None]:
+    """Return what a workflow says for each stage, and the flow of its wind-down or None."""
+    reader = FlowReader(document)
+
+    def read(key: str, items: Sequence[Any]) -> list[Node]:
+        return [reader.node(item, (key, i)) for i, item in enumerate(items)]
+
+    sections = {stage: read(key, document.get(key, list, [])) for stage, key in _KEYS.items()}
+    sections[Stage.FLOW] = [reader.node(document.values["flow"], ("flow",))]
+    sections[Stage.SAFETY] = read("safety", safety_of(document))
+    ending = document.values.get("wind_down")
+    return sections, None if ending is None else reader.node(ending, ("wind_down",))
+
+
+class Builder:
+    """Makes blocks of uses.
+
+    Args:
+        program: whose states they get; takes the built blocks.
+        rehearsal: gives them dry runs.
+    """
+
+    def __init__(self, program: Program, rehearsal: Rehearsal) -> None:
+        self._program, self._rehearsal = program, rehearsal
+        self._context = program.context
+
+    def built(self, node: Node) -> Node:
+        """Return a tree in which every use is a block.
+
+        Raises:
+            WorkflowError: a block cannot be built; with its place.
+        """
+        if isinstance(node, Use):
+            return self._block(node)
+        if isinstance(node, Block):
+            if node not in self._program.blocks:
+                self._program.blocks.append(node)
+            return node
+        chooser = _chooser(node)
+        children = []
+        for child in children_of(node):
+            new = self.built(child)
+            if child is chooser and not isinstance(new, Block):
+                raise WorkflowError(
+                    f"{child.name!r} is a flow at this rate; it needs a block or an expression",
+                    child.where or None,
+                )
+            children.append(new)
+        made = with_children(node, children)
+        if isinstance(made, Switch) and isinstance(made.blend, float):
+            states = self._program.states
+            made.blender = Blender({name: states[name] for name in COMMAND_STATES})
+            made.blend = round(made.blend / self._program.period)
+        return made
+
+    def _block(self, use: Use) -> Node:
+        SIGNALS.check()
+        if use.word == EXPRESSION:
+            return expression(str(use.first), self._program.states, use.where)
+        is_policy = use.word == "policy"
+        factory = policy_factory(use, self._context.policies) if is_policy else _factory(use)
+        options = _options(factory, use)
+
+        def build(context: BuildContext) -> Block:
+            return autowire(factory, use.name, context, options, use.rename, use.where)
+
+        block = build(self._context)
+        self._rehearsal.add(block, factory, build)
+        self._program.blocks.append(block)
+        return self._at_its_period(block)
+
+    def _at_its_period(self, block: Block) -> Node:
+        """Run a controller every n-th tick where the program ticks faster than it is made for."""
+        contract = controller_contract(block)
+        if contract is None:
+            return block
+        if lacking := lacking_joints(contract, self._program.robot):
+            raise WorkflowError(f"block {block.name!r}: {lacking}", block.where)
+        period = self._program.period
+        ticks = contract.period / period
+        n = round(ticks)
+        if n < 1 or abs(ticks - n) > 1e-6 * n:
+            rate, wanted = 1.0 / period, 1.0 / contract.period
+            raise WorkflowError(
+                f"block {block.name!r}: {contract.name} is made for {wanted:g} Hz, which does not "
+                f"divide the workflow's rate of {rate:g} Hz; set rate: {wanted:g} or a multiple",
+                block.where,
+            )
+        return Every(n, block, where=block.where) if n > 1 else block
+
+
+def _chooser(node: Node) -> Block | None:
+    """Return the block that says which way a node goes."""
+    if isinstance(node, When):
+        return node.predicate
+    if isinstance(node, Loop):
+        return node.until
+    return node.selector if isinstance(node, Switch) else None
+
+
+def finite_first(document: WorkflowDocument, safety: Sequence[Node]) -> None:
+    """Refuse limits before `finite`: they turn an infinite command into a limit, unseen."""
+    clamp = ""
+    for i, node in enumerate(safety):
+        for block in blocks_of(node):
+            if isinstance(block.tick, Finite) and clamp:
+                raise document.error(
+                    f"safety: {block.name!r} stands behind {clamp!r}, which hides infinite "
+                    f"commands from it; move {block.name!r} before {clamp!r}",
+                    "safety",
+                    i,
+                )
+            if not clamp and getattr(block.tick, "clamps", False):
+                clamp = block.name
+
+
+def load_robot_of(document: WorkflowDocument) -> Robot:
+    """Load the robot that a workflow names, by name or by a path beside the workflow file.
+
+    Raises:
+        RobotError: no such robot, or its file is wrong.
+    """
+    text: str = document.get("robot", str)
+    beside = document.path.parent / text
+    if "/" in text and os.path.isfile(beside):
+        return load_robot(beside)
+    if text not in robot_names() and "/" not in text and not text.endswith(".yaml"):
+        known = alternatives(text, robot_names())
+        where = document.where("robot")
+        raise RobotError(
+            f"{where}: unknown robot {text!r}; {known}; or give a path to a .yaml file"
+        )
+    return load_robot(text)
+
+
+def period_of(document: WorkflowDocument, policies: Mapping[str, Any]) -> float:
+    rate = document.get("rate", (int, float))
+    if rate is not None:
+        if not 0.0 < rate <= 10_000.0:
+            raise document.error(f"rate: {rate!r} is not between 0 and 10000 Hz", "rate")
+        return 1.0 / float(rate)
+    periods = {contract.period for contract in policies.values()}
+    if len(periods) != 1:
+        said = f"the policies say {sorted(periods)} s" if periods else "no policy says a period"
+        raise document.error(f"the key 'rate' is missing and {said}; give rate: HZ")
+    return float(periods.pop())
+
+
+def specs_of(
+    document: WorkflowDocument,
+    robot: Robot,
+    policies: Mapping[str, Any],
+    uses: Iterable[Use],
+) -> dict[str, StateSpec]:
+    specs = standard_states(robot.joint_names)
+    given = document.get("states", dict, {})
+    for name, values in given.items():
+        try:
+            spec = StateSpec.from_dict(values or {})
+            check_name(name)
+        except UniconError as error:
+            raise document.error(f"state {name!r}: {error}", "states", name) from error
+        standard = specs.get(name)
+        if standard is not None and (spec.shape, spec.dtype) != (standard.shape, standard.dtype):
+            raise document.error(
+                f"state {name!r} is a standard one of shape {list(standard.shape)} and "
+                f"{standard.dtype}; give yours another name",
+                "states",
+                name,
+            )
+        specs[name] = spec
+    extra = {name: specs[name] for name in given}
+    for use in uses:
+        if use.word == "policy":
+            specs |= declared_states(use, policies, robot, extra)
+            continue
+        factory = _factory(use)
+        declares = getattr(factory, "declares", None)
+        if declares is not None:
+            for name, spec in declares(robot=robot, **_options(factory, use)).items():
+                specs.setdefault(use.rename.get(name, name), spec)
+    return specs
+
+
+def _factory(use: Use) -> Factory:
+    if use.factory is not None:
+        return use.factory
+    name = use.options.get("function", use.first) if use.word == "call" else use.word
+    try:
+        return find_factory("blocks", str(name), WorkflowError)
+    except WorkflowError as error:
+        raise WorkflowError(str(error), use.where) from error
+
+
+def _options(factory: Factory, use: Use) -> dict[str, Any]:
+    options = dict(use.options)
+    if use.word == "call":
+        options.pop("function", None)
+        return options
+    if use.first is not None:
+        free = option_names(factory)
+        names = [name for name in inspect.signature(factory).parameters if name in free]
+        if not names:
+            raise WorkflowError(
+                f"block {use.word!r} has no options, here: {use.first!r}", use.where
+            )
+        options[names[0]] = use.first
+    return options

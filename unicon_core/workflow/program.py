@@ -1,0 +1,267 @@
+"""Program: what runs, built from a workflow file or in Python; for runner, bridge and viewers.
+
+program = Program(
+    robot="go2", platform="mujoco", rate=50, policies={"walk": "go2_velocity"},
+    flow=Chain(pose("stand"), Loop(policy("walk"), until=elapsed(10))),
+)
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from unicon_core.flow import Block, Deferred, Node, Zip, as_block, blocks_of
+from unicon_core.flow.checks import check_graph, raise_first
+from unicon_core.flow.critical_path import critical_path
+from unicon_core.flow.fuse import fuse
+from unicon_core.flow.stage import Stage
+from unicon_core.platforms.platform import Rehearsable, RequiresStates
+from unicon_core.signals import SIGNALS
+from unicon_core.states import Layout, States
+from unicon_core.workflow.autowire import BuildContext
+from unicon_core.workflow.build import (
+    Builder,
+    Sections,
+    finite_first,
+    load_robot_of,
+    period_of,
+    sections_of,
+    specs_of,
+)
+from unicon_core.workflow.command_bounds import (
+    COMMAND,
+    CommandBound,
+    CommandBounds,
+    bounded_flow,
+    command_bounds,
+    reads_command,
+)
+from unicon_core.workflow.document import WorkflowDocument, document_of, load_document
+from unicon_core.workflow.gate import Gate
+from unicon_core.workflow.platforms import build_platform
+from unicon_core.workflow.policies import controllers_reading, load_policies
+from unicon_core.workflow.rehearsal import Rehearsal
+from unicon_core.workflow.settings import pacing_of
+from unicon_core.workflow.uses import EXPRESSION, Use
+
+if TYPE_CHECKING:
+    from unicon_core.runtime.pacing import Pacing
+
+__all__ = ["GIVEN", "Hook", "Program", "load_workflow"]
+
+Hook = Callable[["Program"], Mapping[Stage, Sequence[Block]]]
+"""Gives a program further blocks, each for its stage, once states and platform exist: a bridge, a
+recorder, a viewer. They stand behind the program's own blocks of that stage."""
+
+GIVEN = ("tick", COMMAND, "joint_vel_target", "joint_effort_ff")
+"""States that may be read though no block writes them: the runner does, or zero is meant."""
+
+
+class Program:
+    """Robot, platform, states and the graph of a tick.
+
+    Args:
+        document: the workflow; without it the keywords describe one, with the keys of a workflow
+            file. Flows are then trees of nodes, uses and plain functions.
+        hooks: give further blocks.
+        dry: open no hardware: its options are checked, and `fake` stands in its place.
+
+    Attributes:
+        document: what it was built from, for messages and the check.
+        name: of the workflow.
+        robot: the robot file.
+        policies: name to policy contract.
+        period: of a tick in [s].
+        duration: in [s] of ticks after which a run ends; None: when the flow is done.
+        pacing: how ticks are timed.
+        states: all states.
+        platform: the built platform.
+        blocks: all blocks in order of building, for closing.
+        stages: the nodes of each stage, as they were given.
+        root: the whole tree of a tick: what the command does not depend on is put off, and
+            neighbouring copies are fused.
+        wind_down: the same with the flow that follows the run, or None: the platform damps at once.
+        critical: the blocks that the command depends on.
+        monitor: watches the run for its report.
+        gate: what every command passes last.
+        gates: asked before the first tick, each raises a Fault where the robot must not move.
+        command_bounds: what the velocity command is held to; empty where nobody reads it.
+        safety: labels of the blocks of its own between the flow and `send`.
+        warn: takes what blocks tell while they tick, one line each; the runner sets its own.
+        forced: codes of the check's errors that somebody decided to run with.
+
+    Raises:
+        UniconError: anything that the user can mend; one line with culprit and remedy.
+    """
+
+    def __init__(
+        self,
+        document: WorkflowDocument | None = None,
+        /,
+        *,
+        hooks: Iterable[Hook] = (),
+        dry: bool = False,
+        **described: Any,
+    ) -> None:
+        if document is None:
+            caller = sys._getframe(1)
+            document = document_of(described, Path(caller.f_code.co_filename), caller.f_lineno)
+        self.document, self.name = document, document.name
+        self.robot = load_robot_of(document)
+        self.policies = load_policies(document, self.robot)
+        self.period = period_of(document, self.policies)
+        self.duration: float | None = document.get("duration", (int, float))
+        self.pacing: Pacing = pacing_of(document)
+        sections, ending = sections_of(document)
+        trees = [node for nodes in sections.values() for node in nodes]
+        mentioned = [b for n in (*trees, *([ending] if ending else ())) for b in blocks_of(n)]
+        uses = [b for b in mentioned if isinstance(b, Use) and b.word != EXPRESSION]
+        specs = specs_of(document, self.robot, self.policies, uses)
+        self.states = States(Layout(specs, document.get("num_robots", int)))
+        self.context = BuildContext(
+            self.states, self.robot, self.period, self.policies, document.path.parent
+        )
+        self.platform = self.context.platform = build_platform(document, self.context, dry=dry)
+        self.blocks: list[Block] = []
+        self.stages: dict[Stage, list[Node]] = {stage: [] for stage in Stage}
+        self.gate = Gate()
+        self.gates: list[Callable[[], object]] = []
+        self.command_bounds: tuple[CommandBound, ...] = ()
+        self.warn: Callable[[str], None] = print
+        self.forced: tuple[str, ...] = ()
+        self._closed = False
+        # Imported here: the runner's package imports this one.
+        from unicon_core.runtime.report import Monitor
+
+        self.monitor = Monitor(self.states)
+        try:
+            with SIGNALS.guard(damp=self.damp_now):
+                self._assemble(sections, ending, hooks)
+                SIGNALS.check()
+        except BaseException:
+            self.close()
+            raise
+
+    # -- building -------------------------------------------------------------------------------
+
+    def _assemble(self, sections: Sections, ending: Node | None, hooks: Iterable[Hook]) -> None:
+        stages, platform = self.stages, self.platform
+        rehearsal = Rehearsal(self.context)
+        builder = Builder(self, rehearsal)
+        for stage, nodes in sections.items():
+            stages[stage] += [builder.built(node) for node in nodes]
+        finite_first(self.document, stages[Stage.SAFETY])
+        self.safety = tuple(b.name for node in stages[Stage.SAFETY] for b in blocks_of(node))
+        last = None if ending is None else builder.built(ending)
+        for hook in hooks:  # one by one: what a hook has opened is closed when the next one fails
+            for stage, blocks in hook(self).items():
+                self.blocks += blocks
+                stages[stage] += blocks
+        self._bound_commands()
+        recv = Block("recv", platform.recv, writes=platform.facts.writes)
+        rehearse = platform.rehearse if isinstance(platform, Rehearsable) else None
+        recv.dry_run = rehearsal.refresh(rehearse)
+        send = Block("send", self.gate.before(platform.send), reads=platform.facts.reads)
+        stages[Stage.RECV].insert(0, recv)
+        stages[Stage.SEND].append(send)
+        looking = list(stages[Stage.OBSERVE])
+        stages[Stage.OBSERVE].append(as_block(self.monitor))
+        for stage, nodes in stages.items():
+            for block in (block for node in nodes for block in blocks_of(node)):
+                block.stage = block.stage or stage
+        self.root, self.critical = self._graph(stages)
+        self.wind_down: Node | None = None
+        if last is not None:
+            changed = {Stage.COMMAND: [], Stage.FLOW: [last], Stage.OBSERVE: looking}
+            self.wind_down, _ = self._graph(stages | changed)
+        if isinstance(platform, RequiresStates):
+            ordered = sorted(self.critical, key=lambda block: block.name)
+            platform.require({state: b.name for b in ordered for state in (*b.reads, *b.amends)})
+
+    def _graph(self, stages: Mapping[Stage, Sequence[Node]]) -> tuple[Node, frozenset[Block]]:
+        """Return the checked tree of a tick and the blocks that the command depends on."""
+        acting = [n for stage, nodes in stages.items() if stage is not Stage.OBSERVE for n in nodes]
+        # Observers only look: what they would find missing is no reason not to run.
+        observing = [Deferred(node) for node in stages[Stage.OBSERVE]]
+        whole = Zip(*acting, *observing)
+        raise_first(check_graph(whole, self.states, given=GIVEN))
+        path = critical_path(whole)
+        return fuse(path.root, self.states), path.critical
+
+    def _bound_commands(self) -> None:
+        """Put bounds before the flow, and behind whatever gives commands in it."""
+        stages = self.stages
+        early = reads_command(stages[Stage.COMMAND])
+        if not early and not reads_command([*stages[Stage.FLOW], *stages[Stage.SAFETY]]):
+            return
+        readers = controllers_reading(COMMAND, self.blocks, self.policies)
+        self.command_bounds = command_bounds(readers, self.robot)
+        command, tick = self.states[COMMAND], self.states["tick"]
+
+        def bounds() -> Block:
+            found, period = self.command_bounds, self.period
+            return as_block(CommandBounds(command, found, tick, period, self.tell))
+
+        stages[Stage.INPUT].append(bounds())
+        for stage in (Stage.FLOW, *((Stage.COMMAND,) if early else ())):
+            stages[stage] = [bounded_flow(node, bounds) for node in stages[stage]]
+
+    # -- while it runs --------------------------------------------------------------------------
+
+    def tell(self, message: str) -> None:
+        """Hand on what a block tells, to whoever listens by then."""
+        self.warn(message)
+
+    def close(self) -> None:
+        """Close the platform first (it damps), then the blocks in reverse order of building, once.
+
+        Nothing is sent from then on. Everything is closed before the first error is raised.
+        """
+        if self._closed:
+            return
+        self._closed = True
+        self.gate.close()
+        errors: list[Exception] = []
+        closers: list[Callable[[], object]] = [self.platform.close]
+        closers += [block.close for block in reversed(self.blocks) if block.close is not None]
+        for close in closers:
+            try:
+                close()
+            except Exception as error:
+                errors.append(error)
+        if errors:
+            raise errors[0]
+
+    def damp_now(self) -> bool:
+        """Close in the middle of whatever runs, for a second signal; False where it closes already.
+
+        The platform damps. What its closing finds wrong is not told: a signal handler has no ear.
+        """
+        if self._closed:
+            return False
+        with suppress(Exception):
+            self.close()
+        return True
+
+
+def load_workflow(
+    name_or_path: str | Path,
+    overrides: Iterable[str] | Mapping[str, Any] = (),
+    *,
+    hooks: Iterable[Hook] = (),
+) -> Program:
+    """Read a workflow file and build its program.
+
+    Args:
+        name_or_path: a name in `config/workflows/`, or a path.
+        overrides: `path=value` texts as of `--set`, or a mapping.
+        hooks: as of `Program`.
+
+    Raises:
+        UniconError: anything that the user can mend; one line with culprit and remedy.
+    """
+    return Program(load_document(name_or_path, overrides), hooks=hooks)

@@ -1,0 +1,108 @@
+"""Uses: blocks that a workflow mentions and its program builds, for the YAML reader and for Python.
+
+    Chain(pose("stand"), Loop(policy("walk"), until=elapsed(10)))
+
+A use is a deferred factory: arrays and period do not exist while the flow is written. `block` makes
+a use of any registered block, or of a factory of one's own.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from unicon_core.errors import WorkflowError
+from unicon_core.flow import Block
+
+__all__ = ["EXPRESSION", "Use", "block", "elapsed", "policy", "pose"]
+
+EXPRESSION = "expression"
+"""Word of a predicate over states that is given as a text."""
+
+
+class Use(Block):
+    """One mention of a block, which is built later.
+
+    Attributes:
+        word: registered name of the block, or that of the factory.
+        factory: of one's own; None for a registered block.
+        first: a single value in place of options; it goes to the factory's first option.
+        options: of the factory, by name.
+        label: name of the built block; the word if empty.
+        rename: parameter of the factory to label of the state that it gets.
+    """
+
+    def __init__(
+        self,
+        word: str,
+        *,
+        factory: Callable[..., Any] | None = None,
+        first: Any = None,
+        options: Mapping[str, Any] | None = None,
+        label: str = "",
+        rename: Mapping[str, str] | None = None,
+        where: str = "",
+    ) -> None:
+        super().__init__(label or word, self._not_built, where=where)
+        self.word, self.factory, self.first, self.label = word, factory, first, label
+        self.options = dict(options or {})
+        self.rename = dict(rename or {})
+
+    def _not_built(self) -> object:
+        raise WorkflowError(
+            f"block {self.name!r} is not built yet; give the flow to a Program", self.where or None
+        )
+
+
+def block(
+    what: str | Callable[..., Any],
+    first: Any = None,
+    *,
+    name: str = "",
+    states: Mapping[str, str] | None = None,
+    **options: Any,
+) -> Use:
+    """Mention a block.
+
+    Args:
+        what: name of a registered block, or a factory: a function whose parameters are annotated
+            `Reads`, `Writes` or `Amends`.
+        first: value of its first option.
+        name: label of the block.
+        states: parameter to the label of the state that it gets, where that is another.
+        options: its options by name.
+    """
+    return _use(what, first, options, name, states)
+
+
+def pose(to: Any, **options: Any) -> Use:
+    """Mention the block that moves to a pose and is done there: `default`, `rest`, or joints."""
+    return _use("pose", None, {"to": to, **options})
+
+
+def policy(name: str | None = None) -> Use:
+    """Mention a policy of the program by its name; without a name the only one."""
+    return _use("policy", name, {})
+
+
+def elapsed(seconds: float) -> Use:
+    """Mention the predicate that holds after a time in [s]."""
+    return _use("elapsed", seconds, {})
+
+
+def _use(
+    what: str | Callable[..., Any],
+    first: Any,
+    options: Mapping[str, Any],
+    name: str = "",
+    states: Mapping[str, str] | None = None,
+) -> Use:
+    caller = sys._getframe(2)
+    where = f"{caller.f_code.co_filename}:{caller.f_lineno}"
+    if isinstance(what, str):
+        return Use(what, first=first, options=options, label=name, rename=states, where=where)
+    word = getattr(what, "__name__", type(what).__name__)
+    return Use(
+        word, factory=what, first=first, options=options, label=name, rename=states, where=where
+    )

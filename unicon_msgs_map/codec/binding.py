@@ -1,0 +1,175 @@
+"""Our side of a field: arrays, element names, variables and conversions, resolved once at build.
+
+Shared by encoders and decoders. A `Bound` names the flat view of a state and which of its
+elements take part, in message order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.errors import alternatives
+from unicon_msgs_map.errors import MapStateError, count_of
+from unicon_msgs_map.layout.units import PER_SI
+from unicon_msgs_map.spec import FieldSpec
+
+__all__ = ["Arrays", "Bound", "Names", "Variables", "bind_state", "bind_variable", "quaternions"]
+
+AnyArray = NDArray[Any]
+Arrays = Mapping[str, AnyArray]
+Names = Mapping[str, Sequence[str]]
+Variables = Mapping[str, object]
+
+_KINDS = frozenset("biuf")
+# xyzw on the wire, wxyz in the states: message element k is state element _WXYZ[k].
+_WXYZ = (1, 2, 3, 0)
+
+
+@dataclass(frozen=True)
+class Bound:
+    """A state as one field uses it.
+
+    Attributes:
+        field: the mapping's entry.
+        flat: 1-D view of the whole state array.
+        elements: indices into `flat`, in message order.
+        names: element names of the selection, where the state has any.
+    """
+
+    field: FieldSpec
+    flat: AnyArray
+    elements: tuple[int, ...]
+    names: tuple[str, ...] | None
+
+    @property
+    def is_float(self) -> bool:
+        """Whether the state is a floating point array."""
+        return self.flat.dtype.kind == "f"
+
+
+def bind_state(field: FieldSpec, arrays: Arrays, names: Names) -> Bound:
+    """Resolve a field's state reference.
+
+    Raises:
+        MapStateError: no such state, element or range, or an array that cannot be used in place.
+    """
+    name, where = field.source.name, field.where
+    array = arrays.get(name)
+    if array is None:
+        raise MapStateError(
+            f"{field.path}: no state {name!r}; {alternatives(name, arrays)}; "
+            f"write ={name} for the text",
+            where,
+        )
+    if array.dtype.kind not in _KINDS or not array.dtype.isnative or array.dtype.itemsize > 8:
+        raise MapStateError(
+            f"{field.path}: state {name!r} has dtype {array.dtype}; "
+            "use bool, native integers, float32 or float64",
+            where,
+        )
+    if array.dtype == np.float16:
+        raise MapStateError(
+            f"{field.path}: state {name!r} has dtype float16; use float32 or float64", where
+        )
+    flat = array.reshape(-1)
+    if array.size and not np.may_share_memory(flat, array):
+        raise MapStateError(
+            f"{field.path}: state {name!r} with shape {array.shape} and strides {array.strides} "
+            "is not one evenly spaced run; give a contiguous array",
+            where,
+        )
+    own = tuple(names[name]) if name in names else None
+    if own is not None and len(own) != flat.size:
+        own = None  # names of one axis of a batch do not name flat elements
+    elements = _select(field, flat.size, own)
+    return Bound(field, flat, elements, tuple(own[i] for i in elements) if own else None)
+
+
+def bind_variable(field: FieldSpec, variables: Variables) -> object:
+    """Return a variable's value.
+
+    Raises:
+        MapStateError: it is not given.
+    """
+    name = field.source.name
+    if name not in variables:
+        raise MapStateError(
+            f"{field.path}: no variable ${name}; {alternatives(name, variables)}; "
+            "variables are given when the map is built",
+            field.where,
+        )
+    return variables[name]
+
+
+def quaternions(elements: tuple[int, ...], field: FieldSpec) -> tuple[int, ...]:
+    """Reorder wxyz elements into the message's xyzw, four at a time.
+
+    Raises:
+        MapStateError: the number of elements is no multiple of four.
+    """
+    if len(elements) % 4:
+        raise MapStateError(
+            f"{field.path}: a quaternion has 4 elements, {field.source} has {len(elements)}",
+            field.where,
+        )
+    groups = range(0, len(elements), 4)
+    return tuple(elements[start + k] for start in groups for k in _WXYZ)
+
+
+def affine(field: FieldSpec, count: int, *, receive: bool) -> tuple[AnyArray, AnyArray] | None:
+    """Return factor and summand per element, or None where nothing is converted.
+
+    Args:
+        field: the mapping's entry.
+        count: number of elements.
+        receive: from message to state (the unit divides) instead of state to message.
+
+    Raises:
+        MapStateError: a per-element list does not have `count` entries.
+    """
+    factor = PER_SI[field.unit] if field.unit else 1.0
+    for label, value in (("scale", field.scale), ("offset", field.offset)):
+        if isinstance(value, tuple) and len(value) != count:
+            raise MapStateError(
+                f"{field.path}: {label} has {len(value)} entries for {count_of(count)}; "
+                "give one number or one per element",
+                field.where,
+            )
+    scale = np.broadcast_to(np.asarray(field.scale, dtype=np.float64), (count,))
+    scale = scale / factor if receive else scale * factor
+    offset = np.broadcast_to(np.asarray(field.offset, dtype=np.float64), (count,)).copy()
+    if bool(np.all(scale == 1.0)) and not offset.any():
+        return None
+    return np.ascontiguousarray(scale), offset
+
+
+def _select(field: FieldSpec, size: int, names: tuple[str, ...] | None) -> tuple[int, ...]:
+    index, name = field.source.index, field.source.name
+    if index is None:
+        return tuple(range(size))
+    if isinstance(index, str):
+        if names is None:
+            raise MapStateError(
+                f"{field.path}: state {name!r} has no element names; use a number, as in {name}[0]",
+                field.where,
+            )
+        if index not in names:
+            raise MapStateError(
+                f"{field.path}: state {name!r} has no element {index!r}; "
+                f"{alternatives(index, names)}",
+                field.where,
+            )
+        return (names.index(index),)
+    start, stop = (index, index + 1) if isinstance(index, int) else index
+    stop = size if stop is None else stop
+    if stop > size or start >= size:
+        raise MapStateError(
+            f"{field.path}: {field.source} is out of range; state {name!r} has {count_of(size)}",
+            field.where,
+        )
+    return tuple(range(start, stop))

@@ -1,0 +1,149 @@
+"""Checks of a mapping against message types alone, when the file is read (no arrays yet)."""
+
+from __future__ import annotations
+
+from unicon_core.errors import alternatives
+from unicon_msgs_map.errors import MapFileError, MessageTypeError, count_of
+from unicon_msgs_map.layout.messages import Array, String, Struct, TypeRef
+from unicon_msgs_map.layout.paths import Key, Selector
+from unicon_msgs_map.spec import FieldSpec, PublishSpec, SubscribeSpec
+
+__all__ = ["check_publish", "check_subscribe", "field_type", "resolve"]
+
+
+def check_publish(spec: PublishSpec) -> None:
+    """Check every path of a publish entry.
+
+    Raises:
+        MessageTypeError: a path names no field.
+        MapFileError: a field asks for what only subscriptions have.
+    """
+    message = spec.messages.struct(spec.type)
+    for field in spec.fields:
+        resolve(field, message, receive=False)
+        if field.by is not None:
+            raise MapFileError(
+                f"{field.path}: 'by' orders received arrays; publish with a $variable of names",
+                field.where,
+            )
+
+
+def check_subscribe(spec: SubscribeSpec) -> None:
+    """Check every path of a subscribe entry.
+
+    Raises:
+        MessageTypeError: a path names no field.
+        MapFileError: a field asks for what only published messages have, or nothing is written.
+    """
+    message = spec.messages.struct(spec.type)
+    variables = {f.path: f for f in spec.fields if f.source.kind == "variable"}
+    for field in spec.fields:
+        kind = resolve(field, message, receive=True)
+        if field.text is not None:
+            raise MapFileError(
+                f"{field.path}: 'text' formats published strings; drop it", field.where
+            )
+        if field.checksum is not None:
+            raise MapFileError(
+                f"{field.path}: checksums are written, not checked on receive; drop it", field.where
+            )
+        if field.source.kind == "variable" and not (
+            isinstance(kind, Array) and isinstance(kind.item, String)
+        ):
+            raise MapFileError(
+                f"{field.path}: a variable in a subscription names the elements of an array and "
+                "stands on an array of strings; write =text for a required text",
+                field.where,
+            )
+        if field.by not in (None, "none") and field.by not in variables:
+            raise MapFileError(
+                f"{field.path}: by {field.by!r} is no mapped array of names; "
+                f"{alternatives(str(field.by), [*variables, 'none'])}",
+                field.where,
+            )
+    if not spec.states:
+        raise MapFileError("the entry writes no state; map a field to one", spec.where)
+
+
+def resolve(field: FieldSpec, message: Struct, *, receive: bool) -> TypeRef:
+    """Return the type that a path ends at.
+
+    Raises:
+        MessageTypeError: a step names no field, or selects what is not there.
+    """
+    owner: TypeRef = message
+    kind: TypeRef = message
+    for number, (name, selector) in enumerate(field.steps):
+        if not isinstance(owner, Struct):
+            raise MessageTypeError(
+                f"{field.path}: {field.steps[number - 1][0]} has no fields below it", field.where
+            )
+        kind = field_type(field, owner, name, selector, last=number == len(field.steps) - 1)
+        if isinstance(kind, Array) and selector is not None:
+            _check_selector(field, owner, name, selector, kind, receive=receive)
+            kind = kind.item
+        owner = kind
+    return kind
+
+
+def field_type(
+    field: FieldSpec, owner: Struct, name: str, selector: Selector | None, *, last: bool
+) -> TypeRef:
+    """Return the type that one step of a path leads to, before elements are selected.
+
+    Args:
+        field: the field, for its messages.
+        owner: where the step begins.
+        name: of the step.
+        selector: of the step.
+        last: whether the path ends with it.
+
+    Raises:
+        MessageTypeError: no such field, or elements are selected where there are none, or not
+            selected where there are some.
+    """
+    found = owner.field(name)
+    if found is None:
+        known = [f.name for f in owner.fields]
+        raise MessageTypeError(
+            f"{field.path}: {owner.name} has no field {name!r}; {alternatives(name, known)}",
+            field.where,
+        )
+    is_array = isinstance(found.type, Array)
+    if is_array and selector is None and not last:
+        raise MessageTypeError(
+            f"{field.path}: {name} of {owner.name} is an array; "
+            f"select elements, as in {name}[0] or {name}[:12]",
+            field.where,
+        )
+    if selector is not None and not is_array:
+        raise MessageTypeError(
+            f"{field.path}: {name} of {owner.name} is no array; drop the [...]", field.where
+        )
+    return found.type
+
+
+def _check_selector(
+    field: FieldSpec, owner: Struct, name: str, selector: Selector, kind: Array, *, receive: bool
+) -> None:
+    if isinstance(selector, Key):
+        if not receive:
+            raise MessageTypeError(
+                f"{field.path}: elements are selected by text in subscriptions only; "
+                f"use a number, as in {name}[0]",
+                field.where,
+            )
+        member = kind.item.field(selector.field) if isinstance(kind.item, Struct) else None
+        if member is None or not isinstance(member.type, String):
+            raise MessageTypeError(
+                f"{field.path}: elements of {name} have no string field {selector.field!r} "
+                "to select by",
+                field.where,
+            )
+        return
+    limit = kind.length if kind.length is not None else (kind.bound or None)
+    top = selector + 1 if isinstance(selector, int) else (selector[1] or selector[0] + 1)
+    if limit is not None and top > limit:
+        raise MessageTypeError(
+            f"{field.path}: {name} of {owner.name} has at most {count_of(limit)}", field.where
+        )

@@ -1,0 +1,362 @@
+"""Message definitions as plain data, for the layouts: what fields a type has, in which order.
+
+`Messages` wraps a rosbags typestore (facts only: field names, types, bounds, constants) and adds
+definitions from `.msg` texts, files and folders, and those that ship in `unicon_msgs_map/msg`.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from unicon_core.errors import alternatives
+from unicon_msgs_map.errors import MapDependencyError, MessageTypeError
+
+__all__ = [
+    "DEFAULT_DISTRO",
+    "PRIMITIVES",
+    "Array",
+    "Field",
+    "MessageDefinition",
+    "Messages",
+    "Primitive",
+    "String",
+    "Struct",
+    "TypeRef",
+    "message_definition",
+    "shared_messages",
+]
+
+DEFAULT_DISTRO = "jazzy"
+
+# rosidl's rules, and `_` for the messages of actions
+_TYPE_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*/[a-z]+/[A-Za-z][A-Za-z0-9_]*")
+_FIELD_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+MAX_NESTED = 32
+MAX_TEXT = 1 << 20
+
+DURATION = "builtin_interfaces/msg/Duration"
+TIME = "builtin_interfaces/msg/Time"
+HEADER = "std_msgs/msg/Header"
+QUATERNION = "geometry_msgs/msg/Quaternion"
+
+
+@dataclass(frozen=True, eq=False)  # one of each, in PRIMITIVES
+class Primitive:
+    """A number on the wire.
+
+    Attributes:
+        name: the `.msg` name, such as `float64`.
+        size: bytes, which is also its CDR alignment.
+        code: the `struct` format letter.
+        dtype: the little-endian NumPy dtype string.
+    """
+
+    name: str
+    size: int
+    code: str
+    dtype: str
+
+
+@dataclass(frozen=True)
+class String:
+    """Length word (with the terminator), UTF-8 bytes, one NUL; `bound` 0 is unbounded."""
+
+    bound: int = 0
+
+
+@dataclass(frozen=True)
+class Array:
+    """A fixed array (`length` set) or a sequence (`length` None; `bound` 0 is unbounded)."""
+
+    item: Primitive | String | Struct
+    length: int | None
+    bound: int = 0
+
+
+@dataclass(frozen=True)
+class Field:
+    """One field of a message."""
+
+    name: str
+    type: TypeRef
+
+
+@dataclass(frozen=True, eq=False)
+class Struct:
+    """A message type: its fields in wire order and its constants."""
+
+    name: str
+    fields: tuple[Field, ...]
+    constants: dict[str, bool | int | float | str]
+
+    def field(self, name: str) -> Field | None:
+        """Return the field of that name, or None."""
+        return next((f for f in self.fields if f.name == name), None)
+
+
+TypeRef = Primitive | String | Struct | Array
+
+PRIMITIVES: dict[str, Primitive] = {
+    name: Primitive(name, size, code, dtype)
+    for name, size, code, dtype in (
+        ("bool", 1, "?", "?"),
+        ("byte", 1, "B", "u1"),  # rosbags reads octets as signed; ROS 2 says unsigned
+        ("char", 1, "B", "u1"),
+        ("int8", 1, "b", "i1"),
+        ("uint8", 1, "B", "u1"),
+        ("int16", 2, "h", "<i2"),
+        ("uint16", 2, "H", "<u2"),
+        ("int32", 4, "i", "<i4"),
+        ("uint32", 4, "I", "<u4"),
+        ("int64", 8, "q", "<i8"),
+        ("uint64", 8, "Q", "<u8"),
+        ("float32", 4, "f", "<f4"),
+        ("float64", 8, "d", "<f8"),
+    )
+}
+
+
+@dataclass(frozen=True)
+class MessageDefinition:
+    """What a recorder or viewer wants to know of a type.
+
+    Attributes:
+        name: full name, such as `sensor_msgs/msg/JointState`.
+        text: the definition with those of its parts, as MCAP's and Foxglove's `ros2msg` has it.
+        rihs: the type hash of REP-2011, `RIHS01_…`.
+        md5: the ROS 1 style sum of the definition.
+        encoding: the schema encoding of `text`.
+    """
+
+    name: str
+    text: str
+    rihs: str
+    md5: str
+    encoding: str = "ros2msg"
+
+
+class Messages:
+    """The message types that mappings may use.
+
+    Args:
+        distro: ROS distribution whose common interfaces are known from the start (`jazzy`; also
+            `ros2_jazzy`), or a rosbags typestore to build upon.
+
+    Raises:
+        MessageTypeError: the distribution is unknown.
+        MapDependencyError: rosbags is not installed.
+    """
+
+    def __init__(self, distro: str | Any = DEFAULT_DISTRO) -> None:
+        self.store: Any = _typestore(distro) if isinstance(distro, str) else distro
+        self._structs: dict[str, Struct] = {}
+        self._shipped: set[str] = set()
+        self._building: list[str] = []
+
+    def struct(self, name: str) -> Struct:
+        """Return the layout of a type, given as `pkg/msg/Name` or `pkg/Name`.
+
+        Raises:
+            MessageTypeError: it is unknown, or holds something that is not laid out here.
+        """
+        full = full_name(name)
+        known = self._structs.get(full)
+        if known is None:
+            known = self._structs[full] = self._build(full)
+        return known
+
+    def knows(self, name: str) -> bool:
+        """Tell whether a type is defined."""
+        full = full_name(name)
+        if full not in self.store.fielddefs:
+            self._register_shipped(full.split("/")[0])
+        return full in self.store.fielddefs
+
+    def register_file(self, path: str | Path) -> None:
+        """Add one type from `<package>[/msg]/<Name>.msg`; the package is the folder's name."""
+        path = Path(path)
+        folder = path.parent.parent if path.parent.name == "msg" else path.parent
+        self.register({f"{folder.name}/msg/{path.stem}": _read(path)})
+
+    def register_folder(self, path: str | Path) -> None:
+        """Add every `.msg` file of a folder as one package, which has the folder's name."""
+        path = Path(path)
+        files = sorted(path.glob("*.msg"))
+        if not files:
+            raise MessageTypeError(
+                f"folder {str(path)!r} holds no .msg file; give the folder that holds them"
+            )
+        folder = path.parent if path.name == "msg" else path
+        self.register({f"{folder.name}/msg/{file.stem}": _read(file) for file in files})
+
+    def definition(self, name: str) -> MessageDefinition:
+        """Return text and hashes of a type, as MCAP and Foxglove need them."""
+        full = self.struct(name).name
+        text, md5 = self.store.generate_msgdef(full, ros_version=2)
+        return MessageDefinition(full, text, self.store.hash_rihs01(full), md5)
+
+    def register(self, texts: dict[str, str]) -> None:
+        """Add types; names of their own package may stand in a text without the package.
+
+        Args:
+            texts: of `.msg` files, by `pkg/msg/Name`.
+
+        Raises:
+            MessageTypeError: a text is not a definition, or contradicts one that is known.
+        """
+        from rosbags.typesys import get_types_from_msg
+
+        found: dict[str, Any] = {}
+        for name, text in texts.items():
+            full_name(name)
+            try:
+                found.update(get_types_from_msg(text, name))
+            except Exception as error:
+                reason = " ".join(str(error).split())
+                raise MessageTypeError(
+                    f"definition of {name!r} cannot be parsed: {reason}"
+                ) from None
+        for name, definition in found.items():
+            _check_names(name, definition)  # the store makes Python of them
+        try:
+            self.store.register(found)
+        except Exception as error:
+            raise MessageTypeError(
+                f"{error} Rename the type, or drop one of the two definitions."
+            ) from None
+
+    def _register_shipped(self, package: str) -> None:
+        if package in self._shipped:
+            return
+        self._shipped.add(package)
+        folder = resources.files("unicon_msgs_map").joinpath("msg").joinpath(package)
+        if folder.is_dir():
+            self.register(
+                {
+                    f"{package}/msg/{entry.name[:-4]}": entry.read_text(encoding="utf-8")
+                    for entry in folder.iterdir()
+                    if entry.name.endswith(".msg")
+                }
+            )
+
+    def _build(self, full: str) -> Struct:
+        if full in self._building or len(self._building) > MAX_NESTED:
+            raise MessageTypeError(
+                f"message type {full!r} holds itself, or parts more than {MAX_NESTED} deep; "
+                "correct its definition"
+            )
+        self._building.append(full)
+        try:
+            return self._laid_out(full)
+        finally:
+            self._building.pop()
+
+    def _laid_out(self, full: str) -> Struct:
+        if not self.knows(full):
+            package = full.split("/")[0]
+            same = [n for n in self.store.fielddefs if n.startswith(package + "/")]
+            raise MessageTypeError(
+                f"message type {full!r} is unknown; "
+                f"{alternatives(full, same or self.store.fielddefs, limit=12)}; "
+                "or name its .msg file under 'messages'"
+            )
+        constants, fielddefs = self.store.fielddefs[full]
+        fields = tuple(Field(name, self._type(full, name, desc)) for name, desc in fielddefs)
+        if not fields:  # an empty message has one byte on the wire
+            fields = (Field("structure_needs_at_least_one_member", PRIMITIVES["uint8"]),)
+        return Struct(full, fields, {name: value for name, _, value in constants})
+
+    def _type(self, owner: str, field: str, desc: Any) -> TypeRef:
+        kind, rest = int(desc[0]), desc[1]
+        if kind == 1:  # base type
+            return _base(owner, field, rest)
+        if kind == 2:  # another message
+            if rest.split("/")[-1] in ("wstring", "wchar", "float128"):  # so .msg texts are read
+                return _base(owner, field, (rest.split("/")[-1], 0))
+            return self.struct(rest)
+        item = self._type(owner, field, rest[0])
+        if isinstance(item, Array):
+            raise MessageTypeError(f"{owner}.{field}: arrays of arrays are not laid out")
+        return Array(item, rest[1]) if kind == 3 else Array(item, None, rest[1])
+
+
+def message_definition(name: str) -> MessageDefinition:
+    """Return the definition text and hashes of a type of Jazzy or our own."""
+    return shared_messages().definition(name)
+
+
+@cache
+def shared_messages() -> Messages:
+    """Return the one store that callers share; register nothing into it."""
+    return Messages()
+
+
+def full_name(name: str) -> str:
+    """Return `pkg/msg/Name` for `pkg/Name` and `pkg/msg/Name`."""
+    parts = name.split("/")
+    if len(parts) == 2:
+        parts.insert(1, "msg")
+    if len(name) > 255 or not _TYPE_NAME.fullmatch("/".join(parts)):
+        shown = name if len(name) <= 60 else f"{name[:57]}…"
+        raise MessageTypeError(
+            f"message type {shown!r} is no type name; write pkg/msg/Name, "
+            "such as sensor_msgs/msg/JointState"
+        )
+    return "/".join(parts)
+
+
+def _check_names(name: str, definition: Any) -> None:
+    full_name(name)
+    constants, fields = definition
+    for field in (*(each[0] for each in constants), *(each[0] for each in fields)):
+        if not _FIELD_NAME.fullmatch(field):
+            raise MessageTypeError(f"definition of {name!r}: {field!r} is no name of a field")
+    for field, kind in fields:
+        while kind[0] > 2:
+            kind = kind[1][0]
+        if kind[0] == 2:
+            try:
+                full_name(kind[1])
+            except MessageTypeError as error:
+                raise MessageTypeError(f"definition of {name!r}: {field}: {error}") from None
+
+
+def _base(owner: str, field: str, rest: Any) -> Primitive | String:
+    if rest[0] == "string":
+        return String(int(rest[1] or 0))
+    primitive = PRIMITIVES.get(rest[0])
+    if primitive is None:
+        raise MessageTypeError(
+            f"{owner}.{field}: {rest[0]} is not laid out; use string or one of "
+            f"{', '.join(PRIMITIVES)}"
+        )
+    return primitive
+
+
+def _typestore(distro: str) -> Any:
+    try:
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError as error:
+        raise MapDependencyError(
+            f"the message map needs rosbags ({error}): pip install rosbags"
+        ) from None
+    short = distro.lower().removeprefix("ros2_")
+    known = {s.value.removeprefix("ros2_"): s for s in Stores if s.value.startswith("ros2_")}
+    if short not in known:
+        raise MessageTypeError(f"typestore {distro!r} is unknown; {alternatives(short, known)}")
+    return get_typestore(known[short])
+
+
+def _read(path: Path) -> str:
+    try:
+        with path.open("rb") as file:
+            return file.read(MAX_TEXT).decode("utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise MessageTypeError(
+            f"cannot read message file {str(path)!r}: {getattr(error, 'strerror', None) or error}"
+        ) from None
