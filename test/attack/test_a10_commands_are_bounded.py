@@ -163,11 +163,11 @@ def test_of_several_policies_the_tightest_holds_and_zero_is_always_allowed() -> 
         def __init__(self, **ranges: tuple[float, float]) -> None:
             self.command_ranges = ranges
 
-    policies: Any = {
-        "run": Contract(lin_vel_x=(0.5, 3.0), lin_vel_y=(-0.1, 0.1)),
-        "walk": Contract(lin_vel_x=(0.25, 0.75), ang_vel_z=(-math.inf, math.inf)),
-    }
-    vx, vy, wz = command_bounds(policies, load_robot("go2"))
+    readers: Any = [
+        ("policy 'run'", Contract(lin_vel_x=(0.5, 3.0), lin_vel_y=(-0.1, 0.1))),
+        ("policy 'walk'", Contract(lin_vel_x=(0.25, 0.75), ang_vel_z=(-math.inf, math.inf))),
+    ]
+    vx, vy, wz = command_bounds(readers, load_robot("go2"))
     assert (vx.low, vx.high, vx.sources[1]) == (0.0, 0.75, OF_WALK)
     assert (vy.low, vy.high, vy.given) == (np.float32(-0.1), np.float32(0.1), True)
     assert (wz.low, wz.high, wz.given) == (-1.0, 1.0, False)

@@ -13,8 +13,8 @@ pytest.importorskip("onnxruntime", reason="the policies are ONNX networks")
 
 from policies_of_all_kinds import INPUTS, JOINTS, KINDS, run, write_policy
 
-from unicon_core.policies import OnnxPolicy, load_policy, policy_states
-from unicon_core.policies.onnx_file import OnnxTensor
+from unicon_core.policies import Policy, load_policy, policy_states
+from unicon_core.policies.networks import Tensor
 from unicon_core.robots import load_robot
 from unicon_core.states import States, standard_states
 
@@ -44,8 +44,8 @@ def test_other_peoples_policies_command_the_same_at_real_and_at_full_speed(
 class Counting:
     """A network that counts its calls inside itself, and tells the count as its action."""
 
-    inputs = (OnnxTensor("obs", "float32", (1, INPUTS)),)
-    outputs = (OnnxTensor("actions", "float32", (1, JOINTS)),)
+    inputs = (Tensor("obs", "float32", (1, INPUTS)),)
+    outputs = (Tensor("actions", "float32", (1, JOINTS)),)
 
     def bind(self, inputs: Mapping[str, Any], outputs: Mapping[str, Any]) -> Callable[[], None]:
         return Calls(outputs["actions"])
@@ -66,13 +66,15 @@ class Calls:
         self.kept = 0
 
 
-def policy_of(folder: Path, **options: Any) -> tuple[OnnxPolicy, States]:
+def policy_of(folder: Path, **options: Any) -> tuple[Policy, States]:
     contract, machine = load_policy(folder), load_robot("go2")
-    states = States(standard_states(machine.joint_names) | policy_states(contract, machine))
-    return OnnxPolicy(contract, states, machine, **options), states
+    states = States(
+        standard_states(machine.joint_names) | policy_states(contract, machine.joint_names)
+    )
+    return Policy(contract, states, machine, **options), states
 
 
-def told_by(policy: OnnxPolicy, states: States, dry_runs: int, ticks: int) -> list[list[float]]:
+def told_by(policy: Policy, states: States, dry_runs: int, ticks: int) -> list[list[float]]:
     rng = np.random.default_rng(5)
     told = []
     for _ in range(ticks):

@@ -14,7 +14,7 @@ from policies_of_all_kinds import run, write_contract
 from test_recurrent_policies import policy_of, told_by
 
 from unicon_core.errors import PolicyError
-from unicon_core.policies import OnnxPolicy, load_policy, policy_states
+from unicon_core.policies import Policy, load_policy, policy_states
 from unicon_core.robots import load_robot
 from unicon_core.states import States, standard_states
 
@@ -70,9 +70,9 @@ def test_what_is_only_read_is_not_taken_for_memory(folder: Path) -> None:
 @pytest.mark.parametrize("folder", ["Lstm"], indirect=True)
 def test_a_module_that_remembers_drives_one_robot(folder: Path) -> None:
     contract, machine = load_policy(folder), load_robot("go2")
-    specs = standard_states(machine.joint_names) | policy_states(contract, machine)
+    specs = standard_states(machine.joint_names) | policy_states(contract, machine.joint_names)
     with pytest.raises(PolicyError, match=r"recurrent \(cell_state, hidden_state\) and can drive"):
-        OnnxPolicy(contract, States(specs, 3), machine)
+        Policy(contract, States(specs, 3), machine)
 
 
 @pytest.mark.parametrize("folder", ["Asking"], indirect=True)

@@ -161,7 +161,7 @@ def test_linear_map_scales_and_shifts_chosen_elements(bench: Build, num_robots: 
     expected = np.broadcast_to([6.5, -0.5], it.states.legs.shape)
     assert it.states.legs.tolist() == expected.tolist()
     data = block.tick
-    assert data.source_label == "joint_pos"
+    assert data.source_name == "joint_pos"
     assert data.index.tolist() == [3, 1]
     assert data.scale.tolist() == [2.0, -1.0]
     assert data.offset.tolist() == [0.5, 0.5]
@@ -187,12 +187,11 @@ def test_copy_converts_types_and_takes_scalars(bench: Build) -> None:
     [
         (
             {"source": "joint_pos", "target": "legs"},
-            "12 elements of 'joint_pos' (shape (12,)) do not fit into 'legs' of shape (2,); "
-            "give an index of as many elements",
+            "legs from joint_pos: shape (12,) into (2,); give an index of as many elements",
         ),
         (
             {"source": "joint_pos", "target": "legs", "index": [0, 12]},
-            "state 'joint_pos' has no element 12; there are 0 to 11",
+            "legs from joint_pos: no element 12; there are 0 to 11",
         ),
         (
             {"source": "base_quat", "target": "legs", "index": ["w", "v"]},
@@ -200,7 +199,8 @@ def test_copy_converts_types_and_takes_scalars(bench: Build) -> None:
         ),
         (
             {"source": "velocity_command", "target": "legs", "index": [0, 1], "scale": [1, 2, 3]},
-            "scale has 3 values for 2 elements of 'legs'; give one, or one for each",
+            "legs from velocity_command: scale has 3 values for 2 elements; give one, or one for "
+            "each",
         ),
         (
             {"source": "velocity_comand", "target": "legs"},

@@ -128,11 +128,14 @@ class Interpreter:
                     node.blender.capture()
                     self.blended[id(node)] = 0
             self.case[id(node)] = new
+        if id(node) in self.blended:
+            node.blender.resume()
         done = self.run(node.children[new])
-        k = self.blended.get(id(node), node.blend) + 1
-        if node.blend and k <= node.blend:
-            node.blender.mix(k / (node.blend + 1))
-            self.blended[id(node)] = k
+        if id(node) in self.blended:
+            k = self.blended.pop(id(node)) + 1
+            if k <= node.blend:
+                node.blender.mix(k / (node.blend + 1))
+                self.blended[id(node)] = k
         if done:
             self.case.pop(id(node), None)
             self.blended.pop(id(node), None)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 import pytest
 
 from unicon_core.errors import WorkflowError
@@ -299,7 +298,7 @@ def copy_block(source: str, target: str, **options: Any) -> Block:
     linear = LinearMap(
         STATES[source], STATES[target], source_name=source, target_name=target, **options
     )
-    return Block("copy", linear.operation(), (source,), (target,), linear=linear, where="w.yaml:4")
+    return Block("copy", linear, (source,), (target,), linear=linear, where="w.yaml:4")
 
 
 def test_a_copy_between_units_or_frames() -> None:
@@ -316,18 +315,9 @@ def test_a_copy_between_units_or_frames() -> None:
 
 
 def test_a_copy_between_types() -> None:
-    class Cast:
-        source_label, target_label = "joint_pos", "count"
-        source, target = STATES["joint_pos"], STATES["count"]
-        index, scale, offset = np.arange(3), None, None
-        reads, writes = ("joint_pos",), ("count",)
-        name = "cast"
-
-        def __call__(self) -> None: ...
-
-    assert found(as_block(Cast()), given=("joint_pos",)) == [
-        "block 'cast' copies 'joint_pos' (dtype float32) into 'count' (dtype int64); give both "
-        "states one dtype"
+    assert found(copy_block("joint_pos", "count"), given=("joint_pos",)) == [
+        "w.yaml:4: block 'copy' copies 'joint_pos' (dtype float32) into 'count' (dtype int64); "
+        "give both states one dtype"
     ]
 
 

@@ -65,7 +65,7 @@ def make_block(states: States, given: dict[str, Any]) -> Block:
     made = LinearMap(
         source, target, index, scale if linear else None, given["offset"] if linear else None
     )
-    block = Block("map", made.operation(), linear=made, endless=True)
+    block = Block("map", made, linear=made, endless=True)
     if given["other"] == "reset":
         block.reset = lambda: None
     if given["other"] == "plain":
@@ -98,7 +98,7 @@ def copies(states: States, pairs: list[tuple[str, str]], **options: Any) -> list
         for source, target in pairs
     ]
     return [
-        Block(f"to_{pair[1]}", m.operation(), (pair[0],), (pair[1],), linear=m, endless=True)
+        Block(f"to_{pair[1]}", m, (pair[0],), (pair[1],), linear=m, endless=True)
         for pair, m in zip(pairs, made)
     ]
 
@@ -187,25 +187,38 @@ def test_maps_outside_the_states_stay_alone() -> None:
     states = many(2)
     outside = LinearMap(np.zeros(20, np.float32), states["b1"])
     (a,) = copies(states, [("a0", "b0")])
-    tree = Zip(a, Block("in", outside.operation(), linear=outside, endless=True))
+    tree = Zip(a, Block("in", outside, linear=outside, endless=True))
     assert fuse(tree, states) is tree
 
 
-def test_a_callable_with_the_parts_of_a_map_is_one() -> None:
+def test_a_map_is_a_block_that_says_what_it_is() -> None:
     states = many(2)
-
-    class Parts:
-        source, target = states["a0"], states["b0"]
-        source_label, target_label = "a0", "b0"
-        index, scale, offset = np.arange(20), None, None
-
-        def __call__(self) -> None: ...
-
-    block = as_block(Parts())
-    assert block.linear is not None
+    block = as_block(LinearMap(states["a0"], states["b0"], np.arange(20), source_name="a0"))
+    assert block.linear is block.tick
     assert block.linear.is_copy
     assert block.linear.index is None
     assert block.endless
+    assert (block.reads, block.writes) == (("a0",), ())
+
+
+def test_maps_of_other_types_are_cast_and_stay_alone() -> None:
+    states = make_states(None)
+    whole, real = states["int64_0"], states["float32_0"]
+    cast = as_block(LinearMap(real, whole, source_name="float32_0", target_name="int64_0"))
+    halved = as_block(LinearMap(whole, whole, scale=0.5, offset=1.0))
+    tree = Zip(cast, halved)
+    assert fuse(tree, states) is tree
+    real[...] = [4, -6, 8.5, 0, 2, 10]
+    cast()
+    assert whole.tolist() == [4, -6, 8, 0, 2, 10]
+    halved()
+    assert whole.tolist() == [3, -2, 5, 1, 2, 6]
+
+
+def test_a_map_of_scalars() -> None:
+    one, two = np.array(3.0, np.float32), np.array(0.0, np.float32)
+    LinearMap(one, two, scale=[2.0], offset=1.0)()
+    assert two == 7.0
 
 
 def test_the_built_in_maps_of_a_workflow_are_fused() -> None:
@@ -235,29 +248,20 @@ S = make_states(None)
     ("make", "message"),
     [
         (
-            lambda: LinearMap(S["float32_0"], S["float64_0"], source_name="q", target_name="p"),
-            "p from q: float32 into float64; give both states one dtype",
-        ),
-        (
-            lambda: LinearMap(S["int64_0"], S["int64_1"], scale=2.0),
-            "target from source: scale and offset need a float state, not int64",
-        ),
-        (
             lambda: LinearMap(S["int64_0"], S["int64_1"], index=np.array([[1]])),
             "target from source: the index must be a list of whole numbers",
         ),
         (
             lambda: LinearMap(S["int64_0"], S["int64_1"], index=np.array([0, 6, 1])),
-            "target from source: index 6 outside a last axis of 6",
+            "target from source: no element 6; there are 0 to 5",
         ),
         (
             lambda: LinearMap(S["int64_0"], S["int64_1"][:2]),
-            "target from source: shape (6,) into (2,); both must be the same",
+            "target from source: shape (6,) into (2,); give an index of as many elements",
         ),
         (
             lambda: LinearMap(S["float32_0"], S["float32_1"], scale=np.ones(3)),
-            "target from source: scale of shape (3,) for a last axis of 6; give one number or "
-            "one for each",
+            "target from source: scale has 3 values for 6 elements; give one, or one for each",
         ),
     ],
 )

@@ -134,6 +134,30 @@ def test_switch_blends_linearly_from_the_last_command_sent() -> None:
     assert sent == [0.0, 0.0, 2.0, 4.0, 6.0, 8.0, 8.0]
 
 
+def test_a_blend_is_the_same_where_the_case_writes_in_every_second_tick_only() -> None:
+    command = np.zeros(1, np.float32)
+    keys = iter([0, *[1] * 8])
+    sent = []
+
+    def rise() -> bool:
+        command[0] += 8.0  # on its own command of two ticks ago, not on a mixed one
+        return False
+
+    def stay() -> bool:
+        return False
+
+    switch = Switch(
+        lambda: next(keys),
+        {"stay": stay, "rise": Every(2, rise)},
+        blend=3,
+        blender=Blender({"joint_pos_target": command}),
+    )
+    graph = compile_graph(Zip(switch, lambda: sent.append(float(command[0]))))
+    for _ in range(7):
+        graph.step()
+    assert sent == [0.0, 2.0, 4.0, 12.0, 16.0, 24.0, 24.0]
+
+
 def test_a_change_during_a_blend_starts_from_the_blended_command() -> None:
     command = np.zeros(1, np.float32)
     keys = iter([0, 1, 0, 0])

@@ -21,7 +21,7 @@ from mutate import mutate_bytes, mutate_mcap, mutate_onnx, mutate_text, mutate_t
 from seeds import DEPLOY, ENV, LEGGED_GYM, SET_PATHS, WORKFLOWS
 
 from unicon_core.check import check_workflow
-from unicon_core.policies import OnnxPolicy, load_policy, policy_states, policy_table
+from unicon_core.policies import Policy, load_policy, policy_states, policy_table
 from unicon_core.robots import load_robot, robot_table
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.show import show_text
@@ -143,8 +143,8 @@ def loaded(path: Path, **options: Any) -> object:
     go2 = load_robot("go2")
     contract = load_policy(path, robot=go2, **options)
     policy_table(contract, go2)
-    specs = standard_states(go2.joint_names) | policy_states(contract, go2, {})
-    return OnnxPolicy(contract, States(Layout(specs)), go2)
+    specs = standard_states(go2.joint_names) | policy_states(contract, go2.joint_names, {})
+    return Policy(contract, States(Layout(specs)), go2)
 
 
 def policy(dice: random.Random, folder: Path) -> Reader:

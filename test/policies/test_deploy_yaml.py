@@ -11,7 +11,7 @@ from policy_helpers import robot, write_linear
 from twin_observation import ConcatenateObservation
 
 from unicon_core.errors import PolicyError
-from unicon_core.policies import OnnxPolicy, load_policy, policy_states
+from unicon_core.policies import Policy, load_policy, policy_states
 from unicon_core.states import States, standard_states
 
 MOTORS = ("m0", "m1", "m2", "m3")
@@ -82,8 +82,8 @@ def test_commands_reach_the_motors_by_name(tmp_path: Path) -> None:
     pytest.importorskip("onnxruntime")
     toy = robot(MOTORS)
     contract = load_policy(write(tmp_path), robot=toy)
-    states = States({**standard_states(MOTORS), **policy_states(contract, toy)})
-    policy = OnnxPolicy(contract, states, toy)
+    states = States({**standard_states(MOTORS), **policy_states(contract, toy.joint_names)})
+    policy = Policy(contract, states, toy)
     policy()
     assert states.joint_stiffness.tolist() == [100.0, 101.0, 102.0, 103.0]  # as in the file
     action = states.action

@@ -12,7 +12,7 @@ from onnx import TensorProto, helper
 from policy_helpers import JOINTS, robot, save, write_linear
 
 from unicon_core.errors import PolicyError
-from unicon_core.policies import OnnxPolicy, import_policy, load_policy, policy_states
+from unicon_core.policies import Policy, import_policy, load_policy, policy_states
 from unicon_core.states import States, standard_states
 
 OLD = {
@@ -88,7 +88,7 @@ def test_new_mjlab_keys_say_scales_clips_and_histories(tmp_path: Path) -> None:
     assert contract.terms[2].clip.tolist() == [[-3.0], [3.0]]
     assert contract.terms[3].clip is None
     assert contract.observation.layout == "term_major"
-    states = States({**standard_states(JOINTS), **policy_states(contract, robot())})
+    states = States({**standard_states(JOINTS), **policy_states(contract, robot().joint_names)})
     assert states.observation.size == 93
 
 
@@ -171,8 +171,8 @@ def test_a_motion_policy_reads_the_reference_of_the_step_before(tmp_path: Path) 
     }  # fmt: skip
     save(path, graph, list(metadata.items()))
     contract = load_policy(path, given={"period": 0.02, "observation.scale": 1.0})
-    states = States({**standard_states(JOINTS), **policy_states(contract, robot())})
-    policy = OnnxPolicy(contract, states, robot())
+    states = States({**standard_states(JOINTS), **policy_states(contract, robot().joint_names)})
+    policy = Policy(contract, states, robot())
     assert "motion_command" in policy.writes
     assert "motion_command" not in policy.reads
     for _ in range(2):
@@ -375,8 +375,8 @@ def test_exploy_networks_take_states_by_name_and_remember(tmp_path: Path) -> Non
     assert contract.command_ranges["ang_vel_z"] == (-2.5, 2.5)
     order = ("b_hip", "a_hip", "b_knee", "a_knee")
     toy = robot(order)
-    states = States({**standard_states(order), **policy_states(contract, toy)})
-    policy = OnnxPolicy(contract, states, toy)
+    states = States({**standard_states(order), **policy_states(contract, toy.joint_names)})
+    policy = Policy(contract, states, toy)
     states.joint_pos = [3.0, 1.0, 4.0, 2.0]  # a_hip 1, a_knee 2, b_hip 3, b_knee 4
     policy()
     # The network adds its memory to the joints in its own order and calls them b_knee … a_hip.

@@ -33,7 +33,7 @@ def states_of(
     contract: PolicyContract, joints: tuple[str, ...], num_robots: int | None = None
 ) -> States:
     specs = {**standard_states(joints), **EXTRA}
-    specs |= policy_states(contract, robot(joints), EXTRA)
+    specs |= policy_states(contract, robot(joints).joint_names, EXTRA)
     return States(specs, num_robots)
 
 

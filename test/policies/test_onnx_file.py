@@ -13,7 +13,7 @@ from onnx import TensorProto, helper, numpy_helper
 from policy_helpers import save, write_linear
 
 from unicon_core.errors import PolicyError
-from unicon_core.policies.onnx_file import read_onnx
+from unicon_core.policies.networks.onnx_file import read_onnx
 
 
 def agree(path: Path) -> None:

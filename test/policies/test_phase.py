@@ -9,7 +9,7 @@ import pytest
 from policy_helpers import JOINTS, robot, toy_values, write_linear, write_toy
 
 from unicon_core.errors import PolicyError
-from unicon_core.policies import GaitPhase, OnnxPolicy, PhaseSpec, load_policy, policy_states
+from unicon_core.policies import GaitPhase, PhaseSpec, Policy, load_policy, policy_states
 from unicon_core.states import States, StateSpec, standard_states
 
 
@@ -119,8 +119,8 @@ def test_the_policy_block_runs_its_own_clock(tmp_path: Path) -> None:
     terms[0] = {"name": "sin", "state": "gait_phase_sin"}
     terms.append({"name": "cos", "state": "gait_phase_cos"})
     contract = load_policy(write_toy(tmp_path, values))
-    states = States({**standard_states(JOINTS), **policy_states(contract, robot())})
-    policy = OnnxPolicy(contract, states, robot())
+    states = States({**standard_states(JOINTS), **policy_states(contract, robot().joint_names)})
+    policy = Policy(contract, states, robot())
     states.velocity_command = [1.0, 0.0, 0.0]
     policy()
     assert states.observation[0] == pytest.approx(np.sin(2 * np.pi * 0.02))

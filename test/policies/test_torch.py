@@ -12,8 +12,8 @@ from onnx import TensorProto, helper, numpy_helper
 from policy_helpers import robot, save, toy_values, write_toy
 
 from unicon_core.errors import PolicyError
-from unicon_core.policies import OnnxPolicy, import_policy, load_policy, policy_states
-from unicon_core.policies.torch_block import TorchNetwork
+from unicon_core.policies import Policy, import_policy, load_policy, policy_states
+from unicon_core.policies.networks.torch import TorchNetwork
 from unicon_core.states import States, standard_states
 
 torch: Any = pytest.importorskip("torch", reason="TorchScript: pip install 'unicon_ros[torch]'")
@@ -51,11 +51,11 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def policy_of(folder: Path, num_robots: int | None) -> tuple[OnnxPolicy, States]:
+def policy_of(folder: Path, num_robots: int | None) -> tuple[Policy, States]:
     contract, machine = load_policy(folder), robot()
-    specs = standard_states(machine.joint_names) | policy_states(contract, machine)
+    specs = standard_states(machine.joint_names) | policy_states(contract, machine.joint_names)
     states = States(specs, num_robots)
-    return OnnxPolicy(contract, states, machine), states
+    return Policy(contract, states, machine), states
 
 
 @pytest.mark.parametrize("num_robots", [None, 3])

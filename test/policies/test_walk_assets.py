@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from unicon_core.policies import OnnxPolicy, PolicyContract, load_policy, policy_states
+from unicon_core.policies import Policy, PolicyContract, load_policy, policy_states
 from unicon_core.robots import Robot, load_robot
 from unicon_core.states import States, standard_states
 
@@ -127,8 +127,10 @@ def walk(
     seconds: float = 10.0,
 ) -> tuple[float, float]:
     """Return the distance along x in [m] and the lowest upright component of gravity."""
-    states = States({**standard_states(robot.joint_names), **policy_states(contract, robot)})
-    policy = OnnxPolicy(contract, states, robot)
+    states = States(
+        {**standard_states(robot.joint_names), **policy_states(contract, robot.joint_names)}
+    )
+    policy = Policy(contract, states, robot)
     simulation = Simulation(model, robot, states, step)
     simulation.start(contract, robot, height)
     states.velocity_command = command

@@ -135,7 +135,7 @@ def test_a_robot_without_the_policys_joints_is_refused_in_one_line_with_their_na
     with pytest.raises(PolicyError) as caught:
         load_workflow(name, {"robot": "h1"})
     line = str(caught.value)
-    assert line.startswith("policy 'walk': robot h1 lacks 13 of the policy's 29 joints: ")
+    assert line.startswith("policy 'walk': robot h1 lacks 13 of the 29 joints needed: ")
     for joint in ("left_ankle_roll_joint", "waist_pitch_joint", "right_wrist_yaw_joint"):
         assert joint in line
     assert "left_knee_joint" not in line
@@ -145,7 +145,7 @@ def test_a_robot_without_the_policys_joints_is_refused_in_one_line_with_their_na
 
 def test_motors_are_counted_on_the_robot_that_the_policy_was_made_for(assets: Path) -> None:
     """Atom has 29 joints too: without `given: {robot: …}` its joints would be taken silently."""
-    with pytest.raises(PolicyError, match="robot atom lacks 7 of the policy's 29 joints: waist_"):
+    with pytest.raises(PolicyError, match="robot atom lacks 7 of the 29 joints needed: waist_"):
         load_workflow("g1_walk", {"robot": "atom", "platform": "fake"})
 
 

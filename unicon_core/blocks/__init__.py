@@ -9,7 +9,7 @@ BUILTIN: dict[str, str] = {
         "hold": ("hold", "damp"),
         "sway": ("sway",),
         "velocity_command": ("velocity_command",),
-        "predicates": ("elapsed", "settled", "tilted"),
+        "predicates": ("commanded", "elapsed", "settled", "tilted"),
         "limits": ("effort_limits", "joint_limits", "rate_limit"),
         "stops": ("finite", "stale_stop", "tilt_stop", "velocity_stop"),
         "fade_in": ("fade_in",),

@@ -29,11 +29,16 @@ class FadeIn:
 
     def __init__(self, stiffness: NDArray[np.float32], ticks: int) -> None:
         self._stiffness, self._ticks, self._tick = stiffness, ticks, 0
+        self._whole, self._faded = stiffness.copy(), np.full_like(stiffness, np.nan)
 
     def __call__(self) -> None:
         if self._tick < self._ticks:
             self._tick += 1
-            self._stiffness *= np.float32(self._tick / self._ticks)
+            live = self._stiffness
+            # A policy that does not run in every tick leaves what was faded: not once more.
+            np.copyto(self._whole, live, where=live != self._faded)
+            np.multiply(self._whole, np.float32(self._tick / self._ticks), out=live)
+            self._faded[...] = live
 
     def reset(self) -> None:
         """Fade in anew."""

@@ -12,7 +12,7 @@ from unicon_core.blocks.joint_command import ticks_of
 from unicon_core.errors import WorkflowError
 from unicon_core.flow.block import Reads
 
-__all__ = ["Elapsed", "Settled", "elapsed", "settled", "tilted"]
+__all__ = ["Commanded", "Elapsed", "Settled", "commanded", "elapsed", "settled", "tilted"]
 
 
 def elapsed(*, period: float, seconds: float) -> Elapsed:
@@ -69,6 +69,38 @@ def check_angle(angle: float) -> float:
     if not 0.0 < angle <= math.pi:
         raise WorkflowError(f"angle is {angle}; give radians above 0, at most {math.pi:.4f}")
     return angle
+
+
+def commanded(
+    velocity_command: Reads, *, period: float, least: float = 0.05, hold: float = 1.0
+) -> Commanded:
+    """Hold while somebody commands a motion, and a while longer.
+
+    Args:
+        velocity_command: vx, vy in [m/s], wz in [rad/s], shape (..., 3).
+        least: a magnitude below this is no command, in [m/s] or [rad/s].
+        hold: for how long it holds after the last command in [s].
+    """
+    return Commanded(velocity_command, least, ticks_of(hold, period, "hold") or 1)
+
+
+class Commanded:
+    """The tick of `commanded`."""
+
+    def __init__(self, command: NDArray[np.float32], least: float, ticks: int) -> None:
+        self._command, self._least, self._ticks = command.reshape(-1), least, ticks
+        self._left = 0
+
+    def __call__(self) -> bool:
+        if max(map(abs, self._command.tolist())) > self._least:
+            self._left = self._ticks
+            return True
+        self._left = max(self._left - 1, 0)
+        return self._left > 0
+
+    def reset(self) -> None:
+        """Forget the last command."""
+        self._left = 0
 
 
 def settled(

@@ -15,6 +15,7 @@ from unicon_core.errors import Fault, RobotError
 from unicon_core.flow.block import Reads
 from unicon_core.flow.stage import Stage
 from unicon_core.robots import Robot
+from unicon_core.states.stacked import flat
 
 __all__ = [
     "Finite",
@@ -60,12 +61,12 @@ class Finite:
 
     def __init__(self, commands: dict[str, NDArray[Any]], joint_names: tuple[str, ...]) -> None:
         self._commands, self._names = commands, joint_names
-        self._flat = _joined(list(commands.values()))
+        self._flat = flat(list(commands.values()))
 
     def __call__(self) -> None:
-        for flat in self._flat:
+        for values in self._flat:
             # A product with itself is finite only if every element is: 0.3 µs against 1.5 µs.
-            if not flat.dot(flat) < math.inf:
+            if not values.dot(values) < math.inf:
                 self._raise()
 
     def _raise(self) -> None:
@@ -76,21 +77,6 @@ class Finite:
                 raise Fault(
                     f"{_who(index)}{state} of joint {self._names[index[-1]]} is {view[index]}"
                 )
-
-
-def _joined(views: list[NDArray[Any]]) -> list[NDArray[Any]]:
-    """Return the views flat, as one where they stand back to back in one buffer.
-
-    The standard command states do: one product of 60 numbers takes 0.5 µs and five take 1.9.
-    """
-    starts = [view.__array_interface__["data"][0] for view in views]
-    ends = [start + view.nbytes for start, view in zip(starts, views)]
-    one_type = len({view.dtype for view in views}) == 1
-    if one_type and ends[:-1] == starts[1:] and all(v.flags.c_contiguous for v in views):
-        size = sum(view.size for view in views)
-        strides = (views[0].itemsize,)
-        return [np.lib.stride_tricks.as_strided(views[0], (size,), strides, writeable=False)]
-    return [view.reshape(-1) for view in views]
 
 
 def tilt_stop(projected_gravity: Reads, *, angle: float = 1.0) -> TiltStop:

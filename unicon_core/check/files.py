@@ -7,7 +7,7 @@ from pathlib import Path
 
 from unicon_core.check.result import CheckResult
 from unicon_core.check.subject import Subject, listed
-from unicon_core.policies.onnx_file import read_onnx
+from unicon_core.policies.networks.onnx_file import read_onnx
 
 __all__ = ["check_files", "check_robot"]
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from unicon_core.check.result import CheckResult
 from unicon_core.check.subject import NOT_ON_HARDWARE, Subject
 from unicon_core.policies import PolicyContract, TermSlice, term_slices
-from unicon_core.policies.onnx_file import read_onnx
+from unicon_core.policies.networks.onnx_file import read_onnx
 
 __all__ = ["check_frames", "check_observation"]
 

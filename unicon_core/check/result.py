@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+from unicon_core.aligned import aligned
 from unicon_core.errors import alternatives
 
 __all__ = ["CODES", "FIRM", "CheckResult", "Finding", "Section"]
@@ -117,14 +118,7 @@ class Section:
         """Return the table with its heading."""
         parts = [self.title]
         if self.rows:
-            table = [self.columns, *self.rows]
-            widths = [max(len(row[i]) for row in table) for i in range(len(self.columns))]
-            lines = [
-                "  " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths)).rstrip()
-                for row in table
-            ]
-            lines.insert(1, "  " + "  ".join("─" * width for width in widths))
-            parts += lines
+            parts += [f"  {line}" for line in aligned([self.columns, *self.rows])]
         return "\n".join([*parts, *(f"  {line}" for line in self.lines)])
 
 

@@ -7,7 +7,8 @@ import numpy as np
 from unicon_core.blocks.pose import Pose
 from unicon_core.check.result import CheckResult
 from unicon_core.check.subject import Subject
-from unicon_core.policies import OnnxPolicy
+from unicon_core.policies import PolicyContract
+from unicon_core.policies.controller import controller_contract
 from unicon_core.robots import joint_index
 
 __all__ = ["check_start"]
@@ -17,11 +18,12 @@ STEP = 0.3
 
 
 def check_start(subject: Subject, result: CheckResult) -> None:
-    """A policy that takes over a robot which lies."""
-    first = next((b.tick for b in subject.blocks if isinstance(b.tick, (Pose, OnnxPolicy))), None)
-    if not isinstance(first, OnnxPolicy):
+    """A policy, or another controller, that takes over a robot which lies."""
+    contracts = ((isinstance(b.tick, Pose), controller_contract(b)) for b in subject.blocks)
+    posed, contract = next((found for found in contracts if any(found)), (False, None))
+    if posed or contract is None:
         return
-    robot, contract = subject.robot, first.contract
+    robot = subject.robot
     own = joint_index(contract.joints, robot.joint_names)
     way = np.abs(contract.default_joint_pos - robot.rest_joint_pos[own])
     if np.isnan(way).all():
@@ -33,7 +35,7 @@ def check_start(subject: Subject, result: CheckResult) -> None:
         return
     result.find(
         "pose.start",
-        f"policy {contract.name!r}",
+        f"{'policy' if isinstance(contract, PolicyContract) else 'controller'} {contract.name!r}",
         f"it is the first to move the robot, and its default pose is {where}: the motors would "
         "make a step",
         "let `pose: {to: stand}` go there first: flow: {chain: [{pose: …}, {policy: …}]}",

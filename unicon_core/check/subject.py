@@ -12,9 +12,10 @@ from unicon_core.flow import Block, Stage, blocks_of
 from unicon_core.models.find import Modelled
 from unicon_core.models.load import load_model
 from unicon_core.models.loaded import LoadedModel
-from unicon_core.policies import OnnxPolicy, PolicyContract
-from unicon_core.policies.observation import PackedStates
+from unicon_core.policies import PolicyContract
+from unicon_core.policies.controller import controller_contract
 from unicon_core.policies.prefixed import PrefixedStates
+from unicon_core.policies.terms import PackedStates
 from unicon_core.robots import Robot
 from unicon_core.workflow import Hook, Program
 from unicon_core.workflow.document import WorkflowDocument
@@ -71,8 +72,7 @@ class Subject:
     @cached_property
     def policies(self) -> dict[str, PolicyContract]:
         """Key under `policies:` to contract, those that the flow uses."""
-        ticks = [block.tick for block in self.program.blocks]
-        used = [tick.contract for tick in ticks if isinstance(tick, OnnxPolicy)]
+        used = [controller_contract(block) for block in self.program.blocks]
         named = self.program.policies.items()
         return {key: contract for key, contract in named if contract in used}
 

@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal, TypeAlias
 from numpy.typing import NDArray
 
 from unicon_core.errors import WorkflowError
-from unicon_core.flow.linear import LinearMap, linear_of
+from unicon_core.flow.linear import LinearMap
 from unicon_core.flow.stage import Stage
 
 __all__ = ["Access", "Amends", "Block", "Bundle", "Reads", "Tick", "Writes", "as_block"]
@@ -116,7 +116,8 @@ def as_block(candidate: Any, *, name: str = "", where: str = "") -> Block:
         value: Sequence[str] | Iterable[str] = getattr(candidate, attribute, ())
         return (value,) if isinstance(value, str) else tuple(value)
 
-    linear = linear_of(candidate)
+    linear = getattr(candidate, "linear", candidate)
+    linear = linear if isinstance(linear, LinearMap) else None
     label = name or getattr(candidate, "name", "") or getattr(candidate, "__name__", "")
     return Block(
         name=label or type(candidate).__name__,

@@ -12,8 +12,9 @@ from unicon_core.errors import WorkflowError, alternatives
 from unicon_core.flow import check_ends, check_order, check_writers
 from unicon_core.flow.block import Block
 from unicon_core.flow.finding import Finding
+from unicon_core.flow.linear import LinearMap
 from unicon_core.flow.nodes import Node, blocks_of
-from unicon_core.states import States, StateSpec
+from unicon_core.states import States
 from unicon_core.states.standard import BASE_STATES
 
 __all__ = ["Finding", "check_graph", "raise_first"]
@@ -94,30 +95,22 @@ def _mismatches(root: Node, states: States) -> Iterator[Finding]:
                         f"declare the state with {key}: {_said(value)}, or map another one to it",
                         block.where,
                     )
-        names = _ends_of_map(block)
-        if names and names[0] in states and names[1] in states:
-            source, target = states.spec(names[0]), states.spec(names[1])
-            yield from _copied(block, names, source, target)
+        if block.linear is not None:
+            yield from _copied(block, block.linear, states)
 
 
-def _ends_of_map(block: Block) -> tuple[str, str] | None:
-    if block.linear is not None and block.linear.source_name:
-        return block.linear.source_name, block.linear.target_name
-    ends = [getattr(block.tick, name, None) for name in ("source_label", "target_label")]
-    return (str(ends[0]), str(ends[1])) if all(ends) else None
-
-
-def _copied(
-    block: Block, names: tuple[str, str], source: StateSpec, target: StateSpec
-) -> Iterator[Finding]:
-    scale = block.linear.scale if block.linear else getattr(block.tick, "scale", None)
+def _copied(block: Block, linear: LinearMap, states: States) -> Iterator[Finding]:
+    names = linear.source_name, linear.target_name
+    if names[0] not in states or names[1] not in states:
+        return
+    source, target = states.spec(names[0]), states.spec(names[1])
     for key, remedy in (
         ("dtype", "give both states one dtype"),
         ("unit", "give a scale that converts it, or both states one unit"),
         ("frame", "rotate it with a block of its own, or give both states one frame"),
     ):
         has, wants = getattr(source, key), getattr(target, key)
-        if has == wants or not has or not wants or (key == "unit" and scale is not None):
+        if has == wants or not has or not wants or (key == "unit" and linear.scale is not None):
             continue
         yield Finding(
             f"block {block.name!r}",

@@ -268,7 +268,7 @@ class _Compiler:
         if node.blender is not None and blend:
             capture = [
                 f"{self.scope.bind('capture', node.blender.capture)}()",
-                f"{blend} = {node.blend}",
+                f"{blend} = {node.blend + 1}",
             ]
         lines = [
             f"{new} = {index}({self.call(node.selector)})",
@@ -279,13 +279,16 @@ class _Compiler:
             f"    {current} = {new}",
             f"{ended} = False",
         ]
+        if node.blender is not None and blend:
+            lines += [f"if {blend}:", f"    {self.scope.bind('resume', node.blender.resume)}()"]
         for i, child in enumerate(node.children):
             body = self.node(child, [f"{ended} = True"], conditional=True, idempotent=True)
             lines += [f"{'if' if i == 0 else 'elif'} {new} == {i}:", *indent(body)]
         if node.blender is not None and blend:
             weight = f"({node.blend + 1} - {blend}) / {node.blend + 1}"
             mix = self.scope.bind("mix", node.blender.mix)
-            lines += [f"if {blend}:", f"    {mix}({weight})", f"    {blend} -= 1"]
+            lines += [f"if {blend}:", f"    {blend} -= 1", f"    if {blend}:"]
+            lines += [f"        {mix}({weight})"]
         fresh = [f"{current} = -1", *([f"{blend} = 0"] if blend else [])]
         after = [*fresh, *self.reset(node.selector), *on_done]
         return [line for line in lines if line] + [f"if {ended}:", *indent(after)]

@@ -81,6 +81,8 @@ class _Fuser:
         read, write = _places(linear.source, packed), _places(linear.target, packed)
         if read is None or write is None or linear.source.dtype != linear.target.dtype:
             return None
+        if packed.dtype.kind != "f" and not linear.is_copy:
+            return None
         if linear.index is not None:
             read = read[..., linear.index]
         read, write = read.ravel(), write.ravel()

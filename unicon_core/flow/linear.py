@@ -1,136 +1,107 @@
-"""LinearMap: what a copying block says about itself, for the compiler that fuses neighbours."""
+"""LinearMap: the tick of a block that copies, and what the compiler reads to fuse neighbours."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from unicon_core.errors import StateError
 
-__all__ = ["LinearMap", "linear_of"]
+__all__ = ["LinearMap"]
 
 Array = NDArray[Any]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class LinearMap:
     """target = source[…, index] · scale + offset, along the last axis, in the target's type.
 
-    Everything is read before anything is written. A block whose callable carries one as its
-    attribute `linear` is a copy or a linear index map and nothing else: it is never done.
+    Everything is read before anything is written. A block whose tick it is, or carries one as its
+    attribute `linear`, is a copy or a linear index map and nothing else: it is never done.
 
     Attributes:
         source: view that is read, shape (…, m).
         target: view that is written, shape (…, n).
         index: places in the last axis of the source, integers of shape (n,); None: all, n = m.
-        scale: factor, one number or shape (n,), in the target's type; None for none.
+        scale: factor, one number or shape (n,); None for none.
         offset: summand in the target's unit, one number or shape (n,); None for none.
-        source_name: the source's state, for messages.
-        target_name: the target's state, for messages.
+        source_name: the source's state, "" where it is none.
+        target_name: the target's state, "" where it is none.
 
     Raises:
-        StateError: shapes, types or an index that do not fit.
+        StateError: shapes or an index that do not fit.
     """
 
     source: Array
     target: Array
-    index: Array | None = None
-    scale: Array | float | None = None
-    offset: Array | float | None = None
-    source_name: str = "source"
-    target_name: str = "target"
+    index: Any = None
+    scale: ArrayLike | None = None
+    offset: ArrayLike | None = None
+    source_name: str = ""
+    target_name: str = ""
+    _taken: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        label = f"{self.target_name} from {self.source_name}"
+        label = f"{self.target_name or 'target'} from {self.source_name or 'source'}"
         source, target = self.source, self.target
-        if source.dtype != target.dtype:
-            raise StateError(
-                f"{label}: {source.dtype} into {target.dtype}; give both states one dtype"
-            )
-        linear = self.scale is not None or self.offset is not None
-        if linear and target.dtype.kind != "f":
-            raise StateError(f"{label}: scale and offset need a float state, not {target.dtype}")
+        shape = source.shape
         if self.index is not None:
             index = np.asarray(self.index)
             last = source.shape[-1] if source.ndim else 0
             if index.ndim != 1 or index.dtype.kind not in "iu":
                 raise StateError(f"{label}: the index must be a list of whole numbers")
-            if index.size and not (index.min() >= 0 and index.max() < last):
-                wrong = index[(index < 0) | (index >= last)][0]
-                raise StateError(f"{label}: index {wrong} outside a last axis of {last}")
+            wrong = index[(index < 0) | (index >= last)]
+            if wrong.size:
+                raise StateError(f"{label}: no element {wrong[0]}; there are 0 to {last - 1}")
+            shape = (*source.shape[:-1], index.size)
             whole = index.size == last and (index == np.arange(last)).all()
-            object.__setattr__(self, "index", None if whole else index.astype(np.intp))
-        shape = source.shape if self.index is None else (*source.shape[:-1], self.index.size)
+            self.index = None if whole else index.astype(np.intp)
         if shape != target.shape:
-            raise StateError(f"{label}: shape {shape} into {target.shape}; both must be the same")
+            raise StateError(
+                f"{label}: shape {shape} into {target.shape}; give an index of as many elements"
+            )
+        width = target.shape[-1:]
+        count = width[0] if width else 1
+        dtype = target.dtype if target.dtype.kind == "f" else np.float64
         for name in ("scale", "offset"):
-            value = getattr(self, name)
-            if value is None:
-                continue
-            value = np.asarray(value, dtype=target.dtype)
-            if value.ndim > 1 or (value.ndim == 1 and value.shape != target.shape[-1:]):
-                raise StateError(
-                    f"{label}: {name} of shape {value.shape} for a last axis of "
-                    f"{target.shape[-1] if target.ndim else 1}; give one number or one for each"
-                )
-            object.__setattr__(self, name, value)
+            if getattr(self, name) is not None:
+                values = np.ravel(getattr(self, name))
+                if values.size not in (1, count):
+                    raise StateError(
+                        f"{label}: {name} has {values.size} values for {count} elements; give "
+                        "one, or one for each"
+                    )
+                # As wide as the target: broadcasting costs 1.1 µs against 0.2 µs.
+                full = np.broadcast_to(values, (count,)).astype(dtype).reshape(width)
+                setattr(self, name, full)
+        self._taken = np.empty(target.shape, source.dtype)
 
     @property
     def is_copy(self) -> bool:
         """True where the values arrive as they are, whatever their places."""
         return self.scale is None and self.offset is None
 
-    def operation(self) -> Callable[[], None]:
-        """Return the function that does it; nothing is allocated in a call."""
-        source, target, index = self.source, self.target, self.index
-        scale: Any = self.scale
-        offset: Any = self.offset
-        copyto, multiply, add = np.copyto, np.multiply, np.add
-        if index is None and self.is_copy:
-            return lambda: copyto(target, source)  # NumPy sees an overlap and minds it
-        overlap = np.may_share_memory(source, target)
-        result = np.empty_like(target) if overlap or not target.flags.c_contiguous else target
+    @property
+    def reads(self) -> tuple[str, ...]:
+        """The source's state, for the graph check."""
+        return (self.source_name,) if self.source_name else ()
 
-        def run() -> None:
-            if index is not None:
-                # mode 'clip' writes straight into the result; 'raise' goes through a buffer, 2x
-                source.take(index, -1, result, "clip")
-                if scale is not None:
-                    multiply(result, scale, result)
-                if offset is not None:
-                    add(result, offset, result)
-            elif scale is None:
-                add(source, offset, result)
-            else:
-                multiply(source, scale, result)
-                if offset is not None:
-                    add(result, offset, result)
-            if result is not target:
-                copyto(target, result)
+    @property
+    def writes(self) -> tuple[str, ...]:
+        """The target's state, for the graph check."""
+        return (self.target_name,) if self.target_name else ()
 
-        return run
-
-
-def linear_of(candidate: object) -> LinearMap | None:
-    """Return what a callable says about itself: its attribute `linear`, or the same by its parts.
-
-    The parts are `source`, `target`, `index`, `scale` and `offset`, and `source_label` and
-    `target_label` where it has them. What is no linear map in one dtype gives None.
-    """
-    linear = getattr(candidate, "linear", None)
-    if linear is not None or isinstance(candidate, type):
-        return linear if isinstance(linear, LinearMap) else None
-    parts = [getattr(candidate, name, None) for name in ("source", "target", "index")]
-    if not (isinstance(parts[0], np.ndarray) and isinstance(parts[1], np.ndarray)):
-        return None
-    if not (hasattr(candidate, "scale") and hasattr(candidate, "offset")):
-        return None
-    labels = [getattr(candidate, name, "") for name in ("source_label", "target_label")]
-    try:
-        return LinearMap(parts[0], parts[1], parts[2], candidate.scale, candidate.offset, *labels)
-    except StateError:
-        return None
+    def __call__(self) -> None:
+        source, target = self.source, self.target
+        if self.index is not None:
+            # mode "clip" (the index was checked at build) saves NumPy's own buffer, 2x.
+            source.take(self.index, -1, self._taken, "clip")
+            source = self._taken
+        np.copyto(target, source, casting="unsafe")  # NumPy sees an overlap and minds it
+        if self.scale is not None:
+            np.multiply(target, self.scale, out=target, casting="unsafe")
+        if self.offset is not None:
+            np.add(target, self.offset, out=target, casting="unsafe")

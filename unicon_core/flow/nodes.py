@@ -106,7 +106,7 @@ class Switch:
         cases: name to block.
         blend: ticks K that a change of case is blended over; 0 for none. A float is a time in [s],
             which the program makes into ticks when it is built.
-        blender: built by the program for the command states: `capture()` and `mix(weight)`.
+        blender: built by the program for the command states: see `Blender`.
     """
 
     def __init__(
@@ -180,16 +180,26 @@ class Blender:
         self.names = tuple(arrays)
         self._live = [np.asarray(array) for array in arrays.values()]
         self._held = [array.copy() for array in self._live]
+        self._own = [array.copy() for array in self._live]
         self._scratch = [array.copy() for array in self._live]
 
     def capture(self) -> None:
         """Hold the present commands as the outgoing ones."""
-        for held, live in zip(self._held, self._live):
-            held[...] = live
+        for held, own, live in zip(self._held, self._own, self._live):
+            held[...] = own[...] = live
+
+    def resume(self) -> None:
+        """Take the last mixing back: what steps next may leave its commands as they are.
+
+        A policy that runs in every tenth tick does: its targets would be mixed ten times.
+        """
+        for own, live in zip(self._own, self._live):
+            live[...] = own
 
     def mix(self, weight: float) -> None:
         """Replace the commands by (1 - weight) · held + weight · present."""
-        for held, live, scratch in zip(self._held, self._live, self._scratch):
+        for held, own, live, scratch in zip(self._held, self._own, self._live, self._scratch):
+            own[...] = live
             live *= weight
             scratch[...] = held
             scratch *= 1.0 - weight

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Any, Literal, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -184,10 +184,12 @@ class _Check:
             raise self.fail(where, f"{dotted(where)} is {value!r}; give {what}, above 0")
         return float(value)
 
-    def choice(self, where: Where, value: Any, known: tuple[str, ...]) -> str:
+    def choice(self, where: Where, values: Mapping[str, Any], *known: str) -> Any:
+        """The word under the last key of `where`; the first known one where it is not said."""
+        value = values.get(str(where[-1]), known[0])
         if value not in known:
             raise self.fail(where, f"{dotted(where)} is {value!r}; known: {', '.join(known)}")
-        return str(value)
+        return value
 
     def clip(self, where: Where, value: Any, count: int | None) -> NDArray[np.float32] | None:
         """`[lowest, highest]`, each one number or a list; shape (2, 1) or (2, count)."""
@@ -233,15 +235,12 @@ class _Check:
         else:
             offset = self.vector((*where, "offset"), count, "joint", -POSITION, POSITION)
         clip = self.clip((*where, "clip"), action.get("clip"), count)
-        feedback = self.choice(
-            (*where, "feedback"), action.get("feedback", "raw"), ("raw", "clipped")
-        )
         return ActionSpec(
             moved,
             scale,
             offset,
             None if clip is None else np.array(np.broadcast_to(clip, (2, count))),
-            cast(Literal["raw", "clipped"], feedback),
+            self.choice((*where, "feedback"), action, "raw", "clipped"),
         )
 
     def observation(self, optional: bool) -> ObservationSpec:
@@ -256,11 +255,7 @@ class _Check:
         if not isinstance(listed, (list, tuple)):
             raise self.fail(place, "observation.terms is no list; give '- {name: …, state: …}'")
         terms = tuple(self.term((*place, i), term) for i, term in enumerate(listed))
-        layout = self.choice(
-            (*where, "layout"),
-            observation.get("layout", "term_major"),
-            ("term_major", "frame_major"),
-        )
+        layout = self.choice((*where, "layout"), observation, "term_major", "frame_major")
         lengths = {term.history for term in terms}
         if layout == "frame_major" and len(lengths) > 1:
             odd = next(term for term in terms if term.history != terms[0].history)
@@ -272,19 +267,9 @@ class _Check:
             )
         return ObservationSpec(
             terms,
-            cast(Literal["term_major", "frame_major"], layout),
-            cast(
-                Literal["first", "last"],
-                self.choice(
-                    (*where, "newest"), observation.get("newest", "last"), ("last", "first")
-                ),
-            ),
-            cast(
-                Literal["first", "zeros"],
-                self.choice(
-                    (*where, "start"), observation.get("start", "first"), ("first", "zeros")
-                ),
-            ),
+            layout,
+            self.choice((*where, "newest"), observation, "last", "first"),
+            self.choice((*where, "start"), observation, "first", "zeros"),
         )
 
     def term(self, where: Where, value: Any) -> ObservationTerm:

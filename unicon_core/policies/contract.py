@@ -173,8 +173,3 @@ class PolicyContract:
     def is_torchscript(self) -> bool:
         """Whether the network is a TorchScript file."""
         return self.model.suffix in (".pt", ".pth", ".jit")
-
-    def policy_from_action(self) -> NDArray[np.intp]:
-        """Return where each moved joint stands in the policy order, shape (m,)."""
-        place = {name: i for i, name in enumerate(self.joints)}
-        return np.array([place[name] for name in self.action.joints], dtype=np.intp)

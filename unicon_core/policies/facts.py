@@ -138,16 +138,13 @@ def missing_facts(facts: Facts) -> dict[str, str]:
     """Return the facts that are needed and not known: dotted name -> what it is."""
     missing = {}
     for name, meaning in _NEEDED.items():
-        value: Any = facts.values
-        for key in name.split("."):
-            value = value.get(key) if isinstance(value, Mapping) else None
+        value = _said(facts.values, name)
         if value is not None and not (name == "observation.terms" and value == []):
             continue
         if name == "observation.terms" and not _has_observation(facts.values):
             continue
         missing[name] = meaning
-    observation = facts.values.get("observation")
-    terms = observation.get("terms", []) if isinstance(observation, Mapping) else []
+    terms = _said(facts.values, "observation.terms")
     for term in terms if isinstance(terms, list) else []:
         if isinstance(term, Mapping) and "name" in term and term.get("state") is None:
             missing[f"observation.terms.{term['name']}.state"] = "the state that it is taken from"
@@ -155,6 +152,13 @@ def missing_facts(facts: Facts) -> dict[str, str]:
         meaning = _ASKED.get(name) or _NEEDED.get(name, "")
         missing[name] = f"{meaning}; {detail}" if detail else meaning
     return missing
+
+
+def _said(values: Any, name: str) -> Any:
+    """Return what stands under a dotted name, None where nothing does."""
+    for key in name.split("."):
+        values = values.get(key) if isinstance(values, Mapping) else None
+    return values
 
 
 _ASKED = {
@@ -224,12 +228,8 @@ def merge_given(facts: Facts, given: Mapping[str, Any]) -> None:
 
 
 def _answered(name: str, given: Mapping[str, Any], values: Mapping[str, Any]) -> bool:
-    for tree in (given, values):
-        value: Any = tree
-        for key in name.split("."):
-            value = value.get(key) if isinstance(value, Mapping) else None
-        if value is not None:
-            return True
+    if any(_said(tree, name) is not None for tree in (given, values)):
+        return True
     if name == "observation.scale":
         terms = values.get("observation", {}).get("terms", [])
         return bool(terms) and all("scale" in term for term in terms)

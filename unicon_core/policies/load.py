@@ -18,7 +18,7 @@ from unicon_core.policies.importers.deploy_yaml import deploy_yaml_facts, is_dep
 from unicon_core.policies.importers.env_yaml import env_yaml_facts, is_env_yaml
 from unicon_core.policies.importers.legged_gym import is_legged_gym, legged_gym_facts
 from unicon_core.policies.importers.metadata import has_metadata, metadata_facts
-from unicon_core.policies.onnx_file import OnnxFile, read_onnx
+from unicon_core.policies.networks.onnx_file import OnnxFile, read_onnx
 from unicon_core.policies.policy_yaml import (
     policy_yaml_facts,
     write_partial_yaml,

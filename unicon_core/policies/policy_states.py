@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from math import prod
 
 from unicon_core.policies.contract import PolicyContract
-from unicon_core.policies.load import NamedJoints
+from unicon_core.policies.networks.onnx_file import read_onnx
 from unicon_core.policies.observation import Observation
-from unicon_core.policies.onnx_file import read_onnx
 from unicon_core.states import States, StateSpec, standard_states
 
 __all__ = ["policy_states"]
@@ -16,7 +15,7 @@ __all__ = ["policy_states"]
 
 def policy_states(
     contract: PolicyContract,
-    robot: NamedJoints,
+    robot_joints: Sequence[str],
     extra: Mapping[str, StateSpec] | None = None,
     *,
     prefix: str = "",
@@ -25,7 +24,7 @@ def policy_states(
 
     Args:
         contract: the policy.
-        robot: its joint order decides which states are taken in policy order.
+        robot_joints: the robot's joint order, which decides what is taken in policy order.
         extra: further states of the workflow that terms may name.
         prefix: put before the names, so that a workflow can hold several policies; the policy
             block takes the same.
@@ -35,8 +34,8 @@ def policy_states(
     """
     own = _own_states(contract)
     if contract.terms:
-        specs = {**standard_states(robot.joint_names), **(extra or {}), **own}
-        size = Observation(contract, States(specs), robot.joint_names).size
+        specs = {**standard_states(robot_joints), **(extra or {}), **own}
+        size = Observation(contract, States(specs), robot_joints).size
         own["observation"] = StateSpec((size,), description="the network's input")
     return {f"{prefix}{name}": spec for name, spec in own.items()}
 

@@ -6,6 +6,7 @@ import hashlib
 import os
 import shutil
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from unicon_core.errors import PolicyError
 from unicon_core.policies.build import SCHEMA, build_contract
 from unicon_core.policies.contract import ObservationTerm, PolicyContract
 from unicon_core.policies.facts import Facts
-from unicon_core.policies.onnx_file import read_onnx
+from unicon_core.policies.networks.onnx_file import read_onnx
 from unicon_core.policies.tolerant_yaml import read_yaml
 
 __all__ = [
@@ -155,18 +156,11 @@ def contract_values(contract: PolicyContract) -> dict[str, Any]:
     if contract.outputs:
         values["outputs"] = dict(contract.outputs)
     if contract.recurrent:
-        values["recurrent"] = [{"input": r.input, "output": r.output} for r in contract.recurrent]
+        values["recurrent"] = [asdict(pair) for pair in contract.recurrent]
     if contract.command_ranges:
         values["command_ranges"] = {k: list(v) for k, v in contract.command_ranges.items()}
     if contract.phase is not None:
-        phase = contract.phase
-        values["phase"] = {
-            "period": phase.period,
-            "offsets": list(phase.offsets),
-            "stand": phase.stand,
-            "stand_below": phase.stand_below,
-            "command": phase.command,
-        }
+        values["phase"] = asdict(contract.phase) | {"offsets": list(contract.phase.offsets)}
     for key in ("joints", "clip"):
         if values["action"][key] is None:
             del values["action"][key]

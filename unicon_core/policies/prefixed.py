@@ -6,7 +6,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from unicon_core.policies.observation import PackedStates
+from unicon_core.policies.terms import PackedStates
 from unicon_core.states.standard import standard_states
 
 __all__ = ["PrefixedStates"]

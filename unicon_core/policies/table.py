@@ -7,11 +7,12 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from unicon_core.aligned import aligned
 from unicon_core.errors import PolicyError
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.load import NamedJoints, load_policy, policy_names
-from unicon_core.policies.observation import PackedStates, TermSlice, term_slices
 from unicon_core.policies.policy_states import policy_states
+from unicon_core.policies.terms import PackedStates, TermSlice, term_slices
 from unicon_core.states import States, standard_states
 
 __all__ = ["joint_table", "observation_table", "policies_table", "policy_table"]
@@ -36,7 +37,7 @@ def policies_table() -> str:
                 " ".join(term.name for term in contract.terms),
             ]
         )
-    return _table(rows) if len(rows) > 1 else "no policies in config/policies"
+    return "\n".join(aligned(rows)) if len(rows) > 1 else "no policies in config/policies"
 
 
 def policy_table(contract: PolicyContract, robot: NamedJoints | None = None) -> str:
@@ -112,7 +113,7 @@ def joint_table(contract: PolicyContract, robot: NamedJoints | None = None) -> s
         for name in place
         if name not in contract.joints
     ]
-    return _table(rows)
+    return "\n".join(aligned(rows))
 
 
 def observation_table(
@@ -132,8 +133,7 @@ def observation_table(
     """
     joints: Sequence[str] = contract.joints if robot is None else robot.joint_names
     if states is None:
-        named = _Joints(contract.robot or "", tuple(joints)) if robot is None else robot
-        states = States({**standard_states(joints), **policy_states(contract, named)})
+        states = States({**standard_states(joints), **policy_states(contract, joints)})
     slices = term_slices(contract, states, joints)
     rows = [["term", "state", "slice", "subtract", "scale", "clip", "history", "unit"]]
     start = 0
@@ -161,13 +161,8 @@ def observation_table(
         )
     layout = contract.observation
     order = f"{layout.layout}, newest {layout.newest}" if _has_history(slices) else "no history"
-    return f"{_table(rows)}\n{start} values, {order}; term = scale · clip(state − subtract)"
-
-
-class _Joints:
-    def __init__(self, name: str, joint_names: tuple[str, ...]) -> None:
-        self.name = name
-        self.joint_names = joint_names
+    tail = f"{start} values, {order}; term = scale · clip(state − subtract)"
+    return "\n".join([*aligned(rows), tail])
 
 
 def _has_history(slices: Sequence[TermSlice]) -> bool:
@@ -193,12 +188,3 @@ def _range(low: float, high: float) -> str:
 
 def _pairs(items: Iterable[tuple[str, str]]) -> str:
     return ", ".join(f"{a} → {b}" for a, b in items) or "-"
-
-
-def _table(rows: list[list[str]]) -> str:
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    lines = [
-        "  ".join(cell.ljust(width) for cell, width in zip(row, widths)).rstrip() for row in rows
-    ]
-    lines.insert(1, "  ".join("─" * width for width in widths))
-    return "\n".join(lines)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from unicon_core.aligned import aligned
 from unicon_core.errors import RobotError
 from unicon_core.robots.load import load_robot, robot_names
 from unicon_core.robots.robot import JOINT_FIELDS, Robot
@@ -41,7 +42,7 @@ def robots_table() -> str:
         ready = f"missing: {', '.join(missing)}" if missing else "complete"
         protocol = str(robot.transport["protocol"] or _UNKNOWN)
         rows.append((name, robot.kind, str(robot.num_joints), protocol, robot.description, ready))
-    return _aligned(rows, right=(2,))
+    return "\n".join(aligned(rows, right=(2,), underlined=False))
 
 
 def robot_table(robot: Robot) -> str:
@@ -76,7 +77,8 @@ def _joints(robot: Robot) -> str:
     columns = [robot.joint_fact(key) for key in JOINT_FIELDS]
     for i, name in enumerate(robot.joint_names):
         rows.append((str(i), name, *(_figure(float(column[i])) for column in columns)))
-    return _aligned(rows, right=(0, *range(2, 2 + len(JOINT_FIELDS))))
+    right = (0, *range(2, 2 + len(JOINT_FIELDS)))
+    return "\n".join(aligned(rows, right=right, underlined=False))
 
 
 def _figure(value: float) -> str:
@@ -131,14 +133,3 @@ def _wrapped(rows: Sequence[tuple[str, str]], indent: str = "") -> str:
             )
         )
     return "\n".join(lines)
-
-
-def _aligned(rows: Sequence[Sequence[str]], right: Sequence[int] = ()) -> str:
-    widths = [max(len(row[c]) for row in rows) for c in range(len(rows[0]))]
-    return "\n".join(
-        "  ".join(
-            cell.rjust(width) if c in right else cell.ljust(width)
-            for c, (cell, width) in enumerate(zip(row, widths))
-        ).rstrip()
-        for row in rows
-    )

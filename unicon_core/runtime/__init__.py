@@ -2,7 +2,7 @@
 
 from unicon_core.runtime.pacing import DryRun, Pacing, WallClock, prepare_process
 from unicon_core.runtime.report import Monitor, Report
-from unicon_core.runtime.runner import Runner, RunOptions
+from unicon_core.runtime.runner import Runner, RunOptions, run
 from unicon_core.runtime.statistics import TickStatistics, percentiles
 
 __all__ = [
@@ -16,4 +16,5 @@ __all__ = [
     "WallClock",
     "percentiles",
     "prepare_process",
+    "run",
 ]

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from unicon_core.states import States
+from unicon_core.states.stacked import flat
 from unicon_core.states.standard import COMMAND_STATES
 
 __all__ = ["Monitor", "Report"]
@@ -131,7 +132,7 @@ class Monitor:
         self._start = self._pos.copy()
         self._started = False
         self._hash = hashlib.sha256()
-        self._commands = _views(states, COMMAND_STATES)
+        self._commands = [view.data for view in flat([states[n] for n in COMMAND_STATES])]
         self._worst = -1.0
 
     def __call__(self) -> None:
@@ -149,6 +150,10 @@ class Monitor:
         """Whether the base tilted further than a walking robot comes back from."""
         return not self._worst <= -self.FALL_COSINE
 
+    def finish(self) -> None:
+        """Let nothing count that comes from here on."""
+        self._pos = self._pos.copy()
+
     def fill(self, report: Report) -> None:
         """Write what was seen into the report."""
         moved = self._pos[0] - self._start[0] if self._started else np.zeros(3)
@@ -156,15 +161,3 @@ class Monitor:
         report.fell = self.fell
         report.tilt_deg = round(math.degrees(math.acos(max(-1.0, min(-self._worst, 1.0)))), 1)
         report.sha256_commands = self._hash.hexdigest()
-
-
-def _views(states: States, names: tuple[str, ...]) -> list[Any]:
-    """Return the memory of states one after the other: one view where they stand back to back."""
-    arrays = [states[name] for name in names]
-    first = states.offset(names[0])
-    at = first
-    for name, array in zip(names, arrays):
-        if array.dtype != np.float32 or states.offset(name) != at or states.num_robots is not None:
-            return [array.reshape(-1).data for array in arrays]
-        at += array.size
-    return [states.buffer_of(np.float32)[first:at].data]

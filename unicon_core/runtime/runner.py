@@ -5,10 +5,11 @@ from __future__ import annotations
 import threading
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
 from unicon_core.errors import Fault, PlatformError, UniconError
 from unicon_core.runtime.pacing import prepare_process, process_age_s
@@ -18,7 +19,7 @@ from unicon_core.runtime.ticker import Ticker
 from unicon_core.signals import SIGNALS, Interrupted, signal_name
 from unicon_core.workflow import Program
 
-__all__ = ["RunOptions", "Runner"]
+__all__ = ["RunOptions", "Runner", "run"]
 
 
 @dataclass(frozen=True)
@@ -178,6 +179,7 @@ class Runner:
                         gate()
                     self.phase = Phase.RUN
                     self._run.run(self._limit(), full_speed=self.options.speed == "max")
+                    self.interrupted = bool(SIGNALS.asked)
                     why = self._why()
                     self._ended_ns = time.perf_counter_ns()
                     self._wind_down()
@@ -297,6 +299,7 @@ class Runner:
         if root is None or self._hurry or self.program.gate.closed:
             return
         self.phase = Phase.WIND_DOWN
+        self.monitor.finish()
         self.program.states["velocity_command"][...] = 0.0
         self._ticker = Ticker(self.program, root, self.options.capacity, None)
         limit = max(1, round(WIND_DOWN / self.program.period))
@@ -314,6 +317,50 @@ class Runner:
                 "faults": len(self.faults),
             }
         )
+
+
+class Attached(Protocol):
+    """What comes along with a run, such as a ROS session."""
+
+    def attach(self, runner: Runner) -> None:
+        """Get to know the runner, before the first tick."""
+        ...
+
+    def close(self) -> None:
+        """Let go, after the run."""
+        ...
+
+
+def run(program: Program, *attached: Attached, force: Sequence[str] = (), **options: Any) -> Report:
+    """Check a program, run it to the end and return the report; a fault is in it.
+
+        session = RosSession(map="default")
+        report = run(Program(…, hooks=[session.hook]), session)
+
+    Args:
+        program: what to run.
+        attached: what comes along, told before the first tick and closed after the last.
+        force: codes of errors of `unicon check` to go on with.
+        options: of `RunOptions`: duration, speed, warn.
+
+    Raises:
+        CheckError: what `unicon check` calls an error.
+        UniconError: it cannot be run.
+    """
+    # Imported here: the check builds programs itself.
+    from unicon_core.check import refuse_errors
+
+    wishes = RunOptions(**options)
+    with ExitStack() as rest:
+        for each in attached:
+            rest.callback(each.close)
+        rest.callback(program.close)
+        for line in refuse_errors(program, force):
+            wishes.warn(line)
+        runner = Runner(program, wishes)
+        for each in attached:
+            each.attach(runner)
+        return runner.run()
 
 
 def _refuse_pace(program: Program, options: RunOptions) -> None:

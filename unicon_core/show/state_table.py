@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
+from unicon_core.aligned import aligned
 from unicon_core.flow import Node, blocks_of
 from unicon_core.show.tree import shortened
 from unicon_core.states import States
 
-__all__ = ["HEAD", "StateRow", "aligned", "state_rows", "state_table"]
+__all__ = ["HEAD", "StateRow", "state_rows", "state_table"]
 
 HEAD = ("state", "shape", "dtype", "unit", "frame", "writer", "readers", "description")
 
@@ -71,12 +71,3 @@ def state_rows(root: Node, states: States) -> list[StateRow]:
 def state_table(root: Node, states: States) -> str:
     """Return the table as aligned text."""
     return "\n".join(aligned([HEAD, *(row.cells() for row in state_rows(root, states))]))
-
-
-def aligned(rows: Sequence[tuple[str, ...]]) -> list[str]:
-    """Return rows of cells as lines, the first one underlined."""
-    widths = [max(map(len, column)) for column in zip(*rows)]
-    lines = [
-        "  ".join(cell.ljust(width) for cell, width in zip(row, widths)).rstrip() for row in rows
-    ]
-    return [lines[0], "  ".join("─" * width for width in widths), *lines[1:]]

@@ -22,6 +22,8 @@ from unicon_core.flow import (
 )
 from unicon_core.flow.nodes import with_children
 from unicon_core.flow.stage import Stage
+from unicon_core.policies.action_map import lacking_joints
+from unicon_core.policies.controller import controller_contract
 from unicon_core.robots import Robot, load_robot, robot_names
 from unicon_core.signals import SIGNALS
 from unicon_core.states import StateSpec, standard_states
@@ -31,7 +33,7 @@ from unicon_core.workflow.autowire import BuildContext, autowire, option_names
 from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.expression import expression
 from unicon_core.workflow.flow_yaml import FlowReader
-from unicon_core.workflow.policies import declared_states, policy_factory, used_policy
+from unicon_core.workflow.policies import declared_states, policy_factory
 from unicon_core.workflow.registry import Factory, find_factory
 from unicon_core.workflow.rehearsal import Rehearsal
 from unicon_core.workflow.settings import safety_of
@@ -121,22 +123,26 @@ class Builder:
         block = build(self._context)
         self._rehearsal.add(block, factory, build)
         self._program.blocks.append(block)
-        return self._at_its_period(block, use) if is_policy else block
+        return self._at_its_period(block)
 
-    def _at_its_period(self, block: Block, use: Use) -> Node:
-        """Run a policy every n-th tick where the program ticks faster than it was trained for."""
-        policies, period = self._program.policies, self._program.period
-        contract = policies[used_policy(use, policies)]
+    def _at_its_period(self, block: Block) -> Node:
+        """Run a controller every n-th tick where the program ticks faster than it is made for."""
+        contract = controller_contract(block)
+        if contract is None:
+            return block
+        if lacking := lacking_joints(contract, self._program.robot):
+            raise WorkflowError(f"block {block.name!r}: {lacking}", block.where)
+        period = self._program.period
         ticks = contract.period / period
         n = round(ticks)
         if n < 1 or abs(ticks - n) > 1e-6 * n:
             rate, wanted = 1.0 / period, 1.0 / contract.period
             raise WorkflowError(
-                f"policy {contract.name!r} was trained for {wanted:g} Hz, which does not divide "
-                f"the workflow's rate of {rate:g} Hz; set rate: {wanted:g} or a multiple",
-                use.where,
+                f"block {block.name!r}: {contract.name} is made for {wanted:g} Hz, which does not "
+                f"divide the workflow's rate of {rate:g} Hz; set rate: {wanted:g} or a multiple",
+                block.where,
             )
-        return Every(n, block, where=use.where) if n > 1 else block
+        return Every(n, block, where=block.where) if n > 1 else block
 
 
 def _chooser(node: Node) -> Block | None:

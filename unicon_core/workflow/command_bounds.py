@@ -1,14 +1,14 @@
 """Command bounds: the largest velocity command that the flow ever sees, for the workflow builder.
 
 Whoever gives it (`commands:`, a topic, a block of one's own), the last thing before a reader is a
-clip: to the `command_ranges` of the policies in use that read it, else of the robot file, else to
+clip: to the `command_ranges` of the controllers that read it, else of the robot file, else to
 `CAUTIOUS`. Zero is always allowed: it is what silence commands.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from unicon_core.errors import WorkflowError
 from unicon_core.flow import Block, Deferred, Loop, Node, Switch, When, Zip
 from unicon_core.flow.nodes import blocks_of, children_of, with_children
-from unicon_core.policies import PolicyContract
+from unicon_core.policies.controller import ControllerContract
 from unicon_core.robots import Robot
 
 __all__ = [
@@ -67,30 +67,32 @@ class CommandBound:
 
 
 def command_bounds(
-    policies: Mapping[str, PolicyContract], robot: Robot
+    readers: Sequence[tuple[str, ControllerContract]], robot: Robot
 ) -> tuple[CommandBound, ...]:
-    """Return the bounds of vx, vy and wz; of several policies the tightest.
+    """Return the bounds of vx, vy and wz; of several controllers the tightest.
 
     Args:
-        policies: those in use that read the command, by the workflow's name for them.
-        robot: what its file says counts for policies that say nothing.
+        readers: the controllers in use that read the command, with what to call them.
+        robot: what its file says counts for controllers that say nothing.
     """
-    return tuple(_bound(axis, policies, robot) for axis in CAUTIOUS)
+    return tuple(_bound(axis, readers, robot) for axis in CAUTIOUS)
 
 
-def _bound(axis: str, policies: Mapping[str, PolicyContract], robot: Robot) -> CommandBound:
+def _bound(
+    axis: str, readers: Sequence[tuple[str, ControllerContract]], robot: Robot
+) -> CommandBound:
     cautious = CAUTIOUS[axis]
     said = f"neither policy nor {robot.path.name} has command_ranges"
     fallback = (-cautious, cautious), said, False
     if axis in robot.command_ranges:
         fallback = robot.command_ranges[axis], f"command_ranges of robot {robot.name}", True
     found: list[tuple[tuple[float, float], str, bool]] = []
-    for name, contract in policies.items():
+    for label, contract in readers:
         pair = contract.command_ranges.get(_POLICY_KEYS[axis])
         if pair is None or not all(map(math.isfinite, pair)):
             found.append(fallback)
         else:
-            found.append((pair, f"command_ranges of policy {name!r}", True))
+            found.append((pair, f"command_ranges of {label}", True))
     found = found or [fallback]
     low = max(found, key=lambda each: each[0][0])
     high = min(found, key=lambda each: each[0][1])

@@ -9,15 +9,16 @@ from typing import Any
 
 from unicon_core.errors import PolicyError, WorkflowError, alternatives
 from unicon_core.flow import Block
-from unicon_core.policies import OnnxPolicy, PolicyContract, load_policy, policy_states
-from unicon_core.policies.joint_command import lacking_joints
+from unicon_core.policies import Policy, PolicyContract, load_policy, policy_states
+from unicon_core.policies.action_map import lacking_joints
+from unicon_core.policies.controller import ControllerContract, controller_contract
 from unicon_core.robots import Robot
 from unicon_core.states import StateSpec
 from unicon_core.workflow.autowire import BuildContext
 from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.uses import Use
 
-__all__ = ["declared_states", "load_policies", "policies_reading", "policy_factory"]
+__all__ = ["controllers_reading", "declared_states", "load_policies", "policy_factory"]
 
 
 def load_policies(document: WorkflowDocument, robot: Robot) -> dict[str, PolicyContract]:
@@ -84,13 +85,19 @@ def used_policy(use: Use, policies: Mapping[str, Any]) -> str:
     return name
 
 
-def policies_reading(
+def controllers_reading(
     state: str, blocks: Iterable[Block], policies: Mapping[str, PolicyContract]
-) -> dict[str, PolicyContract]:
-    """Return the policies that run in one of the blocks and read a state, by name."""
-    ticks = [block.tick for block in blocks if state in block.reads]
-    used = [tick.contract for tick in ticks if isinstance(tick, OnnxPolicy)]
-    return {name: contract for name, contract in policies.items() if contract in used}
+) -> list[tuple[str, ControllerContract]]:
+    """Return the controllers in these blocks that read a state, with what to call them.
+
+    Args:
+        state: its name.
+        blocks: of the flow.
+        policies: the workflow's name for each policy.
+    """
+    called = {id(contract): f"policy {name!r}" for name, contract in policies.items()}
+    used = {id(c): c for b in blocks if state in b.reads and (c := controller_contract(b))}
+    return [(called.get(i, f"controller {c.name!r}"), c) for i, c in used.items()]
 
 
 def declared_states(
@@ -108,7 +115,7 @@ def declared_states(
         extra: the workflow's own states, which terms may read.
     """
     name = used_policy(use, policies)
-    return policy_states(policies[name], robot, extra, prefix=_prefix(name, policies))
+    return policy_states(policies[name], robot.joint_names, extra, prefix=_prefix(name, policies))
 
 
 def _prefix(name: str, policies: Mapping[str, Any]) -> str:
@@ -122,7 +129,7 @@ def policy_factory(use: Use, policies: Mapping[str, Any]) -> Callable[..., Any]:
     contract, prefix = policies[name], _prefix(name, policies)
 
     def policy(context: BuildContext, use: str = "") -> Any:
-        return OnnxPolicy(contract, context.states, context.robot, prefix=prefix)
+        return Policy(contract, context.states, context.robot, prefix=prefix)
 
     # Annotations are text here; the autowiring evaluates them in this module.
     return policy

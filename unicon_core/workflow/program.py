@@ -42,7 +42,7 @@ from unicon_core.workflow.command_bounds import (
 from unicon_core.workflow.document import WorkflowDocument, document_of, load_document
 from unicon_core.workflow.gate import Gate
 from unicon_core.workflow.platforms import build_platform
-from unicon_core.workflow.policies import load_policies, policies_reading
+from unicon_core.workflow.policies import controllers_reading, load_policies
 from unicon_core.workflow.rehearsal import Rehearsal
 from unicon_core.workflow.settings import pacing_of
 from unicon_core.workflow.uses import EXPRESSION, Use
@@ -197,7 +197,7 @@ class Program:
         early = reads_command(stages[Stage.COMMAND])
         if not early and not reads_command([*stages[Stage.FLOW], *stages[Stage.SAFETY]]):
             return
-        readers = policies_reading(COMMAND, self.blocks, self.policies)
+        readers = controllers_reading(COMMAND, self.blocks, self.policies)
         self.command_bounds = command_bounds(readers, self.robot)
         command, tick = self.states[COMMAND], self.states["tick"]
 

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.policies import Observation, OnnxPolicy, PolicyContract, policy_states
+from unicon_core.policies import Observation, Policy, PolicyContract, policy_states
 from unicon_core.robots import Robot, load_robot
 from unicon_core.runtime import DryRun, Pacing, WallClock, prepare_process
 from unicon_core.states import States, standard_states
@@ -50,7 +50,9 @@ def run(rounds: int | None = None) -> Bench:
 
 
 def _states(contract: PolicyContract, robot: Robot) -> States:
-    states = States({**standard_states(robot.joint_names), **policy_states(contract, robot)})
+    states = States(
+        {**standard_states(robot.joint_names), **policy_states(contract, robot.joint_names)}
+    )
     random = np.random.default_rng(0)
     for name in ("joint_pos", "joint_vel", "base_ang_vel", "velocity_command"):
         states[name][...] = random.normal(size=states[name].shape)
@@ -181,7 +183,7 @@ def _usual_loop(robot: Robot, contract: PolicyContract) -> Callable[[int], NDArr
 
 
 def _unicon_loop(robot: Robot, contract: PolicyContract) -> Callable[[int], NDArray[np.float64]]:
-    policy = OnnxPolicy(contract, _states(contract, robot), robot)
+    policy = Policy(contract, _states(contract, robot), robot)
 
     def loop(ticks: int) -> NDArray[np.float64]:
         times = np.zeros(ticks)

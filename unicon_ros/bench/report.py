@@ -6,12 +6,14 @@ import json
 import math
 import os
 import platform
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from importlib import metadata
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+
+from unicon_core.aligned import aligned
 
 __all__ = ["Bench", "machine_facts", "package_versions"]
 
@@ -120,7 +122,7 @@ class Bench:
             count = str(int(case["samples"]))
             rows.append((name, _number(case["p50"]), _number(case["p99"]), spread, count))
         if self.cases:
-            lines += ["", *_aligned(rows)]
+            lines += ["", *aligned(rows, right=range(1, 5), underlined=False)]
         if self.facts:
             width = max(map(len, self.facts))
             lines += ["", *(f"{name:<{width}}  {value}" for name, value in self.facts.items())]
@@ -131,7 +133,7 @@ class Bench:
                 verdict = "holds" if ratio["holds"] else "MISSED"
                 bar = f"{sign} {_number(float(ratio['bar']))}"
                 rows_of_ratios.append((name, _number(float(ratio["value"])), bar, verdict))
-            lines += ["", *_aligned(rows_of_ratios)]
+            lines += ["", *aligned(rows_of_ratios, right=range(1, 4), underlined=False)]
         return "\n".join(lines)
 
 
@@ -177,17 +179,6 @@ def _number(value: float) -> str:
     if not math.isfinite(value):
         return str(value)
     return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.3g}"
-
-
-def _aligned(rows: Iterable[tuple[str, ...]]) -> list[str]:
-    table = list(rows)
-    widths = [max(map(len, column)) for column in zip(*table)]
-    lines = []
-    for row in table:
-        cells = [row[0].ljust(widths[0])]
-        cells += [cell.rjust(width) for cell, width in zip(row[1:], widths[1:])]
-        lines.append("  ".join(cells).rstrip())
-    return lines
 
 
 def _finite(value: Any) -> Any:

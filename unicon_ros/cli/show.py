@@ -26,6 +26,7 @@ def add(commands: Any) -> None:
 def show(arguments: argparse.Namespace) -> int:
     """Run the command."""
     from unicon_core.flow import compile_graph
+    from unicon_core.runtime.phases import describe
     from unicon_core.show import show_mermaid, show_svg, show_text
     from unicon_core.workflow import load_workflow
 
@@ -44,6 +45,9 @@ def show(arguments: argparse.Namespace) -> int:
             print(arguments.svg)
         else:
             print(show_text(*facts, robot=program.robot, policies=program.policies))
+            print("\nPhases")
+            for phase, what in describe(program):
+                print(f"  {phase:<10} {what}")
     finally:
         program.close()
     return 0

@@ -18,7 +18,7 @@ from unicon_core.flow import Block, Stage
 from unicon_core.models.find import model_of
 from unicon_core.models.kinematic_tree import read_tree
 from unicon_core.models.load import load_model
-from unicon_core.policies import OnnxPolicy, PolicyContract
+from unicon_core.policies import Policy, PolicyContract
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import Program
 from unicon_core.workflow.document import WorkflowDocument
@@ -39,7 +39,7 @@ def _reads_command(contract: PolicyContract) -> bool:
 class _Counted:
     """The tick of a policy block, with the number of its calls."""
 
-    def __init__(self, policy: OnnxPolicy) -> None:
+    def __init__(self, policy: Policy) -> None:
         self.policy, self.calls = policy, 0
 
     def __call__(self) -> None:
@@ -80,7 +80,7 @@ class TwinSession:
         self._uses = [
             (keys[id(block.tick.contract)], block, block.tick)
             for block in self.program.blocks
-            if isinstance(block.tick, OnnxPolicy)
+            if isinstance(block.tick, Policy)
         ]
         robot, platform = self.program.robot, self.program.platform
         self.lifts = isinstance(platform, Unlimited)
@@ -196,7 +196,7 @@ class TwinSession:
         for used, block, policy in self._uses:
             running = policy
             if contract is not None and used == key:
-                running = OnnxPolicy(
+                running = Policy(
                     contract,
                     program.states,
                     program.robot,

@@ -15,7 +15,7 @@ from typing import Any
 from unicon_core.errors import PolicyError
 from unicon_core.policies.facts import Facts
 from unicon_core.policies.importers.holosoma import json_metadata
-from unicon_core.policies.onnx_file import OnnxFile
+from unicon_core.policies.networks.onnx_file import OnnxFile
 
 __all__ = ["exploy_facts"]
 

@@ -7,7 +7,7 @@ from unicon_core.policies.facts import Facts
 from unicon_core.policies.importers.exploy import exploy_facts
 from unicon_core.policies.importers.holosoma import holosoma_facts
 from unicon_core.policies.importers.mjlab import mjlab_facts
-from unicon_core.policies.onnx_file import OnnxFile
+from unicon_core.policies.networks.onnx_file import OnnxFile
 
 __all__ = ["has_metadata", "metadata_facts"]
 

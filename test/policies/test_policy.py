@@ -14,7 +14,7 @@ from onnx import TensorProto, helper
 from policy_helpers import JOINTS, robot, save, toy_values, write_linear, write_toy
 
 from unicon_core.errors import Fault, MissingDependencyError, PolicyError
-from unicon_core.policies import OnnxPolicy, PolicyContract, load_policy, policy_states
+from unicon_core.policies import Policy, PolicyContract, load_policy, policy_states
 from unicon_core.robots import Robot
 from unicon_core.states import States, StateSpec, standard_states
 
@@ -28,7 +28,7 @@ def states_of(
     extra: dict[str, StateSpec] | None = None,
 ) -> States:
     specs = {**standard_states(machine.joint_names), **(extra or {})}
-    return States({**specs, **policy_states(contract, machine, extra)}, num_robots)
+    return States({**specs, **policy_states(contract, machine.joint_names, extra)}, num_robots)
 
 
 def fill(states: States, seed: int = 0) -> None:
@@ -42,7 +42,7 @@ def test_one_tick_equals_the_formula(tmp_path: Path) -> None:
     contract = load_policy(write_toy(tmp_path))
     machine = robot(("b_knee", "a_hip", "b_hip", "a_knee"))
     states = states_of(contract, machine)
-    policy = OnnxPolicy(contract, states, machine)
+    policy = Policy(contract, states, machine)
     fill(states)
     states.action = [0.1, -0.2, 0.3, -0.4]
     policy_from_robot = [machine.joint_names.index(name) for name in JOINTS]
@@ -66,7 +66,7 @@ def test_one_tick_equals_the_formula(tmp_path: Path) -> None:
 def test_it_says_what_it_reads_and_writes(tmp_path: Path) -> None:
     contract = load_policy(write_toy(tmp_path))
     machine = robot()
-    policy = OnnxPolicy(contract, states_of(contract, machine), machine)
+    policy = Policy(contract, states_of(contract, machine), machine)
     assert policy.name == "toy"
     assert policy.reads == ("base_ang_vel", "joint_pos", "joint_vel")
     assert policy.writes == (
@@ -82,7 +82,7 @@ def test_joints_that_the_policy_does_not_move_are_held_at_default(tmp_path: Path
     contract = load_policy(write_toy(tmp_path))
     machine = robot(("head", *JOINTS, "tail"), default=0.7, stiffness=9.0, damping=0.9)
     states = states_of(contract, machine)
-    OnnxPolicy(contract, states, machine)()
+    Policy(contract, states, machine)()
     assert states.joint_pos_target[[0, 5]].tolist() == [np.float32(0.7)] * 2
     assert states.joint_stiffness.tolist() == [9.0, 10.0, 20.0, 30.0, 40.0, 9.0]
 
@@ -91,7 +91,7 @@ def test_a_held_joint_without_a_pose_is_refused(tmp_path: Path) -> None:
     contract = load_policy(write_toy(tmp_path))
     machine = robot(("head", *JOINTS), stiffness=float("nan"))
     with pytest.raises(PolicyError) as caught:
-        OnnxPolicy(contract, states_of(contract, machine), machine)
+        Policy(contract, states_of(contract, machine), machine)
     assert str(caught.value) == (
         "policy toy does not move joint 'head', and robot toy has no stiffness to hold it with; "
         "add 'joints.stiffness' to toy.yaml"
@@ -107,7 +107,7 @@ def test_clipped_and_raw_feedback(tmp_path: Path) -> None:
         contract = load_policy(write_toy(tmp_path, values))
         machine = robot()
         states = states_of(contract, machine)
-        policy = OnnxPolicy(contract, states, machine)
+        policy = Policy(contract, states, machine)
         states.base_ang_vel = [1.0, 0.0, 0.0]
         policy()
         assert states.action.tolist() == [last] * 4
@@ -119,7 +119,7 @@ def test_an_observation_that_is_not_finite_is_a_fault(tmp_path: Path, value: flo
     contract = load_policy(write_toy(tmp_path))
     machine = robot()
     states = states_of(contract, machine)
-    policy = OnnxPolicy(contract, states, machine)
+    policy = Policy(contract, states, machine)
     policy()
     before = states.joint_pos_target.copy(), states.action.copy()
     states.joint_vel = [0.0, 0.0, value, 0.0]
@@ -138,7 +138,7 @@ def test_huge_finite_values_are_no_fault(tmp_path: Path) -> None:
     contract = load_policy(write_toy(tmp_path))
     machine = robot()
     states = states_of(contract, machine)
-    policy = OnnxPolicy(contract, states, machine)
+    policy = Policy(contract, states, machine)
     states.base_ang_vel = [1e25, 0.0, 0.0]  # its square is beyond float32
     policy()
     assert np.isfinite(states.joint_pos_target).all()
@@ -153,7 +153,7 @@ def test_an_action_that_is_not_finite_is_a_fault_before_targets_change(tmp_path:
     states = states_of(contract, machine)
     states.joint_pos_target = 5.0
     with pytest.raises(Fault) as caught:
-        OnnxPolicy(contract, states, machine)()
+        Policy(contract, states, machine)()
     assert str(caught.value) == (
         "policy toy: the action is not finite: joint 'b_hip' is nan; no target was written"
     )
@@ -176,7 +176,7 @@ def test_dry_runs_change_nothing_that_can_be_observed(tmp_path: Path) -> None:
     contract = load_policy(write_toy(tmp_path, values))
     machine = robot()
     plain, dry = states_of(contract, machine), states_of(contract, machine)
-    one, two = OnnxPolicy(contract, plain, machine), OnnxPolicy(contract, dry, machine)
+    one, two = Policy(contract, plain, machine), Policy(contract, dry, machine)
     for tick in range(12):
         for states in (plain, dry):
             fill(states, tick)
@@ -193,7 +193,7 @@ def test_a_dry_run_on_nan_raises_nothing(tmp_path: Path) -> None:
     contract = load_policy(write_toy(tmp_path))
     machine = robot()
     states = states_of(contract, machine)
-    policy = OnnxPolicy(contract, states, machine)
+    policy = Policy(contract, states, machine)
     states.joint_pos = np.nan
     policy.dry_run()
 
@@ -210,9 +210,9 @@ def test_a_batch_equals_single_robots(tmp_path: Path, batch: int | str, with_his
     one = load_policy(write_toy(single_dir, values))
     machine = robot(("b_knee", "a_hip", "spare", "b_hip", "a_knee"))
     states = states_of(many, machine, 5)
-    policy = OnnxPolicy(many, states, machine)
+    policy = Policy(many, states, machine)
     singles = [states_of(one, machine) for _ in range(5)]
-    policies = [OnnxPolicy(one, each, machine) for each in singles]
+    policies = [Policy(one, each, machine) for each in singles]
     for tick in range(5):
         fill(states, tick)
         policy()
@@ -229,7 +229,7 @@ def test_a_network_for_another_number_of_robots_is_refused(tmp_path: Path) -> No
     contract = load_policy(write_toy(tmp_path))
     machine = robot()
     with pytest.raises(PolicyError) as caught:
-        OnnxPolicy(contract, states_of(contract, machine, 5), machine)
+        Policy(contract, states_of(contract, machine, 5), machine)
     assert str(caught.value) == (
         "policy toy: obs (3 × 15, float32) is for 3 robots at once and there are 5; export it with "
         "a free batch axis"
@@ -243,7 +243,7 @@ def test_an_input_of_another_size_lists_the_terms(tmp_path: Path) -> None:
     contract = load_policy(write_toy(tmp_path, values))
     machine = robot()
     with pytest.raises(PolicyError) as caught:
-        OnnxPolicy(contract, states_of(contract, machine), machine)
+        Policy(contract, states_of(contract, machine), machine)
     assert str(caught.value) == (
         "policy toy: the observation has 19 values and the network's input 'obs' takes 17; terms: "
         "ang_vel [0:3], joint_pos [3:7], joint_vel [7:15] = 4 × 2, last_action [15:19]; correct "
@@ -256,7 +256,7 @@ def test_an_output_of_another_size_names_the_joints(tmp_path: Path) -> None:
     contract = load_policy(write_toy(tmp_path))
     machine = robot()
     with pytest.raises(PolicyError) as caught:
-        OnnxPolicy(contract, states_of(contract, machine), machine)
+        Policy(contract, states_of(contract, machine), machine)
     assert str(caught.value) == (
         "policy toy: output actions (1 × 5, float32) has 5 values for 4 joints (a_hip, a_knee, "
         "b_hip, b_knee); correct 'joints' or 'action.joints'"
@@ -268,7 +268,7 @@ def test_names_that_the_network_has_not_are_refused(tmp_path: Path) -> None:
     contract = load_policy(write_toy(tmp_path, values))
     machine = robot()
     with pytest.raises(PolicyError) as caught:
-        OnnxPolicy(contract, states_of(contract, machine), machine)
+        Policy(contract, states_of(contract, machine), machine)
     assert str(caught.value) == (
         "policy toy: the network has no input 'observations'; it has obs (1 × 15, float32)"
     )
@@ -278,16 +278,16 @@ def test_a_joint_that_the_robot_has_not_is_named(tmp_path: Path) -> None:
     contract = load_policy(write_toy(tmp_path))
     states = states_of(contract, robot())
     with pytest.raises(PolicyError, match="robot toy has no joint 'b_knee'; did you mean 'c_knee'"):
-        OnnxPolicy(contract, states, robot(("a_hip", "a_knee", "b_hip", "c_knee")))
+        Policy(contract, states, robot(("a_hip", "a_knee", "b_hip", "c_knee")))
 
 
 def test_undeclared_or_wrong_policy_states_are_told(tmp_path: Path) -> None:
     contract = load_policy(write_toy(tmp_path))
     machine = robot()
-    specs = {**standard_states(JOINTS), **policy_states(contract, machine)}
+    specs = {**standard_states(JOINTS), **policy_states(contract, machine.joint_names)}
     specs["observation"] = StateSpec((14,))
     with pytest.raises(PolicyError) as caught:
-        OnnxPolicy(contract, States(specs), machine)
+        Policy(contract, States(specs), machine)
     assert str(caught.value) == (
         "policy toy: state 'observation' is float32 of shape (14,); declare it as float32 with 15 "
         "elements (policy_states gives it)"
@@ -303,10 +303,10 @@ def test_missing_weights_beside_the_network_are_named(tmp_path: Path) -> None:
     )
     contract = load_policy(write_toy(tmp_path))
     machine = robot()
-    OnnxPolicy(contract, states_of(contract, machine), machine)()
+    Policy(contract, states_of(contract, machine), machine)()
     (tmp_path / "policy.onnx.data").unlink()
     with pytest.raises(PolicyError) as caught:
-        OnnxPolicy(contract, states_of(contract, machine), machine)
+        Policy(contract, states_of(contract, machine), machine)
     assert str(caught.value) == (
         f"{path}: its weights are in policy.onnx.data, which is not beside it; copy "
         f"policy.onnx.data to {tmp_path}"
@@ -338,7 +338,7 @@ def test_without_onnxruntime_the_install_command_is_given(
     states = states_of(contract, machine)
     without(monkeypatch, "onnxruntime")
     with pytest.raises(MissingDependencyError) as caught:
-        OnnxPolicy(contract, states, machine)
+        Policy(contract, states, machine)
     assert str(caught.value) == (
         "policy policy.onnx needs onnxruntime: pip install 'unicon_ros[sim]'"
     )
@@ -357,7 +357,7 @@ def test_torchscript_without_torch_gives_the_install_command(
     machine = robot()
     without(monkeypatch, "torch")
     with pytest.raises(MissingDependencyError) as caught:
-        OnnxPolicy(contract, states_of(contract, machine), machine)
+        Policy(contract, states_of(contract, machine), machine)
     assert (
         str(caught.value) == "policy toy (TorchScript) needs torch: pip install 'unicon_ros[torch]'"
     )
@@ -366,21 +366,21 @@ def test_torchscript_without_torch_gives_the_install_command(
 def test_the_public_binding_is_used_where_the_private_one_is_gone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from unicon_core.policies import network
+    from unicon_core.policies.networks import onnx
 
     contract = load_policy(write_toy(tmp_path))
     machine = robot()
     fast, slow = states_of(contract, machine), states_of(contract, machine)
-    one = OnnxPolicy(contract, fast, machine)
-    real = network.load_session
+    one = Policy(contract, fast, machine)
+    real = onnx.load_session
 
     class Public:
         def __init__(self, session: Any) -> None:
             self.io_binding = session.io_binding
             self.run_with_iobinding = session.run_with_iobinding
 
-    monkeypatch.setattr(network, "load_session", lambda path: Public(real(path)))
-    two = OnnxPolicy(contract, slow, machine)
+    monkeypatch.setattr(onnx, "load_session", lambda path: Public(real(path)))
+    two = Policy(contract, slow, machine)
     for states, policy in ((fast, one), (slow, two)):
         fill(states)
         policy()
@@ -426,7 +426,7 @@ def test_recurrent_tensors_are_fed_back_and_reset(tmp_path: Path) -> None:
     contract = load_policy(write_toy(tmp_path, values))
     machine = robot()
     states = states_of(contract, machine)
-    policy = OnnxPolicy(contract, states, machine)
+    policy = Policy(contract, states, machine)
     for expected in (0.0, 1.0, 2.0):
         policy.dry_run()
         policy()
@@ -442,7 +442,7 @@ def test_an_input_that_nothing_feeds_is_named(tmp_path: Path) -> None:
     contract = load_policy(write_toy(tmp_path, values))
     machine = robot()
     with pytest.raises(PolicyError) as caught:
-        OnnxPolicy(contract, states_of(contract, machine), machine)
+        Policy(contract, states_of(contract, machine), machine)
     assert str(caught.value) == (
         "policy toy: nothing feeds input h_in (1 × 4, float32); name it in 'inputs' or 'recurrent'"
     )
@@ -470,12 +470,12 @@ def test_two_policies_in_one_set_of_states_keep_to_their_prefix(tmp_path: Path) 
     machine = robot()
     specs = {
         **standard_states(JOINTS),
-        **policy_states(walk, machine, prefix="walk_"),
-        **policy_states(stand, machine, prefix="stand_"),
+        **policy_states(walk, machine.joint_names, prefix="walk_"),
+        **policy_states(stand, machine.joint_names, prefix="stand_"),
     }
     states = States(specs)
-    one = OnnxPolicy(walk, states, machine, prefix="walk_")
-    two = OnnxPolicy(stand, states, machine, prefix="stand_")
+    one = Policy(walk, states, machine, prefix="walk_")
+    two = Policy(stand, states, machine, prefix="stand_")
     fill(states)
     one()
     two()
@@ -495,7 +495,7 @@ def test_ticks_allocate_nothing_that_stays(tmp_path: Path) -> None:
     contract = load_policy(write_toy(tmp_path, history(toy_values())))
     machine = robot()
     states = states_of(contract, machine)
-    policy = OnnxPolicy(contract, states, machine)
+    policy = Policy(contract, states, machine)
     for _ in range(10):
         policy()
         policy.dry_run()

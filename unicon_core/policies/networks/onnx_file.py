@@ -13,29 +13,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from unicon_core.errors import PolicyError
+from unicon_core.policies.networks.network import Tensor
 
-__all__ = ["ELEMENT_TYPES", "OnnxFile", "OnnxTensor", "read_onnx"]
+__all__ = ["ELEMENT_TYPES", "OnnxFile", "read_onnx"]
 
 # onnx/onnx.proto3, TensorProto.DataType
 ELEMENT_TYPES = {1: "float32", 6: "int32", 7: "int64", 9: "bool", 10: "float16", 11: "float64"}
-
-
-@dataclass(frozen=True)
-class OnnxTensor:
-    """An input or output: `shape` has an int for a fixed axis and a name (or "") for a free one."""
-
-    name: str
-    dtype: str
-    shape: tuple[int | str, ...]
-
-    @property
-    def free_batch(self) -> bool:
-        """Whether the first axis takes any length."""
-        return bool(self.shape) and not isinstance(self.shape[0], int)
-
-    def __str__(self) -> str:
-        axes = " × ".join(str(axis) or "?" for axis in self.shape)
-        return f"{self.name} ({axes or 'scalar'}, {self.dtype})"
 
 
 @dataclass(frozen=True)
@@ -54,8 +37,8 @@ class OnnxFile:
     path: Path
     producer: str
     metadata: tuple[tuple[str, str], ...]
-    inputs: tuple[OnnxTensor, ...]
-    outputs: tuple[OnnxTensor, ...]
+    inputs: tuple[Tensor, ...]
+    outputs: tuple[Tensor, ...]
     external: tuple[str, ...]
 
     def unique_metadata(self) -> dict[str, str]:
@@ -112,8 +95,8 @@ def _model(path: Path, data: memoryview) -> OnnxFile:
             metadata.append(_pair(value))
     if graph is None:
         raise ValueError("no graph")
-    inputs: list[OnnxTensor] = []
-    outputs: list[OnnxTensor] = []
+    inputs: list[Tensor] = []
+    outputs: list[Tensor] = []
     initializers: set[str] = set()
     external: dict[str, None] = {}
     for number, value in _fields(graph):
@@ -201,7 +184,7 @@ def _initializer(data: memoryview | int) -> tuple[str, list[str]]:
     return name, files
 
 
-def _tensor(data: memoryview | int) -> OnnxTensor:
+def _tensor(data: memoryview | int) -> Tensor:
     name, dtype = "", "unknown"
     shape: list[int | str] = []
     for number, value in _fields(data):
@@ -216,7 +199,7 @@ def _tensor(data: memoryview | int) -> OnnxTensor:
                         dtype = ELEMENT_TYPES.get(content, f"type {content}")
                     elif field == 2:
                         shape = [_axis(axis) for k, axis in _fields(content) if k == 1]
-    return OnnxTensor(name, dtype, tuple(shape))
+    return Tensor(name, dtype, tuple(shape))
 
 
 def _axis(data: memoryview | int) -> int | str:

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from unicon_core.errors import MissingDependencyError, PolicyError
 from unicon_core.policies.contract import PolicyContract
-from unicon_core.policies.onnx_file import OnnxTensor
-from unicon_core.policies.torch_memory import TorchMemory
+from unicon_core.policies.networks.network import Tensor
+from unicon_core.policies.networks.torch_memory import TorchMemory
 
 __all__ = ["TorchNetwork"]
 
@@ -65,11 +65,9 @@ class TorchNetwork:
                     f"{contract.model}: its reset_memory does not run without arguments: {reason}"
                 ) from error
         self._memory = TorchMemory(torch, self._module)
-        self.inputs = tuple(
-            OnnxTensor(name, "float32", ("", "")) for name in contract.inputs.values()
-        )
+        self.inputs = tuple(Tensor(name, "float32", ("", "")) for name in contract.inputs.values())
         self.outputs = tuple(
-            OnnxTensor(name, "float32", ("", "")) for name in contract.outputs.values()
+            Tensor(name, "float32", ("", "")) for name in contract.outputs.values()
         )
 
     def bind(

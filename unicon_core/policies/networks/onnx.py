@@ -1,52 +1,17 @@
-"""The network behind a policy: named tensors on preallocated arrays, for policy blocks."""
+"""ONNX networks behind a policy, through the optional `onnxruntime`, imported when built."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 from numpy.typing import NDArray
 
 from unicon_core.errors import MissingDependencyError, PolicyError
-from unicon_core.policies.onnx_file import OnnxFile, OnnxTensor, read_onnx
+from unicon_core.policies.networks.onnx_file import OnnxFile, read_onnx
 
-__all__ = ["INSTALL", "Network", "OnnxNetwork", "Remembering", "load_session"]
-
-INSTALL = "pip install 'unicon_ros[sim]'"
-
-
-class Network(Protocol):
-    """A network that can be bound to arrays."""
-
-    inputs: tuple[OnnxTensor, ...]
-    outputs: tuple[OnnxTensor, ...]
-
-    def bind(
-        self, inputs: Mapping[str, NDArray[Any]], outputs: Mapping[str, NDArray[Any]]
-    ) -> Callable[[], None]:
-        """Return a function that reads `inputs` and writes `outputs`, which stay where they are.
-
-        Where the network remembers inside itself, the function is `Remembering`.
-        """
-        ...
-
-
-@runtime_checkable
-class Remembering(Protocol):
-    """A bound network with a memory of its own: a call begins with what was kept last."""
-
-    def __call__(self) -> None:
-        """Run the network; what it remembers of this is lost unless it is kept."""
-        ...
-
-    def commit(self) -> None:
-        """Keep what the last call left."""
-        ...
-
-    def reset(self) -> None:
-        """Keep what the network was loaded with."""
-        ...
+__all__ = ["OnnxNetwork", "load_session"]
 
 
 def load_session(path: Path) -> Any:
@@ -62,7 +27,9 @@ def load_session(path: Path) -> Any:
     try:
         import onnxruntime
     except ImportError as error:
-        raise MissingDependencyError(f"policy {path.name}", "onnxruntime", INSTALL) from error
+        raise MissingDependencyError(
+            f"policy {path.name}", "onnxruntime", "pip install 'unicon_ros[sim]'"
+        ) from error
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1
     options.inter_op_num_threads = 1

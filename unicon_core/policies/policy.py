@@ -5,30 +5,27 @@ Observation → network → check → targets; a NaN or infinity is a Fault befo
 
 from __future__ import annotations
 
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from unicon_core.errors import Fault, PolicyError
+from unicon_core.policies.action_map import ActionMap
+from unicon_core.policies.bind import build_lane
 from unicon_core.policies.contract import PolicyContract
-from unicon_core.policies.joint_command import JointCommand
-from unicon_core.policies.lane import build_lane
-from unicon_core.policies.network import Network, OnnxNetwork
-from unicon_core.policies.observation import PackedStates
+from unicon_core.policies.networks import Network, open_network
 from unicon_core.policies.phase import GaitPhase
 from unicon_core.policies.prefixed import PrefixedStates
+from unicon_core.policies.terms import PackedStates
 from unicon_core.robots import Robot
 
-__all__ = ["OnnxPolicy"]
-
-_Published: TypeAlias = tuple[tuple[NDArray[Any], NDArray[Any]], ...]
+__all__ = ["Policy"]
 
 _TARGETS = ("joint_pos_target", "joint_stiffness", "joint_damping")
 
 
-class OnnxPolicy:
-    """A policy as a block.
+class Policy:
+    """A policy as a block: its network fed from the states, its action as targets of the joints.
 
     Args:
         contract: the policy.
@@ -36,18 +33,18 @@ class OnnxPolicy:
             written, `observation` and `action` too where they are declared.
         robot: the robot that is to move; joints are aligned by name.
         prefix: of the policy's own states, as given to `policy_states`.
-        network: another runtime than onnxruntime.
+        network: another one than that of the contract.
 
     Attributes:
         name: of the policy.
         reads: states that the observation is taken from.
         writes: states that are written.
-        command: the alignment of joints.
+        action_map: what turns the action into targets.
         lane: arrays and bound calls.
 
     Raises:
         PolicyError: states, joints or sizes that do not fit, or missing files.
-        MissingDependencyError: onnxruntime is not installed.
+        MissingDependencyError: the runtime of its network is not installed.
     """
 
     def __init__(
@@ -63,11 +60,11 @@ class OnnxPolicy:
             states = PrefixedStates(states, prefix)
         self.name = contract.name
         self.contract = contract
-        self.network = _network(contract) if network is None else network
+        self.network = open_network(contract) if network is None else network
         self._states = states
         rows = states.num_robots or 1
         self.lane = build_lane(contract, states, robot.joint_names, self.network)
-        self.command = JointCommand(contract, robot, rows)
+        self.action_map = ActionMap(contract, robot, rows)
         n = robot.num_joints
         for name in _TARGETS:
             if name not in states or states[name].size != rows * n:
@@ -77,12 +74,12 @@ class OnnxPolicy:
                 )
         target, stiffness, damping = (states[name].reshape(rows, n) for name in _TARGETS)
         computed = np.zeros_like(target)
-        self._command = self.command.bind(self.lane.action, computed)
+        self._command = self.action_map.bind(self.lane.action, computed)
         self._published = (
             *self.lane.published,
             (target, computed),
-            (stiffness.reshape(-1), np.tile(self.command.stiffness, rows)),
-            (damping.reshape(-1), np.tile(self.command.damping, rows)),
+            (stiffness.reshape(-1), np.tile(self.action_map.stiffness, rows)),
+            (damping.reshape(-1), np.tile(self.action_map.damping, rows)),
         )
         # A dry run does these copies instead, which fetch both sides: what is behind the network
         # costs 17 µs when it is cold, as much as the network.
@@ -180,7 +177,7 @@ def _motion(states: PackedStates) -> tuple[tuple[Any, Any], ...]:
     """The command of a motion policy is its own reference: positions, then velocities.
 
     From HybridRobotics/motion_tracking_controller, `src/MotionCommand.cpp` (getValue) and
-    `src/MotionOnnxPolicy.cpp` (reset runs step 0 on a zero observation; the step then counts on).
+    `src/MotionPolicy.cpp` (reset runs step 0 on a zero observation; the step then counts on).
     """
     command = states["motion_command"]
     position, velocity = states["motion_joint_pos"], states["motion_joint_vel"]
@@ -208,11 +205,3 @@ def _reads_writes(
     writes = tuple(dict.fromkeys([*map(actual, own), *_TARGETS]))
     reads = tuple(name for name in dict.fromkeys(map(actual, read)) if name not in writes)
     return reads, writes
-
-
-def _network(contract: PolicyContract) -> Any:
-    if contract.is_torchscript:
-        from unicon_core.policies.torch_block import TorchNetwork
-
-        return TorchNetwork(contract)
-    return OnnxNetwork(contract.model)

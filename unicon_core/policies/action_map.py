@@ -1,4 +1,4 @@
-"""From a network's action to targets of all joints, aligned by name, for policy blocks."""
+"""ActionMap: from the action of a network to targets of all joints, aligned by name."""
 
 from __future__ import annotations
 
@@ -9,18 +9,19 @@ from numpy.typing import NDArray
 
 from unicon_core.errors import PolicyError, alternatives
 from unicon_core.policies.contract import PolicyContract
+from unicon_core.policies.controller import ControllerContract
 from unicon_core.robots import Robot
 
-__all__ = ["JointCommand", "lacking_joints"]
+__all__ = ["ActionMap", "lacking_joints"]
 
 Floats = NDArray[np.float32]
 
 
-def lacking_joints(contract: PolicyContract, robot: Robot) -> str:
+def lacking_joints(contract: ControllerContract, robot: Robot) -> str:
     """Return a message that names the joints of a policy that a robot has not, "" if it has all.
 
     Args:
-        contract: the policy.
+        contract: of the policy, or of another controller.
         robot: the robot that is to move.
     """
     lacking = [name for name in contract.joints if name not in robot.joint_names]
@@ -30,12 +31,12 @@ def lacking_joints(contract: PolicyContract, robot: Robot) -> str:
         name = lacking[0]
         return f"robot {robot.name} has no joint {name!r}; {alternatives(name, robot.joint_names)}"
     return (
-        f"robot {robot.name} lacks {len(lacking)} of the policy's {len(contract.joints)} joints: "
+        f"robot {robot.name} lacks {len(lacking)} of the {len(contract.joints)} joints needed: "
         f"{', '.join(lacking)}; choose a robot that has them, or a policy made for {robot.name}"
     )
 
 
-class JointCommand:
+class ActionMap:
     """`joint_pos_target = offset + scale · clip(action)`; other joints are held at default.
 
     Args:
@@ -46,7 +47,6 @@ class JointCommand:
     Attributes:
         stiffness: gain of every joint in the robot's order in [N·m/rad], shape (n,).
         damping: likewise in [N·m·s/rad].
-        covered: which joints the network moves, shape (n,), bool.
 
     Raises:
         PolicyError: a joint the robot has not, or a held joint whose pose or gains are unknown.
@@ -61,8 +61,6 @@ class JointCommand:
         robot_from_policy = np.array([place[name] for name in contract.joints], dtype=np.intp)
         robot_from_action = np.array([place[name] for name in action.joints], dtype=np.intp)
         n, m = robot.num_joints, len(action.joints)
-        self.covered = np.zeros(n, bool)
-        self.covered[robot_from_action] = True
         offset = robot.default_joint_pos.astype(np.float32)
         offset[robot_from_policy] = contract.default_joint_pos
         offset[robot_from_action] = action.offset

@@ -1,0 +1,73 @@
+"""What is asked of any controller, for whoever builds a program or checks it.
+
+A policy is one; inverse kinematics or a predictive controller stands beside it in the same way: its
+tick has an attribute `contract` that says this much.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, Protocol, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.errors import WorkflowError
+from unicon_core.flow import Block
+
+__all__ = ["ControllerContract", "controller_contract"]
+
+
+class ControllerContract(Protocol):
+    """What a controller says of itself; a `PolicyContract` says all of it.
+
+    Attributes:
+        name: for messages.
+        period: control period in [s]; a faster program runs it every n-th tick.
+        joints: the joints that it commands, length n.
+        default_joint_pos: the pose that it begins with in [rad], shape (n,).
+        command_ranges: `lin_vel_x`, `lin_vel_y`, `ang_vel_z` -> lowest and highest command that it
+            can follow, to which the velocity command is held where it reads that.
+    """
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def period(self) -> float: ...
+    @property
+    def joints(self) -> tuple[str, ...]: ...
+    @property
+    def default_joint_pos(self) -> NDArray[Any]: ...
+    @property
+    def command_ranges(self) -> Mapping[str, tuple[float, float]]: ...
+
+
+_FACTS = tuple(name for name in vars(ControllerContract) if not name.startswith("_"))
+
+
+def controller_contract(block: Block) -> ControllerContract | None:
+    """Return what the controller in a block says of itself, None where it is not a controller.
+
+    Raises:
+        WorkflowError: it leaves something out, or what it says does not fit together.
+    """
+    contract = getattr(block.tick, "contract", None)
+    if contract is None:
+        return None
+    lacking = [name for name in _FACTS if not hasattr(contract, name)]
+    if lacking:
+        what = f"does not say {', '.join(lacking)}"
+    elif not isinstance(contract.period, (int, float)) or not 0.0 < contract.period < math.inf:
+        what = f"says period {contract.period!r}"
+    elif np.shape(contract.default_joint_pos) != (len(contract.joints),):
+        what = (
+            f"has {np.size(contract.default_joint_pos)} positions for {len(contract.joints)} joints"
+        )
+    else:
+        return cast(ControllerContract, contract)
+    raise WorkflowError(
+        f"block {block.name!r}: its contract {what}; a controller says {', '.join(_FACTS)}, "
+        "the period in [s] above 0, one position in [rad] for each joint",
+        block.where or None,
+    )
