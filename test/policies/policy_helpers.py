@@ -37,7 +37,7 @@ def robot(
         manufacturer="nobody",
         kind="quadruped",
         path=Path(f"{name}.yaml"),
-        model=None,
+        models={},
         base_frame="base_link",
         joint_names=tuple(joints),
         lower=full(-2),
