@@ -8,7 +8,8 @@
     ├── ModelError                 a simulator model is missing or lacks a joint, sensor or actuator
     ├── PolicyError                a policy or its contract is missing, incomplete or contradictory
     ├── PlatformError              a platform is unknown, unreachable or cannot do what is asked
-    └── MissingDependencyError     an optional package is absent (names the install command)
+    ├── MissingDependencyError     an optional package is absent (names the install command)
+    └── MapError                   a message map is wrong (`unicon_msgs_map/errors.py`)
     Fault                          raised inside a tick: the runner damps, closes, exit status 3
 
 A message names the culprit, the alternatives and the remedy, in one line.
@@ -35,15 +36,7 @@ __all__ = [
 
 
 class UniconError(Exception):
-    """Base of every error that a user can cause and mend; `str()` is the one line to print."""
-
-    def __str__(self) -> str:
-        # A name of a file may hold anything, and an error stays one line for all that.
-        return " ".join(super().__str__().split("\n"))
-
-
-class WorkflowError(UniconError):
-    """A workflow file or graph is wrong.
+    """Base of every error that a user can cause and mend; `str()` is the one line to print.
 
     Args:
         message: what is wrong, with alternatives and remedy.
@@ -52,7 +45,16 @@ class WorkflowError(UniconError):
 
     def __init__(self, message: str, where: str | None = None) -> None:
         super().__init__(f"{where}: {message}" if where else message)
+        self.message = message
         self.where = where
+
+    def __str__(self) -> str:
+        # A name of a file may hold anything, and an error stays one line for all that.
+        return " ".join(super().__str__().split("\n"))
+
+
+class WorkflowError(UniconError):
+    """A workflow file or graph is wrong."""
 
 
 class CheckError(UniconError):

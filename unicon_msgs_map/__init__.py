@@ -59,7 +59,7 @@ value is refused.
 
 A mapping instead of a word converts, `value × unit × scale + offset`, per element:
 `{state: joint_pos, unit: deg, scale: 2, sign: [1, -1], offset: 0.1}`; `unit` names the message's
-unit (`unicon_msgs_map.units`). **Quaternions are wxyz in states, xyzw in messages.** A
+unit (`unicon_msgs_map.layout.units`). **Quaternions are wxyz in states, xyzw in messages.** A
 geometry_msgs/Quaternion is converted by itself; elsewhere, such as a plain `float64[4]`, say
 `quat: xyzw_from_wxyz` (publish) or `quat: wxyz_from_xyzw` (subscribe); `quat: none` switches the
 automatic conversion off. This happens here and nowhere else. Times are int64 ns in states and
@@ -70,8 +70,8 @@ On receive, a `$variable` on an array of strings (`name: $joint_names`) orders e
 sequence of the entry by name; `{state: …, by: none}` takes one by position.
 """
 
-from unicon_msgs_map.decoder import Decoder
-from unicon_msgs_map.encoder import Encoder
+from unicon_msgs_map.codec.decoder import Decoder
+from unicon_msgs_map.codec.encoder import Encoder
 from unicon_msgs_map.errors import (
     MapDependencyError,
     MapError,
@@ -79,8 +79,8 @@ from unicon_msgs_map.errors import (
     MapStateError,
     MessageTypeError,
 )
-from unicon_msgs_map.mapfile import load_map, parse_map
-from unicon_msgs_map.messages import MessageDefinition, Messages, message_definition
+from unicon_msgs_map.layout.messages import MessageDefinition, Messages, message_definition
+from unicon_msgs_map.mapfile.load import load_map, parse_map
 from unicon_msgs_map.spec import FieldSpec, MessageMap, PublishSpec, Qos, SubscribeSpec
 
 __all__ = [

@@ -1,6 +1,6 @@
 """The errors of the message map, for everybody who writes, loads or builds a mapping.
 
-    MapError                   base: one clear line
+    MapError                   base: a `UniconError`, one clear line
     ├── MapFileError           a mapping file is wrong (carries file, line and entry)
     ├── MessageTypeError       a message type is unknown or cannot be laid out
     ├── MapStateError          a state or a variable is unknown, or its size or dtype does not fit
@@ -12,8 +12,7 @@ payload that cannot be read is counted and described by the decoder instead.
 
 from __future__ import annotations
 
-import difflib
-from collections.abc import Iterable
+from unicon_core.errors import UniconError
 
 __all__ = [
     "MapDependencyError",
@@ -21,27 +20,12 @@ __all__ = [
     "MapFileError",
     "MapStateError",
     "MessageTypeError",
-    "alternatives",
     "count_of",
 ]
 
 
-class MapError(Exception):
-    """Base of every error of this package; `str()` is the one line to print.
-
-    Args:
-        message: what is wrong, with alternatives and remedy.
-        where: `file:line: entry` of the culprit, put in front of the message where known.
-    """
-
-    def __init__(self, message: str, where: str | None = None) -> None:
-        super().__init__(f"{where}: {message}" if where else message)
-        self.message = message
-        self.where = where
-
-    def __str__(self) -> str:
-        # A name of a file may hold anything, and an error stays one line for all that.
-        return " ".join(super().__str__().split("\n"))
+class MapError(UniconError):
+    """Base of every error of this package; `where` is `file:line: entry` of the culprit."""
 
 
 class MapFileError(MapError):
@@ -58,22 +42,6 @@ class MapStateError(MapError):
 
 class MapDependencyError(MapError):
     """An optional package is absent; the message ends with the command that installs it."""
-
-
-def alternatives(wrong: str, known: Iterable[str], *, limit: int = 12) -> str:
-    """Return a phrase that names what else there is: the close match first, then the list.
-
-    Args:
-        wrong: the name that was not found.
-        known: the names that exist.
-        limit: how many names to list at most.
-    """
-    names = sorted(map(str, known))
-    if not names:
-        return "none is known"
-    close = difflib.get_close_matches(str(wrong)[:80], names, n=1)
-    shown = ", ".join(names[:limit]) + (f", … ({len(names)} in all)" if len(names) > limit else "")
-    return f"did you mean {close[0]!r}? known: {shown}" if close else f"known: {shown}"
 
 
 def count_of(count: int) -> str:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from unicon_msgs_map.paths import Path, Reference
+from unicon_msgs_map.layout.paths import Path, Reference
 
 if TYPE_CHECKING:
-    from unicon_msgs_map.messages import Messages
+    from unicon_msgs_map.layout.messages import Messages
 
 __all__ = ["FieldSpec", "MessageMap", "PublishSpec", "Qos", "SubscribeSpec"]
 
@@ -53,7 +53,7 @@ class FieldSpec:
         source: state, variable or constant.
         scale: factor, one or per element (a `sign` is part of it).
         offset: summand in the written value's unit, one or per element.
-        unit: the message's unit, see `unicon_msgs_map.units`; None is SI.
+        unit: the message's unit, see `unicon_msgs_map.layout.units`; None is SI.
         quat: element order, `xyzw_from_wxyz`, `wxyz_from_xyzw` or `none`; None is automatic:
             geometry_msgs/Quaternion is converted, anything else is not.
         by: on subscribe, path of the names that order this array; `none` takes it by position;

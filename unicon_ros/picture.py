@@ -76,6 +76,7 @@ class Picture:
         Raises:
             UniconError: the file cannot be written.
         """
+        from matplotlib import colormaps
         from matplotlib.figure import Figure
 
         rows = self._rows[: self._count]
@@ -103,10 +104,13 @@ class Picture:
             speeds.plot(time, command[:, i], color=f"C{i}", linestyle="--", linewidth=1.5)
         speeds.set(title="velocity: measured, dashed as commanded", xlabel="time [s]")
         speeds.legend(loc="upper right")
+        # Matplotlib's own ten colours repeat: two joints would look like one.
+        joints.set_prop_cycle(color=colormaps["turbo"](np.linspace(0.0, 1.0, len(self._joints))))
         joints.plot(time, kept("joint_pos"), linewidth=0.8, label=self._joints)
         joints.set(title="joint positions", xlabel="time [s]", ylabel="[rad]")
-        if len(self._joints) <= 12:
-            joints.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=7)
+        if len(self._joints) <= 32:
+            columns = 1 + (len(self._joints) - 1) // 16
+            joints.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=7, ncols=columns)
         for axes in (path, speeds, joints):
             axes.grid(alpha=0.3)
         try:

@@ -18,7 +18,7 @@ from unicon_core.errors import MissingDependencyError, UniconError
 from unicon_core.flow import Block, Stage
 from unicon_core.resources import find_config
 from unicon_msgs_map import Encoder, MapStateError, load_map
-from unicon_msgs_map.messages import message_definition
+from unicon_msgs_map.layout.messages import message_definition
 from unicon_ros.recording import Background, McapFile, recover
 from unicon_ros.recording.mcap_file import Taken
 from unicon_ros.recording.records import Channel

@@ -19,8 +19,17 @@ from ros_helpers import Peer, Run, wait_for  # noqa: E402
 
 from unicon_core.robots import load_robot  # noqa: E402
 
-__all__ = ["HERE", "Peer", "Run", "behind_topics", "peer", "robot", "running", "wait_for"]
+__all__ = ["HERE", "REACT", "Peer", "Run", "behind_topics", "peer", "robot", "running", "wait_for"]
 
+REACT = """\
+schema: unicon.workflow/1
+robot: go2
+platform: fake
+rate: 100
+commands: [{velocity_command: {constant: [0.1, 0.0, 0.0]}}]
+flow: {sway: {gains: {"*_hip_joint": [1.0, 0, 0]}, time_constant: 0.0}}
+"""
+"""Moves its hips as far as `cmd_vel` says, on the fake robot."""
 MAKE = "unicon_ros.bridge.ros_platform:make"
 BEHIND = """\
 schema: unicon.workflow/1

@@ -7,15 +7,14 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from ros_attack import Run, behind_topics, peer, robot, running, wait_for
+from ros_attack import REACT, Run, behind_topics, peer, robot, running, wait_for
 
 from unicon_core.errors import PlatformError
 from unicon_core.workflow import load_workflow
-from unicon_ros.bench.domains import free_domain
 from unicon_ros.bridge import RosSession
 from unicon_ros.bridge.topics_in import TopicIn
 
-pytestmark = [pytest.mark.ros, pytest.mark.timeout(90)]
+pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("domain"), pytest.mark.timeout(90)]
 
 WALK = """\
 schema: unicon.workflow/1
@@ -25,19 +24,6 @@ policies: {walk: go2_velocity}
 flow: {policy: walk}
 safety: [finite, joint_limits, tilt_stop]
 """
-REACT = """\
-schema: unicon.workflow/1
-robot: go2
-platform: fake
-rate: 100
-commands: [{velocity_command: {constant: [0.1, 0.0, 0.0]}}]
-flow: {sway: {gains: {"*_hip_joint": [1.0, 0, 0]}, time_constant: 0.0}}
-"""
-
-
-@pytest.fixture(autouse=True)
-def domain(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(free_domain()))
 
 
 def test_a_walking_go2_stops_half_a_second_after_its_driver_sends_only_garbage(

@@ -10,16 +10,10 @@ from ros_attack import Run, behind_topics, robot, wait_for
 from unicon_core.errors import PlatformError
 from unicon_core.robots import load_robot
 from unicon_core.workflow import load_workflow
-from unicon_ros.bench.domains import free_domain
 
-pytestmark = [pytest.mark.ros, pytest.mark.timeout(90)]
+pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("domain"), pytest.mark.timeout(90)]
 
 TILT = "finite, tilt_stop"
-
-
-@pytest.fixture(autouse=True)
-def domain(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(free_domain()))
 
 
 @pytest.mark.parametrize("lie", ["no imu", "zero quat", "no orientation"])

@@ -14,9 +14,8 @@ from unicon_core.errors import Fault
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner
 from unicon_core.workflow import Program, load_workflow
-from unicon_ros.bench.domains import free_domain
 
-pytestmark = [pytest.mark.ros, pytest.mark.timeout(90)]
+pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("domain"), pytest.mark.timeout(90)]
 
 GAINS = """\
 subscribe:
@@ -29,11 +28,6 @@ publish:
     type: sensor_msgs/msg/JointState
     fields: {position: joint_pos_target, velocity: joint_damping, effort: joint_stiffness}
 """
-
-
-@pytest.fixture(autouse=True)
-def domain(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(free_domain()))
 
 
 @pytest.fixture

@@ -7,28 +7,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from ros_attack import behind_topics, robot, running, wait_for
+from ros_attack import REACT, behind_topics, robot, running, wait_for
 
 from unicon_core.errors import Fault
 from unicon_core.runtime import Runner
 from unicon_core.workflow import load_workflow
-from unicon_ros.bench.domains import free_domain
 
-pytestmark = [pytest.mark.ros, pytest.mark.timeout(60)]
-
-REACT = """\
-schema: unicon.workflow/1
-robot: go2
-platform: fake
-rate: 100
-commands: [{velocity_command: {constant: [0.1, 0.0, 0.0]}}]
-flow: {sway: {gains: {"*_hip_joint": [1.0, 0, 0]}, time_constant: 0.0}}
-"""
-
-
-@pytest.fixture(autouse=True)
-def domain(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(free_domain()))
+pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("domain"), pytest.mark.timeout(60)]
 
 
 class Broken:

@@ -10,14 +10,8 @@ from ros_attack import behind_topics, robot, running, wait_for
 from unicon_core.errors import Fault
 from unicon_core.runtime import Runner
 from unicon_core.workflow import load_workflow
-from unicon_ros.bench.domains import free_domain
 
-pytestmark = [pytest.mark.ros, pytest.mark.timeout(60)]
-
-
-@pytest.fixture(autouse=True)
-def domain(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(free_domain()))
+pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("domain"), pytest.mark.timeout(60)]
 
 
 def refused(raw: bytes) -> None:

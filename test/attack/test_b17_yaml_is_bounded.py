@@ -12,15 +12,12 @@ from attack_files import BASE, one_line, run_bounded, workflow
 
 from unicon_core.bounded_yaml import MAX_SIZE
 from unicon_core.errors import PolicyError, RobotError, UniconError, WorkflowError
-from unicon_core.located_yaml import parse_value
-from unicon_core.located_yaml import read_yaml as located
+from unicon_core.located_yaml import parse_value, parse_yaml, read_yaml
 from unicon_core.policies import load_policy
-from unicon_core.policies.tolerant_yaml import read_yaml as tolerant
 from unicon_core.robots import load_robot
 from unicon_core.workflow.document import load_document
 from unicon_msgs_map import load_map
 from unicon_msgs_map.errors import MapError
-from unicon_msgs_map.source import read_yaml as mapped
 
 BOMB = "\n".join(
     f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9 if i else ['lol'] * 9)}]" for i in range(10)
@@ -146,16 +143,13 @@ def test_a_leading_zero_means_nothing(tmp_path: Path) -> None:
     assert load_document(path).values["rate"] == 100
 
 
-@pytest.mark.parametrize("reader", ["robot", "policy", "map"])
-def test_the_other_readers_read_the_same_numbers(reader: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("foreign", [False, True])
+def test_files_and_texts_hold_the_same_numbers(foreign: bool, tmp_path: Path) -> None:
     path = tmp_path / "a.yaml"
     path.write_text("a: 0100\nb: 1:30\nc: no\nd: 2020-99-99\n", "utf-8")
-    read: dict[str, Callable[[], Any]] = {
-        "robot": lambda: located(path).value,
-        "policy": lambda: tolerant(path)[0],
-        "map": lambda: mapped(path.read_text(), "a").plain(),
-    }
-    assert read[reader]() == {"a": 100, "b": "1:30", "c": "no", "d": "2020-99-99"}
+    values = {"a": 100, "b": "1:30", "c": "no", "d": "2020-99-99"}
+    assert read_yaml(path, foreign=foreign).value == values
+    assert parse_yaml(path.read_text(), "a", foreign=foreign).value == values
 
 
 def test_a_flow_repeated_by_aliases_is_bounded(tmp_path: Path) -> None:
@@ -170,4 +164,4 @@ def test_a_flow_repeated_by_aliases_is_bounded(tmp_path: Path) -> None:
 
 def test_a_device_is_not_read_to_its_end(tmp_path: Path) -> None:
     with pytest.raises(UniconError, match="not valid YAML"):
-        located(Path("/dev/zero"))
+        read_yaml(Path("/dev/zero"))

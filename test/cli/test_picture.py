@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -19,6 +20,15 @@ def test_the_picture_is_a_png(tmp_path: Path) -> None:
     assert main([*RUN, *FAKE, "--picture", str(picture)]) == 0
     assert picture.read_bytes().startswith(b"\x89PNG\r\n")
     assert picture.stat().st_size > 20_000
+
+
+def test_no_two_joints_share_a_colour(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    figures = pytest.importorskip("matplotlib.figure")
+    drawn: list[Any] = []
+    monkeypatch.setattr(figures.Figure, "savefig", lambda figure, *_, **__: drawn.append(figure))
+    assert main([*RUN, *FAKE, "--picture", str(tmp_path / "run.png")]) == 0
+    lines = next(axes for axes in drawn[0].axes if "joint" in axes.get_title()).get_lines()
+    assert len({tuple(line.get_color()) for line in lines}) == len(lines) == 12
 
 
 def test_without_matplotlib_the_run_does_not_begin(

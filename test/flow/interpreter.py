@@ -1,4 +1,4 @@
-"""The slow twin of the compiler: walks the tree of nodes each tick, as `nodes.py` describes them.
+"""The compiler's slow reference: walks the tree of nodes each tick, as `nodes.py` describes them.
 
 Plain and without any cleverness: what a node means is read off here, one method for each.
 """

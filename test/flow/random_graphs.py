@@ -1,4 +1,4 @@
-"""Random graphs as plain values, and the worlds that they are built in, for the twin tests.
+"""Random graphs as plain values, and the worlds that they are built in, for `test_flow_reference`.
 
 A description is built as often as a test needs it, each time with states and a log of its own, so
 that two executions share nothing.

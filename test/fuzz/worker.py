@@ -94,7 +94,6 @@ def main(kind: str, seed: int, first: int, count: int, out: str) -> None:
     from mutate import SENTINEL
 
     from unicon_core.errors import UniconError
-    from unicon_msgs_map.errors import MapError
 
     make = KINDS[kind]
     watch = Watch()
@@ -129,7 +128,7 @@ def main(kind: str, seed: int, first: int, count: int, out: str) -> None:
             watch.on = True
             try:
                 read()
-            except (UniconError, MapError) as error:
+            except UniconError as error:
                 verdict = "refused"
                 if "\n" in str(error).strip():
                     verdict, detail = "several lines", str(error)

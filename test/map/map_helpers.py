@@ -12,8 +12,15 @@ import numpy as np
 from hypothesis import strategies as st
 
 from unicon_msgs_map import Messages, PublishSpec, SubscribeSpec
-from unicon_msgs_map.messages import Array, Primitive, String, Struct, TypeRef, shared_messages
-from unicon_msgs_map.paths import parse_path, parse_reference
+from unicon_msgs_map.layout.messages import (
+    Array,
+    Primitive,
+    String,
+    Struct,
+    TypeRef,
+    shared_messages,
+)
+from unicon_msgs_map.layout.paths import parse_path, parse_reference
 from unicon_msgs_map.spec import FieldSpec
 
 MAPS = Path(__file__).resolve().parents[2] / "config" / "maps"
@@ -75,7 +82,7 @@ def wire_dtype(kind: Primitive) -> np.dtype[Any]:
 
 
 def serialize(message: Any, messages: Messages = JAZZY, *, little: bool = True) -> bytes:
-    """Return rosbags' bytes of a message: the slow twin."""
+    """Return rosbags' bytes of a message: the slow reference."""
     return bytes(messages.store.serialize_cdr(message, message.__msgtype__, little_endian=little))
 
 
@@ -93,7 +100,7 @@ _NUMBERS = [
     "uint64", "float32", "float64",
 ]  # fmt: skip
 _counter = itertools.count()
-TWIN = Messages("jazzy")
+REFERENCE = Messages("jazzy")
 
 
 @dataclass
@@ -108,9 +115,9 @@ class RandomType:
         """Add it and its parts to a store; return the full name."""
         for part in self.parts:
             part.register(messages)
-        full = f"twin_msgs/msg/{self.name}"
+        full = f"reference_msgs/msg/{self.name}"
         if full not in messages.store.fielddefs:
-            messages.register_text(full, self.text)
+            messages.register({full: self.text})
         return full
 
 

@@ -342,9 +342,11 @@ def test_a_first_message_with_a_wrong_number_teaches_nothing_wrong() -> None:
 def numbers() -> Messages:
     """Return a store with a type of integers and floats."""
     store = Messages("jazzy")
-    store.register_text(
-        "own_msgs/msg/Numbers",
-        "int64 big\nuint64 huge\nint32[] list\nfloat64 real\nbool flag\nbool[12] flags\n",
+    store.register(
+        {
+            "own_msgs/msg/Numbers": "int64 big\nuint64 huge\nint32[] list\n"
+            "float64 real\nbool flag\nbool[12] flags\n"
+        }
     )
     return store
 
@@ -449,8 +451,8 @@ def test_lengths_and_texts_that_cannot_be_are_described(
 def test_bounds_of_strings_and_sequences_hold() -> None:
     store, loose = Messages("jazzy"), Messages("jazzy")
     name = "own_msgs/msg/Bounded"
-    store.register_text(name, "int32 a\nstring<=3 s\nint32[<=2] l\n")
-    loose.register_text(name, "int32 a\nstring s\nint32[] l\n")
+    store.register({name: "int32 a\nstring<=3 s\nint32[<=2] l\n"})
+    loose.register({name: "int32 a\nstring s\nint32[] l\n"})
     arrays = {"a": np.zeros((), np.int32)}
     decoder = Decoder.build(subscribe(name, {"a": "a"}, store), arrays)
     make = loose.store.types[name]
@@ -613,8 +615,8 @@ def test_two_elements_of_the_wanted_key_are_refused() -> None:
 def test_unread_arrays_of_messages_are_skipped_at_any_length() -> None:
     """Elements of 24 bytes whose padding depends on where they start."""
     store = Messages("jazzy")
-    store.register_text("own_msgs/msg/Item", "uint8 a\nfloat64 b\nuint8 c\n")
-    store.register_text("own_msgs/msg/Big", "Item[] items\nfloat64 last\n")
+    store.register({"own_msgs/msg/Item": "uint8 a\nfloat64 b\nuint8 c\n"})
+    store.register({"own_msgs/msg/Big": "Item[] items\nfloat64 last\n"})
     make, item = store.store.types["own_msgs/msg/Big"], store.store.types["own_msgs/msg/Item"]
     arrays = {"last": np.zeros(())}
     decoder = Decoder.build(subscribe("own_msgs/msg/Big", {"last": "last"}, store), arrays)

@@ -31,7 +31,7 @@ def message_of(
 def own(text: str) -> tuple[str, Messages]:
     """Return a type of one's own in a fresh store."""
     store = Messages("jazzy")
-    store.register_text("own_msgs/msg/Own", text)
+    store.register({"own_msgs/msg/Own": text})
     return "own_msgs/msg/Own", store
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from map_helpers import JAZZY, NAMES, publish, subscribe
 
+from unicon_core.errors import UniconError
 from unicon_msgs_map import (
     Decoder,
     Encoder,
@@ -43,7 +44,10 @@ FILES: list[tuple[str, str]] = [
         "m.yaml:1: the message map maps nothing; add entries under 'publish' or 'subscribe'",
     ),
     ("publish: 3\n", "m.yaml:1: publish must be a list ('- …' lines), not 3"),
-    ("publish: []\npublish: []\n", "m.yaml:2: key 'publish' stands twice; drop one"),
+    (
+        "publish: []\npublish: []\n",
+        "m.yaml:2: not valid YAML: key 'publish' stands twice, first in line 1; remove one",
+    ),
     (
         "typestore: jazy\npublish: []\n",
         "m.yaml:1: typestore 'jazy' is unknown; did you mean 'jazzy'? known: dashing, eloquent, "
@@ -270,13 +274,17 @@ def test_every_mistake_in_a_file_has_its_line(text: str, message: str) -> None:
         parse_map(text, name="m.yaml")
     assert str(caught.value) == message
     assert isinstance(caught.value, (MapFileError, MessageTypeError))
+    assert isinstance(caught.value, UniconError)
+    assert caught.value.where is not None
+    assert str(caught.value) == f"{caught.value.where}: {caught.value.message}"
 
 
 def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
     path = tmp_path / "no.yaml"
     with pytest.raises(MapFileError) as caught:
         load_map(path)
-    assert str(caught.value) == f"{path}: cannot read the mapping: No such file or directory"
+    told = f"{path}: cannot be read: No such file or directory; give a readable YAML file"
+    assert str(caught.value) == told
 
 
 STAMPS = {"t": np.zeros((), np.int64), "f": np.zeros(()), "b": np.zeros((), np.bool_)}
@@ -440,7 +448,7 @@ def test_every_mistake_of_a_subscribe_entry(
 
 def test_several_names_need_a_choice() -> None:
     store = type(JAZZY)("jazzy")
-    store.register_text("own_msgs/msg/Two", "string[] a\nstring[] b\nfloat64[] x\n")
+    store.register({"own_msgs/msg/Two": "string[] a\nstring[] b\nfloat64[] x\n"})
     given = {"names": NAMES}
     mapping: dict[str, object] = {"a": "$names", "b": "$names", "x": "six"}
     with pytest.raises(MapStateError) as caught:

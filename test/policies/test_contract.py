@@ -169,7 +169,7 @@ def test_a_good_file_is_read(tmp_path: Path) -> None:
         (
             "damping: 1.0",
             "damping: 1.0\ndamping: 2.0",
-            ":10: key 'damping' stands twice: 1.0 (line 9) and 2.0; remove one",
+            ":10: not valid YAML: key 'damping' stands twice, first in line 9; remove one",
         ),
         ("damping: 1.0", "damping: [1.0", ":10: not valid YAML: "),
     ],

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from policy_helpers import robot, write_linear
-from twin_observation import ConcatenateObservation
+from reference_observation import ConcatenateObservation
 
 from unicon_core.errors import PolicyError
 from unicon_core.policies import Policy, load_policy, policy_states
@@ -210,7 +210,7 @@ def test_joint_pos_is_absolute_and_joint_pos_rel_relative(tmp_path: Path) -> Non
         (
             "step_dt: 0.02",
             "step_dt: 0.02\nstep_dt: 0.01",
-            ":3: key 'step_dt' stands twice: 0.02 (line 2) and 0.01; remove one",
+            ":3: not valid YAML: key 'step_dt' stands twice, first in line 2; remove one",
         ),
     ],
 )

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from policy_helpers import JOINTS, robot, toy_values
-from twin_observation import ConcatenateObservation
+from reference_observation import ConcatenateObservation
 
 from unicon_core.errors import PolicyError
 from unicon_core.policies import Observation, PolicyContract, policy_states

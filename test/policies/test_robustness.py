@@ -14,8 +14,8 @@ from test_deploy_yaml import DEPLOY, MOTORS
 from test_training_configs import ENV, GYM
 
 from unicon_core.errors import PolicyError
+from unicon_core.located_yaml import Tagged, read_yaml
 from unicon_core.policies import load_policy
-from unicon_core.policies.tolerant_yaml import Tagged, read_yaml
 
 JUNK: list[Any] = [None, "x", -1, float("nan"), [], [[1, 2]], ["x"], {"x": 1}]
 
@@ -64,7 +64,7 @@ def full() -> dict[str, Any]:
 def document(tmp_path: Path, text: str) -> Any:
     path = tmp_path / "source.yaml"
     path.write_text(text, "utf-8")
-    return plain(read_yaml(path)[0])
+    return plain(read_yaml(path, foreign=True).value)
 
 
 @pytest.mark.parametrize("source", ["policy", "deploy", "env", "gym"])

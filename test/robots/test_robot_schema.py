@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 import yaml
-from json_schema_twin import accepts
+from json_schema_reference import accepts
 
 from unicon_core.robots.check_parts import IMU_KEYS
 from unicon_core.robots.robot import JOINT_FIELDS
@@ -76,7 +76,7 @@ def test_schema_and_validator_know_the_same_words() -> None:
     assert set(defs["imu"]["properties"]) == set(IMU_KEYS)
 
 
-def test_twin_agrees_with_the_jsonschema_package() -> None:
+def test_reference_agrees_with_the_jsonschema_package() -> None:
     jsonschema = pytest.importorskip("jsonschema", reason="package jsonschema is not installed")
     jsonschema.Draft202012Validator.check_schema(ROBOT_SCHEMA)
     validator = jsonschema.Draft202012Validator(ROBOT_SCHEMA)

@@ -312,7 +312,7 @@ def test_a_missing_rclpy_names_the_command_that_installs_it(
     def absent(name: str) -> Any:
         raise ImportError(name)
 
-    monkeypatch.setattr(compat.importlib, "import_module", absent)
+    monkeypatch.setattr("unicon_ros.compat.loading.importlib.import_module", absent)
     with pytest.raises(MissingDependencyError, match=r"needs rclpy: source /opt/ros/<distro>"):
         RosSession()
 

@@ -88,7 +88,7 @@ def untouched(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv(transport.RANGE, "LOCALHOST")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(transport, "_loaded", None)
-    monkeypatch.setattr(compat, "_first", True)
+    monkeypatch.setattr(compat, "imported_first", lambda: True)
     monkeypatch.setattr(compat, "fast_dds_profiles", lambda: JAZZY)
 
 
@@ -117,7 +117,7 @@ def test_the_first_profile_of_a_process_stays(monkeypatch: pytest.MonkeyPatch) -
 
 @pytest.mark.usefixtures("untouched")
 def test_where_rclpy_was_there_before_nothing_is_widened(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(compat, "_first", False)
+    monkeypatch.setattr(compat, "imported_first", lambda: False)
     before = dict(os.environ)
     with transport.without_shared_memory():
         assert dict(os.environ) == before

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from unicon_core.runtime import Pacing
-from unicon_ros import compat
 from unicon_ros.bridge import slack, stamps
 from unicon_ros.bridge.controls import Controls
 from unicon_ros.bridge.slack import SlackServer
 from unicon_ros.bridge.stamps import WallStamp
+from unicon_ros.compat import services
 
 MS = 1_000_000
 
@@ -138,7 +138,7 @@ def test_a_failing_callback_is_told_and_the_tick_goes_on(clock: Clock) -> None:
 @pytest.fixture
 def answering(monkeypatch: pytest.MonkeyPatch) -> Any:
     """A service of a made-up node; `sent` holds what went out, `readers` who would hear it."""
-    monkeypatch.setattr(compat, "_is_fast_dds", lambda: True)
+    monkeypatch.setattr(services, "is_fast_dds", lambda: True)
     sent: list[str] = []
     readers: list[Any] = []
     service = SimpleNamespace(service_name="/n/reset", send_response=lambda r, h: sent.append(r))
@@ -149,7 +149,7 @@ def answering(monkeypatch: pytest.MonkeyPatch) -> Any:
 
 
 def test_a_response_is_kept_until_its_client_can_hear_it(answering: Any) -> None:
-    responses = compat.Responses()
+    responses = services.Responses()
     responses.watch(answering.node)
     answering.service.send_response("answer", None)
     responses.retry()
@@ -165,13 +165,11 @@ def test_a_response_to_a_client_that_left_is_dropped(
     answering: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made = Clock()
-    monkeypatch.setattr(compat, "time", made)
-    monkeypatch.setattr(compat, "_client_of", lambda header: bytes(16))
-    answering.readers.append(SimpleNamespace(endpoint_gid=[1] * 16))  # another client's
-    responses = compat.Responses()
+    monkeypatch.setattr(services, "time", made)
+    responses = services.Responses()
     responses.watch(answering.node)
     answering.service.send_response("answer", None)
-    made.now += compat.Responses.PATIENCE_NS + 1
+    made.now += services.Responses.PATIENCE_NS + 1
     responses.retry()
     assert (answering.sent, responses.dropped) == ([], 1)
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from unicon_core.flow import Block, Stage
-from unicon_core.runtime import Report, Runner, RunOptions, TickStatistics
+from unicon_core.runtime import Report, Runner, RunOptions, TickStatistics, percentiles
 from unicon_core.workflow import load_workflow
 
 US = 1000  # ns
@@ -113,3 +113,14 @@ def test_the_start_up_is_told_where_it_is_known(tmp_path: Path) -> None:
         assert report.startup_s > 0.0
         assert f"start-up      {report.startup_s:.2f} s to the first tick" in report.summary()
     assert "start-up" not in Report("w", "r", "p").summary()
+
+
+def test_times_are_told_to_the_clocks_nanoseconds() -> None:
+    found = percentiles(np.array([1.001, 2.003, 46015.1856004]))
+    assert found == {"p50": 2.003, "p99": 45094.922, "max": 46015.186}
+
+
+def test_the_table_has_no_digits_that_mean_nothing() -> None:
+    lines = statistics((10, 20, 70, 0, 0), (20, 30, 90, 0, 0)).table(1000.0).splitlines()
+    assert lines[1].split() == ["recv", "15.0", "19.9", "20.0", "1.5%"]
+    assert lines[-1].split() == ["tick", "120", "140", "140", "12.0%"]

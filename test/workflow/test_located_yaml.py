@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from unicon_core.errors import UniconError, WorkflowError
-from unicon_core.located_yaml import parse_value, read_yaml
+from unicon_core.located_yaml import Tagged, parse_value, parse_yaml, read_yaml
 
 
 @pytest.mark.parametrize(
@@ -75,3 +75,19 @@ def test_a_tag_of_python_makes_no_object(tmp_path: Path) -> None:
 def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
     with pytest.raises(UniconError, match="cannot be read"):
         read_yaml(tmp_path)
+
+
+def test_foreign_tags_are_kept_inert_where_they_are_asked_for() -> None:
+    text = "a: !!python/tuple [1, 2]\nb: !!python/name:os.system ''\n0.5: !!python/int '3'\n"
+    read = parse_yaml(text, "a.yaml", foreign=True)
+    assert read.value == {"a": [1, 2], "b": Tagged("name:os.system", ""), 0.5: 3}
+    assert read.where(("a", 1)) == "a.yaml:1"
+    with pytest.raises(UniconError, match=r"a\.yaml:1: not valid YAML: tag .* is not read"):
+        parse_yaml(text, "a.yaml")
+
+
+def test_what_stands_below_its_key_has_the_keys_line() -> None:
+    read = parse_yaml("a:\n  b:\n    - 1\n    - 2\n", "a.yaml")
+    places = [(), ("a",), ("a", "b"), ("a", "b", 1), ("a", "none")]
+    assert [read.where(place)[7:] for place in places] == ["1", "1", "2", "4", "1"]
+    assert str(read.error(("a", "b"), "no")) == "a.yaml:2: no"

@@ -2,7 +2,7 @@
 
 `step` is what the command depends on, in order, up to the end of the tree; `deferred` is what was
 put off until after it. Both are straight-line code over local names (`unicon show --source`). The
-meaning of each node is said in `nodes.py`; an interpreter of the tree in `test/` is the slow twin.
+meaning of each node is said in `nodes.py`; an interpreter of the tree is the reference in `test/`.
 """
 
 from __future__ import annotations

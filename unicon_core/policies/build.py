@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from unicon_core.bounds import ACTION_SCALE, DAMPING, POSITION, SCALE, STIFFNESS
 from unicon_core.errors import PolicyError, alternatives
+from unicon_core.located_yaml import Where
 from unicon_core.policies.contract import (
     ActionSpec,
     ObservationSpec,
@@ -20,7 +21,6 @@ from unicon_core.policies.contract import (
     Recurrent,
 )
 from unicon_core.policies.facts import Facts, dotted, missing_facts
-from unicon_core.policies.tolerant_yaml import Where
 from unicon_core.robots import joint_index
 
 __all__ = ["build_contract"]

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from unicon_core.errors import PolicyError, alternatives
-from unicon_core.policies.tolerant_yaml import Where
+from unicon_core.located_yaml import Where
 from unicon_core.resources import file_beside
 
 __all__ = ["Facts", "dotted", "given_joints", "merge_given", "missing_facts", "term_state"]

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from unicon_core.errors import PolicyError, alternatives
+from unicon_core.located_yaml import read_yaml
 from unicon_core.policies.agree import check_agreement
 from unicon_core.policies.build import build_contract
 from unicon_core.policies.contract import PolicyContract
@@ -24,8 +25,8 @@ from unicon_core.policies.policy_yaml import (
     write_partial_yaml,
     write_policy_yaml,
 )
-from unicon_core.policies.registered import registered_policies, registered_policy
-from unicon_core.policies.tolerant_yaml import read_yaml
+from unicon_core.policies.registered import registered_policy
+from unicon_core.registered import registered
 from unicon_core.resources import config_roots, find_resource, list_config
 from unicon_core.robots import load_robot
 
@@ -73,7 +74,7 @@ class ImportReport:
 def policy_names() -> list[str]:
     """Return the names of the policies in `config/policies/` and of registered ones, sorted."""
     ours = [name for name in list_config("policies", "/") if _config_policy(name) is not None]
-    return sorted({*ours, *registered_policies()})
+    return sorted({*ours, *registered("policies")})
 
 
 def load_policy(
@@ -149,7 +150,7 @@ def _locate(reference: str | Path) -> Path:
         path = Path(os.path.expanduser(text)).resolve()
     elif "/" not in text and (named := _config_policy(text)) is not None:
         path = named
-    elif text in registered_policies():
+    elif text in registered("policies"):
         path = registered_policy(text)
     elif "/" in text or Path(text).suffix in (".yaml", ".onnx", *_TORCHSCRIPT):
         path = find_resource(text, "policy", error=PolicyError)
@@ -228,7 +229,7 @@ def _facts_of(
         return Facts(path, "ONNX file (no metadata)", {"onnx": path.name}), onnx
     if path.suffix in _TORCHSCRIPT:
         return Facts(path, "TorchScript file", {"torchscript": path.name}), None
-    values, _ = read_yaml(path)
+    values = read_yaml(path, PolicyError, foreign=True).value
     if is_deploy_yaml(values):
         made_for = given.get("robot")
         if isinstance(made_for, str):  # its motors are counted, whichever robot runs the policy

@@ -15,11 +15,11 @@ import yaml
 from numpy.typing import NDArray
 
 from unicon_core.errors import PolicyError
+from unicon_core.located_yaml import read_yaml
 from unicon_core.policies.build import SCHEMA, build_contract
 from unicon_core.policies.contract import ObservationTerm, PolicyContract
 from unicon_core.policies.facts import Facts
 from unicon_core.policies.networks.onnx_file import read_onnx
-from unicon_core.policies.tolerant_yaml import read_yaml
 
 __all__ = [
     "contract_values",
@@ -36,10 +36,10 @@ def policy_yaml_facts(path: Path) -> Facts:
     Raises:
         PolicyError: not readable, not YAML, or no mapping.
     """
-    values, lines = read_yaml(path)
-    if not isinstance(values, Mapping):
-        raise PolicyError(f"{path}:1: no policy; start it with 'schema: {SCHEMA}'")
-    return Facts(path, "policy.yaml", dict(values), lines)
+    located = read_yaml(path, PolicyError, foreign=True)
+    if not isinstance(located.value, Mapping):
+        raise located.error((), f"no policy; start it with 'schema: {SCHEMA}'")
+    return Facts(path, "policy.yaml", dict(located.value), located.lines)
 
 
 def load_policy_yaml(path: str | Path) -> PolicyContract:

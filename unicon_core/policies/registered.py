@@ -7,24 +7,12 @@ or a function without parameters that returns one. It is imported when the polic
 from __future__ import annotations
 
 import os
-from functools import lru_cache
-from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 
 from unicon_core.errors import PolicyError
+from unicon_core.registered import registered
 
-__all__ = ["registered_policies", "registered_policy"]
-
-GROUP = "unicon.policies"
-
-
-@lru_cache(maxsize=1)
-def registered_policies() -> dict[str, EntryPoint]:
-    """Return name to entry point; of two with one name the first found."""
-    found: dict[str, EntryPoint] = {}
-    for entry in entry_points(group=GROUP):
-        found.setdefault(entry.name, entry)
-    return found
+__all__ = ["registered_policy"]
 
 
 def registered_policy(name: str) -> Path:
@@ -33,7 +21,7 @@ def registered_policy(name: str) -> Path:
     Raises:
         PolicyError: its module cannot be imported, or it gives no path that exists.
     """
-    entry = registered_policies()[name]
+    entry = registered("policies")[name]
     label = f"policy {name!r} (entry point {entry.value})"
     try:
         value = entry.load()

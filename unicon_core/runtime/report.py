@@ -94,7 +94,7 @@ class Report:
         lines = [
             f"workflow      {self.workflow} on {self.robot} ({self.platform})",
             f"ticks         {self.ticks}, {self.duration_s:.2f} s of ticks",
-            f"wall time     {self.wall_s:.2f} s, {self.rate_hz:.2f} ticks per second",
+            f"wall time     {self.wall_s:.2f} s, {self.rate_hz:.1f} ticks per second",
             f"overruns      {self.overruns}{share}",
             f"tick          p50 {self.tick_us.get('p50', 0):.0f} µs, "
             f"p99 {self.tick_us.get('p99', 0):.0f} µs, max {self.tick_us.get('max', 0):.0f} µs",

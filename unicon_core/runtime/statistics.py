@@ -14,11 +14,18 @@ __all__ = ["TickStatistics", "percentiles"]
 
 
 def percentiles(values_us: NDArray[np.floating[Any]]) -> dict[str, float]:
-    """Return p50, p99 and max of times in [µs]; zeros where there are none."""
+    """Return p50, p99 and max of times in [µs], to the clock's ns; zeros where there are none."""
     if not values_us.size:
         return {"p50": 0.0, "p99": 0.0, "max": 0.0}
-    p50, p99 = np.percentile(values_us, [50, 99])
-    return {"p50": float(p50), "p99": float(p99), "max": float(values_us.max())}
+    values = np.percentile(values_us, [50, 99, 100])
+    return {name: round(float(each), 3) for name, each in zip(("p50", "p99", "max"), values)}
+
+
+def _row(times_us: dict[str, float], period_us: float) -> str:
+    """Return p50, p99, max and the share of the period, without digits that mean nothing."""
+    values = [times_us[name] for name in ("p50", "p99", "max")]
+    cells = " ".join(f"{each:9.{0 if each >= 100.0 else 1}f}" for each in values)
+    return f"{cells} {times_us['p50'] / period_us:7.1%}"
 
 
 class TickStatistics:
@@ -82,7 +89,7 @@ class TickStatistics:
             ran = ends[:, i] > 0
             table[label] = {
                 **percentiles((ends[ran, i] - starts[ran, i]) * 1e-3),
-                "calls": float(ran.sum()),
+                "calls": int(ran.sum()),
             }
         return table
 
@@ -133,15 +140,8 @@ class TickStatistics:
         lines = [f"{'block':<{width}}  {'p50 µs':>9} {'p99 µs':>9} {'max µs':>9} {'share':>7}"]
         for i, (label, row) in enumerate(self.block_us().items()):
             mark = "  after send" if i in self.deferred else ""
-            lines.append(
-                f"{label:<{width}}  {row['p50']:9.1f} {row['p99']:9.1f} {row['max']:9.1f} "
-                f"{row['p50'] / period_us:7.2%}{mark}"
-            )
-        tick = self.tick_us()
-        lines.append(
-            f"{'tick':<{width}}  {tick['p50']:9.1f} {tick['p99']:9.1f} {tick['max']:9.1f} "
-            f"{tick['p50'] / period_us:7.2%}"
-        )
+            lines.append(f"{label:<{width}}  {_row(row, period_us)}{mark}")
+        lines.append(f"{'tick':<{width}}  {_row(self.tick_us(), period_us)}")
         if self.overruns:
             for label, count in self.overrun_blocks(period_us).items():
                 slack = "its slack in" if self.names_after_send(label) else "the period in"

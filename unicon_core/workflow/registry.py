@@ -15,11 +15,11 @@ import inspect
 from collections.abc import Callable, Mapping
 from functools import lru_cache
 from importlib import import_module
-from importlib.metadata import entry_points
 from typing import Annotated, Any, TypeAlias, get_args, get_origin, get_type_hints
 
 from unicon_core.errors import MissingDependencyError, UniconError, alternatives
 from unicon_core.flow.block import Access, Block, Bundle, Tick
+from unicon_core.registered import registered
 
 __all__ = [
     "Factory",
@@ -45,8 +45,8 @@ def known(kind: str) -> Mapping[str, str]:
     if kind in _BUILTIN:
         module, attribute = _BUILTIN[kind]
         targets.update(getattr(import_module(module), attribute))
-    for entry in entry_points(group=f"unicon.{kind}"):
-        targets.setdefault(entry.name, entry.value)
+    for name, entry in registered(kind).items():
+        targets.setdefault(name, entry.value)
     return targets
 
 

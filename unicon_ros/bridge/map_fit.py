@@ -21,7 +21,6 @@ from unicon_msgs_map import (
     Decoder,
     Encoder,
     MapDependencyError,
-    MapError,
     MapStateError,
     load_map,
 )
@@ -180,7 +179,7 @@ def _codecs(
 
     Raises:
         MapDependencyError: rosbags is not installed.
-        UniconError: the map is wrong, or does not fit.
+        MapError: the map is wrong, or does not fit.
     """
 
     def built(spec: Any, build: Callable[..., Any]) -> Any:
@@ -191,14 +190,9 @@ def _codecs(
                 raise
             return None
 
-    try:
-        mapping = load_map(path)
-        decoders = [built(spec, Decoder.build) for spec in mapping.subscribe]
-        encoders = [built(spec, Encoder.build) for spec in mapping.publish]
-    except MapDependencyError:
-        raise
-    except MapError as error:
-        raise UniconError(str(error)) from error
+    mapping = load_map(path)
+    decoders = [built(spec, Decoder.build) for spec in mapping.subscribe]
+    encoders = [built(spec, Encoder.build) for spec in mapping.publish]
     heard = [spec for spec, made in zip(mapping.subscribe, decoders) if made is not None]
     said = [spec for spec, made in zip(mapping.publish, encoders) if made is not None]
     return heard, said, [made for made in decoders if made is not None]

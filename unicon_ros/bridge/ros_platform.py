@@ -32,7 +32,7 @@ from unicon_core.robots import Robot
 from unicon_core.signals import SIGNALS
 from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES
-from unicon_msgs_map import Decoder, Encoder, MapError, MapStateError, load_map
+from unicon_msgs_map import Decoder, Encoder, MapStateError, load_map
 from unicon_ros import compat
 from unicon_ros.bridge.map_fit import examine_platform, refuse_untold, wanted_of
 from unicon_ros.bridge.middleware_threads import calm_middleware_threads
@@ -97,7 +97,7 @@ def make(
     except MissingDependencyError:
         own.close()
         raise
-    except (UniconError, MapError) as error:
+    except UniconError as error:
         own.close()
         raise PlatformError(f"platform 'ros': {error}") from error
     try:

@@ -23,7 +23,7 @@ from unicon_core.flow import Block, Stage
 from unicon_core.resources import find_config
 from unicon_core.runtime import Runner
 from unicon_core.workflow import Program
-from unicon_msgs_map import Decoder, Encoder, MapError, MapStateError, MessageMap, load_map
+from unicon_msgs_map import Decoder, Encoder, MapStateError, load_map
 from unicon_msgs_map.spec import PublishSpec, SubscribeSpec
 from unicon_ros import compat
 from unicon_ros.bridge.bindings import (
@@ -84,7 +84,7 @@ class RosSession:
         estop: EmergencyStop | None = None,
     ) -> None:
         compat.import_rclpy()
-        self.map = _read_map(map)
+        self.map = load_map(find_config("maps", map or "default"))
         self.frame_prefix = checked_prefix(frame_prefix)
         self.warn = warn
         self._own = OwnNode(node_name, namespace, ros_args) if node is None else None
@@ -102,7 +102,6 @@ class RosSession:
         self._group = compat.polled_group()
         self._others: list[Callable[[], None]] = []
         self._timer: Any = None
-        self._runner: Runner | None = None
         self._stamp: WallStamp | None = None
         self._closed = False
         self._started_ns = time.perf_counter_ns()
@@ -200,7 +199,7 @@ class RosSession:
 
     def attach(self, runner: Runner) -> None:
         """Let services act on this runner, and its deadlines bound what they may take."""
-        self._runner = self.controls.runner = self.slack.runner = runner
+        self.controls.runner = self.slack.runner = runner
         calm_middleware_threads()
         if self._timer is None and any(topic.events.declared for topic in self._topics()):
             from rclpy.clock import Clock, ClockType
@@ -283,10 +282,8 @@ class RosSession:
             return build()
         except MapStateError as error:
             if not spec.optional:
-                raise UniconError(str(error)) from error
+                raise
             self._skip(spec, str(error))
-        except MapError as error:
-            raise UniconError(str(error)) from error
         return None
 
     def _skip(self, spec: PublishSpec | SubscribeSpec, reason: str) -> None:
@@ -319,11 +316,3 @@ def _warm_up(incoming: list[TopicIn], outgoing: list[TopicOut]) -> Callable[[], 
                 out.rehearse()
 
     return warm_up
-
-
-def _read_map(name: str | Path | None) -> MessageMap:
-    path = find_config("maps", name or "default")
-    try:
-        return load_map(path)
-    except MapError as error:
-        raise UniconError(str(error)) from error

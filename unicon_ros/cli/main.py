@@ -51,8 +51,6 @@ def _run(argv: Sequence[str] | None) -> int:
         return int(arguments.function(arguments))
     except UniconError as error:
         return _refuse(str(error))
-    except _map_errors() as error:
-        return _refuse(str(error))
     except Interrupted as interrupted:
         return 128 + interrupted.number
     except BrokenPipeError:
@@ -95,9 +93,3 @@ def _finish(status: int) -> int:
     with suppress(OSError, ValueError):  # Python flushes once more at its end
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return status
-
-
-def _map_errors() -> tuple[type[Exception], ...]:
-    """Return the errors of the message map where it was loaded: loading it here costs 50 ms."""
-    errors = sys.modules.get("unicon_msgs_map.errors")
-    return () if errors is None else (errors.MapError,)

@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any
 
 from unicon_core.errors import PolicyError, alternatives
+from unicon_core.located_yaml import Located, Tagged, Where, read_yaml
 from unicon_core.policies.facts import Facts, term_state
-from unicon_core.policies.tolerant_yaml import Tagged, Where, read_yaml
 
 __all__ = ["deploy_yaml_facts", "is_deploy_yaml"]
 
@@ -42,11 +42,11 @@ def deploy_yaml_facts(path: Path, motors: Mapping[int, str] | None, robot_name: 
     Raises:
         PolicyError: not readable, or against the format.
     """
-    document, lines = read_yaml(path)
-    if not is_deploy_yaml(document):
+    located = read_yaml(path, PolicyError, foreign=True)
+    if not is_deploy_yaml(located.value):
         raise PolicyError(f"{path}: no deploy.yaml: it has no joint_ids_map and step_dt")
     facts = Facts(path, "deploy.yaml", tolerance=(6e-3, 1e-6))
-    reader = _Deploy(facts, document, lines)
+    reader = _Deploy(facts, located)
     reader.joints(motors, robot_name)
     reader.action()
     reader.observation()
@@ -56,17 +56,12 @@ def deploy_yaml_facts(path: Path, motors: Mapping[int, str] | None, robot_name: 
 
 
 class _Deploy:
-    def __init__(self, facts: Facts, document: Mapping[str, Any], lines: dict[Where, int]) -> None:
+    def __init__(self, facts: Facts, located: Located) -> None:
         self.facts = facts
-        self.document = document
-        self.lines = lines
+        self.document: Mapping[str, Any] = located.value
+        self.lines = located.lines
+        self.fail = located.error
         self.count = 0
-
-    def fail(self, where: Where, message: str) -> PolicyError:
-        place = where
-        while place and place not in self.lines:
-            place = place[:-1]
-        return PolicyError(f"{self.facts.path}:{self.lines.get(place, 1)}: {message}")
 
     def say(self, target: Where, value: Any, source: Where) -> None:
         """Note a value and where it stood."""

@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from unicon_core.errors import PolicyError
+from unicon_core.located_yaml import Located, read_yaml
 from unicon_core.policies.facts import Facts, given_joints, term_state
 from unicon_core.policies.importers.regex import matching, values_by_pattern
-from unicon_core.policies.tolerant_yaml import Where, read_yaml
 
 __all__ = ["env_yaml_facts", "is_env_yaml"]
 
@@ -42,7 +42,8 @@ def env_yaml_facts(path: Path, given: Mapping[str, Any]) -> Facts:
     Raises:
         PolicyError: not readable, or actions that are no joint position targets.
     """
-    document, lines = read_yaml(path)
+    located = read_yaml(path, PolicyError, foreign=True)
+    document = located.value
     facts = Facts(path, "Isaac Lab env.yaml")
     joints = given_joints(path, given)
     sim = document["sim"]
@@ -52,8 +53,8 @@ def env_yaml_facts(path: Path, given: Mapping[str, Any]) -> Facts:
     if joints is not None:
         facts.values["joints"] = joints
         _robot(facts, document, joints)
-    _action(facts, document, joints, lines)
-    _observation(facts, document, lines)
+    _action(facts, located, joints)
+    _observation(facts, located)
     _commands(facts, document)
     if joints is None:
         facts.notes.append(
@@ -67,12 +68,6 @@ def _dig(tree: Any, *keys: str) -> Any:
     for key in keys:
         tree = tree.get(key) if isinstance(tree, Mapping) else None
     return tree
-
-
-def _fail(path: Path, lines: Mapping[Where, int], where: Where, message: str) -> PolicyError:
-    while where and where not in lines:
-        where = where[:-1]
-    return PolicyError(f"{path}:{lines.get(where, 1)}: {message}")
 
 
 def _robot(facts: Facts, document: Mapping[str, Any], joints: list[str]) -> None:
@@ -94,22 +89,15 @@ def _robot(facts: Facts, document: Mapping[str, Any], joints: list[str]) -> None
             facts.values[key] = [found[joint] for joint in joints]
 
 
-def _action(
-    facts: Facts,
-    document: Mapping[str, Any],
-    joints: list[str] | None,
-    lines: Mapping[Where, int],
-) -> None:
-    actions = document.get("actions")
+def _action(facts: Facts, located: Located, joints: list[str] | None) -> None:
+    actions = located.value.get("actions")
     terms = {
         name: term
         for name, term in (actions.items() if isinstance(actions, Mapping) else ())
         if isinstance(term, Mapping)
     }
     if len(terms) != 1:
-        raise _fail(
-            facts.path,
-            lines,
+        raise located.error(
             ("actions",),
             f"actions has {len(terms)} terms ({', '.join(terms) or 'none'}); only one of joint "
             "position targets can be run",
@@ -117,9 +105,7 @@ def _action(
     name, term = next(iter(terms.items()))
     kind = str(term.get("class_type", ""))
     if kind and "JointPositionAction" not in kind:
-        raise _fail(
-            facts.path,
-            lines,
+        raise located.error(
             ("actions", name),
             f"action {name!r} is {kind}; only joint position targets can be run",
         )
@@ -146,18 +132,14 @@ def _action(
         facts.keys[("action", key)] = f"actions.{name}.{key}"
 
 
-def _observation(facts: Facts, document: Mapping[str, Any], lines: Mapping[Where, int]) -> None:
-    observations = document["observations"]
+def _observation(facts: Facts, located: Located) -> None:
+    observations = located.value["observations"]
     name = next((g for g in _GROUPS if isinstance(_dig(observations, g), Mapping)), None)
     if name is None:
-        raise _fail(
-            facts.path, lines, ("observations",), "observations has no group policy or actor"
-        )
+        raise located.error(("observations",), "observations has no group policy or actor")
     group = observations[name]
     if group.get("concatenate_terms") is False:
-        raise _fail(
-            facts.path,
-            lines,
+        raise located.error(
             ("observations", name),
             f"observations.{name} is not concatenated; only one input vector can be run",
         )
@@ -177,7 +159,9 @@ def _observation(facts: Facts, document: Mapping[str, Any], lines: Mapping[Where
             term["clip"] = clip
         length = shared if shared is not None else value.get("history_length")
         term["history"] = 1 if length in (None, 0) else length
-        facts.lines[("observation", "terms", len(terms))] = lines[("observations", name, key)]
+        facts.lines[("observation", "terms", len(terms))] = located.lines[
+            ("observations", name, key)
+        ]
         terms.append(term)
     facts.values["observation"] = {"layout": "term_major", "newest": "last", "terms": terms}
 

@@ -12,9 +12,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from unicon_core.errors import PolicyError
+from unicon_core.located_yaml import read_yaml
 from unicon_core.policies.facts import Facts, given_joints
 from unicon_core.policies.importers.regex import values_by_pattern
-from unicon_core.policies.tolerant_yaml import read_yaml
 
 __all__ = ["is_legged_gym", "legged_gym_facts"]
 
@@ -41,7 +42,8 @@ def legged_gym_facts(path: Path, given: Mapping[str, Any]) -> Facts:
     Raises:
         PolicyError: not readable.
     """
-    document, lines = read_yaml(path)
+    located = read_yaml(path, PolicyError, foreign=True)
+    document, lines = located.value, located.lines
     facts = Facts(path, "legged_gym configuration")
     control, init = document["control"], document["init_state"]
     dt = document.get("sim", {}).get("dt") if isinstance(document.get("sim"), Mapping) else None

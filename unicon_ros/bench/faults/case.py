@@ -9,11 +9,13 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from unicon_ros.bench.faults.fault_run import FaultRun
 
-__all__ = ["BLOCKS", "WALK", "WOBBLE", "Case", "Measured", "Wants"]
+__all__ = ["BLOCKS", "NAN", "WALK", "WOBBLE", "Case", "Measured", "Wants"]
 
 BLOCKS = "unicon_ros.bench.faults.blocks"
 WALK: dict[str, Any] = {"chain": [{"pose": {"to": "stand", "duration": 0.4}}, {"policy": "walk"}]}
 WOBBLE: dict[str, Any] = {f"{BLOCKS}:wobble": {}}
+NAN: dict[str, Any] = {"zip": [WOBBLE, f"{BLOCKS}:broken"]}
+"""A motion whose targets become NaN in the tick of the fault."""
 
 
 @dataclass(frozen=True)

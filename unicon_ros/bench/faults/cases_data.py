@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from unicon_ros.bench.faults.case import BLOCKS, WALK, WOBBLE, Case, Wants
+from functools import partial
+
+from unicon_ros.bench.faults.case import BLOCKS, NAN, WALK, WOBBLE, Case, Wants
 
 __all__ = ["CASES"]
 
+_sensing = partial(Case, "sensors and policy")
 _NO_LONGER = Wants(most=0, reason="")
 _SENSORS = ("joint_pos", "joint_vel", "base_ang_vel", "projected_gravity")
 _NEEDS = ("onnxruntime",)
@@ -26,8 +29,7 @@ def _not_caught(name: str, flow: object = WALK, **fault: object) -> Case:
 
 CASES = (
     *(
-        Case(
-            "sensors and policy",
+        _sensing(
             f"NaN in {state}",
             _NO_LONGER,
             fault={"set": {state: "nan"}},
@@ -37,54 +39,38 @@ CASES = (
         )
         for state in _SENSORS
     ),
-    Case(
-        "sensors and policy",
+    _sensing(
         "infinity in joint_vel",
         _NO_LONGER,
         fault={"set": {"joint_vel": 1e39}},
         flow=WALK,
         needs=_NEEDS,
     ),
-    Case(
-        "sensors and policy",
-        "the policy gives NaN",
-        _NO_LONGER,
-        fault={"mark": True},
-        flow={"zip": [WOBBLE, f"{BLOCKS}:broken"]},
-    ),
-    Case(
-        "sensors and policy",
+    _sensing("the policy gives NaN", _NO_LONGER, fault={"mark": True}, flow=NAN),
+    _sensing(
         "the policy gives 1e30 rad",
         # A limit is no fault: what leaves is within the limits.
         Wants(most=None, least=20, ms=None, status=(0, 3)),
         fault={"mark": True},
         flow=_broken(1e30),
     ),
-    Case(
-        "sensors and policy",
+    _sensing(
         "the base leans by 90°",
         Wants(most=0, reason="lean"),
         fault={"set": {"projected_gravity": 0.0}},
     ),
-    Case(
-        "sensors and policy",
+    _sensing(
         "stamps stand still, with stale_stop of 0.1 s",
         Wants(most=6, ms=300.0, reason="stale"),
         fault={"freeze": ["stamp_ns"]},
         workflow={"safety": _STALE},
     ),
-    Case(
-        "sensors and policy",
+    _sensing(
         "the robot falls silent (recv tells)",
         Wants(most=0, reason="made by the bench"),
         fault={"raise": "Fault"},
     ),
-    Case(
-        "sensors and policy",
-        "an array of another length",
-        Wants(most=0, reason="shape"),
-        fault={"shape": True},
-    ),
+    _sensing("an array of another length", Wants(most=0, reason="shape"), fault={"shape": True}),
     _not_caught("IMU frozen", freeze=["base_quat", "base_ang_vel", "projected_gravity"]),
     _not_caught(
         "all sensors frozen, stamps go on",

@@ -4,21 +4,22 @@ from __future__ import annotations
 
 import os
 import time
+from functools import partial
 
-from unicon_ros.bench.faults.case import BLOCKS, WOBBLE, Case, Wants
-from unicon_ros.bench.faults.command_log import RECV
+from unicon_ros.bench.faults.case import NAN, Case, Wants
 from unicon_ros.bench.faults.fault_run import FaultRun
 
 __all__ = ["CASES"]
 
+_output = partial(Case, "output")
+_disk = partial(Case, "disk")
 _GOES_ON = Wants(most=None, least=50, ms=None, gap_ms=400.0, status=(), report=False)
-_NAN = {"zip": [WOBBLE, f"{BLOCKS}:broken"]}
 _RECORD = ("--record", "{folder}/run.mcap")
 
 
 def _ctrl_s(run: FaultRun) -> None:
     """Stop the terminal in the second tick; go on after 3 s, so that it can end."""
-    run.wait_for(lambda: bool((run.log.of(RECV)["tick"] >= 25).any()))
+    run.wait_for_tick(25)
     run.mark()
     os.write(run.terminal, b"\x13")
     time.sleep(3.0)
@@ -43,16 +44,14 @@ def _fill_the_pipe(run: FaultRun) -> None:
 
 
 CASES = (
-    Case(
-        "output",
+    _output(
         "the terminal is stopped (Ctrl-S) for 3 s",
         _GOES_ON,
         outside=_ctrl_s,
         output="terminal",
         duration=2.6,
     ),
-    Case(
-        "output",
+    _output(
         "a pipe that nobody reads; refused messages are warned of",
         _GOES_ON,
         arguments=("--ros",),
@@ -62,48 +61,37 @@ CASES = (
         output="pipe",
         needs=("rclpy", "rosbags"),
     ),
-    Case(
-        "output",
+    _output(
         "NaN, stdout closed (`unicon run … | true`)",
         Wants(most=0),
         fault={"mark": True},
-        flow=_NAN,
+        flow=NAN,
         output="closed",
         quick=True,
     ),
-    Case(
-        "output",
+    _output(
         "NaN, stdout on a full device",
         Wants(most=0),
         fault={"mark": True},
-        flow=_NAN,
+        flow=NAN,
         output="device full",
     ),
-    Case(
-        "disk",
+    _disk(
         "NaN: report, trace, picture and recording are whole",
         Wants(most=0, files=("trace", "picture"), lost_s=0.2),
         fault={"mark": True},
-        flow=_NAN,
-        arguments=(
-            *_RECORD,
-            "--trace",
-            "{folder}/trace.json",
-            "--picture",
-            "{folder}/picture.png",
-        ),
+        flow=NAN,
+        arguments=(*_RECORD, "--trace", "{folder}/trace.json", "--picture", "{folder}/picture.png"),
         needs=("rosbags", "matplotlib"),
     ),
-    Case(
-        "disk",
+    _disk(
         "ValueError in send: report, trace and recording are whole",
         Wants(most=0, files=("trace",), lost_s=0.2),
         fault={"raise": "ValueError", "in": "send"},
         arguments=(*_RECORD, "--trace", "{folder}/trace.json"),
         needs=("rosbags",),
     ),
-    Case(
-        "disk",
+    _disk(
         "SIGKILL after 3 s (nothing can damp: the robot's watchdog must)",
         Wants(most=0, closed=False, status=(-9,), report=False, lost_s=1.2),
         fault={"signals": ["SIGKILL"]},
@@ -112,8 +100,7 @@ CASES = (
         arguments=_RECORD,
         needs=("rosbags",),
     ),
-    Case(
-        "disk",
+    _disk(
         "the disk is full while recording (files end at 256 kB)",
         Wants(most=None, least=100, ms=None, gap_ms=400.0, status=(0,)),
         fault={"mark": True},

@@ -5,13 +5,16 @@ from __future__ import annotations
 import os
 import signal
 import time
+from functools import partial
 
-from unicon_ros.bench.faults.case import BLOCKS, WOBBLE, Case, Wants
-from unicon_ros.bench.faults.command_log import RECV
+from unicon_ros.bench.faults.case import BLOCKS, NAN, WOBBLE, Case, Wants
 from unicon_ros.bench.faults.fault_run import FaultRun
 
 __all__ = ["CASES", "two_ctrl_c_in_a_hang"]
 
+_raising = partial(Case, "exceptions")
+_signalled = partial(Case, "signals")
+_timing = partial(Case, "time")
 _RAISED = (
     "ValueError",
     "MemoryError",
@@ -28,12 +31,8 @@ _SIGNALS = (
 _DOUBTFUL = ("KeyboardInterrupt",)  # how somebody else's Ctrl-C may come up: any status but 0
 
 
-def _at(run: FaultRun, tick: int) -> None:
-    run.wait_for(lambda: bool((run.log.of(RECV)["tick"] >= tick).any()))
-
-
 def _stop_and_continue(run: FaultRun) -> None:
-    _at(run, 25)
+    run.wait_for_tick(25)
     run.mark()
     run.process.send_signal(signal.SIGSTOP)
     time.sleep(2.0)
@@ -41,7 +40,7 @@ def _stop_and_continue(run: FaultRun) -> None:
 
 
 def _ctrl_z(run: FaultRun) -> None:
-    _at(run, 25)
+    run.wait_for_tick(25)
     run.mark()
     run.process.send_signal(signal.SIGTSTP)
     time.sleep(1.0)
@@ -49,7 +48,7 @@ def _ctrl_z(run: FaultRun) -> None:
 
 
 def two_ctrl_c_in_a_hang(run: FaultRun) -> None:
-    _at(run, 25)
+    run.wait_for_tick(25)
     time.sleep(0.2)
     run.process.send_signal(signal.SIGINT)
     time.sleep(0.3)
@@ -58,7 +57,7 @@ def two_ctrl_c_in_a_hang(run: FaultRun) -> None:
 
 
 def _term_in_the_group(run: FaultRun) -> None:
-    _at(run, 25)
+    run.wait_for_tick(25)
     run.mark()
     os.killpg(run.process.pid, signal.SIGTERM)
     os.killpg(run.process.pid, signal.SIGINT)
@@ -66,8 +65,7 @@ def _term_in_the_group(run: FaultRun) -> None:
 
 def _building(name: str) -> Case:
     slow = {f"{BLOCKS}:slow_build": {"log": "{log}", "signals": f"SIG{name}"}}
-    return Case(
-        "signals",
+    return _signalled(
         f"SIG{name} while building, the platform is open",
         Wants(most=0, ms=None, ended_ms=2500.0, status=(), report=False),
         flow={"zip": [WOBBLE, slow]},
@@ -82,8 +80,7 @@ def _refused(name: str, reason: str, workflow: dict[str, object]) -> Case:
 
 CASES = (
     *(
-        Case(
-            "exceptions",
+        _raising(
             f"{error} in {where}",
             Wants(most=0, reason="" if error in _DOUBTFUL else "made by the bench"),
             fault={"raise": error, "in": where},
@@ -95,39 +92,29 @@ CASES = (
             ("SystemExit", "send"),
         ]
     ),
-    Case(
-        "exceptions",
+    _raising(
         "close raises at the end",
         Wants(most=0, reason="made by the bench"),
         fault={"raise": "OSError", "in": "close"},
     ),
-    Case(
-        "exceptions",
+    _raising(
         "NaN, then close raises",
         Wants(most=0, reason="joint_pos_target"),
         fault={"raise": "OSError", "in": "close", "mark": True},
-        flow={"zip": [WOBBLE, f"{BLOCKS}:broken"]},
+        flow=NAN,
     ),
     *(
-        Case(
-            "signals",
-            f"SIG{name}",
-            _AT_ONCE,
-            fault={"signals": [f"SIG{name}"]},
-            quick=name == "HUP",
-        )
+        _signalled(f"SIG{name}", _AT_ONCE, fault={"signals": [f"SIG{name}"]}, quick=name == "HUP")
         for name in _SIGNALS
         if hasattr(signal, f"SIG{name}")
     ),
-    Case("signals", "SIGTERM and SIGINT at once", _AT_ONCE, outside=_term_in_the_group),
-    Case(
-        "signals",
+    _signalled("SIGTERM and SIGINT at once", _AT_ONCE, outside=_term_in_the_group),
+    _signalled(
         "Ctrl-Z (SIGTSTP): damps, then stops",
         Wants(most=1, ms=400.0, status=(), report=False),
         outside=_ctrl_z,
     ),
-    Case(
-        "signals",
+    _signalled(
         "second Ctrl-C in a hang of 3 s",
         Wants(most=0, ms=300.0, status=(), report=False),
         fault={"hang": 3.0},
@@ -137,35 +124,21 @@ CASES = (
     _building("TERM"),
     _building("HUP"),
     _building("INT"),
-    Case(
-        "time",
+    _timing(
         "hang of 0.12 s: ticks missed are counted",
         Wants(most=None, least=15, ms=None, status=(0,), overruns=5),
         fault={"hang": 0.12},
     ),
-    Case(
-        "time",
-        "hang of 0.5 s in recv",
-        Wants(most=1, ms=800.0),
-        fault={"hang": 0.5},
-        quick=True,
-    ),
-    Case("time", "hang of 2 s in recv", Wants(most=1, ms=2300.0), fault={"hang": 2.0}),
-    Case(
-        "time",
+    _timing("hang of 0.5 s in recv", Wants(most=1, ms=800.0), fault={"hang": 0.5}, quick=True),
+    _timing("hang of 2 s in recv", Wants(most=1, ms=2300.0), fault={"hang": 2.0}),
+    _timing(
         "hang of 0.5 s in a block",
         Wants(most=1, ms=800.0),
         fault={"mark": True},
         flow={"zip": [WOBBLE, {f"{BLOCKS}:broken": {"hang": 0.5}}]},
     ),
-    Case(
-        "time",
-        "SIGSTOP for 2 s, then SIGCONT",
-        Wants(most=2, ms=2400.0),
-        outside=_stop_and_continue,
-    ),
-    Case(
-        "time",
+    _timing("SIGSTOP for 2 s, then SIGCONT", Wants(most=2, ms=2400.0), outside=_stop_and_continue),
+    _timing(
         "every tick takes 25 of 20 ms",
         Wants(most=None, least=15, ms=None, status=(0, 3), overruns=15),
         fault={"slow": 0.025},

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from unicon_ros.bench.faults.case import WALK, WOBBLE, Case, Wants
@@ -10,6 +11,8 @@ from unicon_ros.bench.faults.cases_program import two_ctrl_c_in_a_hang
 
 __all__ = ["CASES"]
 
+_node = partial(Case, "unicon_node")
+_both = partial(Case, "two at once")
 _NEEDS = ("rclpy", "rosbags")
 _RANGES = (1.0, 0.4, 1.0)  # command_ranges of go2_velocity, the larger side
 _COMMANDED = Wants(most=None, ms=None, status=(), report=False)
@@ -68,15 +71,9 @@ def _estop(name: str, wants: Wants, *words: str, wait: int = 60, **others: Any) 
 
 CASES = (
     _cmd_vel(
-        "cmd_vel falls silent (time-out 0.5 s)",
-        "silence",
-        replace(_COMMANDED, zero_ms=650.0),
+        "cmd_vel falls silent (time-out 0.5 s)", "silence", replace(_COMMANDED, zero_ms=650.0)
     ),
-    _cmd_vel(
-        "cmd_vel NaN at 1 kHz (time-out 0.5 s)",
-        "nan",
-        replace(_COMMANDED, zero_ms=650.0),
-    ),
+    _cmd_vel("cmd_vel NaN at 1 kHz (time-out 0.5 s)", "nan", replace(_COMMANDED, zero_ms=650.0)),
     _cmd_vel(
         "cmd_vel cannot be taken (time-out 0.5 s)",
         "good",
@@ -84,11 +81,7 @@ CASES = (
         failing="take",
     ),
     *(
-        _cmd_vel(
-            f"cmd_vel of {what}",
-            what,
-            replace(_COMMANDED, speed=_RANGES),
-        )
+        _cmd_vel(f"cmd_vel of {what}", what, replace(_COMMANDED, speed=_RANGES))
         for what in ("50", "1e30")
     ),
     _robot("joint_states fall silent", "silence", _silent("joint_states")),
@@ -115,19 +108,8 @@ CASES = (
         failing="publish",
     ),
     _estop("idle ticks", _PRESSED, "estop"),
-    _estop(
-        "ticks of 19 of 20 ms",
-        _PRESSED,
-        "estop",
-        fault={"slow": 0.018},
-    ),
-    _estop(
-        "ticks of 25 of 20 ms",
-        _PRESSED,
-        "estop",
-        fault={"slow": 0.025},
-        quick=True,
-    ),
+    _estop("ticks of 19 of 20 ms", _PRESSED, "estop", fault={"slow": 0.018}),
+    _estop("ticks of 25 of 20 ms", _PRESSED, "estop", fault={"slow": 0.025}, quick=True),
     _estop(
         "during a hang of 2 s: acts when it ends",
         Wants(most=0, ms=2300.0, report=False),
@@ -153,24 +135,21 @@ CASES = (
         wait=0,
         arguments=_WAITING,
     ),
-    Case(
-        "unicon_node",
+    _node(
         "SIGHUP",
         Wants(most=1, ms=400.0, ended_ms=3000.0, status=(), report=False),
         fault={"signals": ["SIGHUP"]},
         node=True,
         needs=_NEEDS,
     ),
-    Case(
-        "unicon_node",
+    _node(
         "ValueError in recv, exit_on_fault",
         Wants(most=0, reason="made by the bench", report=False),
         fault={"raise": "ValueError"},
         node=True,
         needs=_NEEDS,
     ),
-    Case(
-        "unicon_node",
+    _node(
         "second Ctrl-C in a hang of 3 s",
         Wants(most=0, ms=300.0, status=(), report=False),
         fault={"hang": 3.0},
@@ -179,14 +158,12 @@ CASES = (
         node=True,
         needs=_NEEDS,
     ),
-    Case(
-        "two at once",
+    _both(
         "NaN in joint_pos and SIGTERM in one tick",
         Wants(most=0, ended_ms=1500.0, reason="joint_pos_target"),
         fault={"set": {"joint_pos": "nan"}, "signals": ["SIGTERM"]},
     ),
-    Case(
-        "two at once",
+    _both(
         "SIGTERM and an OSError in one tick",
         Wants(most=0, ended_ms=1500.0, reason="made by the bench"),
         fault={"raise": "OSError", "signals": ["SIGTERM"]},

@@ -17,7 +17,7 @@ from typing import Any
 
 from unicon_ros.bench.domains import loopback_environment
 from unicon_ros.bench.faults.case import Case
-from unicon_ros.bench.faults.command_log import CLOSE, SEND, CommandLog
+from unicon_ros.bench.faults.command_log import CLOSE, RECV, SEND, CommandLog
 from unicon_ros.bench.loops import die_with_parent
 
 __all__ = ["FaultRun"]
@@ -91,6 +91,10 @@ class FaultRun:
                 return condition()
             time.sleep(0.002)
         return True
+
+    def wait_for_tick(self, tick: int) -> None:
+        """Wait until a tick has begun."""
+        self.wait_for(lambda: bool((self.log.of(RECV)["tick"] >= tick).any()))
 
     def said(self) -> str:
         """Return what the process wrote."""

@@ -1,8 +1,15 @@
 """The code behind `Encoder.encode`: slots of a template become one flat Python function.
 
-Measured (NumPy 2.4, Python 3.11, one warm core): a cast-copy of any length up to 64 costs about
-130 ns, a strided one of three such arrays the same, packing a scalar about 20 ns; so up to eight
-numbers go through `struct`, longer arrays through a copy.
+Up to eight numbers of a field go through `struct`, about 20 ns each; longer arrays through a copy
+(`copies.py`). This is `joint_states` of the default map, whose constants stand in `buffer`:
+
+    def encode():
+        # 428 bytes
+        v_stamp_ns_0 = in_stamp_ns[0]
+        v_stamp_ns_0_sec, v_stamp_ns_0_nanosec = divmod(v_stamp_ns_0, 1000000000)
+        pack0(buffer, 4, v_stamp_ns_0_sec & 0xffffffff, v_stamp_ns_0_nanosec)
+        into0[...] = from0  # joint_pos, joint_vel, joint_effort
+        return bytes(buffer)
 """
 
 from __future__ import annotations
@@ -10,38 +17,20 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.lib.stride_tricks import as_strided
-from numpy.typing import NDArray
 
 from unicon_core.generated import define
-from unicon_msgs_map.binding import Bound
-from unicon_msgs_map.messages import Primitive
-from unicon_msgs_map.template import Slot, Template
+from unicon_msgs_map.codec.binding import AnyArray, Bound
+from unicon_msgs_map.codec.copies import Copy, as_copy, copy_lines
+from unicon_msgs_map.layout.template import Slot, Template
 
 __all__ = ["generate"]
 
-AnyArray = NDArray[Any]
 Conversions = Mapping[int, tuple[AnyArray, AnyArray] | None]
 
-SCALAR_LIMIT = 8  # numbers of one field that still go through struct
 GAP_LIMIT = 64  # constant bytes that a pack into the buffer may write again, [B]
-
-
-@dataclass(frozen=True, eq=False)
-class _Copy:
-    """An array copy: flat source elements at an even step to an even stride in the message."""
-
-    source: int
-    view: AnyArray
-    offset: int
-    stride: int
-    primitive: Primitive
-    ranks: tuple[int, ...]
 
 
 def generate(
@@ -58,10 +47,10 @@ def generate(
         conversions: factor and summand per field number, None where there is nothing to do.
         checksum: computes the last four bytes from the others, where the message has one.
     """
-    copies: list[_Copy] = []
+    copies: list[Copy] = []
     scalars: list[Slot] = []
     for key, slots in _by_field(template.slots).items():
-        found = _as_copy(slots, bounds[key[0]], conversions[key[0]])
+        found = as_copy(slots, bounds[key[0]], conversions[key[0]])
         if found is None:
             scalars += slots
         else:
@@ -70,15 +59,17 @@ def generate(
     body = writer.loads(scalars)
     if copies or checksum:
         body += writer.packs_into(scalars)
-        body += writer.copies(copies)
+        lines, names = copy_lines(copies, template.data)
+        writer.space |= names
+        body += lines
         if checksum:
             writer.space |= {"checksum": checksum, "sign": struct.Struct("<I").pack_into}
             body.append(f"sign(buffer, {len(template.data) - 4}, checksum())")
         body.append("return bytes(buffer)")
     else:
         body.append(f"return {writer.pack(scalars)}")
-    lines = ["def encode():", f"    # {len(template.data)} bytes"]
-    source = "\n".join(lines + ["    " + line for line in body]) + "\n"
+    head = ["def encode():", f"    # {len(template.data)} bytes"]
+    source = "\n".join(head + ["    " + line for line in body]) + "\n"
     encode: Callable[[], bytes] = define(source, writer.space, "<encode>")["encode"]
     return encode, source
 
@@ -89,36 +80,6 @@ def _by_field(slots: list[Slot]) -> dict[tuple[int, str], list[Slot]]:
         key = (slot.source, slot.primitive.name if slot.primitive else slot.kind)
         groups.setdefault(key, []).append(slot)
     return groups
-
-
-def _as_copy(
-    slots: list[Slot], bound: Bound, conversion: tuple[AnyArray, AnyArray] | None
-) -> _Copy | None:
-    primitive = slots[0].primitive
-    if primitive is None or len(slots) <= SCALAR_LIMIT:
-        return None
-    wire = np.dtype(primitive.dtype)
-    state = bound.flat.dtype
-    if wire.kind != "f" and (conversion is not None or not np.can_cast(state, wire, "safe")):
-        return None  # rounding and saturation are spelled out number by number
-    slots = sorted(slots, key=lambda slot: slot.offset)
-    stride, step = _step([s.offset for s in slots]), _step([s.element for s in slots])
-    if stride is None or step is None:
-        return None
-    first = slots[0].element
-    view = as_strided(
-        bound.flat[first : first + 1],
-        (len(slots),),
-        (step * bound.flat.strides[0],),
-        writeable=False,
-    )
-    ranks = tuple(slot.rank for slot in slots)
-    return _Copy(slots[0].source, view, slots[0].offset, stride, primitive, ranks)
-
-
-def _step(values: list[int]) -> int | None:
-    steps = {b - a for a, b in pairwise(values)}
-    return steps.pop() if len(steps) == 1 else None
 
 
 class _Writer:
@@ -257,99 +218,6 @@ class _Writer:
         self.space[name] = constant
         arguments.append(name)
         return f"{form}{stop - start}s", stop
-
-    def copies(self, copies: list[_Copy]) -> list[str]:
-        """Return the lines of the array copies, fused where distances are even."""
-        lines: list[str] = []
-        plain = [c for c in copies if self.conversions[c.source] is None and _quiet(c)]
-        for number, group in enumerate(_fuse(plain)):
-            first, count = group[0], len(group[0].ranks)
-            shape: tuple[int, ...] = (count,)
-            wire: tuple[int, ...] = (first.stride,)
-            memory: tuple[int, ...] = first.view.strides
-            if len(group) > 1:
-                shape = (len(group), count)
-                wire = (group[1].offset - first.offset, *wire)
-                memory = (_address(group[1].view) - _address(first.view), *memory)
-                # Every element touched lies in one of the group's arrays, all kept alive here.
-                self.space[f"keep{number}"] = [c.view for c in group]
-            self.space[f"from{number}"] = as_strided(first.view, shape, memory, writeable=False)
-            self.space[f"into{number}"] = self._target(first, shape, wire)
-            names = ", ".join(self.bounds[c.source].field.source.name for c in group)
-            lines.append(f"into{number}[...] = from{number}  # {names}")
-        for copy in copies:
-            if copy in plain:
-                continue
-            lines += self._converted(copy)
-        return lines
-
-    def _target(self, first: _Copy, shape: tuple[int, ...], strides: tuple[int, ...]) -> AnyArray:
-        dtype = np.dtype(first.primitive.dtype)
-        target: AnyArray = np.ndarray(shape, dtype, self.data, first.offset, strides)
-        return target
-
-    def _converted(self, copy: _Copy) -> list[str]:
-        number, conversion = copy.source, self.conversions[copy.source]
-        count = len(copy.ranks)
-        self.space[f"state{number}"] = copy.view
-        self.space[f"wire{number}"] = self._target(copy, (count,), (copy.stride,))
-        name = self.bounds[number].field.source.name
-        if conversion is None:
-            lines = [f"wire{number}[...] = state{number}  # {name}"]
-        else:
-            ranks = list(copy.ranks)
-            self.space[f"work{number}"] = np.zeros(count)
-            self.space[f"scale{number}"] = np.ascontiguousarray(conversion[0][ranks])
-            self.space[f"offset{number}"] = np.ascontiguousarray(conversion[1][ranks])
-            self.space |= {"multiply": np.multiply, "add": np.add}
-            lines = [f"work{number}[...] = state{number}  # {name}"]
-            lines.append(f"multiply(work{number}, scale{number}, work{number})")
-            if conversion[1].any():
-                lines.append(f"add(work{number}, offset{number}, work{number})")
-            lines.append(f"wire{number}[...] = work{number}")
-        # Overflows to infinity are said in the contract; the warning must not reach a tick.
-        self.space["quiet"] = _ignore
-        return ["with quiet():", *("    " + line for line in lines)]
-
-
-def _ignore() -> np.errstate:
-    return np.errstate(all="ignore")
-
-
-def _quiet(copy: _Copy) -> bool:
-    """Tell whether a plain copy can raise no floating point warning."""
-    return not (copy.view.dtype == np.float64 and copy.primitive.code == "f")
-
-
-def _fuse(copies: list[_Copy]) -> list[list[_Copy]]:
-    """Group copies of equal form whose addresses and offsets are both evenly spaced."""
-    groups: list[list[_Copy]] = []
-    for copy in sorted(copies, key=lambda c: c.offset):
-        group = groups[-1] if groups else None
-        if group is not None and _alike(group[-1], copy):
-            steps = (copy.offset - group[-1].offset, _address(copy.view) - _address(group[-1].view))
-            if len(group) == 1 or steps == (
-                group[1].offset - group[0].offset,
-                _address(group[1].view) - _address(group[0].view),
-            ):
-                group.append(copy)
-                continue
-        groups.append([copy])
-    return groups
-
-
-def _alike(a: _Copy, b: _Copy) -> bool:
-    return (len(a.ranks), a.view.dtype, a.view.strides, a.stride, a.primitive) == (
-        len(b.ranks),
-        b.view.dtype,
-        b.view.strides,
-        b.stride,
-        b.primitive,
-    )
-
-
-def _address(view: AnyArray) -> int:
-    return int(view.__array_interface__["data"][0])
 
 
 _SINGLE_MAX = float(np.finfo(np.float32).max)

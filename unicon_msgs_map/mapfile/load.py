@@ -11,13 +11,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from unicon_msgs_map.check import check_publish, check_subscribe
-from unicon_msgs_map.errors import MapError, MapFileError, alternatives
-from unicon_msgs_map.messages import Messages, full_name
-from unicon_msgs_map.paths import PathError, Reference, parse_path, parse_reference
-from unicon_msgs_map.source import Entry, read_text, read_yaml
+from unicon_core.errors import alternatives
+from unicon_core.located_yaml import parse_yaml, read_text
+from unicon_msgs_map.errors import MapError, MapFileError
+from unicon_msgs_map.layout.check import check_publish, check_subscribe
+from unicon_msgs_map.layout.messages import Messages, full_name
+from unicon_msgs_map.layout.paths import PathError, Reference, parse_path, parse_reference
+from unicon_msgs_map.layout.units import PER_SI
+from unicon_msgs_map.mapfile.entry import Entry
 from unicon_msgs_map.spec import FieldSpec, MessageMap, PublishSpec, Qos, SubscribeSpec
-from unicon_msgs_map.units import PER_SI
 
 __all__ = ["load_map", "parse_map"]
 
@@ -72,7 +74,7 @@ def load_map(path: str | Path, typestore: str | Messages | Any | None = None) ->
         MessageTypeError: a type or a field path is unknown.
     """
     path = Path(path)
-    return parse_map(read_text(path), typestore, name=str(path), folder=path.parent)
+    return parse_map(read_text(path, MapFileError), typestore, name=str(path), folder=path.parent)
 
 
 def parse_map(
@@ -90,7 +92,8 @@ def parse_map(
         name: stands for the file in messages.
         folder: where relative paths under `messages` start; default is the working directory.
     """
-    top = read_yaml(text, name)
+    document = parse_yaml(text, name, MapFileError)
+    top = Entry({} if document.value is None else document.value, document)
     keys = top.mapping("a message map", _TOP)
     messages = _messages(keys, typestore, folder or Path())
     publish = [_publish(e, messages) for e in _list(keys, "publish")]
@@ -253,7 +256,7 @@ def _field(path: str, entry: Entry, topic: str, *, receive: bool) -> FieldSpec:
     try:
         steps = parse_path(path)
         if not isinstance(entry.value, dict):
-            return FieldSpec(path, steps, parse_reference(entry.plain()), where=where)
+            return FieldSpec(path, steps, parse_reference(entry.value), where=where)
         keys = entry.mapping(f"field {path!r}", _FIELD)
         if "checksum" in keys:
             return _checksum(
@@ -263,14 +266,15 @@ def _field(path: str, entry: Entry, topic: str, *, receive: bool) -> FieldSpec:
             raise MapFileError(f"{path}: give either 'state' or 'const'", where)
         if "const" in keys:
             return FieldSpec(
-                path, steps, Reference("const", value=keys["const"].plain()), where=where
+                path, steps, Reference("const", value=keys["const"].value), where=where
             )
         source = parse_reference(keys["state"].text("state"))
     except PathError as error:
         raise MapFileError(str(error), where) from None
     unit = keys["unit"].text("unit") if "unit" in keys else None
     if unit is not None and unit not in PER_SI:
-        raise keys["unit"].fail(f"{path}: unit {unit!r} is unknown; {alternatives(unit, PER_SI)}")
+        listed = alternatives(unit, PER_SI, limit=12)
+        raise keys["unit"].fail(f"{path}: unit {unit!r} is unknown; {listed}")
     quats = ("wxyz_from_xyzw" if receive else "xyzw_from_wxyz", "none")
     return FieldSpec(
         path,
@@ -329,5 +333,5 @@ def _scale(path: str, keys: dict[str, Entry]) -> float | tuple[float, ...]:
 
 def _numbers(entry: Entry, what: str) -> float | tuple[float, ...]:
     if isinstance(entry.value, list):
-        return tuple(item.number(what, highest=LARGEST) for item in entry.value)
+        return tuple(item.number(what, highest=LARGEST) for item in entry.items(what))
     return entry.number(what, highest=LARGEST)

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from map_helpers import (
-    TWIN,
+    REFERENCE,
     FlatLeaf,
     get,
     leaves,
@@ -22,8 +22,8 @@ from map_helpers import (
 )
 
 from unicon_msgs_map import Decoder, Encoder
-from unicon_msgs_map.apply import apply
-from unicon_msgs_map.messages import Array, Primitive, Struct
+from unicon_msgs_map.codec.careful import apply
+from unicon_msgs_map.layout.messages import Array, Primitive, Struct
 
 quick = settings(
     max_examples=60,
@@ -89,23 +89,23 @@ def states_and_constants(
 @quick
 @given(data=st.data())
 def test_encoded_bytes_equal_those_of_rosbags(data: st.DataObject) -> None:
-    full = data.draw(random_types()).register(TWIN)
-    message = TWIN.struct(full)
-    value = data.draw(values(message, TWIN))
+    full = data.draw(random_types()).register(REFERENCE)
+    message = REFERENCE.struct(full)
+    value = data.draw(values(message, REFERENCE))
     mapping, arrays = states_and_constants(data, message, value)
-    encoder = Encoder.build(publish(full, mapping, TWIN), arrays)
+    encoder = Encoder.build(publish(full, mapping, REFERENCE), arrays)
     for _ in range(2):  # the template must survive a use
-        assert encoder.encode() == serialize(value, TWIN), encoder.source
+        assert encoder.encode() == serialize(value, REFERENCE), encoder.source
 
 
 @quick
 @given(data=st.data())
 def test_encoded_bytes_follow_the_states(data: st.DataObject) -> None:
-    full = data.draw(random_types()).register(TWIN)
-    message = TWIN.struct(full)
-    value = data.draw(values(message, TWIN))
+    full = data.draw(random_types()).register(REFERENCE)
+    message = REFERENCE.struct(full)
+    value = data.draw(values(message, REFERENCE))
     mapping, arrays = states_and_constants(data, message, value)
-    encoder = Encoder.build(publish(full, mapping, TWIN), arrays)
+    encoder = Encoder.build(publish(full, mapping, REFERENCE), arrays)
     encoder.encode()
     for leaf in leaves(message, value):  # new numbers of the same lengths
         kind = leaf.kind.item if isinstance(leaf.kind, Array) else leaf.kind
@@ -115,7 +115,7 @@ def test_encoded_bytes_follow_the_states(data: st.DataObject) -> None:
             new = np.roll(held, 1) if held.ndim else np.asarray(not held if kind.code == "?" else 1)
             arrays[name][...] = new
             put(value, leaf, new.astype(held.dtype) if held.ndim else new.item())
-    assert encoder.encode() == serialize(value, TWIN)
+    assert encoder.encode() == serialize(value, REFERENCE)
 
 
 def put(value: Any, leaf: FlatLeaf, new: Any) -> None:
@@ -141,7 +141,7 @@ class Reader:
     """A decoder of all numbers of a type, and what rosbags says its states must hold."""
 
     def __init__(self, data: st.DataObject, full: str, first: Any) -> None:
-        self.message = TWIN.struct(full)
+        self.message = REFERENCE.struct(full)
         self.mapping: dict[str, object] = {}
         self.leaves: dict[str, FlatLeaf] = {}
         self.arrays: dict[str, np.ndarray] = {}
@@ -160,7 +160,7 @@ class Reader:
             self.mapping[leaf.path] = name
             self.leaves[name] = leaf
         self.decoder = Decoder.build(
-            subscribe(full, self.mapping, TWIN, nonfinite="accept"), self.arrays
+            subscribe(full, self.mapping, REFERENCE, nonfinite="accept"), self.arrays
         )
 
     def expected(self, value: Any) -> dict[str, np.ndarray]:
@@ -179,7 +179,7 @@ class Reader:
 
     def check(self, raw: bytes) -> None:
         """Decode and compare with rosbags' values."""
-        value = TWIN.store.deserialize_cdr(raw, self.message.name)
+        value = REFERENCE.store.deserialize_cdr(raw, self.message.name)
         expected = self.expected(value)
         accepted = self.decoder.decode(raw)
         if accepted:
@@ -191,11 +191,11 @@ class Reader:
 
 def drawn(data: st.DataObject, little: bool) -> tuple[Reader, bytes]:
     """Return a reader of a random type, and a message that it is built for."""
-    full = data.draw(random_types()).register(TWIN)
-    message = TWIN.struct(full)
-    first = data.draw(values(message, TWIN))
+    full = data.draw(random_types()).register(REFERENCE)
+    message = REFERENCE.struct(full)
+    first = data.draw(values(message, REFERENCE))
     assume(number_leaves(message, first))
-    return Reader(data, full, first), serialize(first, TWIN, little=little)
+    return Reader(data, full, first), serialize(first, REFERENCE, little=little)
 
 
 @quick
@@ -204,8 +204,10 @@ def test_decoded_values_equal_those_of_rosbags(data: st.DataObject, little: bool
     reader, raw = drawn(data, little)
     reader.check(raw)
     reader.check(raw)  # the same layout: fast
-    for other in data.draw(st.lists(values(reader.message, TWIN), max_size=3)):  # other lengths
-        reader.check(serialize(other, TWIN, little=data.draw(st.booleans())))
+    for other in data.draw(
+        st.lists(values(reader.message, REFERENCE), max_size=3)
+    ):  # other lengths
+        reader.check(serialize(other, REFERENCE, little=data.draw(st.booleans())))
     reader.check(raw)
 
 
@@ -229,12 +231,12 @@ def test_fast_and_careful_path_write_the_same(data: st.DataObject, little: bool)
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 3.4028235677973366e38, 1e300])
 def test_floats_that_are_not_plain_numbers_encode_like_rosbags(value: float) -> None:
     text = "float64 a\nfloat32[3] b\nfloat64[] c\nfloat32[] d\n"
-    TWIN.register_text("twin_msgs/msg/Floats", text)
+    REFERENCE.register({"reference_msgs/msg/Floats": text})
     arrays = {"a": np.array(value), "b": np.full(3, value, np.float64)}
     arrays |= {"c": np.full(20, value), "d": np.full(20, value)}
-    spec = publish("twin_msgs/msg/Floats", {k: k for k in "abcd"}, TWIN)
+    spec = publish("reference_msgs/msg/Floats", {k: k for k in "abcd"}, REFERENCE)
     raw = Encoder.build(spec, arrays).encode()
-    found = TWIN.store.deserialize_cdr(raw, "twin_msgs/msg/Floats")
+    found = REFERENCE.store.deserialize_cdr(raw, "reference_msgs/msg/Floats")
     with np.errstate(over="ignore"):
         single = np.float32(value)
     np.testing.assert_array_equal(found.a, value)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from unicon_msgs_map.binding import (
+from unicon_msgs_map.codec.binding import (
     AnyArray,
     Arrays,
     Bound,
@@ -16,10 +16,10 @@ from unicon_msgs_map.binding import (
     bind_variable,
     quaternions,
 )
-from unicon_msgs_map.check import resolve
-from unicon_msgs_map.constants import constant
+from unicon_msgs_map.codec.constants import constant
 from unicon_msgs_map.errors import MapStateError, count_of
-from unicon_msgs_map.messages import (
+from unicon_msgs_map.layout.check import resolve
+from unicon_msgs_map.layout.messages import (
     DURATION,
     QUATERNION,
     TIME,
@@ -29,8 +29,8 @@ from unicon_msgs_map.messages import (
     Struct,
     TypeRef,
 )
+from unicon_msgs_map.layout.template import Leaf, leaf_size, numeric_leaves
 from unicon_msgs_map.spec import FieldSpec, SubscribeSpec
-from unicon_msgs_map.template import Leaf, leaf_size, numeric_leaves
 
 __all__ = ["Target", "bind_targets"]
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from unicon_msgs_map.errors import MapFileError, MessageTypeError, alternatives, count_of
-from unicon_msgs_map.messages import Array, String, Struct, TypeRef
-from unicon_msgs_map.paths import Key, Selector
+from unicon_core.errors import alternatives
+from unicon_msgs_map.errors import MapFileError, MessageTypeError, count_of
+from unicon_msgs_map.layout.messages import Array, String, Struct, TypeRef
+from unicon_msgs_map.layout.paths import Key, Selector
 from unicon_msgs_map.spec import FieldSpec, PublishSpec, SubscribeSpec
 
 __all__ = ["check_publish", "check_subscribe", "field_type", "resolve"]

@@ -10,7 +10,7 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass, field
 
-from unicon_msgs_map.messages import (
+from unicon_msgs_map.layout.messages import (
     DURATION,
     TIME,
     Array,
@@ -19,7 +19,7 @@ from unicon_msgs_map.messages import (
     Struct,
     TypeRef,
 )
-from unicon_msgs_map.paths import Key, Path, Selector
+from unicon_msgs_map.layout.paths import Key, Path, Selector
 
 __all__ = ["Found", "Malformed", "Want", "walk"]
 

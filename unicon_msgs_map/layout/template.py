@@ -11,9 +11,9 @@ import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-from unicon_msgs_map.check import field_type
 from unicon_msgs_map.errors import MapStateError, MessageTypeError, count_of
-from unicon_msgs_map.messages import (
+from unicon_msgs_map.layout.check import field_type
+from unicon_msgs_map.layout.messages import (
     DURATION,
     QUATERNION,
     TIME,
@@ -23,7 +23,7 @@ from unicon_msgs_map.messages import (
     Struct,
     TypeRef,
 )
-from unicon_msgs_map.paths import Key, Path
+from unicon_msgs_map.layout.paths import Key, Path
 from unicon_msgs_map.spec import FieldSpec
 
 __all__ = ["Leaf", "Node", "Slot", "Template", "expand", "numeric_leaves", "place"]

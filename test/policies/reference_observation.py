@@ -1,4 +1,4 @@
-"""The slow twin of the observation: term by term, frame by frame, as training code writes it."""
+"""The observation's slow reference: term by term, frame by frame, as training code writes it."""
 
 from __future__ import annotations
 

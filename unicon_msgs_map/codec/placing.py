@@ -1,127 +1,40 @@
-"""Encoders: state arrays in, the bytes of one ROS message out; for bridges and recorders.
-
-Built once per topic against arrays; then `encode()` takes no argument. The function is generated
-(read it in `Encoder.source`): numbers that stand alone go through one `struct` pack, arrays are
-cast-copied into NumPy views of a template, and arrays at even distances, such as joint_pos,
-joint_vel and joint_effort in one state buffer, share a single strided copy.
-"""
+"""Where the fields of a publish entry go in a message: states and constants, for encoders."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
-from unicon_msgs_map.binding import (
-    Arrays,
-    Bound,
-    Names,
-    Variables,
-    affine,
-    bind_state,
-    bind_variable,
-    quaternions,
-)
-from unicon_msgs_map.checksum import unitree_crc
-from unicon_msgs_map.constants import constant, owner_constants
-from unicon_msgs_map.emit import generate
+from unicon_msgs_map.codec.binding import Bound, quaternions
+from unicon_msgs_map.codec.constants import constant, owner_constants
 from unicon_msgs_map.errors import MapStateError, count_of
-from unicon_msgs_map.messages import (
-    QUATERNION,
-    Array,
-    Primitive,
-    String,
-    Struct,
-    TypeRef,
-)
-from unicon_msgs_map.spec import FieldSpec, PublishSpec
-from unicon_msgs_map.template import (
+from unicon_msgs_map.layout.messages import QUATERNION, Array, Primitive, String, Struct, TypeRef
+from unicon_msgs_map.layout.template import (
     Leaf,
     Node,
     Place,
-    Template,
     expand,
     leaf_size,
     numeric_leaves,
     place,
 )
+from unicon_msgs_map.spec import FieldSpec
 
-__all__ = ["Encoder"]
+__all__ = ["place_constant", "place_state"]
 
 
-class Encoder:
-    """Bytes of one message type from state arrays; make it with `Encoder.build`.
+def place_state(root: Node, message: Struct, number: int, field: FieldSpec, bound: Bound) -> Bound:
+    """Place a state's elements; return them in message order.
 
-    Attributes:
-        encode: returns the message as bytes: little-endian CDR behind its 4-byte header. Raises
-            nothing: integers saturate, NaN becomes 0 in an integer field, and a finite number
-            that float32 cannot hold becomes an infinity.
-        size: length of every message, [B].
-        source: the generated Python.
-        spec: the mapping entry.
+    Args:
+        root: what is placed so far.
+        message: its type.
+        number: of the field in the mapping entry.
+        field: the mapping's entry.
+        bound: the state, with elements in its own order.
+
+    Raises:
+        MapStateError: size or type do not fit, or the place is taken.
     """
-
-    __slots__ = ("encode", "size", "source", "spec")
-
-    encode: Callable[[], bytes]
-
-    def __init__(
-        self, spec: PublishSpec, encode: Callable[[], bytes], source: str, size: int
-    ) -> None:
-        self.spec = spec
-        self.encode = encode
-        self.source = source
-        self.size = size
-
-    @classmethod
-    def build(
-        cls,
-        spec: PublishSpec,
-        arrays: Arrays,
-        names: Names | None = None,
-        variables: Variables | None = None,
-    ) -> Encoder:
-        """Compile a mapping entry against arrays, which are read in place from then on.
-
-        Args:
-            spec: topic, type and fields.
-            arrays: state arrays by name, any shape; elements count in C order. `stamp_ns` and
-                other times are integers in [ns].
-            names: element names per state, for references such as `joint_pos[FR_hip_joint]`.
-            variables: values of `$name`: text, numbers, or lists of them.
-
-        Raises:
-            MapStateError: a state, variable, size or dtype does not fit.
-            MessageTypeError: the type or a path in it is unknown.
-        """
-        message = spec.messages.struct(spec.type)
-        root = Node()
-        bounds: dict[int, Bound] = {}
-        for number, field in enumerate(spec.fields):
-            if field.source.kind == "state":
-                bounds[number] = _place_state(
-                    root, message, number, field, bind_state(field, arrays, names or {})
-                )
-            else:
-                value = field.source.value
-                if field.source.kind == "variable":
-                    value = bind_variable(field, variables or {})
-                _place_constant(root, message, field, value)
-        try:
-            template = Template(message, root)
-        except MapStateError as error:
-            raise MapStateError(error.message, spec.where) from None
-        conversions = {
-            number: affine(bound.field, len(bound.elements), receive=False)
-            for number, bound in bounds.items()
-        }
-        checksum = None
-        for field in spec.fields:
-            if field.checksum is not None:
-                checksum = unitree_crc(field, message, template.data)
-        encode, source = generate(template, bounds, conversions, checksum)
-        return cls(spec, encode, source, len(template.data))
-
-
-def _place_state(root: Node, message: Struct, number: int, field: FieldSpec, bound: Bound) -> Bound:
     elements = bound.elements
     leaves = expand(field, message, len(elements))
     if len(leaves) == 1 and isinstance(leaves[0].type, Array) and leaves[0].type.length is None:
@@ -209,7 +122,12 @@ def _is_quaternion(kind: TypeRef) -> bool:
     return isinstance(kind, Struct) and kind.name == QUATERNION
 
 
-def _place_constant(root: Node, message: Struct, field: FieldSpec, value: object) -> None:
+def place_constant(root: Node, message: Struct, field: FieldSpec, value: object) -> None:
+    """Place a constant or the value of a variable, one or a list of them.
+
+    Raises:
+        MapStateError: it does not fit, or the place is taken.
+    """
     if isinstance(value, str) or not isinstance(value, Sequence):
         leaves = expand(field, message, None)
         for leaf in leaves:

@@ -6,10 +6,11 @@ import math
 import re
 from collections.abc import Mapping
 
-from unicon_msgs_map.errors import MapStateError, alternatives
-from unicon_msgs_map.messages import Array, Primitive, String, Struct, TypeRef
+from unicon_core.errors import alternatives
+from unicon_msgs_map.errors import MapStateError
+from unicon_msgs_map.layout.messages import Array, Primitive, String, Struct, TypeRef
+from unicon_msgs_map.layout.template import Leaf
 from unicon_msgs_map.spec import FieldSpec
-from unicon_msgs_map.template import Leaf
 
 _FRAMES = ("frame_id", "child_frame_id")
 _FRAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_./-]*")  # no leading slash since tf2

@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 
 from unicon_msgs_map.errors import MapStateError
-from unicon_msgs_map.messages import Array, Primitive, String, Struct, TypeRef
+from unicon_msgs_map.layout.messages import Array, Primitive, String, Struct, TypeRef
 from unicon_msgs_map.spec import FieldSpec
 
 __all__ = ["unitree_crc"]

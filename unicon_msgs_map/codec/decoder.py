@@ -1,8 +1,8 @@
 """Decoders: the bytes of one ROS message in, state arrays written; for bridges and replays.
 
-Two paths, one meaning. The slow path walks the payload with every length checked, applies the
-declared policies, and compiles what it found; the fast path (see `unicon_msgs_map.fast`) reads at
-those offsets as long as every structural byte is the same. Any difference goes back to the walk.
+Two paths, one meaning. The careful path walks the payload with every length checked, applies the
+declared policies, and compiles what it found; the fast path (`fast.py`) reads at those offsets as
+long as every structural byte is the same. Any difference goes back to the walk.
 """
 
 from __future__ import annotations
@@ -12,14 +12,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from unicon_msgs_map.apply import COVARIANCE, STAMP, Rejected, Run, apply, orientation, select
-from unicon_msgs_map.binding import Arrays, Names, Variables
-from unicon_msgs_map.fast import compile_fast, merge
-from unicon_msgs_map.messages import HEADER, TIME, Struct
-from unicon_msgs_map.paths import Path, parse_path
+from unicon_msgs_map.codec.binding import Arrays, Names, Variables
+from unicon_msgs_map.codec.careful import (
+    COVARIANCE,
+    STAMP,
+    Rejected,
+    Run,
+    apply,
+    orientation,
+    select,
+)
+from unicon_msgs_map.codec.fast import compile_fast, merge
+from unicon_msgs_map.codec.targets import Target, bind_targets
+from unicon_msgs_map.layout.messages import HEADER, TIME, Struct
+from unicon_msgs_map.layout.paths import Path, parse_path
+from unicon_msgs_map.layout.walker import Found, Malformed, Want, walk
 from unicon_msgs_map.spec import SubscribeSpec
-from unicon_msgs_map.targets import Target, bind_targets
-from unicon_msgs_map.walker import Found, Malformed, Want, walk
 
 __all__ = ["Decoder"]
 

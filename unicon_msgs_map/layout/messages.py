@@ -13,11 +13,11 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from unicon_msgs_map.errors import MapDependencyError, MessageTypeError, alternatives
+from unicon_core.errors import alternatives
+from unicon_msgs_map.errors import MapDependencyError, MessageTypeError
 
 __all__ = [
     "DEFAULT_DISTRO",
-    "DISTROS",
     "PRIMITIVES",
     "Array",
     "Field",
@@ -31,7 +31,6 @@ __all__ = [
     "shared_messages",
 ]
 
-DISTROS = ("foxy", "galactic", "humble", "iron", "jazzy", "kilted", "lyrical")
 DEFAULT_DISTRO = "jazzy"
 
 # rosidl's rules, and `_` for the messages of actions
@@ -178,23 +177,14 @@ class Messages:
             self._register_shipped(full.split("/")[0])
         return full in self.store.fielddefs
 
-    def register_text(self, name: str, text: str) -> None:
-        """Add one type from the text of a `.msg` file.
-
-        Args:
-            name: `pkg/msg/Name`.
-            text: the definition; names of its own package may stand without the package.
-        """
-        self._register({full_name(name): text})
-
-    def register_file(self, path: str | Path, package: str | None = None) -> None:
+    def register_file(self, path: str | Path) -> None:
         """Add one type from `<package>[/msg]/<Name>.msg`; the package is the folder's name."""
         path = Path(path)
         folder = path.parent.parent if path.parent.name == "msg" else path.parent
-        self._register({f"{package or folder.name}/msg/{path.stem}": _read(path)})
+        self.register({f"{folder.name}/msg/{path.stem}": _read(path)})
 
-    def register_folder(self, path: str | Path, package: str | None = None) -> None:
-        """Add every `.msg` file of a folder as one package (the folder's name by default)."""
+    def register_folder(self, path: str | Path) -> None:
+        """Add every `.msg` file of a folder as one package, which has the folder's name."""
         path = Path(path)
         files = sorted(path.glob("*.msg"))
         if not files:
@@ -202,8 +192,7 @@ class Messages:
                 f"folder {str(path)!r} holds no .msg file; give the folder that holds them"
             )
         folder = path.parent if path.name == "msg" else path
-        name = package or folder.name
-        self._register({f"{name}/msg/{file.stem}": _read(file) for file in files})
+        self.register({f"{folder.name}/msg/{file.stem}": _read(file) for file in files})
 
     def definition(self, name: str) -> MessageDefinition:
         """Return text and hashes of a type, as MCAP and Foxglove need them."""
@@ -211,7 +200,15 @@ class Messages:
         text, md5 = self.store.generate_msgdef(full, ros_version=2)
         return MessageDefinition(full, text, self.store.hash_rihs01(full), md5)
 
-    def _register(self, texts: dict[str, str]) -> None:
+    def register(self, texts: dict[str, str]) -> None:
+        """Add types; names of their own package may stand in a text without the package.
+
+        Args:
+            texts: of `.msg` files, by `pkg/msg/Name`.
+
+        Raises:
+            MessageTypeError: a text is not a definition, or contradicts one that is known.
+        """
         from rosbags.typesys import get_types_from_msg
 
         found: dict[str, Any] = {}
@@ -239,7 +236,7 @@ class Messages:
         self._shipped.add(package)
         folder = resources.files("unicon_msgs_map").joinpath("msg").joinpath(package)
         if folder.is_dir():
-            self._register(
+            self.register(
                 {
                     f"{package}/msg/{entry.name[:-4]}": entry.read_text(encoding="utf-8")
                     for entry in folder.iterdir()
@@ -265,7 +262,7 @@ class Messages:
             same = [n for n in self.store.fielddefs if n.startswith(package + "/")]
             raise MessageTypeError(
                 f"message type {full!r} is unknown; "
-                f"{alternatives(full, same or self.store.fielddefs)}; "
+                f"{alternatives(full, same or self.store.fielddefs, limit=12)}; "
                 "or name its .msg file under 'messages'"
             )
         constants, fielddefs = self.store.fielddefs[full]
@@ -288,15 +285,15 @@ class Messages:
         return Array(item, rest[1]) if kind == 3 else Array(item, None, rest[1])
 
 
-def message_definition(name: str, messages: Messages | None = None) -> MessageDefinition:
-    """Return the definition text and hashes of a type (default store: Jazzy and our own)."""
-    return (messages or shared_messages()).definition(name)
+def message_definition(name: str) -> MessageDefinition:
+    """Return the definition text and hashes of a type of Jazzy or our own."""
+    return shared_messages().definition(name)
 
 
 @cache
-def shared_messages(distro: str = DEFAULT_DISTRO) -> Messages:
-    """Return the one store per distribution that callers share; register nothing into it."""
-    return Messages(distro)
+def shared_messages() -> Messages:
+    """Return the one store that callers share; register nothing into it."""
+    return Messages()
 
 
 def full_name(name: str) -> str:

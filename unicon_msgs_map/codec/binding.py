@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_msgs_map.errors import MapStateError, alternatives, count_of
+from unicon_core.errors import alternatives
+from unicon_msgs_map.errors import MapStateError, count_of
+from unicon_msgs_map.layout.units import PER_SI
 from unicon_msgs_map.spec import FieldSpec
-from unicon_msgs_map.units import PER_SI
 
 __all__ = ["Arrays", "Bound", "Names", "Variables", "bind_state", "bind_variable", "quaternions"]
 

@@ -1,4 +1,4 @@
-"""The compiler against its slow twin: same calls, same order, same results, same state bytes."""
+"""The compiler against its slow reference: same calls, order, results and state bytes."""
 
 from __future__ import annotations
 

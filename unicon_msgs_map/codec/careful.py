@@ -14,12 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from unicon_msgs_map.binding import Bound
+from unicon_msgs_map.codec.binding import Bound
+from unicon_msgs_map.codec.targets import Target
 from unicon_msgs_map.errors import count_of
-from unicon_msgs_map.messages import Primitive
+from unicon_msgs_map.layout.messages import Primitive
+from unicon_msgs_map.layout.walker import Found
 from unicon_msgs_map.spec import SubscribeSpec
-from unicon_msgs_map.targets import Target
-from unicon_msgs_map.walker import Found
 
 __all__ = [
     "DOUBLE_MAX",

@@ -1,4 +1,4 @@
-"""The part of JSON Schema 2020-12 that `robot.schema.json` uses, as a slow twin for the tests.
+"""The part of JSON Schema 2020-12 that `robot.schema.json` uses, as a slow reference for the tests.
 
 An unknown keyword is an error, so that the schema cannot grow past what is checked here.
 """

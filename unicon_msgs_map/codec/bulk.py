@@ -1,0 +1,246 @@
+"""Long arrays of a payload on the fast path: all numbers of a type at once, by NumPy.
+
+Numbers that lie evenly are copied from where they lie; others, such as joints in an order of the
+publisher's own, are gathered first. Measured (NumPy 2.4, Python 3.11, one warm core): one `take` of
+all joints of a JointState 160 ns, the range test on their exponents 190 ns (`isfinite().all()`
+1000 ns, a dot product warns), one strided cast-copy into three adjacent states 130 ns. In a queue
+of ten topics, where caches are cold, the `take` costs three times that.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.lib.stride_tricks import as_strided
+
+from unicon_msgs_map.codec.binding import AnyArray
+from unicon_msgs_map.codec.careful import Run
+from unicon_msgs_map.codec.magnitudes import high_byte, largest_of, ordinary_bytes, spans
+from unicon_msgs_map.codec.strides import address, fuse, line, stack, step
+from unicon_msgs_map.layout.messages import Primitive
+
+__all__ = ["Code", "castable", "read_in_bulk"]
+
+
+class Code:
+    """What the function of one payload is made of.
+
+    Args:
+        raw: the payload that was walked.
+        order: its byte order for `struct`.
+        reject: whether numbers that are not finite are refused.
+
+    Attributes:
+        space: values that the lines use, by name.
+        checks: lines that look at constants.
+        work: lines that read and test numbers.
+        writes: lines that write states, after all tests.
+    """
+
+    def __init__(self, raw: bytes, order: str, reject: bool) -> None:
+        self.raw, self.order, self.reject = raw, order, reject
+        self.space: dict[str, Any] = {"size": len(raw)}
+        self.checks: list[str] = []
+        self.work: list[str] = []
+        self.writes: list[str] = []
+
+    def stage(self) -> AnyArray:
+        """Return the bytes of the present payload, where NumPy reads them, shape (len(raw),)."""
+        known = self.space.get("staged")
+        if known is None:
+            # The body starts at byte 4; numbers are aligned in it, so it is aligned in memory.
+            room = bytearray(len(self.raw) + 16)
+            bytes_: AnyArray = np.frombuffer(room, np.uint8)
+            self.shift = shift = -(bytes_.__array_interface__["data"][0] + 4) % 8
+            known = self.space["staged"] = bytes_[shift : shift + len(self.raw)]
+            self.space["stage"] = memoryview(room)[shift : shift + len(self.raw)]
+            self.space["room"] = room
+        stage: AnyArray = known
+        return stage
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Where the numbers of a group lie in a payload, [B].
+
+    Attributes:
+        start: of the first number.
+        between: from a run to the next.
+        step: from a number to the next.
+    """
+
+    start: int
+    between: int
+    step: int
+
+
+def castable(run: Run) -> bool:
+    """Tell whether NumPy's cast gives the value, with no rounding, saturation or wrapping."""
+    assert run.target is not None
+    assert run.primitive is not None
+    wire, state = np.dtype(run.primitive.dtype), run.flat.dtype
+    if wire.kind == "b" or state.kind == "b":
+        return False
+    if state.kind == "f":
+        return True
+    return run.target.conversion is None and bool(np.can_cast(wire, state, "safe"))
+
+
+def read_in_bulk(code: Code, number: int, primitive: Primitive, runs: list[Run]) -> None:
+    """Read all long runs of one wire type with one gather, write them with few copies."""
+    stage = code.stage()
+    wire = np.dtype(primitive.dtype).newbyteorder("<" if code.order == "<" else ">")
+    converted = any(run.target and run.target.conversion for run in runs)
+    groups = fuse(runs, _alike, _begin)
+    grids = [_grid_of(group) for group in groups]
+    if wire.isnative and not converted and all(grids):
+        _direct(code, number, wire, groups, [grid for grid in grids if grid])
+        return
+    flat = stage[4 : 4 + (len(stage) - 4) // wire.itemsize * wire.itemsize].view(wire)
+    index = np.array([(o - 4) // wire.itemsize for r in runs for o in r.offsets], dtype=np.intp)
+    room = bytearray(len(index) * wire.itemsize)
+    read: AnyArray = np.frombuffer(room, wire.newbyteorder("="))
+    code.space |= {f"index{number}": index, f"read{number}": read}
+    if wire.isnative:
+        code.space |= {f"take{number}": flat.take, "clip": "clip"}
+        code.work.append(f"take{number}(index{number}, None, read{number}, clip)")
+    else:
+        code.space[f"flat{number}"] = flat
+        code.work.append(f"read{number}[...] = flat{number}[index{number}]")
+    if wire.kind == "f":
+        code.space[f"room{number}"] = room
+        whole = [slice(high_byte(wire), None, wire.itemsize)]
+        _bounded(code, number, wire, f"room{number}", whole, whole, runs)
+    result = _convert(code, number, runs) if converted else read
+    start = 0
+    for group in groups:
+        count = sum(len(run.elements) for run in group)
+        _copy(code, f"{number}_{start}", group, result[start : start + count])
+        start += count
+
+
+def _direct(
+    code: Code, number: int, wire: np.dtype[Any], groups: list[list[Run]], grids: list[Grid]
+) -> None:
+    """Copy evenly spaced numbers from where they lie, without gathering them first."""
+    stage = code.stage()
+    if wire.kind == "f":
+        high = code.shift + high_byte(wire)
+        exact = [
+            slice(high + min(run.offsets), high + max(run.offsets) + 1, abs(grid.step))
+            for group, grid in zip(groups, grids)
+            for run in group
+        ]
+        runs = [run for group in groups for run in group]
+        _bounded(code, number, wire, "room", spans(exact), exact, runs)
+    for index, (group, grid) in enumerate(zip(groups, grids)):
+        first = stage[grid.start : grid.start + wire.itemsize].view(wire)
+        shape = (len(group), len(group[0].offsets))
+        piece = as_strided(first, shape, (grid.between, grid.step))
+        _copy(code, f"{number}_{index}", group, piece if len(group) > 1 else piece[0])
+
+
+def _convert(code: Code, number: int, runs: list[Run]) -> AnyArray:
+    scales, summands = [], []
+    for run in runs:
+        assert run.target is not None
+        for rank in run.ranks:
+            pair = run.target.conversion
+            scales.append(float(pair[0][rank]) if pair else 1.0)
+            summands.append(float(pair[1][rank]) if pair else 0.0)
+    real = np.zeros(len(scales))
+    code.space |= {
+        f"real{number}": real,
+        f"scale{number}": np.array(scales),
+        f"summand{number}": np.array(summands),
+        "multiply": np.multiply,
+        "add": np.add,
+    }
+    code.work.append(f"real{number}[...] = read{number}")
+    code.work.append(f"multiply(real{number}, scale{number}, real{number})")
+    code.work.append(f"add(real{number}, summand{number}, real{number})")
+    return real
+
+
+def _copy(code: Code, key: str, group: list[Run], piece: AnyArray) -> None:
+    run = group[0]
+    if len(group) == 1 and step(run.elements) is None:
+        code.space |= {
+            f"out{key}": run.flat,
+            f"at{key}": np.array(run.elements, dtype=np.intp),
+            f"piece{key}": piece,
+        }
+        code.writes.append(f"out{key}[at{key}] = piece{key}")
+        return
+    target = stack([line(member.flat, member.elements) for member in group])
+    if len(group) > 1:
+        piece = piece.reshape(target.shape)
+        code.space[f"keep{key}"] = [member.flat for member in group]  # alive with the function
+    code.space |= {f"out{key}": target, f"piece{key}": piece}
+    code.writes.append(f"out{key}[...] = piece{key}")
+
+
+def _bounded(
+    code: Code,
+    number: int,
+    wire: np.dtype[Any],
+    room: str,
+    quick: list[slice],
+    exact: list[slice],
+    runs: list[Run],
+) -> None:
+    """Send a payload to the careful path if any number read may be beyond the bound.
+
+    The high bytes of numbers that are surely small are deleted, and nothing must be left.
+
+    Args:
+        number: of the bulk.
+        wire: type of the numbers.
+        room: name of the bytes.
+        quick: the high bytes, perhaps with some of the padding between the numbers.
+        exact: those bytes alone.
+        runs: where the numbers go.
+    """
+    bound = largest_of(runs, wire, code.reject)
+    if bound is None:
+        return
+    code.space[f"ordinary{number}"] = ordinary_bytes(wire, bound)
+    tests = []
+    for kind, slices in (("quick", quick), ("exact", exact)):
+        for i, highs in enumerate(slices):
+            code.space[f"{kind}{number}_{i}"] = highs
+        left = [
+            f"{room}[{kind}{number}_{i}].translate(None, ordinary{number})"
+            for i in range(len(slices))
+        ]
+        tests.append(" or ".join(left))
+    test = tests[0] if quick == exact else f"({tests[0]}) and ({tests[1]})"
+    code.work.append(f"if {test}: return False")
+
+
+def _alike(a: Run, b: Run) -> bool:
+    steps = step(a.elements), step(b.elements)
+    return (
+        steps[0] is not None
+        and steps[0] == steps[1]
+        and len(a.elements) == len(b.elements)
+        and a.flat.dtype == b.flat.dtype
+        and a.flat.strides == b.flat.strides
+    )
+
+
+def _begin(run: Run) -> tuple[int]:
+    return (address(run.flat[run.elements[0] :]),)
+
+
+def _grid_of(group: list[Run]) -> Grid | None:
+    """Return how the numbers of runs of equal form lie in the payload; None if unevenly."""
+    steps = {step(run.offsets) for run in group}
+    distances = {b.offsets[0] - a.offsets[0] for a, b in pairwise(group)} or {0}
+    if len(steps) > 1 or len(distances) > 1:
+        return None
+    spacing = steps.pop()
+    return None if spacing is None else Grid(group[0].offsets[0], distances.pop(), spacing)

@@ -1,0 +1,1 @@
+"""Layouts: message definitions, paths into them, and where each number lies in the bytes."""

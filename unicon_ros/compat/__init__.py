@@ -1,0 +1,40 @@
+"""What differs between ROS 2 distributions and what touches rclpy's private names, in one place.
+
+Everything here has a public way to fall back to, so that a changed rclpy costs speed, not function.
+Tried on Jazzy (rclpy 7.1); Humble's (3.3) and Kilted's (9.1) names are taken from their sources.
+"""
+
+from unicon_ros.compat.events import incompatible_policy, with_events
+from unicon_ros.compat.loading import (
+    fast_dds_profiles,
+    import_rclpy,
+    imported_first,
+    message_class,
+)
+from unicon_ros.compat.raw import (
+    polled_group,
+    raw_publish,
+    raw_take,
+    request_take,
+    wait_for_readers,
+)
+from unicon_ros.compat.services import Responses, answer_refused_transitions
+from unicon_ros.compat.waiting import ReusedWaitSet, serve_one
+
+__all__ = [
+    "Responses",
+    "ReusedWaitSet",
+    "answer_refused_transitions",
+    "fast_dds_profiles",
+    "import_rclpy",
+    "imported_first",
+    "incompatible_policy",
+    "message_class",
+    "polled_group",
+    "raw_publish",
+    "raw_take",
+    "request_take",
+    "serve_one",
+    "wait_for_readers",
+    "with_events",
+]

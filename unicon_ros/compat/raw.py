@@ -1,0 +1,100 @@
+"""Messages as bytes, published and taken by the thread of the tick; no executor in between."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable
+from typing import Any
+
+__all__ = ["polled_group", "raw_publish", "raw_take", "request_take", "wait_for_readers"]
+
+
+def polled_group() -> Any:
+    """Return a callback group that keeps executors from taking messages that the tick polls.
+
+    Events of the same subscriptions (deadlines, liveliness, …) are served as usual. A public
+    interface: `rclpy.callback_groups.CallbackGroup` is made to be derived from.
+    """
+    from rclpy.callback_groups import ReentrantCallbackGroup
+    from rclpy.subscription import Subscription
+
+    class PolledGroup(ReentrantCallbackGroup):
+        """Lets everything run but subscriptions."""
+
+        def can_execute(self, entity: Any) -> bool:
+            return not isinstance(entity, Subscription)
+
+        def beginning_execution(self, entity: Any) -> bool:
+            return not isinstance(entity, Subscription)
+
+    return PolledGroup()
+
+
+def raw_publish(publisher: Any) -> tuple[Callable[[bytes], object], Callable[[], None]]:
+    """Return a function that publishes serialized bytes, and one that lets the publisher go.
+
+    `handle.publish_raw` with the handle entered once takes 3 µs where `publish(bytes)`, which
+    enters it and looks at types each time, takes 5 (warm, 20 joints). Call the second function
+    before the publisher is destroyed.
+    """
+    fast, leave = _entered(publisher, "publish_raw")
+    return fast or publisher.publish, leave
+
+
+def wait_for_readers(publisher: Any, timeout: float) -> None:
+    """Wait until reliable readers have what was published, at most `timeout` in [s]."""
+    wait = getattr(publisher, "wait_for_all_acked", None)
+    if wait is None:
+        return
+    from rclpy.duration import Duration
+
+    # A middleware without acknowledgements refuses: there is nothing to wait for.
+    with contextlib.suppress(Exception):
+        wait(Duration(nanoseconds=round(timeout * 1e9)))
+
+
+def raw_take(subscription: Any) -> tuple[Callable[[], bytes | None] | None, Callable[[], None]]:
+    """Return a function that takes one serialized message or None, and one that lets go.
+
+    There is no public way to poll: where the private one is missing the first function is None,
+    and the caller lets an executor call it back.
+    """
+    take, leave = _entered(subscription, "take_message")
+    if take is None:
+        return None, leave
+    message = subscription.msg_type
+
+    def poll() -> bytes | None:
+        taken = take(message, True)
+        return None if taken is None else taken[0]
+
+    return poll, leave
+
+
+def request_take(service: Any) -> tuple[Callable[[], Any] | None, Callable[[], None]]:
+    """Return a function that takes one request's header or None, and one that lets go.
+
+    For services whose requests say nothing but that they came. A request is given once, here or to
+    an executor. Without the private way the first function is None, as with `raw_take`. Where
+    nothing came it takes 1 to 2 µs warm, 55 after caches were swept.
+    """
+    take, leave = _entered(service, "service_take_request")
+    if take is None:
+        return None, leave
+    request = service.srv_type.Request
+
+    def poll() -> Any:
+        return take(request)[1]
+
+    return poll, leave
+
+
+def _entered(entity: Any, method: str) -> tuple[Any, Callable[[], None]]:
+    """Enter an entity's handle once; return a private method of it, or None, and the way out."""
+    handle = getattr(entity, "handle", None)
+    found = getattr(handle, method, None)
+    enter, leave = getattr(handle, "__enter__", None), getattr(handle, "__exit__", None)
+    if not (callable(found) and callable(enter) and callable(leave)):
+        return None, lambda: None
+    enter()
+    return found, lambda: leave(None, None, None)

@@ -1,0 +1,96 @@
+"""Waiting for messages and serving callbacks without what rclpy's executors cost."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from unicon_core.errors import UniconError
+
+__all__ = ["ReusedWaitSet", "serve_one"]
+
+
+def serve_one(executor: Any) -> Callable[[], bool]:
+    """Return a function that runs one ready callback without waiting; False if there was none.
+
+    `spin_once(0)` does the same but does not tell whether there was something to do; where the
+    way to know is missing, it is called and the answer is always False.
+    """
+    wait = getattr(executor, "wait_for_ready_callbacks", None)
+    if wait is None:
+
+        def spin() -> bool:
+            executor.spin_once(0.0)
+            return False
+
+        return spin
+    executors = importlib.import_module("rclpy.executors")
+    names = ("TimeoutException", "ShutdownException", "ConditionReachedException")
+    nothing = tuple(getattr(executors, name) for name in names if hasattr(executors, name))
+
+    def serve() -> bool:
+        try:
+            handler, _, _ = wait(0.0, None, _never)
+        except nothing:
+            return False
+        handler()
+        error = handler.exception()
+        if error is not None:
+            raise error
+        return True
+
+    return serve
+
+
+def _never() -> bool:
+    return False
+
+
+class ReusedWaitSet:
+    """Waits for any of some subscriptions with one wait set, made once.
+
+    rclpy's executors make a wait set for every wait, which was most of a controller's 28 % of a
+    core at 500 Hz (6 % with one reused).
+
+    Args:
+        subscriptions: rclpy subscriptions.
+        context: their rclpy context.
+
+    Raises:
+        UniconError: this rclpy has no such wait set.
+    """
+
+    def __init__(self, subscriptions: Sequence[Any], context: Any) -> None:
+        try:
+            singleton = importlib.import_module("rclpy.impl.implementation_singleton")
+            make = singleton.rclpy_implementation.WaitSet
+            self._handles = [subscription.handle for subscription in subscriptions]
+            for handle in self._handles:
+                handle.__enter__()
+            self._set = make(len(self._handles), 0, 0, 0, 0, 0, context.handle)
+            self._clear, self._add = self._set.clear_entities, self._set.add_subscription
+            self._wait = self._set.wait
+            self._ready = self._set.get_ready_entities
+        except (ImportError, AttributeError, TypeError) as error:
+            raise UniconError(
+                f"this rclpy has no reusable wait set ({error}); set pacing.trigger: deadline"
+            ) from error
+
+    def sleep(self, timeout: float) -> None:
+        """Return when a message is there, or after `timeout` in [s]."""
+        self._clear()
+        for handle in self._handles:
+            self._add(handle)
+        self._wait(round(timeout * 1e9))
+
+    def wait(self, timeout: float) -> bool:
+        """Return True when a message is there, False after `timeout` in [s]."""
+        self.sleep(timeout)
+        return bool(self._ready("subscription"))
+
+    def close(self) -> None:
+        """Let the subscriptions go."""
+        for handle in self._handles:
+            handle.__exit__(None, None, None)
+        self._handles = []
