@@ -51,14 +51,14 @@ def named(model: Any, found: dict[int, float]) -> dict[str, float]:
 
 def test_heights_are_those_of_what_can_touch_the_nearest_floor() -> None:
     posed = PosedModel(loaded())
-    posed.put([0.0], (0.0, 0.0, 2.0), (1.0, 0.0, 0.0, 0.0))
+    posed.put([0.0], (0, 0, 2, 1, 0, 0, 0))
     found = named(posed.loaded.model, posed.heights())
     assert found == pytest.approx({"ball": 1.9, "FL": 1.65, "toe": 1.48})
 
 
 def test_a_base_is_turned_and_joints_are_moved() -> None:
     posed = PosedModel(loaded())
-    posed.put([0.0], (0.0, 0.0, 2.0), (0.0, 1.0, 0.0, 0.0))  # upside down
+    posed.put([0.0], (0, 0, 2, 0, 1, 0, 0))  # upside down
     assert named(posed.loaded.model, posed.heights())["toe"] == pytest.approx(2.48)
     posed.put([np.pi / 2])  # the base stays where it was put last
     assert named(posed.loaded.model, posed.heights())["toe"] == pytest.approx(2.28)
@@ -68,7 +68,7 @@ def test_a_fixed_base_stays_where_the_model_has_it() -> None:
     fixed = loaded(base="")
     assert fixed.base is None
     posed = PosedModel(fixed)
-    posed.put([0.0], (0.0, 0.0, 7.0), (0.0, 1.0, 0.0, 0.0))
+    posed.put([0.0], (0, 0, 7, 0, 1, 0, 0))
     assert named(fixed.model, posed.heights())["ball"] == pytest.approx(0.9)
 
 

@@ -56,3 +56,5 @@ def test_names_of_other_peoples_models_may_differ_in_namespace_and_ending() -> N
         joint_index(["hip", "knee_joint"], theirs)
     with pytest.raises(RobotError, match="joint 'wrist' could be any of a/wrist, b/wrist"):
         joint_index(["wrist"], theirs, loose=True)
+    with pytest.raises(RobotError, match="joint 'knee_joint' and another one are both 'g1/knee'"):
+        joint_index(["knee", "knee_joint"], theirs, loose=True)

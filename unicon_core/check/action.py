@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from unicon_core.check.gains import ROUNDING
-from unicon_core.check.mirror import mirror_pairs
+from unicon_core.check.mirror import check_mirrored
 from unicon_core.check.result import CheckResult
 from unicon_core.check.safety import limits_targets
 from unicon_core.check.subject import Subject, listed
@@ -31,7 +30,10 @@ def check_action(subject: Subject, result: CheckResult) -> None:
     """Add one table of reachable targets for each policy, and findings."""
     for key, contract in subject.policies.items():
         _action(subject, result, key, contract)
-        _symmetry(result, key, contract)
+        culprit, action = (key, "action.scale"), contract.action
+        check_mirrored(
+            result, "action.symmetry", culprit, contract, action.joints, np.abs(action.scale)
+        )
 
 
 def _action(subject: Subject, result: CheckResult, key: str, contract: PolicyContract) -> None:
@@ -139,25 +141,6 @@ def _action(subject: Subject, result: CheckResult, key: str, contract: PolicyCon
                 "add joint_limits to safety",
                 subject.document.where("safety"),
             )
-
-
-def _symmetry(result: CheckResult, key: str, contract: PolicyContract) -> None:
-    place = {name: i for i, name in enumerate(contract.action.joints)}
-    scale = np.abs(contract.action.scale)
-    odd = [
-        (left, right)
-        for left, right in mirror_pairs(contract.action.joints)
-        if not np.isclose(scale[place[left]], scale[place[right]], rtol=ROUNDING)
-    ]
-    if odd:
-        left, right = odd[0]
-        result.find(
-            "action.symmetry",
-            f"policy {key!r}, action.scale",
-            f"{left} has {scale[place[left]]:g} and {right} has {scale[place[right]]:g}",
-            f"bring action.scale into the order of joints: {listed(contract.action.joints, 3)}",
-            contract.path,
-        )
 
 
 def check_timing(subject: Subject, result: CheckResult) -> None:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from unicon_core.check.mirror import mirror_pairs
+from unicon_core.check.mirror import check_mirrored
 from unicon_core.check.model_facts import ModelJoints, model_joints
 from unicon_core.check.result import CheckResult
 from unicon_core.check.subject import Subject, listed
@@ -14,8 +13,6 @@ from unicon_core.robots import joint_index
 
 __all__ = ["check_gains", "check_limits", "number"]
 
-ROUNDING = 0.02
-"""Relative difference by which mirrored figures may differ (exports round to 3 decimals)."""
 EFFORT_FACTOR = 3.0
 """Robot file and model may differ by variants of a motor (35 and 50 N·m), not by this."""
 
@@ -39,8 +36,8 @@ def check_gains(subject: Subject, result: CheckResult) -> None:
     for key, contract in subject.policies.items():
         _table(subject, result, key, contract, model)
         _plausible(subject, result, key, contract, model)
-        _symmetry(result, key, contract, "stiffness", contract.stiffness)
-        _symmetry(result, key, contract, "damping", contract.damping)
+        for what, values in (("stiffness", contract.stiffness), ("damping", contract.damping)):
+            check_mirrored(result, "gains.symmetry", (key, what), contract, contract.joints, values)
 
 
 def _table(
@@ -139,28 +136,6 @@ def _plausible(
             f"damping is greater than stiffness at {stiffer.size} of {len(kp)} joints "
             f"({contract.joints[i]}: kp {kp[i]:g}, kd {kd[i]:g})",
             "exchange stiffness and damping",
-            contract.path,
-        )
-
-
-def _symmetry(
-    result: CheckResult, key: str, contract: PolicyContract, what: str, values: NDArray[np.float32]
-) -> None:
-    """Motors on both sides are the same, so permuted gains show as a difference of sides."""
-    place = {name: i for i, name in enumerate(contract.joints)}
-    odd = []
-    for left, right in mirror_pairs(contract.joints):
-        a, b = float(values[place[left]]), float(values[place[right]])
-        if not np.isclose(a, b, rtol=ROUNDING, atol=1e-6):
-            odd.append((left, right, a, b))
-    if odd:
-        left, right, a, b = odd[0]
-        more = f" (and {len(odd) - 1} more pairs)" if len(odd) > 1 else ""
-        result.find(
-            "gains.symmetry",
-            f"policy {key!r}, {what}",
-            f"{left} has {a:g} and {right} has {b:g}{more}",
-            f"bring {what} into the order of joints: {listed(contract.joints, 3)}",
             contract.path,
         )
 

@@ -1,11 +1,21 @@
-"""Which joints are each other's mirror image, told from their names, for checks of symmetry."""
+"""Which joints are each other's mirror image, told from their names, and checks of symmetry."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
 
-__all__ = ["mirror_pairs"]
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.check.result import CheckResult
+from unicon_core.check.subject import listed
+from unicon_core.policies import PolicyContract
+
+__all__ = ["check_mirrored", "mirror_pairs"]
+
+ROUNDING = 0.02
+"""Relative difference by which mirrored figures may differ (exports round to 3 decimals)."""
 
 # Unitree, Fourier, AgiBot, Booster (left_…), quadrupeds (FL_…), short forms (l_…, …_l).
 _SIDES = (
@@ -34,3 +44,42 @@ def mirror_pairs(names: Sequence[str]) -> list[tuple[str, str]]:
                 pairs.append((name, right))
                 break
     return pairs
+
+
+def check_mirrored(
+    result: CheckResult,
+    code: str,
+    culprit: tuple[str, str],
+    contract: PolicyContract,
+    joints: Sequence[str],
+    values: NDArray[np.float32],
+    tolerance: float | None = None,
+) -> None:
+    """Find values that are not the same size on both sides: they are in another order.
+
+    Args:
+        result: is added to.
+        code: of the finding.
+        culprit: key of the policy, and what the values are.
+        contract: of the policy.
+        joints: whose values they are.
+        values: one for each joint.
+        tolerance: by which sides may differ; None for `ROUNDING` of the figure.
+    """
+    sides = dict(zip(joints, map(float, values)))
+    limits = (ROUNDING, 1e-6) if tolerance is None else (0.0, tolerance)
+    odd = [
+        (left, right)
+        for left, right in mirror_pairs(joints)
+        if not np.isclose(abs(sides[left]), abs(sides[right]), *limits)
+    ]
+    if odd:
+        (left, right), (key, what) = odd[0], culprit
+        more = f" (and {len(odd) - 1} more pairs)" if len(odd) > 1 else ""
+        result.find(
+            code,
+            f"policy {key!r}, {what}",
+            f"{left} has {sides[left]:g} and {right} has {sides[right]:g}{more}",
+            f"bring {what} into the order of joints: {listed(joints, 3)}",
+            contract.path,
+        )

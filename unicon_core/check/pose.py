@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from unicon_core.check.mirror import mirror_pairs
+from unicon_core.check.mirror import check_mirrored, mirror_pairs
 from unicon_core.check.result import CheckResult
 from unicon_core.check.subject import Subject, listed
 from unicon_core.models.posed import PosedModel, foot_geoms
@@ -30,9 +30,14 @@ def check_pose(subject: Subject, result: CheckResult) -> None:
     """Add the table of poses for each policy, and findings."""
     for key, contract in subject.policies.items():
         _limits(subject, result, key, contract)
-        _symmetry(result, key, contract)
+        culprit, pose = (key, "default_joint_pos"), contract.default_joint_pos
+        check_mirrored(result, "pose.symmetry", culprit, contract, contract.joints, pose, 0.02)
     model = subject.model
-    if model is None or not subject.robot.walks:
+    if not subject.robot.walks:
+        return
+    if model is None:
+        what = "it simulates no model, so feet and height above the floor are not checked"
+        result.note("pose.feet", f"platform {subject.platform.name!r}", what)
         return
     for key, contract in subject.policies.items():
         _feet(subject, result, key, contract, PosedModel(model))
@@ -75,26 +80,6 @@ def _limits(subject: Subject, result: CheckResult, key: str, contract: PolicyCon
             "pose.differ",
             f"policy {key!r}",
             f"its default pose is more than 0.3 rad from robot {robot.name}'s at {listed(far)}",
-        )
-
-
-def _symmetry(result: CheckResult, key: str, contract: PolicyContract) -> None:
-    place = {name: i for i, name in enumerate(contract.joints)}
-    size = np.abs(contract.default_joint_pos)
-    odd = [
-        (left, right)
-        for left, right in mirror_pairs(contract.joints)
-        if abs(size[place[left]] - size[place[right]]) > 0.02
-    ]
-    if odd:
-        left, right = odd[0]
-        values = [f"{contract.default_joint_pos[place[name]]:g}" for name in (left, right)]
-        result.find(
-            "pose.symmetry",
-            f"policy {key!r}, default_joint_pos",
-            f"{left} is {values[0]} and {right} is {values[1]} rad ({len(odd)} pairs)",
-            f"bring default_joint_pos into the order of joints: {listed(contract.joints, 3)}",
-            contract.path,
         )
 
 
@@ -197,7 +182,8 @@ def _start(subject: Subject, result: CheckResult, posed: PosedModel) -> None:
     before = states.snapshot()
     platform.recv()
     first = slice(None) if states.num_robots is None else 0
-    posed.put(*(states[name][first] for name in told))
+    joint_pos, *base = (states[name][first] for name in told)
+    posed.put(joint_pos, np.concatenate(base))
     states.restore(before)
     if isinstance(platform, Resettable):
         platform.reset()

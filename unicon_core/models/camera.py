@@ -127,14 +127,14 @@ class ModelCamera:
         self.pinhole = intrinsics(model, self._camera, *size)
         self.mount = optical_frame(mujoco, model, robot, self._camera)
 
-    def shoot(self, joint_pos: Float, base_pos: Float, base_quat: Float) -> NDArray[Any]:
+    def shoot(self, joint_pos: Float, base: Float) -> NDArray[Any]:
         """Return the picture of a pose, as `PosedModel.put` takes it.
 
         Returns:
             RGB as uint8, shape (height, width, 3); or depths along the view axis in [m] as float32,
             shape (height, width). The caller may change it.
         """
-        data = self._posed.put(joint_pos, base_pos, base_quat)
+        data = self._posed.put(joint_pos, base)
         self._mujoco.mj_camlight(self._posed.loaded.model, data)
         self._renderer.update_scene(data, self._camera)
         picture: NDArray[Any] = self._renderer.render()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from unicon_core.models.loaded import LoadedModel, import_mujoco
@@ -27,25 +26,20 @@ class PosedModel:
         self.loaded, self._mujoco = loaded, import_mujoco()
         self.data = self._mujoco.MjData(loaded.model)
         self._joints, base = loaded.addresses, loaded.base
-        start = None if base is None else int(loaded.model.jnt_qposadr[base])
-        self._position = slice(0) if start is None else slice(start, start + 3)
-        self._quat = slice(0) if start is None else slice(start + 3, start + 7)
-        self.floating = start is not None
+        self._base = None if base is None else int(loaded.model.jnt_qposadr[base])
 
-    def put(self, joint_pos: ArrayLike, base_pos: ArrayLike = (), base_quat: ArrayLike = ()) -> Any:
+    def put(self, joint_pos: ArrayLike, base: ArrayLike | None = None) -> Any:
         """Put the robot somewhere; return `data`.
 
         Args:
             joint_pos: in the robot's order in [rad] or [m], shape (n,).
-            base_pos: of the base in the world in [m], shape (3,); empty leaves the model's own. A
-                fixed base stays where it is.
-            base_quat: base to world, wxyz; empty leaves the model's own.
+            base: position in the world in [m], and base to world, wxyz, shape (7,); None leaves it
+                where it is. A fixed base does not move.
         """
         data, model = self.data, self.loaded.model
         data.qpos[self._joints] = joint_pos
-        for place, value in ((self._position, base_pos), (self._quat, base_quat)):
-            if self.floating and np.size(value):
-                data.qpos[place] = value
+        if self._base is not None and base is not None:
+            data.qpos[self._base : self._base + 7] = base
         self._mujoco.mj_kinematics(model, data)
         self._mujoco.mj_comPos(model, data)
         return data

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from unicon_core.errors import PolicyError, alternatives
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.controller import ControllerContract
-from unicon_core.robots import Robot
+from unicon_core.robots import Robot, joint_index
 
 __all__ = ["ActionMap", "lacking_joints"]
 
@@ -54,12 +54,11 @@ class ActionMap:
 
     def __init__(self, contract: PolicyContract, robot: Robot, rows: int = 1) -> None:
         action = contract.action
-        place = {name: i for i, name in enumerate(robot.joint_names)}
         lacking = lacking_joints(contract, robot)
         if lacking:
             raise PolicyError(f"policy {contract.name}: {lacking}")
-        robot_from_policy = np.array([place[name] for name in contract.joints], dtype=np.intp)
-        robot_from_action = np.array([place[name] for name in action.joints], dtype=np.intp)
+        robot_from_policy = joint_index(contract.joints, robot.joint_names)
+        robot_from_action = joint_index(action.joints, robot.joint_names)
         n, m = robot.num_joints, len(action.joints)
         offset = robot.default_joint_pos.astype(np.float32)
         offset[robot_from_policy] = contract.default_joint_pos

@@ -21,6 +21,7 @@ from unicon_core.policies.contract import (
     Recurrent,
 )
 from unicon_core.policies.facts import Facts, dotted, missing_facts
+from unicon_core.robots import joint_index
 
 __all__ = ["build_contract"]
 
@@ -231,7 +232,7 @@ class _Check:
         count = len(moved)
         scale = self.vector((*where, "scale"), count, "joint", -ACTION_SCALE, ACTION_SCALE)
         if action.get("offset") is None:
-            offset = default[[joints.index(name) for name in moved]]
+            offset = default[joint_index(moved, joints)]
         else:
             offset = self.vector((*where, "offset"), count, "joint", -POSITION, POSITION)
         clip = self.clip((*where, "clip"), action.get("clip"), count)

@@ -9,8 +9,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.errors import PolicyError, alternatives
+from unicon_core.errors import PolicyError, RobotError, alternatives
 from unicon_core.policies.contract import ObservationSpec, ObservationTerm, PolicyContract
+from unicon_core.robots import joint_index
 
 __all__ = ["PackedStates", "TermSlice", "term_slices"]
 
@@ -97,14 +98,10 @@ def term_slices(
         names: tuple[str, ...] = tuple(state.names)
         elements = np.arange(state.size, dtype=np.intp)
         if names == tuple(robot_joints) and term.state != "action":
-            place = {name: i for i, name in enumerate(names)}
-            unknown = [name for name in contract.joints if name not in place]
-            if unknown:
-                raise PolicyError(
-                    f"{label}: the robot has no joint {unknown[0]!r}; "
-                    f"{alternatives(unknown[0], names)}"
-                )
-            elements = np.array([place[name] for name in contract.joints], dtype=np.intp)
+            try:
+                elements = joint_index(contract.joints, names)
+            except RobotError as error:
+                raise PolicyError(f"{label}: the robot has {error}") from error
             names = contract.joints
         default = contract.default_joint_pos if names == contract.joints else None
         if term.index is not None:

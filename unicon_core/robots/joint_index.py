@@ -43,13 +43,15 @@ def joint_index(
     alike: dict[str, list[str]] = {}
     for name in from_ if loose else ():
         alike.setdefault(_plain(name), []).append(name)
-    found = []
+    found: list[int] = []
     for name in to:
         fits = [name] if name in position else alike.get(_plain(name), [])
         if not fits:
             raise RobotError(f"no joint {name!r}; {alternatives(name, from_)}")
         if len(fits) > 1:
             raise RobotError(f"joint {name!r} could be any of {', '.join(fits)}")
+        if position[fits[0]] in found:
+            raise RobotError(f"joint {name!r} and another one are both {fits[0]!r}")
         found.append(position[fits[0]])
     return np.array(found, dtype=np.intp)
 

@@ -97,7 +97,7 @@ class _Camera:
         """Draw a record's pose into the ring; return the message."""
         stamp_ns = int(np.frombuffer(record, np.int64, 1)[0])
         values = np.frombuffer(record, np.float64, offset=8)
-        picture = self._camera.shoot(values[7:], values[:3], values[3:7])
+        picture = self._camera.shoot(values[7:], values[:7])
         slot = self.ring.fill()
         into = self.message.data(slot)
         if self._kind != "color":
