@@ -32,7 +32,7 @@ class Counting:
         return True
 
 def platform(states, robot, period) -> Platform:
-    return fake.make(states, robot, period)
+    return fake.make_robot(states, robot, period)
 
 def robot_of_mine(states, robot, period) -> fake.FakePlatform:
     return fake.make(states, robot, period)
