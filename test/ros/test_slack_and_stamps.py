@@ -213,7 +213,7 @@ def test_controls_refuse_what_a_real_robot_cannot_do() -> None:
     controls = Controls(lambda seconds: None)
     assert controls.reset() == (False, "nothing runs")
     platform = SimpleNamespace(facts=Facts("unitree"))
-    controls.runner = SimpleNamespace(workflow=SimpleNamespace(platform=platform))  # type: ignore[assignment]
+    controls.runner = SimpleNamespace(program=SimpleNamespace(platform=platform))  # type: ignore[assignment]
     for act in (controls.reset, controls.pause, controls.step):
         done, said = act()
         assert not done
