@@ -3,7 +3,8 @@
 #   make demo       set up, run the main job with ROS 2 on, print a summary
 #   make test       set up, run the tests            make test-slow   soaks and second distributions
 #   make check      format, lint, types, imports     make bench       side by side measurements
-#   make venv       only the set-up                  make clean       remove what was built
+#   make venv       only the set-up                  make docs       write the API reference to out/docs
+#   make clean      remove what was built
 
 PYTHON ?= python3
 VENV := .venv
@@ -32,11 +33,11 @@ demo bench: export ROS_DOMAIN_ID ?= 42
 bench: export FASTRTPS_DEFAULT_PROFILES_FILE ?= $(CURDIR)/config/dds/fast_discovery.xml
 bench: export FASTDDS_DEFAULT_PROFILES_FILE ?= $(FASTRTPS_DEFAULT_PROFILES_FILE)
 
-.PHONY: help venv demo test test-slow check format bench clean clean-venv
+.PHONY: help venv demo test test-slow check format docs bench clean clean-venv
 .DEFAULT_GOAL := help
 
 help:
-	@sed -n '3,6s/^# *//p' Makefile
+	@sed -n '3,7s/^# *//p' Makefile
 
 venv: $(STAMP)
 
@@ -64,6 +65,10 @@ check: $(STAMP)
 format: $(STAMP)
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
+
+docs: $(STAMP)
+	$(BIN)/pdoc -d google -o out/docs unicon_core unicon_msgs_map unicon_ros "!unicon_ros.bench"
+	@echo "out/docs/index.html"
 
 bench: $(STAMP)
 	@mkdir -p out/bench

@@ -42,7 +42,7 @@ EXTRAS = {
         "setuptools>=70.1,<80",
     ],
     # Minor versions are held: a new one may format or type differently and break `make check`.
-    "dev": ["ruff==0.17.*", "mypy==2.4.*", "import-linter>=2.1", "types-PyYAML"],
+    "dev": ["ruff==0.17.*", "mypy==2.4.*", "import-linter>=2.1", "types-PyYAML", "pdoc>=15"],
 }
 EXTRAS["all"] = sorted({requirement for extra in EXTRAS.values() for requirement in extra})
 # Not in `all`: 754 MB installed (2.13, CPU), for TorchScript policies alone.

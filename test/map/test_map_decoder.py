@@ -631,7 +631,7 @@ def test_layouts_kept_are_few() -> None:
     joints = Joints()
     for k in range(1, 7):
         assert joints.decoder.decode(joint_state(NAMES[:k]))
-    assert len(joints.decoder._layouts) == 4
+    assert len(joints.decoder._layouts.kept) == 4
 
 
 def test_specs_without_a_policy_have_the_documented_ones() -> None:

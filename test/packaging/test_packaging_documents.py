@@ -12,7 +12,10 @@ import pytest
 import yaml
 from source_tree import ROOT, tracked_files
 
-DOCUMENTS = ("README.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "CHANGELOG.md")
+DOCUMENTS = (
+    *("README.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "CHANGELOG.md"),
+    *sorted(name for name in tracked_files() if re.fullmatch(r"docs/\w+\.md", name)),
+)
 FOLDERS = ("unicon_core/", "unicon_msgs_map/", "unicon_ros/", "config/", "launch/", "test/")
 
 
@@ -20,9 +23,9 @@ def text_of(document: str) -> str:
     return (ROOT / document).read_text(encoding="utf-8")
 
 
-def code_block(language: str, first_words: str) -> str:
-    """Return the code block of the README whose first line starts with these words."""
-    blocks = re.findall(rf"```{language}\n(.*?)```", text_of("README.md"), re.DOTALL)
+def code_block(document: str, language: str, first_words: str) -> str:
+    """Return the code block of a document whose first line starts with these words."""
+    blocks = re.findall(rf"```{language}\n(.*?)```", text_of(document), re.DOTALL)
     [block] = [block for block in blocks if block.startswith(first_words)]
     return str(block)
 
@@ -43,8 +46,10 @@ def unicon(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
 @pytest.mark.parametrize("document", DOCUMENTS)
 def test_every_relative_link_leads_to_a_tracked_file(document: str) -> None:
     links = re.findall(r"\]\(([^)#]+)\)", text_of(document))
+    folder = (ROOT / document).parent
     relative = {link for link in links if "://" not in link}
-    assert relative - set(tracked_files()) == set()
+    tracked = {ROOT / name for name in tracked_files()}
+    assert {link for link in relative if (folder / link).resolve() not in tracked} == set()
 
 
 @pytest.mark.parametrize("document", DOCUMENTS)
@@ -67,7 +72,7 @@ def test_every_make_target_that_is_named_exists() -> None:
 
 
 def test_every_command_of_the_table_exists(tmp_path: Path) -> None:
-    named = set(re.findall(r"^\| `unicon ([a-z]+)", text_of("README.md"), re.MULTILINE))
+    named = set(re.findall(r"^\| `unicon ([a-z]+)", text_of("docs/commands.md"), re.MULTILINE))
     assert named >= {"run", "check", "show", "robots"}
     for command in named:
         done = unicon(command, "--help", cwd=tmp_path)
@@ -75,7 +80,7 @@ def test_every_command_of_the_table_exists(tmp_path: Path) -> None:
 
 
 def test_every_option_of_run_that_is_named_exists(tmp_path: Path) -> None:
-    sentence = re.search(r"`unicon run` takes (.*?)\. Exit", text_of("README.md"), re.DOTALL)
+    sentence = re.search(r"`unicon run` takes (.*?)\. Exit", text_of("docs/commands.md"), re.DOTALL)
     assert sentence is not None
     options = set(re.findall(r"--[a-z-]+", sentence.group(1)))
     help_text = unicon("run", "--help", cwd=tmp_path).stdout
@@ -90,7 +95,7 @@ def test_every_topic_of_the_default_map_is_in_the_table_with_its_type() -> None:
         for entry in documents[direction]
     }
     told = set(
-        re.findall(r"^\| `([a-z_/]+)`.*? \| (\w+/\w+) \|", text_of("README.md"), re.MULTILINE)
+        re.findall(r"^\| `([a-z_/]+)`.*? \| (\w+/\w+) \|", text_of("docs/ros.md"), re.MULTILINE)
     )
     assert topics <= told
 
@@ -99,7 +104,7 @@ def test_every_service_is_in_the_table() -> None:
     from unicon_ros.bridge.controls import SERVICES
     from unicon_ros.bridge.estop import STOP_SERVICES
 
-    rows = re.findall(r"^\| `~/.*?\|", text_of("README.md"), re.MULTILINE)
+    rows = re.findall(r"^\| `~/.*?\|", text_of("docs/ros.md"), re.MULTILINE)
     assert set(re.findall(r"~/(\w+)", "".join(rows))) == {*SERVICES, *STOP_SERVICES}
 
 
@@ -107,17 +112,40 @@ def test_every_parameter_of_the_node_is_in_the_table() -> None:
     pytest.importorskip("rcl_interfaces", reason="no ROS: pip install -e '.[ros]'")
     from unicon_ros.parameters import DECLARED, RANGED
 
-    _, table = text_of("README.md").split("| parameter | default | means |")
+    _, table = text_of("docs/ros.md").split("| parameter | default | means |")
     rows = re.findall(r"^\| (`.*?`) \|", table, re.MULTILINE)
     told = {name for row in rows for name in re.findall(r"`(\w+)`", row)}
     assert told == {"use_sim_time", *(name for name, *_ in (*DECLARED, *RANGED))}
 
 
-def test_the_examples_of_the_readme_run(tmp_path: Path) -> None:
+def test_the_readme_is_short_and_its_two_walks_are_one(tmp_path: Path) -> None:
     pytest.importorskip("mujoco")
-    (tmp_path / "my_blocks.py").write_text(code_block("python", "# my_blocks.py"), "utf-8")
+    assert len(text_of("README.md").split()) <= 600
+    (tmp_path / "walk.py").write_text(code_block("README.md", "python", "from unicon_core"))
+    (tmp_path / "walk.yaml").write_text(code_block("README.md", "yaml", "# walk.yaml"))
+    path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]).rstrip(os.pathsep)
+    python = subprocess.run(
+        [sys.executable, "walk.py"],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": path},
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=90,
+    )
+    yaml_run = unicon("run", "walk.yaml", "--speed", "max", "--quiet", cwd=tmp_path)
+    moved = [re.search(r"moved .*", text) for text in (python.stdout, yaml_run.stdout)]
+    assert moved[0] is not None
+    assert moved[1] is not None
+    assert moved[0][0] == moved[1][0]
+
+
+def test_the_examples_of_the_tutorial_run(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    page = "docs/tutorial.md"
+    (tmp_path / "my_blocks.py").write_text(code_block(page, "python", "# my_blocks.py"), "utf-8")
     workflow = tmp_path / "my_workflow.yaml"
-    workflow.write_text(code_block("yaml", "# my_workflow.yaml"), "utf-8")
+    workflow.write_text(code_block(page, "yaml", "# my_workflow.yaml"), "utf-8")
     checked = unicon("check", str(workflow), cwd=tmp_path)
     assert checked.returncode == 0, checked.stdout + checked.stderr
     ran = unicon("run", str(workflow), "--speed", "max", "--no-ros", cwd=tmp_path)

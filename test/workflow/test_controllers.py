@@ -13,7 +13,8 @@ import pytest
 from unicon_core.blocks.joint_command import JointCommand
 from unicon_core.check import check_workflow
 from unicon_core.errors import WorkflowError
-from unicon_core.flow import Reads
+from unicon_core.flow import Reads, as_block
+from unicon_core.policies.controller import controller_contract
 from unicon_core.robots import Robot, load_robot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import load_workflow
@@ -108,6 +109,24 @@ def test_a_rate_that_does_not_fit_is_refused(write: Callable[..., Path]) -> None
         load_workflow(write(rate=60))
 
 
+@pytest.mark.parametrize(
+    ("said", "wrong"),
+    [
+        ({"command_ranges": None}, "says command_ranges None"),
+        ({"command_ranges": {"lin_vel_x": 0.5}}, "says command_ranges {'lin_vel_x': 0.5}"),
+        ({"joints": None}, "has 12 positions for 1 joints"),
+        ({"default_joint_pos": 0.0}, "has 1 positions for 12 joints"),
+    ],
+)
+def test_what_does_not_fit_together_is_refused(said: dict[str, Any], wrong: str) -> None:
+    def tick() -> None: ...
+
+    tick.contract = Reach(**said)  # type: ignore[attr-defined]
+    with pytest.raises(WorkflowError) as caught:
+        controller_contract(as_block(tick, name="reach"))
+    assert str(caught.value).startswith(f"block 'reach': its contract {wrong}; a controller says ")
+
+
 @pytest.mark.parametrize("period", [0.0, -1.0, float("nan"), float("inf"), "'x'"])
 def test_a_period_that_is_not_a_time_is_refused(write: Callable[..., Path], period: Any) -> None:
     value = {"nan": ".nan", "inf": ".inf"}.get(str(period), period)
@@ -122,7 +141,7 @@ def test_a_contract_that_leaves_something_out_is_refused(write: Callable[..., Pa
         "w.yaml:5: block 'call': its contract does not say name, period, joints, "
         "default_joint_pos, command_ranges; a controller says name, period, joints, "
         "default_joint_pos, command_ranges, the period in [s] above 0, one position in [rad] for "
-        "each joint"
+        "each joint, ranges as (lowest, highest)"
     )
 
 

@@ -55,19 +55,26 @@ def controller_contract(block: Block) -> ControllerContract | None:
     contract = getattr(block.tick, "contract", None)
     if contract is None:
         return None
-    lacking = [name for name in _FACTS if not hasattr(contract, name)]
-    if lacking:
-        what = f"does not say {', '.join(lacking)}"
-    elif not isinstance(contract.period, (int, float)) or not 0.0 < contract.period < math.inf:
-        what = f"says period {contract.period!r}"
-    elif np.shape(contract.default_joint_pos) != (len(contract.joints),):
-        what = (
-            f"has {np.size(contract.default_joint_pos)} positions for {len(contract.joints)} joints"
-        )
-    else:
+    what = _wrong(contract)
+    if not what:
         return cast(ControllerContract, contract)
     raise WorkflowError(
         f"block {block.name!r}: its contract {what}; a controller says {', '.join(_FACTS)}, "
-        "the period in [s] above 0, one position in [rad] for each joint",
+        "the period in [s] above 0, one position in [rad] for each joint, ranges as (lowest, "
+        "highest)",
         block.where or None,
     )
+
+
+def _wrong(contract: Any) -> str:
+    lacking = [name for name in _FACTS if not hasattr(contract, name)]
+    if lacking:
+        return f"does not say {', '.join(lacking)}"
+    period, ranges, joints = contract.period, contract.command_ranges, contract.joints
+    if not isinstance(period, (int, float)) or not 0.0 < period < math.inf:
+        return f"says period {period!r}"
+    if not isinstance(ranges, Mapping) or any(np.shape(r) != (2,) for r in ranges.values()):
+        return f"says command_ranges {ranges!r}"
+    if np.shape(joints) != np.shape(contract.default_joint_pos) or np.ndim(joints) != 1:
+        return f"has {np.size(contract.default_joint_pos)} positions for {np.size(joints)} joints"
+    return ""

@@ -18,48 +18,12 @@ from numpy.lib.stride_tricks import as_strided
 
 from unicon_msgs_map.codec.binding import AnyArray
 from unicon_msgs_map.codec.careful import Run
+from unicon_msgs_map.codec.code import Code
 from unicon_msgs_map.codec.magnitudes import high_byte, largest_of, ordinary_bytes, spans
 from unicon_msgs_map.codec.strides import address, fuse, line, stack, step
 from unicon_msgs_map.layout.messages import Primitive
 
-__all__ = ["Code", "castable", "read_in_bulk"]
-
-
-class Code:
-    """What the function of one payload is made of.
-
-    Args:
-        raw: the payload that was walked.
-        order: its byte order for `struct`.
-        reject: whether numbers that are not finite are refused.
-
-    Attributes:
-        space: values that the lines use, by name.
-        checks: lines that look at constants.
-        work: lines that read and test numbers.
-        writes: lines that write states, after all tests.
-    """
-
-    def __init__(self, raw: bytes, order: str, reject: bool) -> None:
-        self.raw, self.order, self.reject = raw, order, reject
-        self.space: dict[str, Any] = {"size": len(raw)}
-        self.checks: list[str] = []
-        self.work: list[str] = []
-        self.writes: list[str] = []
-
-    def stage(self) -> AnyArray:
-        """Return the bytes of the present payload, where NumPy reads them, shape (len(raw),)."""
-        known = self.space.get("staged")
-        if known is None:
-            # The body starts at byte 4; numbers are aligned in it, so it is aligned in memory.
-            room = bytearray(len(self.raw) + 16)
-            bytes_: AnyArray = np.frombuffer(room, np.uint8)
-            self.shift = shift = -(bytes_.__array_interface__["data"][0] + 4) % 8
-            known = self.space["staged"] = bytes_[shift : shift + len(self.raw)]
-            self.space["stage"] = memoryview(room)[shift : shift + len(self.raw)]
-            self.space["room"] = room
-        stage: AnyArray = known
-        return stage
+__all__ = ["castable", "read_in_bulk"]
 
 
 @dataclass(frozen=True)

@@ -1,49 +1,23 @@
 """Decoders: the bytes of one ROS message in, state arrays written; for bridges and replays.
 
-Two paths, one meaning. The careful path walks the payload with every length checked, applies the
-declared policies, and compiles what it found; the fast path (`fast.py`) reads at those offsets as
-long as every structural byte is the same. Any difference goes back to the walk.
+Two paths, one meaning. The careful path (`layouts.py`) walks the payload with every length checked,
+applies the declared policies, and compiles what it found; the fast path (`fast.py`) reads at those
+offsets as long as every structural byte is the same. Any difference goes back to the walk.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-
 import numpy as np
 
 from unicon_msgs_map.codec.binding import Arrays, Names, Variables
-from unicon_msgs_map.codec.careful import (
-    COVARIANCE,
-    STAMP,
-    Rejected,
-    Run,
-    apply,
-    orientation,
-    select,
-)
-from unicon_msgs_map.codec.fast import compile_fast, merge
+from unicon_msgs_map.codec.careful import Rejected
+from unicon_msgs_map.codec.layouts import Layouts
 from unicon_msgs_map.codec.targets import Target, bind_targets
-from unicon_msgs_map.layout.messages import HEADER, TIME, Struct
-from unicon_msgs_map.layout.paths import Path, parse_path
-from unicon_msgs_map.layout.walker import Found, Malformed, Want, walk
+from unicon_msgs_map.layout.messages import Struct
+from unicon_msgs_map.layout.walker import Malformed
 from unicon_msgs_map.spec import SubscribeSpec
 
 __all__ = ["Decoder"]
-
-KEPT_LAYOUTS = 4  # publishers with layouts of their own that may alternate on one topic
-IMU = "sensor_msgs/msg/Imu"
-
-
-_Fast = Callable[[bytes], bool | None]
-
-
-@dataclass(frozen=True)
-class _Layout:
-    size: int
-    structure: tuple[bytes, ...]
-    fast: _Fast
-    runs: list[Run]
 
 
 class Decoder:
@@ -53,45 +27,19 @@ class Decoder:
         spec: the mapping entry.
         received: number of accepted messages.
         rejected: number of refused ones.
-        derived: number of times that a layout was derived anew.
         last_error: why the last refused message was refused; empty if none was.
     """
 
-    __slots__ = (
-        "_fast",
-        "_layouts",
-        "_loose",
-        "_message",
-        "_orientation",
-        "_stamp",
-        "_targets",
-        "_want",
-        "derived",
-        "last_error",
-        "received",
-        "rejected",
-        "spec",
-    )
+    __slots__ = ("_fast", "_layouts", "_targets", "last_error", "received", "rejected", "spec")
 
     def __init__(self, spec: SubscribeSpec, message: Struct, targets: list[Target]) -> None:
         self.spec = spec
         self.received = 0
         self.rejected = 0
-        self.derived = 0
         self.last_error = ""
-        self._message = message
         self._targets = targets
-        self._want = Want()
-        for target in targets:
-            self._want.add(target.number, target.field.steps, message)
-        stamp = _stamp_path(message)
-        if stamp:
-            self._want.add(STAMP, stamp, message)
-        self._stamp = [0]
-        self._layouts: list[_Layout] = []
-        self._fast: _Fast = _miss
-        self._loose = False
-        self._orientation = ""
+        self._layouts = Layouts(spec, message, targets)
+        self._fast = self._layouts.fast
 
     @classmethod
     def build(
@@ -121,7 +69,12 @@ class Decoder:
     @property
     def stamp_ns(self) -> int:
         """Stamp of the last accepted message in [ns]; 0 where the type carries none."""
-        return self._stamp[0]
+        return self._layouts.stamp[0]
+
+    @property
+    def derived(self) -> int:
+        """Number of times that a layout was derived anew."""
+        return self._layouts.derived
 
     def elements(self, state: str) -> set[int]:
         """Return which elements of a state, in C order, a message may write."""
@@ -137,11 +90,8 @@ class Decoder:
         Args:
             state: that the quaternion is written to.
         """
-        self._orientation = state
-        if self.spec.type == IMU:
-            self._want.add(COVARIANCE, parse_path("orientation_covariance[0]"), self._message)
-        self._layouts.clear()
-        self._fast = _miss
+        self._layouts.need_orientation(state)
+        self._fast = self._layouts.fast
 
     def decode(self, raw: bytes) -> bool:
         """Write the states that a message carries.
@@ -169,63 +119,13 @@ class Decoder:
                 target.bound.flat[list(target.bound.elements)] = 0
 
     def _decode(self, raw: bytes) -> bool:
-        raw = bytes(raw)
-        for kept in self._layouts:
-            done = kept.fast(raw)
-            if done is None:
-                continue
-            self._fast = kept.fast
-            return self._accept(raw, kept.runs, written=done)
         try:
-            found = walk(raw, self._message, self._want)
-            runs = select(found, self.spec, self._targets, self._stamp)
-            if self._orientation:
-                runs += orientation(found, runs, self._orientation)
+            self._layouts.read(bytes(raw))
         except (Malformed, Rejected) as error:
-            return self._refuse(str(error))
-        fast = self._remember(raw, found, runs)
-        return self._accept(raw, runs, written=bool(fast(raw)))
-
-    def _remember(self, raw: bytes, found: Found, runs: list[Run]) -> _Fast:
-        self.derived += 1
-        hard = merge(found.hard)
-        structure = tuple(raw[start:end] for start, end in hard)
-        if any(kept.size == len(raw) and kept.structure == structure for kept in self._layouts):
-            # Only padding or unread bytes differ: from now on they are not compared.
-            self._loose = True
-            self._layouts.clear()
-        fast = compile_fast(raw, found.order, hard, runs, self.spec.nonfinite, self._loose)
-        self._fast = fast
-        self._layouts.insert(0, _Layout(len(raw), structure, fast, runs))
-        del self._layouts[KEPT_LAYOUTS:]
-        return fast
-
-    def _accept(self, raw: bytes, runs: list[Run], *, written: bool) -> bool:
-        """Apply a message by the careful path, unless the fast one already did."""
-        if not written:
-            try:
-                apply(raw, runs, self.spec.nonfinite)
-            except Rejected as error:
-                return self._refuse(str(error))
+            self.rejected += 1
+            self.last_error = f"{self.spec.topic} ({self.spec.type}): {error}"
+            return False
+        finally:
+            self._fast = self._layouts.fast
         self.received += 1
         return True
-
-    def _refuse(self, reason: str) -> bool:
-        self.rejected += 1
-        self.last_error = f"{self.spec.topic} ({self.spec.type}): {reason}"
-        return False
-
-
-def _miss(_: bytes) -> bool | None:
-    return None
-
-
-def _stamp_path(message: Struct) -> Path:
-    header = message.field("header")
-    if header is not None and isinstance(header.type, Struct) and header.type.name == HEADER:
-        return (("header", None), ("stamp", None))
-    for name in ("stamp", "clock"):
-        member = message.field(name)
-        if member is not None and isinstance(member.type, Struct) and member.type.name == TIME:
-            return ((name, None),)
-    return ()

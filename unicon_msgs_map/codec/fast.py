@@ -13,8 +13,8 @@ value needs the careful path. It never writes before every check has passed. Thi
         w0[e0_0] = v0                      # memoryviews of velocity_command, and so v1, v2
         return True
 
-Everything but its own words is bound as a value. Numbers in long arrays go through NumPy
-(`bulk.py`).
+Everything but its own words is bound as a value. The lines about single numbers come from
+`scalars.py`, those about long arrays, which NumPy reads, from `bulk.py`.
 """
 
 from __future__ import annotations
@@ -27,36 +27,17 @@ from functools import lru_cache
 import numpy as np
 
 from unicon_core.generated import define
-from unicon_msgs_map.codec.bulk import Code, castable, read_in_bulk
-from unicon_msgs_map.codec.careful import DOUBLE_MAX, SINGLE_MAX, UNIT, Run, limits, state_of
+from unicon_msgs_map.codec.bulk import castable, read_in_bulk
+from unicon_msgs_map.codec.careful import Run
+from unicon_msgs_map.codec.code import Code
+from unicon_msgs_map.codec.scalars import Scalars
 from unicon_msgs_map.layout.messages import Primitive
 
-__all__ = ["compile_fast", "merge"]
+__all__ = ["Fast", "merge"]
 
 SCALAR_LIMIT = 8  # numbers of one field that are still read one by one
 PIECES_LIMIT = 8  # structural pieces that are still compared one by one
 BRIDGE = 16  # padding and unread bytes between structural ones that are compared along, [B]
-
-
-def compile_fast(
-    raw: bytes,
-    order: str,
-    hard: list[tuple[int, int]],
-    runs: list[Run],
-    nonfinite: str,
-    loose: bool,
-) -> Callable[[bytes], bool | None]:
-    """Return the function for payloads that are built like `raw`.
-
-    Args:
-        raw: the payload that was walked.
-        order: its byte order for `struct`.
-        hard: byte ranges that fix the layout, merged.
-        runs: what to read and where to write it.
-        nonfinite: `reject` or `accept`.
-        loose: compare structural bytes only, not the padding between them.
-    """
-    return _Fast(raw, order, hard, runs, nonfinite, loose).compile()
 
 
 def merge(hard: list[tuple[int, int]]) -> list[tuple[int, int]]:
@@ -82,37 +63,36 @@ def _maker(source: str) -> Callable[..., Callable[[bytes], bool | None]]:
     return maker
 
 
-class _Fast(Code):
+class Fast(Code):
+    """The function for payloads that are built like one: structure, then tests, then writes.
+
+    Args:
+        raw: the payload that was walked.
+        order: its byte order for `struct`.
+        hard: byte ranges that fix the layout, merged.
+        runs: what to read and where to write it.
+        reject: whether numbers that are not finite are refused.
+        loose: compare structural bytes only, not the padding between them.
+    """
+
     def __init__(
         self,
         raw: bytes,
         order: str,
         hard: list[tuple[int, int]],
         runs: list[Run],
-        nonfinite: str,
+        reject: bool,
         loose: bool,
     ) -> None:
-        super().__init__(raw, order, nonfinite == "reject")
-        self.reads: dict[int, tuple[str, str]] = {}  # offset: struct code, variable
-        self.times: dict[str, str] = {}  # variable of the seconds: variable of the time
-        self.values: dict[str, list[str]] = {}  # state: what is written to it one by one
+        super().__init__(raw, order, reject)
+        scalars = Scalars(self)
         bulk: dict[Primitive, list[Run]] = {}
         for number, run in enumerate(runs):
-            if run.kind == "zero":
-                self._zero(number, run)
-            elif run.kind == "unit":
-                self._unit(run)
-            elif run.primitive is None:
-                self._time(number, run)
-            elif run.kind == "required":
-                self._required(number, run, run.primitive)
-            elif run.kind == "told":
-                covariance = self._read(run.offsets[0], run.primitive.code)
-                self.checks.append(f"if {covariance} == -1.0: return False")
-            elif len(run.offsets) > SCALAR_LIMIT and castable(run):
+            many = run.kind == "number" and len(run.offsets) > SCALAR_LIMIT
+            if many and run.primitive is not None and castable(run):
                 bulk.setdefault(run.primitive, []).append(run)
             else:
-                self._scalars(number, run, run.primitive)
+                scalars.add(number, run)
         for number, (primitive, members) in enumerate(bulk.items()):
             read_in_bulk(self, number, primitive, members)
         self.guards = self._guards(hard, [o for r in runs for o in r.offsets], loose)
@@ -188,83 +168,3 @@ class _Fast(Code):
         self.space["unpack"] = struct.Struct(form).unpack
         lines = [f"{', '.join(names)}, = unpack(raw)"] if names else []
         return [*lines, f"if {' or '.join(tests)}: return None"] if tests else lines
-
-    def _read(self, offset: int, code: str) -> str:
-        if offset not in self.reads:
-            self.reads[offset] = (code, f"v{len(self.reads)}")
-        return self.reads[offset][1]
-
-    def _element(self, number: int, position: int, run: Run) -> str:
-        stamp = isinstance(run.flat, list)  # a third of the time of a memoryview
-        self.space[f"w{number}"] = run.flat if stamp else memoryview(run.flat)
-        self.space[f"e{number}_{position}"] = run.elements[position]
-        return f"w{number}[e{number}_{position}]"
-
-    def _zero(self, number: int, run: Run) -> None:
-        self.space[f"z{number}"] = np.array(run.elements, dtype=np.intp)
-        self.space[f"f{number}"] = run.flat
-        self.writes.append(f"f{number}[z{number}] = 0")
-
-    def _time(self, number: int, run: Run) -> None:
-        for position, offset in enumerate(run.offsets):
-            sec, nanosec = self._read(offset, "i"), self._read(offset + 4, "I")
-            value = self.times.get(sec)
-            if value is None:  # the state and the decoder's own stamp are mostly the same
-                value = self.times[sec] = f"t{number}_{position}"
-                self.work.append(f"{value} = {sec} * 1000000000 + {nanosec}")
-            if run.target is not None and run.flat.dtype != np.int64:
-                self._between(number, run, value)
-            self.writes.append(f"{self._element(number, position, run)} = {value}")
-
-    def _required(self, number: int, run: Run, primitive: Primitive) -> None:
-        assert run.target is not None
-        name = self._read(run.offsets[0], primitive.code)
-        self.space[f"r{number}"] = run.target.required
-        self.checks.append(f"if {name} != r{number}: return False")
-
-    def _unit(self, run: Run) -> None:
-        parts = self.values.get(state_of(run), [])
-        if len(parts) < len(run.offsets):  # of some number type that is read in bulk
-            self.checks.append("return False")
-            return
-        self.space |= {"unit_low": UNIT[0], "unit_high": UNIT[1]}
-        square = " + ".join(f"{part} * {part}" for part in parts)
-        self.work.append(f"if not unit_low <= {square} <= unit_high: return False")
-
-    def _scalars(self, number: int, run: Run, primitive: Primitive) -> None:
-        assert run.target is not None
-        dtype, conversion = run.flat.dtype, run.target.conversion
-        wire = np.dtype(primitive.dtype)
-        real = wire.kind == "f" or conversion is not None
-        for position, (offset, rank) in enumerate(zip(run.offsets, run.ranks)):
-            value = self._read(offset, primitive.code)
-            if conversion is not None:
-                scale, summand = f"a{number}_{position}", f"b{number}_{position}"
-                self.space[scale] = float(conversion[0][rank])
-                self.space[summand] = float(conversion[1][rank])
-                self.work.append(f"x{number}_{position} = {value} * {scale} + {summand}")
-                value = f"x{number}_{position}"
-            self.values.setdefault(state_of(run), []).append(value)
-            if dtype.kind == "f":
-                narrow = dtype == np.float32 and (wire.itemsize == 8 or conversion is not None)
-                if real and (self.reject or narrow):
-                    self._finite(value, SINGLE_MAX if dtype == np.float32 else DOUBLE_MAX)
-            elif dtype.kind == "b":
-                if real and self.reject:
-                    self._finite(value, DOUBLE_MAX)
-                value = f"{value} != 0"
-            elif real or not np.can_cast(wire, dtype, "safe"):
-                self._between(number, run, value)
-                value = f"round({value})"
-            self.writes.append(f"{self._element(number, position, run)} = {value}")
-
-    def _finite(self, value: str, largest: float) -> None:
-        name = "single_max" if largest == SINGLE_MAX else "double_max"
-        self.space[name] = largest
-        self.work.append(f"if not -{name} <= {value} <= {name}: return False")
-
-    def _between(self, number: int, run: Run, value: str) -> None:
-        low, high = limits(run.flat.dtype)
-        # floats next to the limit round beyond it; the careful path knows what to do with them
-        self.space[f"low{number}"], self.space[f"high{number}"] = low, high
-        self.work.append(f"if not low{number} <= {value} < high{number}: return False")

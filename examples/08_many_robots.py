@@ -1,0 +1,20 @@
+"""One tick moves many: a batch axis in front of every state."""
+
+import numpy as np
+
+from unicon_core import Chain, Loop, Program, block, elapsed, policy, pose, run
+
+if __name__ == "__main__":
+    program = Program(
+        robot="go2",
+        platform="mujoco",
+        num_robots=8,
+        scene={"seed": 1, "push": {"every": 1.0, "velocity": 0.5}},
+        rate=50,
+        policies={"walk": "go2_velocity"},
+        commands=[block("velocity_command", constant=[0.5, 0.0, 0.0])],
+        flow=Chain(pose("stand"), Loop(policy("walk"), until=elapsed(6))),
+    )
+    run(program, speed="max")
+    x = program.states.base_pos_w[:, 0]
+    print(f"{len(x)} robots went {np.round(x, 2).tolist()} m under pushes")
