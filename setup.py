@@ -20,9 +20,16 @@ ROS_WHEELS = (
     "and implementation_name == 'cpython' and python_version < '3.15'"
 )
 
+# Elsewhere pip would compile PyBullet for a quarter of an hour.
+PYBULLET_WHEELS = (
+    "sys_platform == 'linux' and platform_machine == 'x86_64' "
+    "and implementation_name == 'cpython' and python_version < '3.12'"
+)
+
 EXTRAS = {
     # 4.0.0 has a regression in its sparse Cholesky factorization, noted upstream.
     "sim": ["mujoco>=3.3,!=4.0.0", "onnxruntime"],
+    "sim-pybullet": [f"pybullet==3.2.7; {PYBULLET_WHEELS}"],
     "bags": ["rosbags>=0.11"],
     "ros": [
         f"ros-rclpy[fastrtps]==7.1.6; {ROS_WHEELS}",

@@ -151,7 +151,7 @@ class UniconNode(LifecycleNode):
         self.diagnostics.runner = runner
         self.log.info(
             f"running {runner.program.name} on {runner.program.robot.name} "
-            f"({runner.program.platform.name}) at {1.0 / runner.program.period:g} Hz"
+            f"({runner.program.platform.facts.name}) at {1.0 / runner.program.period:g} Hz"
         )
         try:
             report = runner.run()

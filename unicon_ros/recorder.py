@@ -162,7 +162,7 @@ class Recording:
     def hook(self, program: Program) -> dict[Stage, list[Block]]:
         """Return the block that records."""
         # A robot does not wait for a disk, however its run is paced.
-        patient = self._patient and program.platform.simulated
+        patient = self._patient and program.platform.facts.simulated
         recorder = Recorder(self._path, self._warn, patient)
         try:
             blocks = _blocks(recorder, program, self._map_name, self._session)
@@ -182,7 +182,7 @@ def _blocks(
 
     arrays = arrays_of(program)
     variables = variables_of(program, session.frame_prefix if session is not None else "")
-    simulated, stamp = program.platform.simulated, program.states["stamp_ns"].reshape(-1)
+    simulated, stamp = program.platform.facts.simulated, program.states["stamp_ns"].reshape(-1)
 
     def now() -> int:
         return int(stamp[0]) if simulated else time.time_ns()

@@ -6,6 +6,7 @@ import time
 from typing import Any
 
 from unicon_core.platforms.fake import FakePlatform
+from unicon_core.platforms.kit.scene import Scene
 from unicon_core.robots import Robot
 from unicon_core.states import States
 
@@ -16,7 +17,7 @@ class Recorded(FakePlatform):
     def __init__(
         self, states: States, robot: Robot, period: float, log: str, recv_s: float, fails: str
     ) -> None:
-        super().__init__(states, robot, period, 0.0, "default", "simulated")
+        super().__init__(states, robot, period, Scene(), 0.0)
         self._log = open(log, "a", buffering=1)  # noqa: SIM115
         self._recv_s, self._fails = recv_s, fails
         self._sends = 0

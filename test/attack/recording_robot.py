@@ -11,23 +11,18 @@ from __future__ import annotations
 import os
 import sys
 import time
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Callable
 
 import numpy as np
 
 from unicon_core.errors import Fault
-from unicon_core.platforms.platform import Platform
+from unicon_core.platforms.platform import SIMULATED, Facts
 from unicon_core.robots import Robot
 from unicon_core.states import States
-from unicon_core.states.standard import BASE_STATES, COMMAND_STATES, JOINT_STATES
 
 
 class RecordingRobot:
-    name = "recording"
-    simulated = False
-    writes = (*JOINT_STATES, *BASE_STATES, "stamp_ns")
-    reads = COMMAND_STATES
+    facts = Facts("recording", writes=SIMULATED)
 
     def __init__(
         self, states: States, robot: Robot, log: str, fault: str, where: str, at: int
@@ -58,12 +53,6 @@ class RecordingRobot:
             self._write(f"close {time.monotonic_ns()}")
             self._now("close", always=True)
 
-    def reset(self) -> None:
-        """Nothing."""
-
-    def info(self) -> Mapping[str, Any]:
-        return {}
-
     def _now(self, where: str, always: bool = False) -> None:
         if where == self._where and (always or self._ticks == self._at):
             self._write(f"fault {time.monotonic_ns()}")
@@ -82,11 +71,8 @@ def make(
     fault: str = "none",
     where: str = "recv",
     at: int = 20,
-) -> Platform:
+) -> RecordingRobot:
     return RecordingRobot(states, robot, log, fault, where, at)
-
-
-make.simulated = False  # type: ignore[attr-defined]
 
 
 def _raise(error: BaseException) -> Callable[[], object]:

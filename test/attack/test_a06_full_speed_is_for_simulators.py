@@ -12,8 +12,7 @@ from unicon_core.workflow import load_workflow
 
 STAND = """\
 robot: go2
-platform: fake
-platforms: {{fake: {{clock: {clock}}}}}
+platform: {platform}
 rate: 50
 flow: {{hold: {{}}}}
 """
@@ -21,7 +20,7 @@ flow: {{hold: {{}}}}
 
 def test_full_speed_is_refused_on_a_robot(tmp_path: Path) -> None:
     path = tmp_path / "stand.yaml"
-    path.write_text(STAND.format(clock="monotonic"))
+    path.write_text(STAND.format(platform="fake_robot"))
     workflow = load_workflow(path)
     with pytest.raises(PlatformError, match=r"is a robot.*leave out speed max"):
         Runner(workflow, RunOptions(speed="max", duration=1.0))
@@ -30,5 +29,5 @@ def test_full_speed_is_refused_on_a_robot(tmp_path: Path) -> None:
 
 def test_full_speed_is_given_to_a_simulator(tmp_path: Path) -> None:
     path = tmp_path / "stand.yaml"
-    path.write_text(STAND.format(clock="simulated"))
+    path.write_text(STAND.format(platform="fake"))
     assert Runner(load_workflow(path), RunOptions(speed="max", duration=1.0)).run().ticks == 50

@@ -91,7 +91,7 @@ def test_catch_up_is_bounded_in_a_simulator(tmp_path: Path) -> None:
 def test_a_robot_of_ones_own_is_refused_catch_up_too(tmp_path: Path) -> None:
     path = tmp_path / "late.yaml"
     path.write_text(WORKFLOW)
-    workflow = load_workflow(path, ["platforms.fake.clock=monotonic"])
+    workflow = load_workflow(path, ["platform=fake_robot"])
     with pytest.raises(PlatformError, match=r"pacing\.overrun: skip"):
         Runner(workflow)
     workflow.close()

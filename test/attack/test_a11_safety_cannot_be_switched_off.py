@@ -91,7 +91,7 @@ def test_a_pose_is_no_step(tmp_path: Path) -> None:
     changes = {"flow.pose.duration": 0}
     with pytest.raises(UniconError, match=r"duration is 0; give a number from 0.1"):
         load_workflow(written(tmp_path, ""), changes)
-    overrides = {"platforms.fake.initial_pose": "rest", "flow.pose.duration": 0.1}
+    overrides = {"scene.initial_pose": "rest", "flow.pose.duration": 0.1}
     workflow = load_workflow(written(tmp_path, ""), overrides)
     runner = Runner(workflow, RunOptions(speed="max"))
     fastest, last = 0.0, None

@@ -92,14 +92,14 @@ HARDWARE = """
 from unicon_core.platforms import fake
 
 def make(states, robot, period):
-    platform = fake.make(states, robot, period)
+    platform = fake.make_robot(states, robot, period)
     touched = []
     platform.recv = platform.send = lambda: touched.append(1)
     platform.close = lambda: touched.append("closed")
     make.touched = touched
     return platform
 
-make.simulated = False
+make.facts = fake.FakeRobot.facts
 """
 
 

@@ -127,12 +127,12 @@ def test_a_map_that_fits_is_clean(tmp_path: Path) -> None:
 
 
 PROTOCOL = """
-from unicon_core.platforms.platform import Platform
+from unicon_core.platforms.platform import Facts, Platform
 
 def make(states, robot, period) -> Platform:
     raise AssertionError("nothing is opened")
 
-make.protocols = ("twig_can",)
+make.facts = Facts("toy", protocols=("twig_can",))
 """
 
 
@@ -169,12 +169,12 @@ def test_a_twin_waits_for_no_data(tmp_path: Path) -> None:
 
 
 BLIND = """
-from unicon_core.platforms.platform import Platform
+from unicon_core.platforms.platform import Facts, Platform
 
 def make(states, robot, period) -> Platform:
     raise AssertionError("nothing is opened")
 
-make.writes = ("joint_pos", "joint_vel", "stamp_ns")
+make.facts = Facts("toy", writes=("joint_pos", "joint_vel", "stamp_ns"))
 """
 
 

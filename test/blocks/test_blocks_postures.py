@@ -232,7 +232,7 @@ def test_unknown_pose_and_gains_are_named(bench: Build) -> None:
         it.block("pose", to="rest")
     assert str(error.value) == (
         "block 'pose': robot go2 does not say the rest pose of joint FL_thigh_joint; "
-        f"give it in {it.robot.path}, or give the block joints and positions"
+        f"give it in {it.robot.path}, or give joints and positions"
     )
     it.robot = dataclasses.replace(it.robot, joint_damping=unknown)
     with pytest.raises(RobotError) as error:

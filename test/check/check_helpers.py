@@ -44,7 +44,7 @@ POLICY: dict[str, Any] = {
 WORKFLOW: dict[str, Any] = {
     "robot": "go2",
     "platform": "mujoco",
-    "platforms": {"mujoco": {"initial_pose": "policy:walk"}},
+    "scene": {"initial_pose": "policy:walk"},
     "policies": {"walk": "./policy"},
     "commands": [{"velocity_command": {"constant": [0.6, 0.0, 0.0]}}],
     "flow": {"policy": "walk"},

@@ -299,7 +299,7 @@ def test_a_pose_that_kneels_is_found(folder: Path) -> None:
 
 def test_a_simulation_that_begins_in_the_air_or_the_floor_is_found(folder: Path) -> None:
     def start(height: float) -> dict[str, Any]:
-        return {"platforms.mujoco": {"initial_pose": "default", "initial_height": height}}
+        return {"scene": {"initial_pose": "default", "initial_height": height}}
 
     assert "inside the floor; raise initial_height" in text_of(
         check(folder / "a", None, start(0.1)), "pose.floor"
@@ -364,8 +364,6 @@ def make(states, robot, period) -> fake.FakePlatform:
 
     platform.recv = recv
     return platform
-
-make.simulated = True
 """
 
 

@@ -66,33 +66,33 @@ def test_a_flow_that_falls_is_found(folder: Path) -> None:
     flow = {
         "flow": {"chain": [{"pose": {"to": "stand", "duration": 0.5}}, {"damp": {"duration": 3.0}}]}
     }
-    values = {**flow, "policies": None, "rate": 50, "platforms.mujoco": {"initial_height": 3.0}}
+    values = {**flow, "policies": None, "rate": 50, "scene": {"initial_height": 3.0}}
     values |= {"check": {"accept": ["pose.floor"]}, "safety": ["finite", "tilt_stop"]}
-    values["platforms.mujoco"] |= {"push": {"every": 0.2, "velocity": 8.0}}
+    values["scene"] |= {"push": {"every": 0.2, "velocity": 8.0}}
     result = check_workflow(write_workflow(folder, None, values), twin=True)
     assert text_of(result, "twin.fall").startswith("flow: ")
 
 
 def test_hardware_is_exchanged_for_the_robots_model(folder: Path, tmp_path: Path) -> None:
-    document = load_document(write_workflow(folder, None, {"platform": "fake", "platforms": None}))
+    document = load_document(write_workflow(folder, None, {"platform": "fake", "scene": None}))
     other = on_platform(document, "mujoco", {"initial_pose": "policy:walk"})
-    assert other.values["platforms"] == {"mujoco": {"initial_pose": "policy:walk"}}
+    assert other.values["scene"] == {"initial_pose": "policy:walk"}
     assert document.values["platform"] == "fake"
     session = TwinSession(other)
-    assert session.program.platform.name == "mujoco"
+    assert session.program.platform.facts.name == "mujoco"
     assert session.run(1.0).stands
     session.close()
 
 
-def test_options_of_the_workflow_are_kept_in_the_twin(folder: Path) -> None:
+def test_the_scene_of_the_workflow_is_kept_in_the_twin(folder: Path) -> None:
     document = load_document(write_workflow(folder, None, {"num_robots": 3}))
-    other = on_platform(document, "mujoco", {"keyframe": "lie"})
-    assert other.values["platforms"] == WORKFLOW["platforms"]
+    other = on_platform(document, "mujoco", {"initial_pose": "keyframe:lie"})
+    assert other.values["scene"] == WORKFLOW["scene"]
     assert "num_robots" not in other.values
 
 
 def test_a_robot_without_a_model_cannot_have_a_twin(folder: Path) -> None:
-    path = write_workflow(folder, None, {"platform": "fake", "platforms": None}, {"models": {}})
+    path = write_workflow(folder, None, {"platform": "fake", "scene": None}, {"models": {}})
     line = text_of(check_workflow(path, twin=True), "twin.run")
     assert "names no model (mjcf or urdf)" in line
 
@@ -148,15 +148,18 @@ def test_several_policies_are_broken_one_by_one(folder: Path) -> None:
 
 
 MINE = """\
+from dataclasses import replace
+
 from unicon_core.platforms.sim.mujoco import MujocoPlatform, make as mujoco
 
-def make(states, robot, period, initial_pose="default", blind=False) -> MujocoPlatform:
-    platform = mujoco(states, robot, period, initial_pose=initial_pose)
-    platform.name = "mine"
-    platform.writes = tuple(n for n in platform.writes if not (blind and n == "base_pos_w"))
-    return platform
+class Mine(MujocoPlatform):
+    facts = replace(MujocoPlatform.facts, name="mine")
 
-make.simulated = True
+def make(states, robot, period, scene, blind=False) -> Mine:
+    platform = mujoco(states, robot, period, scene=scene)
+    told = tuple(n for n in platform.facts.writes if not (blind and n == "base_pos_w"))
+    platform.facts = replace(Mine.facts, writes=told)
+    return platform
 """
 
 
@@ -169,14 +172,14 @@ def mine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
 
 
 def test_the_twin_runs_on_the_simulator_that_the_workflow_names(folder: Path, mine: str) -> None:
-    path = write_workflow(folder, None, {"platform": mine, "platforms": None})
+    path = write_workflow(folder, None, {"platform": mine, "scene": None})
     result = check_workflow(path, ["check.duration=1"], twin=True)
     assert section(result, "Twin on platform mine")
     assert not any(note.code == "twin.platform" for note in result.notes)
 
 
 def test_that_it_runs_elsewhere_is_told(folder: Path) -> None:
-    path = write_workflow(folder, None, {"platform": "fake", "platforms": None})
+    path = write_workflow(folder, None, {"platform": "fake", "scene": None})
     result = check_workflow(path, ["check.duration=1"], twin=True)
     assert section(result, "Twin on platform mujoco")
     (note,) = [str(note) for note in result.notes if note.code == "twin.platform"]

@@ -13,7 +13,8 @@ schema: unicon.workflow/1
 name: postures
 robot: go2
 platform: fake
-platforms: {fake: {initial_pose: rest, time_constant: 0.05}, mujoco: {initial_pose: rest}}
+scene: {initial_pose: rest, noise: {joint_vel: 0.1}, delay: 1, seed: 3}
+platforms: {fake: {time_constant: 0.05}, mujoco: {timestep: 0.002}}
 rate: 50
 duration: 3.0
 states:
@@ -79,7 +80,7 @@ WORKFLOWS = (
 )
 
 SET_PATHS = (
-    "rate", "duration", "robot", "platform", "platforms", "platforms.fake", "flow", "safety",
+    "rate", "duration", "robot", "platform", "platforms", "scene", "flow", "safety",
     "safety.0", "commands", "commands.0", "states", "states.x", "states.tick", "policies",
     "policies.walk", "policies.walk.given", "check", "check.accept", "pacing", "num_robots", "map",
     "flow.chain.0", "flow.chain.0.pose.to", "flow.chain.1.loop.until", "deferred", "name", "ros",

@@ -297,7 +297,7 @@ def test_the_camera_is_in_the_model_that_the_platform_simulates(
     (tmp_path / "mast.xml").write_text(go2.replace("</worldbody>", mast), "utf-8")
     path = write(where="{body: mast}", topic="''")
     refused(path, r"no body 'mast' in .*go2\.xml")
-    own = {"platform": "mujoco", "platforms.mujoco.model": "./mast.xml"}
+    own = {"platform": "mujoco", "scene.model": "./mast.xml"}
     load_workflow(path, own).close()
 
 
@@ -325,7 +325,7 @@ def test_a_robot_that_stands_in_the_world_needs_no_base(
     fixed = (ROOT / "config" / "models" / "go2" / "go2.xml").read_text("utf-8")
     fixed = re.sub(r"<freejoint[^>]*/>|<keyframe>.*</keyframe>", "", fixed, flags=re.DOTALL)
     (tmp_path / "table.xml").write_text(fixed, "utf-8")
-    own = {"robot": "./table.yaml", "platform": "mujoco", "platforms.mujoco.model": "./table.xml"}
+    own = {"robot": "./table.yaml", "platform": "mujoco", "scene.model": "./table.xml"}
     workflow = load_workflow(write(topic="''"), own)
-    assert "base_pos_w" not in workflow.platform.writes
+    assert "base_pos_w" not in workflow.platform.facts.writes
     workflow.close()

@@ -10,8 +10,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scenes import in_scene
 
-from unicon_core.errors import Fault, MissingDependencyError, ModelError, PlatformError
+from unicon_core.errors import (
+    Fault,
+    MissingDependencyError,
+    ModelError,
+    PlatformError,
+    WorkflowError,
+)
 from unicon_core.platforms.sim.mujoco import MujocoPlatform, make
 from unicon_core.robots import Robot
 from unicon_core.states import States
@@ -30,7 +37,7 @@ def build(
         states = states_of(robot)
         if "model" not in options:
             options["model"] = toy_model()
-        return make(states, robot, period, **options), states
+        return in_scene(make, states, robot, period, **options), states
 
     return make_it
 
@@ -108,17 +115,17 @@ def test_period_that_is_no_whole_number_of_steps(build: Build, tmp_path: Path) -
     with pytest.raises(ModelError) as error:
         build(period=0.005)
     assert message(error, tmp_path) == (
-        "a tick of 0.005 s is no whole number of physics steps of 0.002 s (model DIR/toy.xml); "
+        "a tick of 0.005 s is not a whole number of physics steps of 0.002 s (model DIR/toy.xml); "
         "set timestep to 0.0025 or 0.00166667, or the period to 0.004 or 0.006"
     )
 
 
 def test_unknown_key_frame(build: Build, tmp_path: Path) -> None:
     with pytest.raises(ModelError) as error:
-        build(keyframe="upp")
+        build(initial_pose="keyframe:upp")
     assert message(error, tmp_path) == (
         "model DIR/toy.xml has no key frame 'upp'; did you mean 'up'? known: up; "
-        "or leave keyframe out and give initial_pose"
+        "correct scene.initial_pose"
     )
 
 
@@ -127,32 +134,32 @@ def test_unknown_key_frame(build: Build, tmp_path: Path) -> None:
     [
         (
             {"initial_pose": "sit"},
-            "no initial_pose 'sit'; known: default, model, rest; "
-            "or give a mapping of joints to [rad]",
+            "scene.initial_pose is 'sit'; known: default, keyframe:NAME, lie, model, "
+            "policy:NAME, rest, stand; or joints to [rad]",
         ),
         (
             {"initial_pose": {"knee": 1.0}},
-            "initial_pose: robot toy has no joint 'knee'; "
+            "robot toy has no joint like 'knee'; "
             "known: elbow_joint, finger_joint, shoulder_joint, wrist_joint",
         ),
-        ({"delay": -1}, "platform 'mujoco': delay is -1 ticks; give 0 or more"),
+        ({"delay": -1}, "scene.delay is -1 ticks; give 0 to 1000"),
         (
             {"noise": {"joint_pos": -1.0}},
-            "platform 'mujoco': noise of joint_pos is -1.0; give 0 or more",
+            "scene.noise of joint_pos is -1.0; give 0 or more",
         ),
         (
             {"push": {"each": 1.0}},
-            "platform 'mujoco': no push option 'each'; known: every, velocity",
+            "scene.push has no option 'each'; known: every, velocity",
         ),
         (
             {"push": {"every": 1.0}},
-            "platform 'mujoco': push every 1.0 s with 0.0 m/s does nothing; "
+            "scene.push: every 1.0 s with 0.0 m/s does nothing; "
             "give every [s] and velocity [m/s] above 0",
         ),
     ],
 )
 def test_wrong_options(build: Build, options: dict[str, Any], expected: str) -> None:
-    with pytest.raises(PlatformError) as error:
+    with pytest.raises((PlatformError, WorkflowError)) as error:
         build(**options)
     assert str(error.value) == expected
 
@@ -161,7 +168,7 @@ def test_noise_of_a_state_that_is_not_measured(build: Build) -> None:
     with pytest.raises(PlatformError) as error:
         build(noise={"joint_poss": 0.1})
     assert str(error.value).startswith(
-        "platform 'mujoco': no state 'joint_poss' for noise; did you mean 'joint_pos'? known: "
+        "scene.noise: platform 'mujoco' measures no 'joint_poss'; did you mean 'joint_pos'? known: "
     )
 
 
@@ -192,9 +199,7 @@ def test_command_that_is_not_finite_moves_nothing(build: Build, state: str, valu
     states[state][2] = value
     with pytest.raises(Fault) as error:
         platform.send()
-    assert str(error.value) == (
-        f"command {state} of joint wrist_joint is {value} at tick 1; nothing was sent"
-    )
+    assert str(error.value) == (f"{state} of joint wrist_joint is {value}")
     assert platform.data.qpos.tolist() == before.tolist()
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from unicon_core.errors import ModelError
+from unicon_core.platforms.kit.scene import Scene
 from unicon_core.platforms.sim.mujoco import make
 from unicon_core.robots import Robot, load_robot
 from unicon_core.states import States
@@ -56,7 +57,7 @@ def test_urdf_gets_base_floor_and_motors(
     path.write_text(URDF.format(limbs=limbs))
     robot = toy_robot()
     states = states_of(robot)
-    platform = make(states, robot, 0.01, model=path)
+    platform = make(states, robot, 0.01, scene=Scene(model=path))
     info = platform.info()
     assert info["base"] == "box"
     assert info["effort_upper"]["wrist_joint"] == 7.0  # the URDF's, below the robot file's 9
@@ -89,7 +90,7 @@ def test_absent_meshes_are_left_out_with_one_warning(
     path = with_mesh(toy_model(), geom + '<geom type="mesh" mesh="skin"/>')
     robot = toy_robot()
     with pytest.warns(UserWarning, match="skin") as warned:
-        platform = make(states_of(robot), robot, 0.01, model=path)
+        platform = make(states_of(robot), robot, 0.01, scene=Scene(model=path))
     assert [str(w.message) for w in warned] == [
         f"model {path}: 1 mesh files are absent (first: skin.stl): "
         "2 geoms left out, 1 of them may collide"
@@ -107,7 +108,7 @@ def test_body_that_weighs_nothing_without_its_mesh_is_an_error(
     robot = toy_robot()
     lacks = pytest.raises(ModelError, match=r"mass and inertia.*'hat'")
     with pytest.warns(UserWarning, match="skin"), lacks:
-        make(states_of(robot), robot, 0.01, model=path)
+        make(states_of(robot), robot, 0.01, scene=Scene(model=path))
 
 
 def test_actuator_dynamics_are_left_out(
@@ -120,7 +121,7 @@ def test_actuator_dynamics_are_left_out(
     )
     robot = toy_robot()
     states = states_of(robot)
-    platform = make(states, robot, 0.002, model=toy_model(actuators=actuators))
+    platform = make(states, robot, 0.002, scene=Scene(model=toy_model(actuators=actuators)))
     assert platform.model.na == 0
     states.joint_effort_ff = 1.0
     platform.send()
@@ -138,7 +139,7 @@ def test_second_actuator_of_a_joint_is_silent(
     )
     robot = toy_robot()
     states = states_of(robot)
-    platform = make(states, robot, 0.002, model=toy_model(actuators=actuators))
+    platform = make(states, robot, 0.002, scene=Scene(model=toy_model(actuators=actuators)))
     platform.data.qvel[platform.model.jnt_dofadr[2:]] = 5.0
     states.joint_effort_ff = 1.0
     platform.send()
@@ -159,6 +160,6 @@ def test_models_of_others_load(assets: Path, robot_name: str, model: str) -> Non
 
     robot = load_robot(robot_name)
     states = States(standard_states(robot.joint_names))
-    platform = make(states, robot, 0.02, model=model)
+    platform = make(states, robot, 0.02, scene=Scene(model=model))
     stand(states, robot, platform, ticks=25)
     assert states.projected_gravity[2] < -0.9  # up after half a second

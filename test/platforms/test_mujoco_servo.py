@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scenes import in_scene
 
 from unicon_core.platforms.sim.mujoco import MujocoPlatform, make
 from unicon_core.robots import Robot
@@ -67,7 +68,7 @@ def toy(
         robot = toy_robot()
         states = states_of(robot)
         model = toy_model(integrator=integrator)
-        return Toy(make(states, robot, period, model=model, **options), states, robot)
+        return Toy(in_scene(make, states, robot, period, model=model, **options), states, robot)
 
     return build
 

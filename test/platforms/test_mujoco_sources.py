@@ -12,6 +12,7 @@ import pytest
 from test_mujoco_load import LIMB, PLACES, URDF, stand
 
 from unicon_core.errors import MissingDependencyError, ModelError
+from unicon_core.platforms.kit.scene import Scene
 from unicon_core.platforms.sim.mujoco import make
 from unicon_core.robots import Robot
 from unicon_core.states import States
@@ -64,7 +65,7 @@ def test_a_model_of_robot_descriptions_is_found_by_its_name(
     (descriptions / "toy_description.py").write_text(f"{key} = {str(model)!r}\n")
     robot = toy_robot()
     states = states_of(robot)
-    platform = make(states, robot, 0.01, model="robot_descriptions:toy_description")
+    platform = make(states, robot, 0.01, scene=Scene(model="robot_descriptions:toy_description"))
     assert platform.info()["model"] == str(model)
     stand(states, robot, platform, ticks=5)
 
@@ -103,7 +104,7 @@ def test_what_robot_descriptions_cannot_give_is_told(
     (descriptions / "toy_description.py").write_text(content)
     robot = toy_robot()
     with pytest.raises(ModelError) as caught:
-        make(states_of(robot), robot, 0.01, model=f"robot_descriptions:{name}")
+        make(states_of(robot), robot, 0.01, scene=Scene(model=f"robot_descriptions:{name}"))
     assert str(caught.value) == message
 
 
@@ -115,7 +116,12 @@ def test_without_robot_descriptions_the_install_command_is_told(
     monkeypatch.setitem(sys.modules, "robot_descriptions", None)
     robot = toy_robot()
     with pytest.raises(MissingDependencyError) as caught:
-        make(states_of(robot), robot, 0.01, model="robot_descriptions:go2_mj_description")
+        make(
+            states_of(robot),
+            robot,
+            0.01,
+            scene=Scene(model="robot_descriptions:go2_mj_description"),
+        )
     assert str(caught.value) == (
         "model 'robot_descriptions:go2_mj_description' needs robot_descriptions: "
         "pip install robot_descriptions"
@@ -135,7 +141,7 @@ def test_what_stands_twice_in_a_urdf_is_read_once(
     path = toy_urdf(("</geometry></visual>", f"</geometry>{material}</visual>"))
     robot = toy_robot()
     states = states_of(robot)
-    platform = make(states, robot, 0.01, model=path)
+    platform = make(states, robot, 0.01, scene=Scene(model=path))
     assert platform.info()["notes"][0] == (
         "1 elements stand twice in the URDF (first: material of a visual)"
     )
@@ -156,7 +162,7 @@ def test_an_inertia_that_no_body_has_is_mended(
         )
     )
     robot = toy_robot()
-    platform = make(states_of(robot), robot, 0.01, model=path)
+    platform = make(states_of(robot), robot, 0.01, scene=Scene(model=path))
     assert platform.info()["notes"][0].startswith("the inertia of box is none that a body can have")
     inertia = platform.model.body_inertia[platform.model.body("box").id]
     np.testing.assert_allclose(inertia, [0.05] * 3)
@@ -170,7 +176,7 @@ def test_a_urdf_that_is_no_xml_is_told_with_its_place(
     path = toy_urdf(("</robot>", ""))
     robot = toy_robot()
     with pytest.raises(ModelError, match=r"toy\.urdf: no element found: line \d+.*; correct the"):
-        make(states_of(robot), robot, 0.01, model=path)
+        make(states_of(robot), robot, 0.01, scene=Scene(model=path))
 
 
 def test_strong_damping_on_light_links_of_a_urdf_does_not_blow_up(
@@ -185,7 +191,7 @@ def test_strong_damping_on_light_links_of_a_urdf_does_not_blow_up(
     )
     robot = toy_robot()
     states = states_of(robot)
-    platform = make(states, robot, 0.01, model=path)
+    platform = make(states, robot, 0.01, scene=Scene(model=path))
     states.joint_damping = 5.0
     for _ in range(100):
         states.joint_pos_target = robot.default_joint_pos
@@ -225,7 +231,7 @@ def test_a_mesh_is_found_in_the_ros_package_that_it_names(
     visual = '<visual><geometry><mesh filename="package://toy/meshes/box.stl"/></geometry></visual>'
     path = toy_urdf((old, new.format("skin.stl")), (visual, ""), folder="toy/urdf")
     robot = toy_robot()
-    platform = make(states_of(robot), robot, 0.01, model=path)
+    platform = make(states_of(robot), robot, 0.01, scene=Scene(model=path))
     assert not any("mesh" in note for note in platform.info()["notes"])
     assert platform.model.nmesh == 1
 
@@ -242,7 +248,7 @@ def test_a_mesh_in_a_format_that_mujoco_cannot_read_is_left_out(
     path = toy_urdf((old, old + new.format("../meshes/skin.dae")))
     robot = toy_robot()
     with pytest.warns(UserWarning, match="1 of them may collide"):
-        make(states_of(robot), robot, 0.01, model=path)
+        make(states_of(robot), robot, 0.01, scene=Scene(model=path))
 
 
 def test_a_robot_without_anything_that_collides_is_told_to_fall(
@@ -256,7 +262,7 @@ def test_a_robot_without_anything_that_collides_is_told_to_fall(
     path = toy_urdf((old, new.format("skin.stl")), (limb, mesh))
     robot = toy_robot()
     with pytest.warns(UserWarning, match="so it falls through the floor: add the files"):
-        make(states_of(robot), robot, 0.01, model=path)
+        make(states_of(robot), robot, 0.01, scene=Scene(model=path))
 
 
 def test_an_absent_texture_is_left_out(
@@ -274,7 +280,7 @@ def test_an_absent_texture_is_left_out(
     text = path.read_text().replace("<worldbody>", asset)
     path.write_text(text.replace(box, f'{box} material="paint"'))
     robot = toy_robot()
-    platform = make(states_of(robot), robot, 0.002, model=path)
+    platform = make(states_of(robot), robot, 0.002, scene=Scene(model=path))
     assert platform.info()["notes"][0] == "1 textures are absent (logo): left out"
     assert platform.model.ntex == 0
 
@@ -304,7 +310,7 @@ def test_every_kind_of_actuator_becomes_the_same_servo(
     robot = toy_robot()
     states = states_of(robot)
     model = toy_model(actuators="".join(KINDS[kind].format(n) for n in robot.joint_names))
-    platform = make(states, robot, 0.002, model=model)
+    platform = make(states, robot, 0.002, scene=Scene(model=model))
     platform.recv()
     pos, vel = states.joint_pos.copy(), states.joint_vel.copy()
     states.joint_pos_target = np.float32([0.2, 0.0, 0.15, 0.05])
@@ -329,7 +335,7 @@ def test_joints_that_a_tendon_pulls_get_motors_of_their_own(
     tendon = '<tendon><fixed name="string"><joint joint="elbow_joint" coef="1"/></fixed></tendon>'
     path.write_text(path.read_text().replace("<actuator>", f"{tendon}<actuator>"))
     states = states_of(robot)
-    platform = make(states, robot, 0.002, model=path)
+    platform = make(states, robot, 0.002, scene=Scene(model=path))
     assert any("motors were added to 4 joints" in note for note in platform.info()["notes"])
     states.joint_effort_ff = np.float32(1.0)
     platform.send()

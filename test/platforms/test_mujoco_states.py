@@ -9,6 +9,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from scenes import in_scene
 
 from unicon_core.platforms.sim.mujoco import MujocoPlatform, make
 from unicon_core.robots import Robot, load_robot
@@ -31,7 +32,9 @@ def build(
     ) -> tuple[MujocoPlatform, States]:
         robot = toy_robot()
         states = states_of(robot, num_robots)
-        return make(states, robot, period, model=toy_model(**(model or {})), **options), states
+        return in_scene(
+            make, states, robot, period, model=toy_model(**(model or {})), **options
+        ), states
 
     return make_it
 
@@ -163,11 +166,11 @@ def test_every_robot_of_a_batch_equals_a_run_of_its_own(build: Build) -> None:
     rng = np.random.default_rng(4)
     commands = rng.uniform(0, 2, (15, 5, 3, 4)).astype(np.float32)  # tick, state, robot, joint
     batch, many = build(num_robots=3)
-    names = batch.reads
+    names = batch.facts.reads
     trace = []
     for command in commands:
         batch.recv()
-        trace.append({name: many[name].copy() for name in batch.writes})
+        trace.append({name: many[name].copy() for name in batch.facts.writes})
         for name, value in zip(names, command):
             many[name] = value
         batch.send()
@@ -175,7 +178,7 @@ def test_every_robot_of_a_batch_equals_a_run_of_its_own(build: Build) -> None:
         single, states = build()
         for tick, command in enumerate(commands):
             single.recv()
-            for name in single.writes:
+            for name in single.facts.writes:
                 assert states[name].tobytes() == trace[tick][name][k].tobytes(), (k, tick, name)
             for name, value in zip(names, command):
                 states[name] = value[k]
@@ -214,7 +217,7 @@ def test_fixed_base_leaves_the_base_states_alone(build: Build) -> None:
     platform.send()
     platform.recv()
     assert platform.info()["base"] is None
-    assert not {"base_quat", "base_pos_w"} & set(platform.writes)
+    assert not {"base_quat", "base_pos_w"} & set(platform.facts.writes)
     assert states.base_quat.tolist() == [1.0, 0.0, 0.0, 0.0]
     assert states.joint_vel.any()
 
@@ -239,7 +242,7 @@ def test_initial_pose_stands_on_the_floor(build: Build) -> None:
         ({"initial_pose": "rest", "initial_height": 1.5}, [-0.1] * 4, (0, 0, 1.5)),
         ({"initial_pose": {"wrist_joint": 1.0}, "initial_height": 1.0}, [0.1, 0.1, 1.0, 0.1], None),
         ({"initial_pose": "model"}, [0.0] * 4, (0, 0, 2)),
-        ({"keyframe": "up"}, [0.1, 0.2, 0.3, 0.4], (1, 2, 3)),
+        ({"initial_pose": "keyframe:up"}, [0.1, 0.2, 0.3, 0.4], (1, 2, 3)),
     ],
 )
 def test_initial_pose_can_be_chosen(

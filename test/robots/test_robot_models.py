@@ -154,13 +154,14 @@ def test_order_is_that_of_the_models_motors(model: tuple[str, Path]) -> None:
 @pytest.mark.filterwarnings("ignore:model .* mesh files are absent")
 def test_the_platform_loads_it_and_a_quadruped_stands(model: tuple[str, Path]) -> None:
     pytest.importorskip("mujoco", reason="the model is simulated")
+    from unicon_core.platforms.kit.scene import Scene
     from unicon_core.platforms.sim.mujoco import make
     from unicon_core.states import States, standard_states
 
     name, path = model
     robot = load_robot(name)
     states = States(standard_states(robot.joint_names))
-    platform = make(states, robot, 0.02, model=path)
+    platform = make(states, robot, 0.02, scene=Scene(model=path))
     if robot.kind != "quadruped" or robot.missing_facts():
         return
     states.joint_pos_target = robot.default_joint_pos

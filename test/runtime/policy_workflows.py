@@ -25,7 +25,8 @@ TERMS = (
 WORKFLOW = """\
 robot: go2
 platform: fake
-platforms: {fake: {time_constant: 0.05, initial_pose: rest}}
+scene: {initial_pose: rest}
+platforms: {fake: {time_constant: 0.05}}
 rate: 50
 policies: {walk: ./policy}
 commands:

@@ -21,7 +21,8 @@ WATCHED = ("joint_pos", "joint_vel", "joint_pos_target", "joint_stiffness", "joi
 POSTURES = """\
 robot: go2
 platform: fake
-platforms: {fake: {time_constant: 0.04, initial_pose: rest}}
+scene: {initial_pose: rest}
+platforms: {fake: {time_constant: 0.04}}
 rate: 50
 flow:
   chain:

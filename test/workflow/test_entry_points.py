@@ -25,7 +25,9 @@ CODE = '''
 from pathlib import Path
 
 from unicon_core.flow import Amends
-from unicon_core.platforms.fake import FakePlatform, make
+from dataclasses import replace
+
+from unicon_core.platforms.fake import FakePlatform
 
 HERE = Path(__file__).parent
 WALK = HERE / "walk"
@@ -43,11 +45,13 @@ def wobble(joint_pos_target: Amends, *, by: float = 0.25):
     return tick
 
 
-def bench_robot(states, robot, period, *, time_constant: float = 0.0) -> FakePlatform:
+class BenchRobot(FakePlatform):
+    facts = replace(FakePlatform.facts, name="bench_robot")
+
+
+def bench_robot(states, robot, period, *, scene, time_constant: float = 0.0) -> BenchRobot:
     """A robot on our bench."""
-    platform = make(states, robot, period, time_constant=time_constant)
-    platform.name = "bench_robot"
-    return platform
+    return BenchRobot(states, robot, period, scene, time_constant)
 
 
 def walk_of_today() -> Path:
@@ -121,7 +125,7 @@ def path(installed: Path, tmp_path: Path) -> Path:
 
 def test_a_workflow_of_their_block_platform_and_policy_runs(path: Path) -> None:
     workflow = load_workflow(path)
-    assert workflow.platform.name == "bench_robot"
+    assert workflow.platform.facts.name == "bench_robot"
     assert [block.name for block in workflow.blocks[:2]] == ["policy", "wobble"]
     report = Runner(workflow, RunOptions(duration=0.2, speed="max")).run()
     assert report.ticks == 10

@@ -11,10 +11,12 @@ import pytest
 
 from unicon_core.check import check_workflow
 from unicon_core.errors import PolicyError, RobotError
+from unicon_core.platforms.platform import Facts
 from unicon_core.policies import load_policy
 from unicon_core.robots import Robot, load_robot
 from unicon_core.runtime import Report, Runner, RunOptions
 from unicon_core.states import States
+from unicon_core.states.standard import JOINT_STATES
 from unicon_core.workflow import Program, load_workflow, workflow_names
 
 pytest.importorskip("mujoco", reason="the robots move in mujoco")
@@ -36,7 +38,7 @@ def run(
     name: str | Path, overrides: Mapping[str, Any], seconds: float = 60.0
 ) -> tuple[Report, Program]:
     workflow = load_workflow(name, overrides)
-    speed: Literal["real", "max"] = "max" if workflow.platform.simulated else "real"
+    speed: Literal["real", "max"] = "max" if workflow.platform.facts.simulated else "real"
     return Runner(workflow, RunOptions(duration=seconds, speed=speed)).run(), workflow
 
 
@@ -109,7 +111,7 @@ def test_every_workflow_runs_on_the_fake_robot_by_one_word(name: str, assets: Pa
 
 
 def test_the_go2_policy_walks_on_another_model_of_the_robot(assets: Path) -> None:
-    report, _ = run("go2_walk", {"platforms.mujoco.model": "assets:models/go2/go2.xml"})
+    report, _ = run("go2_walk", {"scene.model": "assets:models/go2/go2.xml"})
     assert not report.faults
     assert not report.fell
     assert report.base_displacement_m[0] > 2.0  # measured 3.75 m
@@ -118,7 +120,7 @@ def test_the_go2_policy_walks_on_another_model_of_the_robot(assets: Path) -> Non
 def test_the_go2_policy_walks_on_a_go1_whose_joints_have_the_same_names(assets: Path) -> None:
     overrides = {
         "robot": "go1",
-        "platforms.mujoco": {"model": "assets:models/go1/go1.xml", "keyframe": "home"},
+        "scene": {"model": "assets:models/go1/go1.xml", "initial_pose": "keyframe:home"},
         "flow": {"policy": "walk"},
     }
     report, workflow = run("go2_walk", overrides, 10.0)
@@ -161,10 +163,11 @@ def test_the_robot_of_other_formats_is_information(tmp_path: Path, assets: Path)
 class Motors:
     """A platform with motors, as far as the workflow can tell."""
 
-    name, simulated = "motors", False
-    writes: tuple[str, ...] = ("joint_pos", "joint_vel", "joint_effort", "base_quat")
-    writes += ("base_ang_vel", "projected_gravity", "stamp_ns")
-    reads = ("joint_pos_target", "joint_stiffness", "joint_damping")
+    facts = Facts(
+        "motors",
+        reads=("joint_pos_target", "joint_stiffness", "joint_damping"),
+        writes=(*JOINT_STATES, "base_quat", "base_ang_vel", "projected_gravity", "stamp_ns"),
+    )
 
     def __init__(self, states: States) -> None:
         self.states, self.sent = states, 0
@@ -178,11 +181,6 @@ class Motors:
         self.sent += 1
 
     def close(self) -> None: ...
-
-    def reset(self) -> None: ...
-
-    def info(self) -> Mapping[str, Any]:
-        return {}
 
 
 opened: list[str] = []

@@ -7,9 +7,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from unicon_core.blocks.joint_command import JointCommand, named_pose, robot_gains, ticks_of
+from unicon_core.blocks.joint_command import JointCommand, robot_gains, ticks_of
 from unicon_core.bounds import DURATION, POSE_DURATION, POSE_SPEED, within
 from unicon_core.robots import Robot
+from unicon_core.robots.poses import named_pose
 
 __all__ = ["Pose", "pose"]
 
@@ -57,7 +58,7 @@ class Pose:
         damping_scale: float,
     ) -> None:
         self._command = command
-        self._goal, self._said = named_pose(to, robot, "pose")
+        self._goal, self._said = named_pose(to, robot, "block 'pose'")
         self._gains = robot_gains(robot, "pose", stiffness_scale, damping_scale)
         within(duration, "duration", "s", DURATION, POSE_DURATION, above=False)
         self._asked = self._ticks = ticks_of(duration, period, "duration") or 1

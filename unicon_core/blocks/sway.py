@@ -10,14 +10,13 @@ from numpy.typing import NDArray
 
 from unicon_core.blocks.joint_command import (
     JointCommand,
-    joints_like,
-    named_pose,
     robot_gains,
     ticks_of,
 )
 from unicon_core.errors import WorkflowError
 from unicon_core.flow.block import Reads
 from unicon_core.robots import Robot
+from unicon_core.robots.poses import joints_like, named_pose
 
 __all__ = ["Sway", "sway"]
 
@@ -55,7 +54,7 @@ def sway(
         matrix[joints_like(pattern, robot)] += np.asarray(row, np.float32)
     if len(amplitude) != 3:
         raise WorkflowError(f"amplitude is {list(amplitude)}; give [vx, vy, wz]")
-    centre, said = named_pose(around, robot, "sway")
+    centre, said = named_pose(around, robot, "block 'sway'")
     centre = np.where(said > 0.0, centre, np.nan_to_num(robot.default_joint_pos))
     return Sway(
         command,

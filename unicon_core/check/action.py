@@ -10,6 +10,7 @@ from unicon_core.check.mirror import check_mirrored
 from unicon_core.check.result import CheckResult
 from unicon_core.check.safety import limits_targets
 from unicon_core.check.subject import Subject, listed
+from unicon_core.platforms.platform import info_of
 from unicon_core.policies import PolicyContract
 from unicon_core.robots import joint_index
 
@@ -158,7 +159,7 @@ def check_timing(subject: Subject, result: CheckResult) -> None:
                 "give the control period in seconds: 0.02 for 50 Hz",
                 contract.path,
             )
-    info = program.platform.info()
+    info = info_of(program.platform)
     if "physics_step_s" in info:
         step = float(info["physics_step_s"])
         rows.append(
@@ -166,9 +167,8 @@ def check_timing(subject: Subject, result: CheckResult) -> None:
         )
     result.table("Timing", ["who", "period [s]", "rate [Hz]", "runs"], rows)
     platform = subject.platform
-    waits = platform.waits or getattr(program.platform, "wait", None) is not None
     if (
-        subject.program.pacing.trigger == "state" and not waits and not subject.live
+        subject.program.pacing.trigger == "state" and not subject.waits and not subject.live
     ):  # the runner tells it
         result.find(
             "timing.trigger",

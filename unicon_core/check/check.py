@@ -87,7 +87,7 @@ def check_workflow(
         result.subject = (
             f"robot {subject.robot.name}, platform {platform.name} ({kind}), {document.path}"
         )
-        for note in getattr(subject.program.platform, "notes", ()):
+        for note in subject.program.platform.facts.notes:
             result.note("platform.open", f"platform {platform.name!r}", note)
         static_checks(subject, result)
         for check in more:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from unicon_core.check.check import check_section, static_checks
 from unicon_core.check.result import CODES, FIRM, CheckResult
-from unicon_core.check.subject import Subject, platform_facts
+from unicon_core.check.subject import Subject, declared_platform
 from unicon_core.errors import CheckError, WorkflowError, alternatives
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ def refuse_errors(program: Program, force: Iterable[str] = ()) -> list[str]:
     document = program.document
     result = CheckResult(program.name)
     check_section(document, result)
-    static_checks(Subject(document, program, platform_facts(document), live=True), result)
+    static_checks(Subject(document, program, *declared_platform(document), live=True), result)
     errors = [found for found in result.findings if found.code not in forced]
     if errors:
         codes = " ".join(

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from unicon_core.check.result import CheckResult
 from unicon_core.check.subject import NOT_ON_HARDWARE, Subject
+from unicon_core.platforms.platform import info_of
 from unicon_core.policies import PolicyContract, TermSlice, term_slices
 from unicon_core.policies.networks.onnx_file import read_onnx
 
@@ -137,7 +138,7 @@ def _term(
             "add a block that estimates it, or take a policy that was trained without it "
             "(it may stay in the critic)"
         )
-        if term.state in subject.platform.unmeasured:
+        if term.state in subject.unmeasured:
             text += f" and platform {subject.platform.name!r} does not deliver"
             result.find("observation.measured", culprit, text, remedy, contract.path)
         else:
@@ -148,7 +149,7 @@ def check_frames(subject: Subject, result: CheckResult) -> None:
     """Add the table of conventions; on a simulator compare orientation with gravity."""
     states = subject.program.states
     robot = subject.robot
-    sources = subject.program.platform.info().get("imu") or {}
+    sources = info_of(subject.program.platform).get("imu") or {}
     of = {"base_quat": "quat", "base_ang_vel": "gyro", "base_lin_acc": "accelerometer"}
     rows = []
     for name in ("base_quat", "base_ang_vel", "base_lin_acc", "projected_gravity", "base_lin_vel"):

@@ -8,6 +8,7 @@ from unicon_core.check.mirror import check_mirrored, mirror_pairs
 from unicon_core.check.result import CheckResult
 from unicon_core.check.subject import Subject, listed
 from unicon_core.models.posed import PosedModel, foot_geoms
+from unicon_core.platforms.platform import Resettable
 from unicon_core.policies import PolicyContract
 from unicon_core.robots import joint_index
 
@@ -176,7 +177,7 @@ def _start(subject: Subject, result: CheckResult, posed: PosedModel) -> None:
     """How far the simulation begins above the floor or in it."""
     platform, states = subject.program.platform, subject.program.states
     told = ("joint_pos", "base_pos_w", "base_quat")
-    if not {*told} <= {*platform.writes}:
+    if not {*told} <= {*platform.facts.writes}:
         return
     before = states.snapshot()
     platform.recv()
@@ -184,14 +185,15 @@ def _start(subject: Subject, result: CheckResult, posed: PosedModel) -> None:
     joint_pos, *base = (states[name][first] for name in told)
     posed.put(joint_pos, np.concatenate(base))
     states.restore(before)
-    platform.reset()
+    if isinstance(platform, Resettable):
+        platform.reset()
     heights = posed.heights()
     if not heights:
         return
     geom = min(heights, key=lambda g: heights[g])
     model = posed.loaded.model
     lowest, body = heights[geom], model.body(int(model.geom_bodyid[geom])).name
-    where = subject.document.where("platforms", subject.platform.name)
+    where = subject.document.where("scene")
     if lowest < -INSIDE_FLOOR:
         result.find(
             "pose.floor",

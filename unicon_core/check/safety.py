@@ -51,7 +51,7 @@ def check_safety(subject: Subject, result: CheckResult) -> None:
                 "write it into safety: by itself, or take it out",
                 block.where or where,
             )
-    told = {*subject.program.platform.writes, *GIVEN, *subject.written}
+    told = {*subject.program.platform.facts.writes, *GIVEN, *subject.written}
     for block in blocks:
         blind = _blind(block, sent, told)
         if blind:
@@ -69,7 +69,7 @@ def _safety(subject: Subject) -> list[Block]:
 
 
 def _sent(subject: Subject) -> set[str]:
-    return set(subject.program.platform.reads)
+    return set(subject.program.platform.facts.reads)
 
 
 def _conditional(node: Node, under: str) -> Iterator[tuple[Block, str]]:

@@ -12,6 +12,7 @@ from unicon_core.flow import Block, Stage, blocks_of
 from unicon_core.models.find import Modelled
 from unicon_core.models.load import load_model
 from unicon_core.models.loaded import LoadedModel
+from unicon_core.platforms.platform import Facts
 from unicon_core.policies import PolicyContract
 from unicon_core.policies.controller import controller_contract
 from unicon_core.policies.prefixed import PrefixedStates
@@ -19,32 +20,13 @@ from unicon_core.policies.terms import PackedStates
 from unicon_core.robots import Robot
 from unicon_core.workflow import Hook, Program
 from unicon_core.workflow.document import WorkflowDocument
-from unicon_core.workflow.hardware import is_simulator
+from unicon_core.workflow.hardware import can_wait, declared_facts
 from unicon_core.workflow.platforms import find_platform, platform_options
 
-__all__ = ["NOT_ON_HARDWARE", "PlatformFacts", "Subject", "build_subject", "platform_facts"]
+__all__ = ["NOT_ON_HARDWARE", "Subject", "build_subject", "declared_platform"]
 
 NOT_ON_HARDWARE = ("base_lin_vel", "base_pos_w")
 """What no sensor of a legged robot measures: it takes an estimator or a tracking system."""
-
-
-@dataclass(frozen=True)
-class PlatformFacts:
-    """What is known of a platform before it is built.
-
-    Attributes:
-        name: word that the workflow uses.
-        simulated: whether it is a simulator. A factory says so by an attribute `simulated`.
-        unmeasured: states that it does not write; a factory may say what it does write by an
-            attribute `writes`.
-        waits: of hardware, whether ticks may come with its data; a factory may say no by an
-            attribute `waits`.
-    """
-
-    name: str
-    simulated: bool
-    unmeasured: tuple[str, ...]
-    waits: bool = False
 
 
 @dataclass
@@ -54,15 +36,24 @@ class Subject:
     Attributes:
         document: the workflow file.
         workflow: built; by `build_subject` with `fake` in place of hardware, so nothing moves.
-        platform: of the document, not the exchanged one.
+        platform: facts that the document's platform declares, not the exchanged one.
+        waits: whether ticks may come with that platform's data.
         live: it is about to run: the platform is left as it was, and what only tables show is not
             computed.
     """
 
     document: WorkflowDocument
     program: Program
-    platform: PlatformFacts
+    platform: Facts
+    waits: bool
     live: bool = False
+
+    @property
+    def unmeasured(self) -> tuple[str, ...]:
+        """What no sensor of a legged robot measures, and this platform does not write."""
+        if self.platform.simulated:
+            return ()
+        return tuple(state for state in NOT_ON_HARDWARE if state not in self.platform.writes)
 
     @property
     def robot(self) -> Robot:
@@ -100,22 +91,16 @@ class Subject:
         return load_model(platform.model_path, self.robot, quiet=True)
 
 
-def platform_facts(document: WorkflowDocument) -> PlatformFacts:
-    """Return what is known of the workflow's platform, and check its options without building it.
+def declared_platform(document: WorkflowDocument) -> tuple[Facts, bool]:
+    """Return what the workflow's platform declares and whether it waits, without building it.
 
     Raises:
         WorkflowError: no such platform, or it has no such option.
         MissingDependencyError: it needs a package that is not installed.
     """
     name, factory = find_platform(document)
-    if is_simulator(name, factory):
-        return PlatformFacts(name, True, ())
     platform_options(document, name, factory)
-    writes = getattr(factory, "writes", None)
-    unmeasured: tuple[str, ...] = NOT_ON_HARDWARE
-    if writes is not None:
-        unmeasured = tuple(state for state in NOT_ON_HARDWARE if state not in writes)
-    return PlatformFacts(name, False, unmeasured, bool(getattr(factory, "waits", True)))
+    return declared_facts(factory, name), can_wait(factory)
 
 
 def build_subject(document: WorkflowDocument, hooks: Sequence[Hook] = ()) -> Subject:
@@ -128,29 +113,27 @@ def build_subject(document: WorkflowDocument, hooks: Sequence[Hook] = ()) -> Sub
     Raises:
         UniconError: the workflow cannot be built.
     """
-    facts = platform_facts(document)
-    return Subject(document, Program(document, dry=True, hooks=hooks), facts)
+    facts, waits = declared_platform(document)
+    return Subject(document, Program(document, dry=True, hooks=hooks), facts, waits)
 
 
 def on_platform(
-    document: WorkflowDocument, name: str, options: Mapping[str, Any] | None = None
+    document: WorkflowDocument, name: str, scene: Mapping[str, Any] | None = None
 ) -> WorkflowDocument:
     """Return the same workflow on another platform.
 
     Args:
         document: stays as it is.
         name: of the platform.
-        options: used where the document has none for that platform.
+        scene: used where the document has none.
     """
     values = deepcopy(document.values)
     values["platform"] = name
     values.pop("num_robots", None)
     if isinstance(values.get("pacing"), dict):  # simulators have no data to wait for
         values["pacing"].pop("trigger", None)
-    if options is not None:
-        platforms = values.setdefault("platforms", {})
-        given = dict(platforms.get(name) or {})
-        platforms[name] = given or dict(options)
+    if scene and not values.get("scene"):
+        values["scene"] = dict(scene)
     return replace(document, values=values)
 
 

@@ -37,14 +37,15 @@ def tree_of(robot: Robot, path: Path) -> list[Link]:
     return read_tree(load_model(path, robot, quiet=True).model, robot)
 
 
-def read_tree(model: Any, robot: Robot) -> list[Link]:
+def read_tree(model: Any, robot: Robot, *, colliding: bool = False) -> list[Link]:
     """Return the links of a robot in a compiled model, root first.
 
     Args:
         model: an `MjModel` that has the robot's joints.
         robot: gives joint names, base frame and the IMU's place.
+        colliding: the geoms are those that collide, not those that are shown.
     """
-    return _Reader(import_mujoco(), model, robot).read()
+    return _Reader(import_mujoco(), model, robot, colliding).read()
 
 
 def frame_of(model: Any, robot: Robot, body: int) -> tuple[str, Float] | None:
@@ -66,8 +67,9 @@ def frame_of(model: Any, robot: Robot, body: int) -> tuple[str, Float] | None:
 
 
 class _Reader:
-    def __init__(self, mujoco: Any, model: Any, robot: Robot) -> None:
+    def __init__(self, mujoco: Any, model: Any, robot: Robot, colliding: bool = False) -> None:
         self._mujoco, self._model, self._robot = mujoco, model, robot
+        self._colliding = colliding
         joints = find_joints(mujoco, model, robot, robot.path)
         self._rank = {joint: rank for rank, joint in enumerate(joints)}
         base = free_joint(mujoco, model, joints[0])
@@ -170,8 +172,10 @@ class _Reader:
         link.inertia = np.array(model.body_inertia[body])
         first, count = int(model.body_geomadr[body]), int(model.body_geomnum[body])
         geoms = range(first, first + count)
-        shown = [g for g in geoms if model.geom_group[g] < 3]  # MuJoCo's viewers hide the others
-        for geom in shown or geoms:
+        # MuJoCo's viewers hide the groups from 3 on.
+        shown = [g for g in geoms if model.geom_group[g] < 3] or geoms
+        solid = [g for g in geoms if model.geom_contype[g] or model.geom_conaffinity[g]]
+        for geom in solid if self._colliding else shown:
             link.geoms += self._geoms(geom, shift)
 
     def _geoms(self, geom: int, shift: Float) -> list[Geom]:

@@ -2,6 +2,8 @@
 
 BUILTIN = {
     "mujoco": "unicon_core.platforms.sim.mujoco.platform:make",
+    "pybullet": "unicon_core.platforms.sim.pybullet.platform:make",
     "fake": "unicon_core.platforms.fake:make",
+    "fake_robot": "unicon_core.platforms.fake:make_robot",
 }
 """Name to factory; others register in the entry point group `unicon.platforms`."""

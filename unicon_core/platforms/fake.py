@@ -4,21 +4,25 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
-from typing import Any, Literal
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from unicon_core.errors import Fault, PlatformError, alternatives
+from unicon_core.errors import PlatformError
+from unicon_core.platforms.kit.command import Command
+from unicon_core.platforms.kit.scene import Scene
+from unicon_core.platforms.kit.servo import Servo
+from unicon_core.platforms.kit.start import start_of
+from unicon_core.platforms.platform import SIMULATED, Facts
 from unicon_core.robots import Robot
 from unicon_core.states import States
-from unicon_core.states.standard import BASE_STATES, COMMAND_STATES, JOINT_STATES
+from unicon_core.states.standard import COMMAND_STATES
 
-__all__ = ["FakePlatform", "make"]
+__all__ = ["FakePlatform", "FakeRobot", "make", "make_robot"]
 
 _GRAVITY = 9.81  # [m/s²]
-_WRITES = (*JOINT_STATES, *BASE_STATES, "stamp_ns")
 
 
 def make(
@@ -26,30 +30,27 @@ def make(
     robot: Robot,
     period: float,
     *,
+    scene: Scene | None = None,
     time_constant: float = 0.0,
-    initial_pose: Literal["default", "rest"] = "default",
-    clock: Literal["simulated", "monotonic"] = "simulated",
 ) -> FakePlatform:
     """Build the platform.
 
     Args:
         period: of a tick in [s].
+        scene: how it begins; None for the default pose.
         time_constant: of the joints' first-order response in [s]; 0 follows within the tick.
-        initial_pose: `default` or `rest` of the robot file.
-        clock: of `stamp_ns`: ticks times the period, or the machine's monotonic clock.
 
     Raises:
         PlatformError: an option is wrong.
     """
-    if initial_pose not in ("default", "rest"):
-        known = alternatives(initial_pose, ("default", "rest"))
-        raise PlatformError(f"platform 'fake': no initial_pose {initial_pose!r}; {known}")
-    if clock not in ("simulated", "monotonic"):
-        known = alternatives(clock, ("simulated", "monotonic"))
-        raise PlatformError(f"platform 'fake': no clock {clock!r}; {known}")
-    if not time_constant >= 0.0:
-        raise PlatformError(f"platform 'fake': time_constant is {time_constant} s; give 0 or more")
-    return FakePlatform(states, robot, period, time_constant, initial_pose, clock)
+    return FakePlatform(states, robot, period, scene or Scene(), time_constant)
+
+
+def make_robot(
+    states: States, robot: Robot, period: float, *, time_constant: float = 0.0
+) -> FakeRobot:
+    """Build a fake that counts as a robot; see `make`."""
+    return FakeRobot(states, robot, period, Scene(), time_constant)
 
 
 class FakePlatform:
@@ -59,41 +60,37 @@ class FakePlatform:
     kp (q* - q) + kd (qd* - qd) + tau_ff, clipped to the effort limits.
     """
 
-    name = "fake"
-    reads: tuple[str, ...] = COMMAND_STATES
-    notes: tuple[str, ...] = ()
-    require: Callable[[Mapping[str, str]], None] | None = None
+    facts = Facts("fake", simulated=True, batch=True, writes=SIMULATED)
 
     def __init__(
-        self,
-        states: States,
-        robot: Robot,
-        period: float,
-        time_constant: float,
-        initial_pose: str,
-        clock: str,
+        self, states: States, robot: Robot, period: float, scene: Scene, time_constant: float
     ) -> None:
-        self.simulated = clock == "simulated"
-        self.writes = tuple(name for name in _WRITES if name in states)
-        self._states, self._robot = states, robot
+        if not time_constant >= 0.0:
+            raise PlatformError(
+                f"platform {self.facts.name!r}: time_constant is {time_constant} s; give 0 or more"
+            )
+        writes = tuple(name for name in self.facts.writes if name in states)
+        self.facts = replace(self.facts, writes=writes)
         self._period, self._time_constant = period, time_constant
         self._share = 1.0 if time_constant == 0.0 else -math.expm1(-period / time_constant)
-        pose = robot.rest_joint_pos if initial_pose == "rest" else robot.default_joint_pos
-        self._initial = np.nan_to_num(pose)
+        by_model = scene.posed_by_model
+        self._initial = start_of(robot, scene).joint_pos if by_model else scene.joint_pos(robot)
         self._lower = np.nan_to_num(robot.lower, nan=-np.inf)
         self._upper = np.nan_to_num(robot.upper, nan=np.inf)
-        self._effort = np.nan_to_num(robot.effort_limit, nan=np.inf)
+        self._command = Command(
+            {name: states[name] for name in COMMAND_STATES}, robot.joint_names, dtype=np.float32
+        )
+        self._servo = Servo(self._command.rows, robot.effort_limit)
         shape = states["joint_pos_target"].shape
-        self._pos, self._vel, self._torque = (np.zeros(shape, np.float32) for _ in range(3))
+        self._pos, self._vel = (np.zeros(shape, np.float32) for _ in range(2))
         self._next, self._gain = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
-        self._commands: list[NDArray[Any]] = [states[name] for name in COMMAND_STATES]
-        self._stamp = states["stamp_ns"] if "stamp_ns" in self.writes else np.zeros((), np.int64)
+        self._stamp = states["stamp_ns"] if "stamp_ns" in writes else np.zeros((), np.int64)
         self._outputs = [
             (states[name], value)
             for name, value in (
                 ("joint_pos", self._pos),
                 ("joint_vel", self._vel),
-                ("joint_effort", self._torque),
+                ("joint_effort", self._servo.torque),
                 ("base_quat", np.array((1.0, 0.0, 0.0, 0.0), np.float32)),
                 ("base_ang_vel", np.zeros(3, np.float32)),
                 ("base_lin_acc", np.array((0.0, 0.0, _GRAVITY), np.float32)),
@@ -109,11 +106,11 @@ class FakePlatform:
         """Write the joints, a base at rest and the time."""
         for out, value in self._outputs:
             out[...] = value
-        if self.simulated:
-            self._stamp[...] = round(self._ticks * self._period * 1e9)
-        else:
-            self._stamp[...] = time.monotonic_ns()
+        self._stamp[...] = self._now_ns()
         return None
+
+    def _now_ns(self) -> int:
+        return round(self._ticks * self._period * 1e9)
 
     def send(self) -> bool | None:
         """Move the joints towards their targets for one tick.
@@ -121,19 +118,11 @@ class FakePlatform:
         Raises:
             Fault: a command is not finite.
         """
-        target, velocity, feed_forward, stiffness, damping = self._commands
-        for name, command in zip(COMMAND_STATES, self._commands):
-            if not np.isfinite(command).all():
-                joint = int(np.argwhere(~np.isfinite(command))[0][-1])
-                raise Fault(
-                    f"command {name} of joint {self._robot.joint_names[joint]} is "
-                    f"{command[..., joint].tolist()} at tick {self._ticks}; nothing was sent"
-                )
-        torque, new = self._torque, self._next
+        self._command.take()
+        target, _, _, stiffness, _ = self._command.rows
+        self._servo(self._pos, self._vel)
+        new = self._next
         np.subtract(target, self._pos, out=new)
-        np.multiply(stiffness, new, out=torque)
-        torque += damping * (velocity - self._vel) + feed_forward
-        np.clip(torque, -self._effort, self._effort, out=torque)
         np.greater(stiffness, 0.0, out=self._gain, casting="unsafe")
         new *= self._gain
         new *= self._share
@@ -149,16 +138,21 @@ class FakePlatform:
         """Put the joints back where they began, at time 0."""
         self._pos[...] = self._initial
         self._vel[...] = 0.0
-        self._torque[...] = 0.0
+        self._servo.torque[...] = 0.0
         self._ticks = 0
 
     def close(self) -> None:
         """Let go; there is nothing to damp."""
 
     def info(self) -> Mapping[str, Any]:
-        """Return the joints' response and the clock."""
-        return {
-            "model": None,
-            "time_constant_s": self._time_constant,
-            "clock": "simulated" if self.simulated else "monotonic",
-        }
+        """Return the joints' response."""
+        return {"model": None, "time_constant_s": self._time_constant}
+
+
+class FakeRobot(FakePlatform):
+    """The same where a robot is meant: real time, the machine's clock, and a robot's rules."""
+
+    facts = replace(FakePlatform.facts, name="fake_robot", simulated=False, batch=False)
+
+    def _now_ns(self) -> int:
+        return time.monotonic_ns()

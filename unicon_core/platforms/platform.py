@@ -1,56 +1,96 @@
-"""Platform: the contract between the graph and a robot or simulator, for adapter writers."""
+"""Platform: the contract between the graph and a robot or simulator, for adapter writers.
+
+    class MyRobot:
+        facts = Facts("my_robot", reads=COMMAND_STATES, writes=("joint_pos", "joint_vel"))
+
+        def recv(self): ...     # the latest data into the states
+        def send(self): ...     # the command states to the motors
+        def close(self): ...    # damp, then let go
+
+    def make(states, robot, period, **options) -> MyRobot: ...
+
+Such a factory is named `module:make`, or registered in the entry point group `unicon.platforms`.
+It aligns joints by name at build, and imports what it needs inside. What a platform can do besides
+is said by methods, one protocol each, below.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
-__all__ = ["Binding", "Platform"]
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.states.standard import BASE_STATES, COMMAND_STATES, JOINT_STATES
+
+__all__ = [
+    "SIMULATED",
+    "Binding",
+    "CountsArrivals",
+    "Facts",
+    "Informative",
+    "Platform",
+    "Pushable",
+    "Rehearsable",
+    "RequiresStates",
+    "Resettable",
+    "Viewable",
+    "WaitsForData",
+    "info_of",
+]
+
+SIMULATED = (*JOINT_STATES, *BASE_STATES, "stamp_ns")
+"""What `recv` of a simulator writes."""
+
+
+@dataclass(frozen=True)
+class Facts:
+    """What a platform declares of itself, as `facts` of its class or of its factory.
+
+    It is known before anything is opened; a built platform may narrow `reads` and `writes` down.
+
+    Attributes:
+        name: in messages and reports; the word of the workflow where it is empty.
+        simulated: moves no motors and keeps a time of its own: `stamp_ns` and `/clock`. Nothing
+            else says so.
+        batch: takes states of several robots.
+        reads: states that `send` reads.
+        writes: states that `recv` writes; what is not named here is not there for policies.
+        protocols: of robot files (`transport.protocol`), those that it speaks; empty for any.
+        notes: what could not be looked at, one line each.
+        examine: takes what the factory takes and tells, without opening anything, how it would be
+            bound; for `unicon check`.
+    """
+
+    name: str = ""
+    simulated: bool = False
+    batch: bool = False
+    reads: tuple[str, ...] = COMMAND_STATES
+    writes: tuple[str, ...] = ("joint_pos", "joint_vel")
+    protocols: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    examine: Callable[..., Binding] | None = None
 
 
 @dataclass(frozen=True)
 class Binding:
-    """What a platform would do with the states, told by `FACTORY.examine` without opening it.
+    """What a platform would do with the states, told by `Facts.examine` without opening it.
 
     Attributes:
-        writes: states that `recv` would write.
-        reads: states that `send` would read.
-        notes: what could not be looked at, one line each.
-        require: refuses states that it would write in part only, as of `Platform.require`.
+        facts: as the built platform would declare them.
+        require: refuses states that it would write in part only, as of `RequiresStates`.
     """
 
-    writes: tuple[str, ...]
-    reads: tuple[str, ...]
-    notes: tuple[str, ...] = ()
+    facts: Facts
     require: Callable[[Mapping[str, str]], None] | None = None
 
 
 class Platform(Protocol):
-    """A robot or a simulator behind three blocks.
+    """A robot or a simulator behind three blocks; a factory returns it."""
 
-    Built by a factory `make(states, robot, period, **options)` that is registered by name (entry
-    point group `unicon.platforms`). It aligns joints by name at build, pushes gains and limits by
-    name, and imports what it needs inside the factory.
-
-    Two further methods make it fit for `pacing.trigger: state`: `wait(timeout_s) -> bool`, True
-    when new data are there, and `arrivals() -> int`, how many have come so far. A method
-    `rehearse()` is called shortly before a tick and does what `send` does, but for the sending: to
-    have code and data in the caches. A method `require(states)` is called once when the workflow is
-    built, with each state that a block on the critical path reads and that block's name: their
-    silence is then a fault. What leaves at the end is written by `platforms/damping.py`.
-
-    Attributes:
-        name: word that the workflow uses for it.
-        simulated: True where `stamp_ns` is simulated time (then `/clock` is published).
-        writes: states that `recv` writes (`joint_pos`, `base_quat`, `stamp_ns`, …).
-        reads: states that `send` reads (`joint_pos_target`, `joint_stiffness`, …).
-    """
-
-    name: str
-    simulated: bool
-    writes: tuple[str, ...]
-    reads: tuple[str, ...]
+    facts: Facts
 
     def recv(self) -> bool | None:
         """Bring the latest data of the robot into the states; True when it has gone for good."""
@@ -64,10 +104,79 @@ class Platform(Protocol):
         """Damp the motors first, then release everything; safe to call twice."""
         ...
 
-    def reset(self) -> None:
-        """Return a simulator to its initial state; a real robot does nothing."""
+
+@runtime_checkable
+class WaitsForData(Protocol):
+    """Tells when data arrive, for `pacing.trigger: state`."""
+
+    def wait(self, timeout: float) -> bool:
+        """Return True when new data are there, False after `timeout` in [s]."""
         ...
+
+
+@runtime_checkable
+class CountsArrivals(Protocol):
+    """Counts its data too, so that ticks can be timed between arrivals."""
+
+    def arrivals(self) -> int:
+        """Return how many data have come so far."""
+        ...
+
+
+@runtime_checkable
+class Rehearsable(Protocol):
+    """Does shortly before a tick what `send` does but the sending: caches are warm then."""
+
+    def rehearse(self) -> None:
+        """Do it; nobody else sees it."""
+        ...
+
+
+@runtime_checkable
+class RequiresStates(Protocol):
+    """Is told, once, what the critical path reads: the silence of those states is then a fault."""
+
+    def require(self, states: Mapping[str, str]) -> None:
+        """Take each state that a block on the critical path reads, and that block's name."""
+        ...
+
+
+@runtime_checkable
+class Resettable(Protocol):
+    """A simulator that can begin anew."""
+
+    def reset(self) -> None:
+        """Return to the initial state and time 0."""
+        ...
+
+
+@runtime_checkable
+class Pushable(Protocol):
+    """A simulator whose bases can be pushed, for `scene.push`."""
+
+    def push(self, velocity: NDArray[np.float64]) -> None:
+        """Add to the bases' horizontal velocity [m/s] in the world, shape (..., 2)."""
+        ...
+
+
+@runtime_checkable
+class Viewable(Protocol):
+    """A simulator with a window, for `unicon run --view`."""
+
+    def viewer(self) -> Callable[[], bool | None]:
+        """Return a block that shows it, True when its window was closed."""
+        ...
+
+
+@runtime_checkable
+class Informative(Protocol):
+    """Tells about itself once it is built."""
 
     def info(self) -> Mapping[str, Any]:
         """Return facts for `unicon show` and the report: model file, physics step, gains…"""
         ...
+
+
+def info_of(platform: Platform) -> Mapping[str, Any]:
+    """Return what a platform tells about itself; of one that tells nothing, nothing."""
+    return platform.info() if isinstance(platform, Informative) else {}

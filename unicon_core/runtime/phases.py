@@ -36,7 +36,7 @@ def describe(program: Program) -> list[tuple[str, str]]:
     if program.wind_down is None:
         wind_down = "none: the platform damps at once"
     return [
-        (Phase.START.value, f"platform {program.platform.name} is open; {gates}"),
+        (Phase.START.value, f"platform {program.platform.facts.name} is open; {gates}"),
         (Phase.RUN.value, f"the flow until it is done{after}"),
         (Phase.WIND_DOWN.value, wind_down),
         (Phase.CLOSE.value, "the platform damps and lets go"),

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Literal, Protocol
 
 from unicon_core.errors import Fault, PlatformError, UniconError
+from unicon_core.platforms.platform import Resettable, WaitsForData
 from unicon_core.runtime.pacing import prepare_process, process_age_s
 from unicon_core.runtime.phases import WIND_DOWN, Phase
 from unicon_core.runtime.report import Report
@@ -136,7 +137,8 @@ class Runner:
             UniconError: another thread ticks.
         """
         self._only_here("reset", "call_soon(runner.reset)")
-        self.program.platform.reset()
+        if isinstance(self.program.platform, Resettable):
+            self.program.platform.reset()
         self.graph.reset()
 
     def tick(self, due_ns: int) -> bool:
@@ -267,7 +269,7 @@ class Runner:
         end = self._ended_ns or time.perf_counter_ns()
         wall = max((end - self._started_ns) * 1e-9, 1e-9)
         ticks = statistics.count
-        report = Report(program.name, program.robot.name, program.platform.name)
+        report = Report(program.name, program.robot.name, program.platform.facts.name)
         report.ticks = ticks
         report.duration_s = round(ticks * program.period, 9)
         report.rate_hz = round(ticks / wall, 3)
@@ -365,19 +367,19 @@ def run(program: Program, *attached: Attached, force: Sequence[str] = (), **opti
 
 def _refuse_pace(program: Program, options: RunOptions) -> None:
     platform, pacing = program.platform, program.pacing
-    if pacing.trigger == "state" and getattr(platform, "wait", None) is None:
+    if pacing.trigger == "state" and not isinstance(platform, WaitsForData):
         raise PlatformError(
-            f"platform {platform.name!r} cannot tell when its data arrive; "
+            f"platform {platform.facts.name!r} cannot tell when its data arrive; "
             "set pacing.trigger: deadline"
         )
-    if options.speed == "max" and not platform.simulated:
+    if options.speed == "max" and not platform.facts.simulated:
         raise PlatformError(
-            f"platform {platform.name!r} is a robot, which takes its time; "
+            f"platform {platform.facts.name!r} is a robot, which takes its time; "
             "leave out speed max, or use a simulator"
         )
-    if pacing.overrun == "catch_up" and not platform.simulated:
+    if pacing.overrun == "catch_up" and not platform.facts.simulated:
         raise PlatformError(
-            f"platform {platform.name!r} is a robot, to which catch_up would send old "
+            f"platform {platform.facts.name!r} is a robot, to which catch_up would send old "
             "commands in one go; set pacing.overrun: skip"
         )
 

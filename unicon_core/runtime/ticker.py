@@ -10,6 +10,7 @@ import numpy as np
 
 from unicon_core.errors import Fault
 from unicon_core.flow import Node, compile_graph
+from unicon_core.platforms.platform import CountsArrivals
 from unicon_core.runtime.arrivals import Arrivals
 from unicon_core.runtime.pacing import CATCH_UP, DryRun, WallClock
 from unicon_core.runtime.statistics import TickStatistics
@@ -49,7 +50,7 @@ class Ticker:
         self.done = self.stop = False
         self.next_due_ns = 0
         self.between: deque[Callable[[], object]] = deque()
-        self._hang_ns = self.pacing.hang_ns(self.period_ns, program.platform.simulated)
+        self._hang_ns = self.pacing.hang_ns(self.period_ns, program.platform.facts.simulated)
         self._tick = program.states["tick"]
 
     def step(self, due_ns: int) -> bool:
@@ -215,7 +216,7 @@ class Ticker:
         Every arrival is waited for: later, a queue of one forgets those between two ticks.
         """
         platform, period = self._program.platform, self.period_ns
-        if getattr(platform, "arrivals", None) is None:
+        if not isinstance(platform, CountsArrivals):
             return None
         times: list[int] = []
         platform.recv()

@@ -147,7 +147,7 @@ def state_names(factory: Factory) -> dict[str, str]:
     return access
 
 
-_SPECIAL = ("states", "robot", "period", "relative_to", "context")
+_SPECIAL = ("states", "robot", "period", "relative_to", "context", "scene")
 
 
 def _states_of(

@@ -24,6 +24,7 @@ KEYS = {
     "description": "one line",
     "robot": "robot file: name or path",
     "platform": "platform's name: the one word that changes from simulation to the robot",
+    "scene": "how a simulation begins and what disturbs it, the same on every simulator",
     "platforms": "options by platform name",
     "rate": "ticks per second [Hz]; the policy's period unless given",
     "duration": "end of a run [s] unless --duration says otherwise",

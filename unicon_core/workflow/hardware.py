@@ -1,24 +1,92 @@
-"""Which platforms have motors, and which robots may not be driven on them, for the builder."""
+"""What platforms declare, whether they keep to it, and what may not be driven on them."""
 
 from __future__ import annotations
 
-from unicon_core.errors import RobotError
+from contextlib import suppress
+from dataclasses import replace
+from inspect import isclass
+from typing import Any
+
+from unicon_core.errors import PlatformError, RobotError, alternatives
+from unicon_core.platforms.platform import Facts, Platform, WaitsForData
 from unicon_core.robots import Robot
-from unicon_core.workflow.registry import Factory
+from unicon_core.states import States
+from unicon_core.workflow.registry import Factory, product_of
 
-__all__ = ["is_simulator", "refuse_incomplete", "refuse_protocol"]
+__all__ = [
+    "UNDECLARED",
+    "can_wait",
+    "checked",
+    "declared_facts",
+    "refuse_incomplete",
+    "refuse_protocol",
+]
 
-_SIMULATORS = ("mujoco", "fake")
+UNDECLARED = "it declares no facts: what it measures is known only once it is opened"
 
 
-def is_simulator(name: str, factory: Factory) -> bool:
-    """Return whether a platform moves no real motors; its factory says so by `simulated`.
+def declared_facts(factory: Factory, name: str) -> Facts:
+    """Return the facts that a factory, or the class that it says it returns, declares.
+
+    What declares nothing counts as a robot that takes commands and measures its joints.
 
     Args:
+        factory: of the platform.
         name: word that the workflow uses.
-        factory: of the platform; without an attribute `simulated` only our own are simulators.
     """
-    return bool(getattr(factory, "simulated", name in _SIMULATORS))
+    for source in (factory, product_of(factory)):
+        facts = getattr(source, "facts", None)
+        if isinstance(facts, Facts):
+            return facts if facts.name else replace(facts, name=name)
+    return Facts(name, notes=(UNDECLARED,))
+
+
+def can_wait(factory: Factory) -> bool:
+    """Return whether ticks may come with a platform's data: not if its class says that it cannot.
+
+    Args:
+        factory: of the platform; one that does not say what it returns may.
+    """
+    made = product_of(factory)
+    return not isclass(made) or made is Platform or issubclass(made, WaitsForData)
+
+
+def checked(platform: Any, declared: Facts, states: States) -> Platform:
+    """Return what a factory returned, if it is a platform that keeps to what it declared.
+
+    Raises:
+        PlatformError: it lacks a method, or its facts are wrong.
+    """
+    what = f"platform {declared.name!r}: what its factory returned, a {type(platform).__name__},"
+    lacks = [m for m in ("recv", "send", "close") if not callable(getattr(platform, m, None))]
+    if lacks:
+        raise PlatformError(
+            f"{what} has no {' and no '.join(lacks)}; a platform has recv(), send() and close()"
+        )
+    facts = getattr(platform, "facts", None)
+    if facts is None or (isinstance(facts, Facts) and not facts.name):
+        with suppress(AttributeError):  # an object with slots
+            platform.facts = facts = (
+                declared if facts is None else replace(facts, name=declared.name)
+            )
+    if not isinstance(facts, Facts):
+        raise PlatformError(
+            f"{what} has facts of type {type(facts).__name__}; "
+            "give it facts = Facts(…) of unicon_core.platforms.platform"
+        )
+    if facts.simulated != declared.simulated:
+        raise PlatformError(
+            f"{what} says simulated={facts.simulated} and the factory {declared.simulated}; say it "
+            "once, in `facts` of the class, and annotate the factory with that class (-> Class)"
+        )
+    for use, names in (("reads", facts.reads), ("writes", facts.writes)):
+        for state in names:
+            if state not in states:
+                raise PlatformError(
+                    f"{what} {use} {state!r}, which is not a state; {alternatives(state, states)}"
+                )
+    checked_platform: Platform = platform
+    return checked_platform
 
 
 def refuse_incomplete(robot: Robot, platform: str) -> None:
@@ -36,18 +104,15 @@ def refuse_incomplete(robot: Robot, platform: str) -> None:
         )
 
 
-def refuse_protocol(robot: Robot, platform: str, factory: Factory) -> None:
+def refuse_protocol(robot: Robot, platform: str, facts: Facts) -> None:
     """Refuse a robot that speaks another protocol than the platform; nothing has been opened yet.
-
-    A factory says by an attribute `protocols` which ones of robot files it speaks; without it any.
 
     Raises:
         RobotError: the robot file names another one.
     """
-    spoken = getattr(factory, "protocols", None)
     protocol = robot.transport.get("protocol")
-    if spoken is not None and protocol is not None and protocol not in spoken:
+    if facts.protocols and protocol is not None and protocol not in facts.protocols:
         raise RobotError(
             f"robot {robot.name} speaks {protocol} ({robot.path}), and platform {platform!r} only "
-            f"{', '.join(spoken)}; choose the robot's platform"
+            f"{', '.join(facts.protocols)}; choose the robot's platform"
         )

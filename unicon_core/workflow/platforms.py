@@ -3,15 +3,27 @@
 from __future__ import annotations
 
 import inspect
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
-from unicon_core.errors import PlatformError, alternatives
-from unicon_core.platforms.platform import Binding, Platform
+from unicon_core.errors import MissingDependencyError, PlatformError, UniconError, alternatives
+from unicon_core.platforms.kit.disturbances import disturb
+from unicon_core.platforms.kit.scene import SCENE_KEYS
+from unicon_core.platforms.platform import SIMULATED, Binding, Facts, Platform
 from unicon_core.workflow.autowire import BuildContext, option_names
 from unicon_core.workflow.document import WorkflowDocument
-from unicon_core.workflow.hardware import is_simulator, refuse_incomplete, refuse_protocol
+from unicon_core.workflow.hardware import (
+    UNDECLARED,
+    checked,
+    declared_facts,
+    refuse_incomplete,
+    refuse_protocol,
+)
 from unicon_core.workflow.option_types import wrong_option
-from unicon_core.workflow.registry import Factory, find_factory
+from unicon_core.workflow.platform_use import read_platform
+from unicon_core.workflow.registry import Factory, find_factory, known
+from unicon_core.workflow.scene import read_scene
 
 __all__ = ["build_platform", "find_platform", "platform_options"]
 
@@ -21,56 +33,62 @@ def build_platform(
 ) -> Platform:
     """Build the platform that a workflow names.
 
-    A factory of hardware may say by attributes what is known without opening it: `protocols`, those
-    of robot files that it speaks, and `examine`, which takes what the factory takes and returns
-    what the platform would read and write (a `Binding`).
-
     Args:
         document: the workflow.
         context: what it is built with.
         dry: nothing is opened: in place of hardware stands `fake`, which reads and writes the same.
 
     Raises:
-        PlatformError: no such platform, or it cannot be built.
+        PlatformError: no such platform, it cannot be built, or it does not keep the contract.
         RobotError: it moves motors, and the robot file lacks facts for that (not if `dry`).
         WorkflowError: wrong options.
     """
     name, factory = find_platform(document)
-    simulator = is_simulator(name, factory)
-    if not simulator:
+    facts = declared_facts(factory, name)
+    if not facts.simulated:
         if not dry:
             refuse_incomplete(context.robot, name)
-        refuse_protocol(context.robot, name, factory)
-    options = platform_options(document, name, factory)
-    arguments = {key: _pose_of(value, document, context) for key, value in options.items()}
-    wrong = wrong_option(factory, arguments)
-    if wrong:
-        raise document.error(f"platform {name!r}: {wrong}", "platforms", name)
-    if "relative_to" in inspect.signature(factory).parameters:
-        arguments["relative_to"] = context.relative_to
+        refuse_protocol(context.robot, name, facts)
+    if context.states.num_robots is not None and not facts.batch:
+        raise document.error(f"platform {name!r} has one robot; leave num_robots out", "num_robots")
+    arguments = platform_options(document, name, factory)
+    scene = read_scene(document, context, facts)
+    parameters = inspect.signature(factory).parameters
+    given = {"relative_to": context.relative_to, "scene": scene}
+    arguments |= {key: value for key, value in given.items() if key in parameters}
     try:
-        if dry and not simulator:
-            return _stand_in(factory, context, arguments)
-        platform: Platform = factory(context.states, context.robot, context.period, **arguments)
+        if dry and not facts.simulated:
+            return _stand_in(facts, context, arguments)
+        built = factory(context.states, context.robot, context.period, **arguments)
     except (TypeError, ValueError) as error:
         raise document.error(
             f"platform {name!r}: {error}; correct platforms.{name}", "platforms", name
         ) from error
-    return platform
+    try:
+        platform = checked(built, facts, context.states)
+        try:
+            return disturb(platform, scene, context.states, context.robot, context.period)
+        except PlatformError as error:
+            raise document.error(str(error), "scene") from error
+    except UniconError:
+        close = getattr(built, "close", None)
+        if callable(close):  # it is open by now
+            close()
+        raise
 
 
-def _stand_in(factory: Factory, context: BuildContext, arguments: dict[str, Any]) -> Platform:
-    """Return `fake`, with what the hardware would read and write where its factory tells."""
-    from unicon_core.platforms import fake
+def _stand_in(facts: Facts, context: BuildContext, arguments: dict[str, Any]) -> Platform:
+    """Return `fake`, with what the hardware would read and write."""
+    from unicon_core.platforms.fake import FakePlatform, make
 
-    platform = fake.make(context.states, context.robot, context.period)
-    platform.writes = tuple(getattr(factory, "writes", platform.writes))
-    examine = getattr(factory, "examine", None)
-    if examine is not None:
-        bound: Binding = examine(context.states, context.robot, context.period, **arguments)
-        platform.reads, platform.writes = bound.reads, bound.writes
-        platform.notes = bound.notes
-        platform.require = bound.require
+    # What nobody has said yet is no finding.
+    bound = Binding(replace(facts, writes=SIMULATED) if UNDECLARED in facts.notes else facts)
+    if facts.examine is not None:
+        bound = facts.examine(context.states, context.robot, context.period, **arguments)
+    platform: FakePlatform = make(context.states, context.robot, context.period)
+    platform.facts = bound.facts
+    if bound.require is not None:
+        setattr(platform, "require", bound.require)  # noqa: B010  the fake has none
     return platform
 
 
@@ -81,7 +99,7 @@ def find_platform(document: WorkflowDocument) -> tuple[str, Factory]:
         WorkflowError: no such platform.
         MissingDependencyError: it needs a package that is not installed.
     """
-    name = document.get("platform", str)
+    name = read_platform(document).name
     try:
         return name, find_factory("platforms", name, PlatformError)
     except PlatformError as error:
@@ -89,36 +107,55 @@ def find_platform(document: WorkflowDocument) -> tuple[str, Factory]:
 
 
 def platform_options(document: WorkflowDocument, name: str, factory: Factory) -> dict[str, Any]:
-    """Return a platform's options of the workflow file.
+    """Return a platform's options of the workflow file, and check those of all others.
 
     Raises:
-        WorkflowError: they are no mapping, or the platform has no such option.
+        WorkflowError: an unknown platform, or one has no such option.
     """
+    every = document.get("platforms", dict, {})
+    for other in every:
+        if other == name:
+            continue
+        if not isinstance(other, str) or (other not in known("platforms") and ":" not in other):
+            names = alternatives(str(other), known("platforms"))
+            raise document.error(
+                f"platforms: no platform {other!r}; {names}", "platforms", str(other)
+            )
+        if ":" not in other:  # a module of somebody's, which may be elsewhere
+            try:
+                found = find_factory("platforms", other, PlatformError)
+            except (MissingDependencyError, PlatformError):
+                continue  # it is not used
+            _checked_options(document, other, found)
+    return _checked_options(document, name, factory)
+
+
+def _checked_options(document: WorkflowDocument, name: str, factory: Factory) -> dict[str, Any]:
     options = document.get("platforms", dict, {}).get(name) or {}
     if not isinstance(options, dict):
         raise document.error(
             f"platforms.{name}: {options!r} is not a mapping of options", "platforms", name
         )
     free = option_names(factory)
+    parameters: Mapping[str, inspect.Parameter] = inspect.signature(factory).parameters
+    open_ended = any(each.kind is each.VAR_KEYWORD for each in parameters.values())
     for option in options:
-        if option not in free:
+        if option in SCENE_KEYS and option not in free:
+            raise document.error(
+                f"platforms.{name}.{option} is meant for every simulator; write scene: "
+                f"{{{option}: …}}",
+                "platforms",
+                name,
+                option,
+            )
+        if option not in free and not open_ended:
             raise document.error(
                 f"platform {name!r} has no option {option!r}; {alternatives(option, free)}",
                 "platforms",
                 name,
                 option,
             )
-    return options
-
-
-def _pose_of(value: Any, document: WorkflowDocument, context: BuildContext) -> Any:
-    """Return `policy:NAME` as that policy's default pose, joint to [rad]; else the value."""
-    if not isinstance(value, str) or not value.startswith("policy:"):
-        return value
-    name = value.removeprefix("policy:")
-    if name not in context.policies:
-        raise document.error(
-            f"{value!r}: no policy {name!r}; {alternatives(name, context.policies)}", "platforms"
-        )
-    contract = context.policies[name]
-    return dict(zip(contract.joints, map(float, contract.default_joint_pos)))
+    wrong = wrong_option(factory, options)
+    if wrong:
+        raise document.error(f"platform {name!r}: {wrong}", "platforms", name)
+    return dict(options)

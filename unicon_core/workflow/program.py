@@ -19,6 +19,7 @@ from unicon_core.flow.checks import check_graph, raise_first
 from unicon_core.flow.critical_path import critical_path
 from unicon_core.flow.fuse import fuse
 from unicon_core.flow.stage import Stage
+from unicon_core.platforms.platform import Rehearsable, RequiresStates
 from unicon_core.signals import SIGNALS
 from unicon_core.states import Layout, States
 from unicon_core.workflow.autowire import BuildContext
@@ -161,9 +162,10 @@ class Program:
                 self.blocks += blocks
                 stages[stage] += blocks
         self._bound_commands()
-        recv = Block("recv", platform.recv, writes=tuple(platform.writes))
-        recv.dry_run = rehearsal.refresh(getattr(platform, "rehearse", None))
-        send = Block("send", self.gate.before(platform.send), reads=tuple(platform.reads))
+        recv = Block("recv", platform.recv, writes=platform.facts.writes)
+        rehearse = platform.rehearse if isinstance(platform, Rehearsable) else None
+        recv.dry_run = rehearsal.refresh(rehearse)
+        send = Block("send", self.gate.before(platform.send), reads=platform.facts.reads)
         stages[Stage.RECV].insert(0, recv)
         stages[Stage.SEND].append(send)
         looking = list(stages[Stage.OBSERVE])
@@ -176,10 +178,9 @@ class Program:
         if last is not None:
             changed = {Stage.COMMAND: [], Stage.FLOW: [last], Stage.OBSERVE: looking}
             self.wind_down, _ = self._graph(stages | changed)
-        require = getattr(platform, "require", None)
-        if require is not None:
+        if isinstance(platform, RequiresStates):
             ordered = sorted(self.critical, key=lambda block: block.name)
-            require({state: b.name for b in ordered for state in (*b.reads, *b.amends)})
+            platform.require({state: b.name for b in ordered for state in (*b.reads, *b.amends)})
 
     def _graph(self, stages: Mapping[Stage, Sequence[Node]]) -> tuple[Node, frozenset[Block]]:
         """Return the checked tree of a tick and the blocks that the command depends on."""

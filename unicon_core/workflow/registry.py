@@ -19,6 +19,7 @@ from typing import Annotated, Any, TypeAlias, get_args, get_origin, get_type_hin
 
 from unicon_core.errors import MissingDependencyError, UniconError, alternatives
 from unicon_core.flow.block import Access, Block, Bundle, Tick
+from unicon_core.platforms.platform import Facts
 from unicon_core.registered import registered
 
 __all__ = [
@@ -28,6 +29,7 @@ __all__ = [
     "is_block_factory",
     "is_platform_factory",
     "known",
+    "product_of",
 ]
 
 Factory: TypeAlias = Callable[..., Any]
@@ -91,15 +93,18 @@ def is_block_factory(factory: Factory) -> bool:
 def is_platform_factory(factory: Factory) -> bool:
     """Return whether a callable says that it makes platforms.
 
-    It returns a `Platform` or a class with the methods of one, is such a class, or carries one of
-    the attributes by which a factory tells about its platforms.
+    It returns a `Platform` or a class with the methods of one, is such a class, or declares facts.
     """
-    if any(hasattr(factory, name) for name in ("simulated", "writes")):
-        return True
-    made = factory if inspect.isclass(factory) else _hints(factory).get("return")
-    return inspect.isclass(made) and all(
-        callable(getattr(made, method, None)) for method in ("recv", "send", "close")
+    made = product_of(factory)
+    return isinstance(getattr(factory, "facts", None), Facts) or (
+        inspect.isclass(made)
+        and all(callable(getattr(made, method, None)) for method in ("recv", "send", "close"))
     )
+
+
+def product_of(factory: Factory) -> Any:
+    """Return what a factory says that it returns, None if it does not; a class makes itself."""
+    return factory if inspect.isclass(factory) else _hints(factory).get("return")
 
 
 def _hints(factory: Factory) -> dict[str, Any]:

@@ -86,8 +86,10 @@ class Controls:
         if self.runner is None:
             return "nothing runs"
         platform = self.runner.program.platform
-        if not platform.simulated:
-            return f"platform {platform.name!r} is a real robot, which has no {what}; use ~/stop"
+        if not platform.facts.simulated:
+            return (
+                f"platform {platform.facts.name!r} is a real robot, which has no {what}; use ~/stop"
+            )
         return ""
 
     def _stand_still(self) -> None:

@@ -78,7 +78,7 @@ class Diagnostics:
         self._ticks, self._overruns = statistics.count, statistics.overruns
         values = {
             "workflow": runner.program.name,
-            "platform": runner.program.platform.name,
+            "platform": runner.program.platform.facts.name,
             "rate_hz": f"{ticks / seconds:.2f}",
             "ticks": str(statistics.count),
             "overruns": str(statistics.overruns),

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from unicon_core.errors import PlatformError, UniconError
 from unicon_core.flow import Block, Stage
-from unicon_core.platforms.platform import Binding
+from unicon_core.platforms.platform import Binding, Facts
 from unicon_core.resources import find_config
 from unicon_core.robots import Robot
 from unicon_core.states import States
@@ -52,8 +52,6 @@ def examine_platform(
     Raises:
         PlatformError: the map does not fit the states or the robot.
     """
-    if states.num_robots is not None:
-        raise PlatformError("platform 'ros' has one robot; leave num_robots out")
     path = find_config("maps", map, error=PlatformError, relative_to=relative_to)
     arrays = {name: states[name] for name in states}
     names = {name: spec.names for name, spec in states.layout.specs.items() if spec.names}
@@ -61,7 +59,7 @@ def examine_platform(
     try:
         heard, said, decoders = _codecs(path, arrays, names, variables)
     except MapDependencyError as error:
-        return Binding(tuple(states), COMMAND_STATES, (NO_CODECS.format(error),))
+        return Binding(Facts("ros", writes=tuple(states), notes=(NO_CODECS.format(error),)))
     except UniconError as error:
         raise PlatformError(f"platform 'ros': {error}") from error
     if not heard:
@@ -78,7 +76,8 @@ def examine_platform(
     def require(needed: Mapping[str, str]) -> None:
         refuse_untold(path, wanted_of(needed, writes, turned), decoders, states)
 
-    return Binding(writes, reads, (note,) if note else (), require)
+    facts = Facts("ros", reads=reads, writes=writes, notes=(note,) if note else ())
+    return Binding(facts, require)
 
 
 def wanted_of(needed: Mapping[str, str], writes: Iterable[str], turned: bool) -> dict[str, str]:
@@ -128,7 +127,7 @@ def mirror_hook(program: Program, name: str | None = None) -> dict[Stage, list[B
     except UniconError:
         return {}
     states = {state for spec in heard for state in spec.states}
-    if not states or not states.isdisjoint(program.platform.writes):
+    if not states or not states.isdisjoint(program.platform.facts.writes):
         return {}
     written = given_by_blocks(program)
     writes, amends = tuple(sorted(states - written)), tuple(sorted(states & written))
@@ -157,7 +156,7 @@ def check_mirror(subject: Subject, result: CheckResult, name: str | None = None)
         return
     for spec in heard:
         for state in spec.states:
-            if state in program.platform.writes:
+            if state in program.platform.facts.writes:
                 result.find(
                     "map.fit",
                     spec.where or spec.topic,

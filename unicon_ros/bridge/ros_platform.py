@@ -24,9 +24,10 @@ from typing import Any
 import numpy as np
 
 from unicon_core.blocks.projected_gravity import projected_gravity
-from unicon_core.blocks.stops import finite
 from unicon_core.errors import Fault, MissingDependencyError, PlatformError, UniconError
-from unicon_core.platforms.damping import DAMPING_TIME, damping_command, repeated
+from unicon_core.platforms.kit.command import FiniteCheck
+from unicon_core.platforms.kit.damping import DAMPING_TIME, damping_command, repeated
+from unicon_core.platforms.platform import Facts
 from unicon_core.resources import find_config
 from unicon_core.robots import Robot
 from unicon_core.signals import SIGNALS
@@ -84,8 +85,6 @@ def make(
         MissingDependencyError: rclpy is not installed.
         PlatformError: the map does not fit, or no message came in time.
     """
-    if states.num_robots is not None:
-        raise PlatformError("platform 'ros' has one robot; leave num_robots out")
     if not 0.0 < connect < float("inf"):
         raise PlatformError(f"platform 'ros': connect is {connect} s; give a time above 0")
     if not 0.0 <= damping <= LONGEST_DAMPING:
@@ -108,10 +107,6 @@ def make(
     return platform
 
 
-# What `unicon check` may ask before anything is opened.
-make.examine = examine_platform  # type: ignore[attr-defined]
-
-
 class RosPlatform:
     """A robot behind topics; build it with `make`.
 
@@ -119,8 +114,7 @@ class RosPlatform:
         topics: full names of the topics that it reads and writes.
     """
 
-    name = "ros"
-    simulated = False
+    facts = Facts("ros", examine=examine_platform)
 
     def __init__(
         self,
@@ -174,18 +168,21 @@ class RosPlatform:
         if ORIENTATION in written and "projected_gravity" not in written:
             self._gravity = projected_gravity(states[ORIENTATION], states["projected_gravity"])
             written["projected_gravity"] = None
-        self.writes = tuple(dict.fromkeys([*written, "stamp_ns"]))
-        self.reads = tuple(
+        writes = tuple(dict.fromkeys([*written, "stamp_ns"]))
+        reads = tuple(
             dict.fromkeys(
                 state
                 for out in self._out
                 for state in out.block.reads
-                if state not in self.writes or state in COMMAND_STATES
+                if state not in writes or state in COMMAND_STATES
             )
         )
+        self.facts = replace(self.facts, reads=reads, writes=writes)
         # A map without gains moves motors that look at nothing but their targets.
-        self._hold = {"joint_stiffness", "joint_damping"}.isdisjoint(self.reads)
-        self._finite = finite(*(states[name] for name in COMMAND_STATES), robot=robot)
+        self._hold = {"joint_stiffness", "joint_damping"}.isdisjoint(reads)
+        self._finite = FiniteCheck(
+            {name: states[name] for name in COMMAND_STATES}, robot.joint_names
+        )
         self._target = states["joint_pos_target"]
         self._last_target = np.zeros_like(self._target)
         self._sent = False
@@ -235,7 +232,7 @@ class RosPlatform:
         Raises:
             PlatformError: the map writes some elements of a state only, or messages do.
         """
-        wanted = wanted_of(states, self.writes, self._gravity is not None)
+        wanted = wanted_of(states, self.facts.writes, self._gravity is not None)
         refuse_untold(self._path, wanted, self._decoders, self._states)
         for name in wanted:
             sources = [i for i, topic in enumerate(self._in) if name in topic.states]
@@ -332,9 +329,6 @@ class RosPlatform:
         self._states["stamp_ns"][...] += round(self._period * 1e9)  # or a reader takes it for old
         for out in self._out:
             out.now()
-
-    def reset(self) -> None:
-        """Nothing: a robot is not put back."""
 
     def info(self) -> Mapping[str, Any]:
         """Return map, topics and what came in."""

@@ -38,6 +38,7 @@ from unicon_ros.bridge.estop import EmergencyStop
 from unicon_ros.bridge.middleware_threads import calm_middleware_threads
 from unicon_ros.bridge.own_node import OwnNode, one_line
 from unicon_ros.bridge.robot_frames import RobotFrames
+from unicon_ros.bridge.ros_platform import RosPlatform
 from unicon_ros.bridge.services import add_services
 from unicon_ros.bridge.slack import SlackServer
 from unicon_ros.bridge.stamps import WallStamp
@@ -121,7 +122,7 @@ class RosSession:
         arrays, names = arrays_of(program), names_of(program)
         variables = variables_of(program, self.frame_prefix)
         written = given_by_blocks(program)
-        taken = set(program.platform.writes)
+        taken = set(program.platform.facts.writes)
         for spec in self.map.subscribe:
             message = self._message(spec, "subscribe")
             if message is None:
@@ -130,7 +131,7 @@ class RosSession:
                 if state in taken:
                     raise UniconError(
                         f"{spec.where or spec.topic}: topic {spec.topic!r} would write state "
-                        f"{state!r}, which platform {program.platform.name!r} writes; "
+                        f"{state!r}, which platform {program.platform.facts.name!r} writes; "
                         "take the topic out of the map, or use platform 'ros'"
                     )
             decoder = self._built(spec, partial(Decoder.build, spec, arrays, names, variables))
@@ -157,18 +158,18 @@ class RosSession:
         variables = variables_of(program, self.frame_prefix)
         blocks: list[Block] = []
         platform = program.platform
-        if not platform.simulated:
-            source = arrays["stamp_ns"] if "stamp_ns" in platform.writes else None
+        if not platform.facts.simulated:
+            source = arrays["stamp_ns"] if "stamp_ns" in platform.facts.writes else None
             self._stamp = WallStamp(source)
             arrays["stamp_ns"] = self._stamp.out
             blocks.append(Block(self._stamp.name, self._stamp, reads=self._stamp.reads))
         phases: dict[int, int] = {}
         for spec in self.map.publish:
-            if spec.topic == CLOCK and not platform.simulated:
+            if spec.topic == CLOCK and not platform.facts.simulated:
                 continue  # only a simulator makes the time of others
-            taken = getattr(platform, "topics", ())
+            taken = platform.topics if isinstance(platform, RosPlatform) else ()
             if taken and self.node.resolve_topic_name(spec.topic) in taken:
-                self._skip(spec, f"platform {platform.name!r} has it already")
+                self._skip(spec, f"platform {platform.facts.name!r} has it already")
                 continue
             message = self._message(spec, "publish")
             if message is None:

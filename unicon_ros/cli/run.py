@@ -186,11 +186,12 @@ def _close(session: Any, status: int) -> None:
 
 def _viewer(program: Program) -> dict[Stage, list[Block]]:
     from unicon_core.flow import Stage, as_block
+    from unicon_core.platforms.platform import Viewable
 
-    make = getattr(program.platform, "viewer", None)
-    if make is None:
-        raise UniconError(f"platform {program.platform.name!r} has no viewer; run without --view")
-    return {Stage.OBSERVE: [as_block(make())]}
+    platform = program.platform
+    if not isinstance(platform, Viewable):
+        raise UniconError(f"platform {platform.facts.name!r} has no viewer; run without --view")
+    return {Stage.OBSERVE: [as_block(platform.viewer())]}
 
 
 def _tell(arguments: argparse.Namespace, ended: _Ended) -> int:

@@ -197,7 +197,7 @@ class _Twin:
 
     def tables(self, given: Measures) -> None:
         what = f"{self.seconds:g} s of the policy" if self.contracts else "the whole flow"
-        title = f"Twin on platform {self.session.program.platform.name}, {what}"
+        title = f"Twin on platform {self.session.program.platform.facts.name}, {what}"
         columns = ["contract", "outcome", "score", "tracking", "error", "rate [rad/s]"]
         lines = ["score = survival · (0.7 · tracking + 0.3 · smoothness), from 0 to 1"]
         lines.append("a walk does not validate the rate: half the rate walks as well")

@@ -18,6 +18,7 @@ from unicon_core.flow import Block, Stage
 from unicon_core.models.find import model_of
 from unicon_core.models.kinematic_tree import read_tree
 from unicon_core.models.load import load_model
+from unicon_core.platforms.platform import info_of
 from unicon_core.policies import Policy, PolicyContract
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import Program
@@ -85,17 +86,17 @@ class TwinSession:
         robot, platform = self.program.robot, self.program.platform
         self.lifts = isinstance(platform, Unlimited)
         try:
-            untold = [name for name in JUDGED if name not in platform.writes]
+            untold = [name for name in JUDGED if name not in platform.facts.writes]
             if untold:
                 raise PlatformError(
-                    f"platform {platform.name!r} does not tell {', '.join(untold)}, by which the "
-                    "twin judges; leave --twin out"
+                    f"platform {platform.facts.name!r} does not tell {', '.join(untold)}, by which "
+                    "the twin judges; leave --twin out"
                 )
             self._model = load_model(model_of(platform, robot), robot, quiet=True)
         except BaseException:
             self.close()
             raise
-        limits = platform.info().get("effort_upper", {}).values()  # the model's, where tighter
+        limits = info_of(platform).get("effort_upper", {}).values()  # the model's, where tighter
         self._effort = np.array(list(limits) or np.nan_to_num(robot.effort_limit, nan=np.inf))
 
     @property

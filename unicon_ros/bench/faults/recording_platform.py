@@ -12,13 +12,14 @@ import os
 import signal
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from unicon_core.errors import Fault
-from unicon_core.platforms.fake import make as make_fake
+from unicon_core.platforms.fake import FakeRobot, make_robot
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_ros.bench.faults.command_log import CLOSE, FAULT, OPEN, RECV, SEND, CommandLog
@@ -74,8 +75,7 @@ class RecordingPlatform:
         mark: nothing; a block misbehaves at that tick.
     """
 
-    name = "recording"
-    simulated = False
+    facts = replace(FakeRobot.facts, name="recording")
 
     def __init__(
         self,
@@ -86,8 +86,7 @@ class RecordingPlatform:
         fault: Mapping[str, Any],
         at: int,
     ) -> None:
-        self._robot = make_fake(states, robot, period, time_constant=0.05, clock="monotonic")
-        self.writes, self.reads = self._robot.writes, self._robot.reads
+        self._robot = make_robot(states, robot, period, time_constant=0.05)
         self._states, self._log, self._fault, self._at = states, log, dict(fault), at
         self._where = self._fault.get("in", "recv")
         self._frozen = {name: np.array(states[name]) for name in self._fault.get("freeze", ())}
@@ -135,9 +134,6 @@ class RecordingPlatform:
         self._log.add(CLOSE, self._tick)
         if breaks:
             self._raise()
-
-    def reset(self) -> None:
-        """Nothing: a robot is not put back."""
 
     def info(self) -> Mapping[str, Any]:
         """Return where the log is."""

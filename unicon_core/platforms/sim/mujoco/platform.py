@@ -2,25 +2,26 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from pathlib import Path
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from unicon_core.errors import ModelError, PlatformError, alternatives
-from unicon_core.models.find import pick_model
 from unicon_core.models.load import load_model
 from unicon_core.models.loaded import LoadedModel, import_mujoco
-from unicon_core.platforms.sim.mujoco.initial import Pose, initial_positions
+from unicon_core.platforms.kit.clock import steps_in
+from unicon_core.platforms.kit.scene import Scene
+from unicon_core.platforms.kit.start import initial_positions
+from unicon_core.platforms.platform import SIMULATED, Facts
 from unicon_core.platforms.sim.mujoco.servo import Servo
-from unicon_core.platforms.sim.mujoco.simulated_robot import Disturbances, SimulatedRobot
+from unicon_core.platforms.sim.mujoco.simulated_robot import SimulatedRobot
 from unicon_core.platforms.sim.mujoco.viewer import Viewer
 from unicon_core.robots import Robot
 from unicon_core.states import States
-from unicon_core.states.standard import BASE_STATES, COMMAND_STATES, JOINT_STATES
+from unicon_core.states.standard import BASE_STATES
 
 __all__ = ["MujocoPlatform", "make"]
 
@@ -30,16 +31,8 @@ def make(
     robot: Robot,
     period: float,
     *,
-    model: str | Path | None = None,
+    scene: Scene | None = None,
     timestep: float | None = None,
-    keyframe: str | None = None,
-    initial_pose: Pose = "default",
-    initial_height: float | None = None,
-    seed: int = 0,
-    delay: int = 0,
-    noise: Mapping[str, float] | None = None,
-    push: Mapping[str, float] | None = None,
-    relative_to: Path | None = None,
 ) -> MujocoPlatform:
     """Build the platform.
 
@@ -47,29 +40,18 @@ def make(
         states: with `num_robots` set, as many robots are simulated, each in a world of its own.
         robot: its joints are found in the model by name.
         period: of a tick in [s], a whole number of physics steps.
-        model: MJCF or URDF file, `assets:PATH` or `robot_descriptions:NAME`; the robot file's model
-            if None.
+        scene: how it begins; None for the robot file's model and default pose.
         timestep: physics step in [s]; the model's own if None.
-        keyframe: key frame of the model to begin in.
-        initial_pose: `default` or `rest` of the robot file, `model`, or joints to [rad].
-        initial_height: of the base in [m]; None sets the robot on the floor.
-        seed: of noise and pushes.
-        delay: ticks by which commands reach the motors late.
-        noise: state to standard deviation of white noise, in the state's unit.
-        push: `every` in [s] and `velocity` in [m/s]: random horizontal pushes of the base.
-        relative_to: folder of the workflow, for a relative model path.
 
     Raises:
         MissingDependencyError: mujoco is not installed.
         ModelError: the model is missing, wrong, lacks a joint, or does not fit the period.
-        PlatformError: an option is wrong.
+        PlatformError: the scene has no such pose.
     """
     mujoco = import_mujoco()
-    loaded = load_model(pick_model(robot, model, relative_to), robot, timestep)
-    disturbances = _disturbances(seed, delay, noise, push)
-    return MujocoPlatform(
-        mujoco, states, robot, period, loaded, disturbances, initial_pose, keyframe, initial_height
-    )
+    scene = scene or Scene()
+    loaded = load_model(scene.model_path(robot), robot, timestep)
+    return MujocoPlatform(mujoco, states, robot, period, loaded, scene)
 
 
 class MujocoPlatform:
@@ -83,8 +65,7 @@ class MujocoPlatform:
         decimation: physics steps in a tick.
     """
 
-    name = "mujoco"
-    simulated = True
+    facts = Facts("mujoco", simulated=True, batch=True, writes=SIMULATED)
 
     def __init__(
         self,
@@ -93,25 +74,18 @@ class MujocoPlatform:
         robot: Robot,
         period: float,
         loaded: LoadedModel,
-        disturbances: Disturbances,
-        pose: Pose,
-        keyframe: str | None,
-        height: float | None,
+        scene: Scene,
     ) -> None:
         model = self.model = loaded.model
         self._mujoco, self._robot, self._loaded = mujoco, robot, loaded
         self.model_path = loaded.path
         self.period = period
-        self.decimation = _decimation(period, float(model.opt.timestep), loaded.path)
+        self.decimation = steps_in(period, float(model.opt.timestep), loaded.path)
         base = loaded.base
-        names = JOINT_STATES + (() if base is None else BASE_STATES) + ("stamp_ns",)
-        self.writes = tuple(name for name in names if name in states)
-        self.reads = COMMAND_STATES
-        for state in disturbances.noise or {}:
-            if state not in self.writes or state == "stamp_ns":
-                known = alternatives(state, set(self.writes) - {"stamp_ns"})
-                raise PlatformError(f"platform 'mujoco': no state {state!r} for noise; {known}")
-        qpos = initial_positions(mujoco, loaded, robot, base, pose, keyframe, height)
+        unmeasured = BASE_STATES if base is None else ()
+        writes = [name for name in SIMULATED if name in states and name not in unmeasured]
+        self.facts = replace(self.facts, writes=tuple(writes))
+        qpos = initial_positions(loaded, robot, scene)
         # A blow-up must be seen: by itself MuJoCo would go on from the initial state.
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         self._servo = Servo(mujoco, model, loaded.joints, robot.effort_limit)
@@ -128,10 +102,9 @@ class MujocoPlatform:
                 # `[k, ...]` keeps a scalar state a view
                 {
                     name: states[name] if count is None else states[name][k, ...]
-                    for name in (*self.writes, *self.reads)
+                    for name in (*self.facts.writes, *self.facts.reads)
                 },
                 qpos,
-                disturbances,
                 k,
             )
             for k in range(count or 1)
@@ -166,6 +139,11 @@ class MujocoPlatform:
         """Put every robot back where it began, at time 0."""
         for robot in self.robots:
             robot.reset()
+
+    def push(self, velocity: NDArray[np.float64]) -> None:
+        """Add to the bases' horizontal velocity [m/s], shape (2,), of a batch (N, 2)."""
+        for robot, each in zip(self.robots, np.atleast_2d(velocity)):
+            robot.push(each)
 
     def close(self) -> None:
         """Let go; a simulation has no motors to damp."""
@@ -227,38 +205,3 @@ class MujocoPlatform:
             "warnings": self._warnings(),
             "notes": notes,
         }
-
-
-def _decimation(period: float, timestep: float, path: Path) -> int:
-    ratio = period / timestep
-    steps = round(ratio)
-    if steps >= 1 and abs(ratio - steps) < 1e-6 * steps:
-        return steps
-    down, up = max(math.floor(ratio), 1), max(math.ceil(ratio), 1)
-    timesteps = " or ".join(f"{period / n:.6g}" for n in dict.fromkeys((down, up)))
-    periods = " or ".join(f"{n * timestep:.6g}" for n in dict.fromkeys((down, up)))
-    raise ModelError(
-        f"a tick of {period:.6g} s is no whole number of physics steps of {timestep:.6g} s "
-        f"(model {path}); set timestep to {timesteps}, or the period to {periods}"
-    )
-
-
-def _disturbances(
-    seed: int, delay: int, noise: Mapping[str, float] | None, push: Mapping[str, float] | None
-) -> Disturbances:
-    if delay < 0:
-        raise PlatformError(f"platform 'mujoco': delay is {delay} ticks; give 0 or more")
-    for state, std in (noise or {}).items():
-        if not std >= 0.0:
-            raise PlatformError(f"platform 'mujoco': noise of {state} is {std}; give 0 or more")
-    for key in push or {}:
-        if key not in ("every", "velocity"):
-            known = alternatives(key, ("every", "velocity"))
-            raise PlatformError(f"platform 'mujoco': no push option {key!r}; {known}")
-    every, velocity = (float((push or {}).get(key, 0.0)) for key in ("every", "velocity"))
-    if push and not (every > 0.0 and velocity > 0.0):
-        raise PlatformError(
-            f"platform 'mujoco': push every {every} s with {velocity} m/s does nothing; "
-            "give every [s] and velocity [m/s] above 0"
-        )
-    return Disturbances(delay, dict(noise or {}), every, velocity, seed)

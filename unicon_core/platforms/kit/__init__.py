@@ -1,0 +1,1 @@
+"""What platforms share: commands, servo, base states, scene, clock and damping, one file each."""

@@ -1,0 +1,118 @@
+"""The base's states, from its pose and twist in the world or from an IMU mounted anyhow."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.robots import Robot
+
+__all__ = ["BaseStates", "Float", "Mounting", "WorldPose", "rotation"]
+
+Float = NDArray[np.float64]
+
+
+class WorldPose(NamedTuple):
+    """Where a base is and how it moves, in the world frame."""
+
+    position: Float
+    """Of the base frame's origin in [m], shape (3,)."""
+    quat: Float
+    """Base to world, unit quaternion wxyz, shape (4,)."""
+    lin_vel: Float
+    """Of the origin in [m/s], shape (3,)."""
+    ang_vel: Float
+    """In [rad/s], shape (3,)."""
+
+
+def rotation(quat: NDArray[Any]) -> Float:
+    """Return the rotation matrix of a unit quaternion wxyz, shape (3, 3)."""
+    w, x, y, z = (float(value) for value in quat)
+    return np.array(
+        (
+            (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+            (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+            (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+        )
+    )
+
+
+class Mounting:
+    """How a sensor sits on the base: turns its readings into the base frame.
+
+        mounting = Mounting.of(robot)                       # robot.imu of the robot file
+        states.base_ang_vel[...] = mounting.vector(gyro)
+        states.base_quat[...] = mounting.quat(orientation)
+
+    An accelerometer keeps its place: only its axes are turned, its lever arm stays in the reading.
+
+    Args:
+        quat: sensor to base, unit quaternion wxyz, shape (4,).
+
+    Attributes:
+        turned: whether there is anything to turn; if not, readings pass as they are.
+    """
+
+    def __init__(self, quat: NDArray[Any]) -> None:
+        w, x, y, z = (float(value) for value in quat)
+        self.turned = not np.allclose(np.abs(quat), (1.0, 0.0, 0.0, 0.0), atol=1e-9)
+        self._base_from_sensor = rotation(quat)
+        # q ↦ q · conj(quat), as a matrix
+        self._right = np.array(((w, x, y, z), (-x, w, -z, y), (-y, z, w, -x), (-z, -y, x, w)))
+
+    @classmethod
+    def of(cls, robot: Robot) -> Mounting:
+        """Return how a robot's IMU is mounted; where its file does not say, as the base."""
+        known = robot.imu is not None and np.isfinite(robot.imu.quat).all()
+        return cls(robot.imu.quat if known and robot.imu else np.array((1.0, 0.0, 0.0, 0.0)))
+
+    def vector(self, reading: NDArray[Any]) -> NDArray[Any]:
+        """Return a rate or an acceleration of the sensor's frame in the base frame, shape (3,)."""
+        return self._base_from_sensor @ reading if self.turned else reading
+
+    def quat(self, reading: NDArray[Any]) -> NDArray[Any]:
+        """Return the orientation base to world of one sensor to world, wxyz, shape (4,)."""
+        return self._right @ reading if self.turned else reading
+
+
+class BaseStates:
+    """Writes the base's states, those that are there.
+
+    `base_lin_acc` is what an accelerometer at the IMU's place reads along the base's axes: the
+    specific force R(q)ᵀ (a - g), by the change of that point's velocity over one physics step.
+
+    Args:
+        views: state arrays by name, without a batch axis.
+        robot: says where the IMU is.
+        step: physics step in [s].
+        gravity: in the world in [m/s²], shape (3,).
+    """
+
+    def __init__(
+        self, views: Mapping[str, NDArray[Any]], robot: Robot, step: float, gravity: Float
+    ) -> None:
+        self._views, self._step, self._gravity = views, step, gravity
+        self._down = gravity / max(float(np.linalg.norm(gravity)), 1e-9)
+        self._arm = np.zeros(3) if robot.imu is None else np.nan_to_num(robot.imu.position)
+
+    def __call__(self, before: WorldPose, now: WorldPose) -> None:
+        """Write what holds now; `before` is one physics step earlier, or the same at rest."""
+        base_from_world = rotation(now.quat).T
+        acceleration = (self._velocity(now) - self._velocity(before)) / self._step
+        for name, value in (
+            ("base_quat", now.quat),
+            ("base_ang_vel", base_from_world @ now.ang_vel),
+            ("base_lin_acc", base_from_world @ (acceleration - self._gravity)),
+            ("projected_gravity", base_from_world @ self._down),
+            ("base_pos_w", now.position),
+            ("base_lin_vel", base_from_world @ now.lin_vel),
+        ):
+            if name in self._views:
+                self._views[name][...] = value
+
+    def _velocity(self, pose: WorldPose) -> Float:
+        """Return the velocity of the IMU's place in the world in [m/s]."""
+        return pose.lin_vel + np.cross(pose.ang_vel, rotation(pose.quat) @ self._arm)

@@ -1,0 +1,40 @@
+"""Simulated time: physics steps in a tick, and time stamps that do not drift."""
+
+from __future__ import annotations
+
+import math
+from fractions import Fraction
+
+from unicon_core.errors import ModelError
+
+__all__ = ["steps_in", "tick_ns"]
+
+
+def steps_in(period: float, timestep: float, model: object) -> int:
+    """Return how many physics steps a tick has.
+
+    Args:
+        period: of a tick in [s].
+        timestep: of the physics in [s].
+        model: its file, for the message.
+
+    Raises:
+        ModelError: it is not a whole number of them.
+    """
+    ratio = period / timestep
+    steps = round(ratio)
+    if steps >= 1 and abs(ratio - steps) < 1e-6 * steps:
+        return steps
+    down, up = max(math.floor(ratio), 1), max(math.ceil(ratio), 1)
+    timesteps = " or ".join(f"{period / n:.6g}" for n in dict.fromkeys((down, up)))
+    periods = " or ".join(f"{n * timestep:.6g}" for n in dict.fromkeys((down, up)))
+    raise ModelError(
+        f"a tick of {period:.6g} s is not a whole number of physics steps of {timestep:.6g} s "
+        f"(model {model}); set timestep to {timesteps}, or the period to {periods}"
+    )
+
+
+def tick_ns(timestep: float, steps: int) -> Fraction | int:
+    """Return the duration of a tick in [ns], exactly: its multiples are rounded only once."""
+    exact = Fraction(repr(timestep)) * 10**9 * steps
+    return int(exact) if exact.denominator == 1 else exact

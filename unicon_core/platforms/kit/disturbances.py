@@ -1,0 +1,118 @@
+"""Noise, delay and pushes around any simulator, as `scene:` asks for them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.errors import PlatformError, alternatives
+from unicon_core.platforms.kit.command import Command
+from unicon_core.platforms.kit.scene import Scene
+from unicon_core.platforms.platform import Platform, Pushable, Resettable
+from unicon_core.robots import Robot
+from unicon_core.states import States
+
+__all__ = ["Disturbances", "disturb"]
+
+
+def disturb(
+    platform: Platform, scene: Scene, states: States, robot: Robot, period: float
+) -> Platform:
+    """Put a scene's disturbances around a platform's recv, send and reset; return the platform.
+
+    Raises:
+        PlatformError: it does not write what noise is asked for, or cannot be pushed.
+    """
+    if not scene.disturbed:
+        return platform
+    name, writes = platform.facts.name, set(platform.facts.writes) - {"stamp_ns"}
+    for state in scene.noise:
+        if state not in writes:
+            raise PlatformError(
+                f"scene.noise: platform {name!r} measures no {state!r}; "
+                f"{alternatives(state, writes)}"
+            )
+    if scene.push and not ("base_lin_vel" in writes and isinstance(platform, Pushable)):
+        raise PlatformError(f"scene.push: platform {name!r} cannot push a base; leave push out")
+    around = Disturbances(platform, scene, states, robot, period)
+    for method in ("recv", "send", "reset"):  # in place: whatever else it can do, it still can
+        setattr(platform, method, getattr(around, method))
+    return platform
+
+
+class Disturbances:
+    """What stands in place of the platform's own recv, send and reset; see `disturb`."""
+
+    def __init__(
+        self, platform: Platform, scene: Scene, states: States, robot: Robot, period: float
+    ) -> None:
+        self._recv, self._send = platform.recv, platform.send
+        self._reset: Callable[[], None] = (
+            platform.reset if isinstance(platform, Resettable) else lambda: None
+        )
+        self._push = platform.push if isinstance(platform, Pushable) else None
+        self._seed, self._batch = scene.seed, states.num_robots
+        self._noise = [(states[name], np.float32(std)) for name, std in scene.noise.items()]
+        self._quat = states["base_quat"] if "base_quat" in scene.noise else None
+        every = float(scene.push.get("every", 0.0)) / period
+        self._push_ticks = max(round(every), 1) if scene.push else 0
+        self._largest = float(scene.push.get("velocity", 0.0))
+        self._views = [states[name] for name in platform.facts.reads]
+        self._command = Command(
+            {name: states[name] for name in states}, robot.joint_names, dtype=np.float32
+        )
+        self._delay = scene.delay
+        self._queue: list[list[NDArray[Any]]] = []
+        self._begin()
+
+    def _begin(self) -> None:
+        count = self._batch or 1
+        self._rngs = [np.random.default_rng((self._seed, k)) for k in range(count)]
+        self._ticks = 0
+        self._queue = []
+
+    def recv(self) -> bool | None:
+        """Add noise to what was measured."""
+        gone = self._recv()
+        for view, std in self._noise:
+            for k, rng in enumerate(self._rngs):
+                one = view if self._batch is None else view[k]
+                one += std * rng.standard_normal(one.shape, dtype=np.float32)
+        if self._quat is not None:
+            self._quat /= np.linalg.norm(self._quat, axis=-1, keepdims=True)
+        return gone
+
+    def send(self) -> bool | None:
+        """Push where it is time, then send what was commanded some ticks before.
+
+        Raises:
+            Fault: a command is not finite.
+        """
+        if self._push_ticks and self._ticks and self._ticks % self._push_ticks == 0 and self._push:
+            pushes = [rng.uniform(-self._largest, self._largest, 2) for rng in self._rngs]
+            self._push(np.array(pushes[0] if self._batch is None else pushes))
+        self._ticks += 1
+        if not self._delay:
+            return self._send()
+        self._command.take()  # what is wrong is told now, not when it would arrive
+        now = [view.copy() for view in self._views]
+        # Before the first command arrives the motors hold what it says.
+        self._queue = [*self._queue, now] if self._queue else [now] * (self._delay + 1)
+        self._queue = self._queue[-self._delay - 1 :]
+        try:
+            self._write(self._queue[0])
+            return self._send()
+        finally:
+            self._write(now)  # others see what was commanded
+
+    def _write(self, values: list[NDArray[Any]]) -> None:
+        for view, value in zip(self._views, values):
+            view[...] = value
+
+    def reset(self) -> None:
+        """Begin anew, the same draws to come."""
+        self._reset()
+        self._begin()

@@ -1,0 +1,134 @@
+"""Scene: how a simulation begins and what disturbs it, the same on every simulator.
+
+scene: {initial_pose: rest, noise: {joint_vel: 0.1}, push: {every: 2.0, velocity: 0.5}}
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.errors import PlatformError, alternatives
+from unicon_core.models.find import pick_model
+from unicon_core.robots import Robot
+from unicon_core.robots.poses import named_pose, robot_poses
+
+__all__ = ["DISTURBANCES", "KEYFRAME", "SCENE_KEYS", "Scene"]
+
+DISTURBANCES = ("seed", "noise", "delay", "push", "terrain")
+"""What a simulator can be told and a robot cannot."""
+
+KEYFRAME = "keyframe:"
+
+LONGEST_DELAY = 1000
+"""In ticks."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """What is meant for every simulator.
+
+    Attributes:
+        model: MJCF or URDF file, `assets:PATH` or `robot_descriptions:NAME`; None for the robot
+            file's.
+        initial_pose: `default` or `rest` of the robot file, `model` (as the model file has it),
+            `keyframe:NAME` of the model, or joints to [rad] over the default pose. In a workflow
+            also `policy:NAME`, its default pose.
+        initial_height: of the base in [m]; None sets the robot on the floor.
+        terrain: `flat`; there is no other yet.
+        seed: of noise and pushes; robot k of a batch draws from (seed, k).
+        delay: ticks by which commands come late.
+        noise: state to standard deviation of white noise, in the state's unit.
+        push: `every` in [s] and `velocity` in [m/s]: random horizontal pushes of the base.
+        folder: of the workflow, for a relative `model`; not a key of the file.
+        pose: all joints in [rad], shape (n,), in place of `initial_pose`; not a key of the file.
+
+    Raises:
+        PlatformError: a value is wrong.
+    """
+
+    model: str | Path | None = None
+    initial_pose: str | Mapping[str, float] = "default"
+    initial_height: float | None = None
+    terrain: Literal["flat"] = "flat"
+    seed: int = 0
+    delay: int = 0
+    noise: Mapping[str, float] = field(default_factory=dict)
+    push: Mapping[str, float] = field(default_factory=dict)
+    folder: Path | None = None
+    pose: NDArray[np.float32] | None = None
+
+    def __post_init__(self) -> None:
+        if self.terrain != "flat":
+            raise PlatformError(f"scene.terrain is {self.terrain!r}; known: flat")
+        if not 0 <= self.delay <= LONGEST_DELAY:
+            raise PlatformError(f"scene.delay is {self.delay} ticks; give 0 to {LONGEST_DELAY}")
+        if self.seed < 0:
+            raise PlatformError(f"scene.seed is {self.seed}; give 0 or more")
+        if self.initial_height is not None and not abs(self.initial_height) <= 100.0:
+            raise PlatformError(f"scene.initial_height is {self.initial_height} m; give up to 100")
+        for state, std in self.noise.items():
+            if not 0.0 <= std < math.inf:
+                raise PlatformError(f"scene.noise of {state} is {std}; give 0 or more")
+        for key in self.push:
+            if key not in ("every", "velocity"):
+                known = alternatives(key, ("every", "velocity"))
+                raise PlatformError(f"scene.push has no option {key!r}; {known}")
+        every, velocity = (float(self.push.get(key, 0.0)) for key in ("every", "velocity"))
+        if self.push and not (0.0 < every < math.inf and 0.0 < velocity < math.inf):
+            raise PlatformError(
+                f"scene.push: every {every} s with {velocity} m/s does nothing; "
+                "give every [s] and velocity [m/s] above 0"
+            )
+
+    @property
+    def posed_by_model(self) -> bool:
+        """Whether the model file says the initial pose, and with it the height."""
+        pose = self.initial_pose
+        return (
+            self.pose is None
+            and isinstance(pose, str)
+            and (pose == "model" or pose.startswith(KEYFRAME))
+        )
+
+    @property
+    def disturbed(self) -> bool:
+        """Whether anything makes the simulation less perfect."""
+        return bool(self.delay or self.noise or self.push)
+
+    def model_path(self, robot: Robot) -> Path:
+        """Return the model file: the scene's, else the robot file's.
+
+        Raises:
+            ModelError: neither names one, or it is not there.
+        """
+        return pick_model(robot, self.model, self.folder)
+
+    def joint_pos(self, robot: Robot) -> NDArray[np.float64]:
+        """Return the initial joint positions in [rad], shape (n,); unknown ones stand, or are 0.
+
+        Raises:
+            PlatformError: no such pose, or only a model says it.
+            WorkflowError: no such joint.
+        """
+        poses, pose = robot_poses(robot), self.initial_pose
+        standing = np.nan_to_num(poses["default"].astype(np.float64))
+        if self.pose is not None:
+            return self.pose.astype(np.float64)
+        if not isinstance(pose, str):
+            said, which = named_pose(pose, robot, "scene.initial_pose")
+            return np.where(which > 0.0, said, standing)
+        if pose not in poses:
+            known = alternatives(pose, (*poses, "model", f"{KEYFRAME}NAME", "policy:NAME"))
+            raise PlatformError(f"scene.initial_pose is {pose!r}; {known}; or joints to [rad]")
+        named = poses[pose].astype(np.float64)
+        return np.where(np.isnan(named), standing, named)
+
+
+SCENE_KEYS = tuple(f.name for f in fields(Scene) if f.name not in ("folder", "pose"))

@@ -1,0 +1,96 @@
+"""Where a simulation begins: joint pose and height of the base, the same in every simulator."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.errors import ModelError, alternatives
+from unicon_core.models.load import load_model
+from unicon_core.models.loaded import LoadedModel, import_mujoco
+from unicon_core.models.posed import heights
+from unicon_core.platforms.kit.scene import KEYFRAME, Scene
+from unicon_core.robots import Robot
+
+__all__ = ["Start", "initial_positions", "start_of"]
+
+Float = NDArray[np.float64]
+
+_CLEARANCE = 0.0005  # [m] between the lowest geom and the floor
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """Where a simulation begins.
+
+    Attributes:
+        loaded: the model.
+        joint_pos: in the robot's order in [rad], shape (n,).
+        position: of the base in the world in [m], shape (3,).
+        quat: of the base, base to world, wxyz, shape (4,).
+        floating: whether the base can move.
+    """
+
+    loaded: LoadedModel
+    joint_pos: Float
+    position: Float
+    quat: Float
+    floating: bool
+
+
+def start_of(robot: Robot, scene: Scene) -> Start:
+    """Return where a scene begins, in any simulator; see `initial_positions`.
+
+    Raises:
+        MissingDependencyError: mujoco, which reads the models, is not installed.
+        ModelError: the model is missing or wrong, or lacks a joint.
+        PlatformError: no such pose.
+    """
+    loaded = load_model(scene.model_path(robot), robot)
+    base, qpos = loaded.base, initial_positions(loaded, robot, scene)
+    joint_pos = qpos[loaded.addresses]
+    if base is not None:
+        pose = qpos[int(loaded.model.jnt_qposadr[base]) :][:7]
+        return Start(loaded, joint_pos, pose[:3], pose[3:], True)
+    return Start(loaded, joint_pos, np.zeros(3), np.array((1.0, 0.0, 0.0, 0.0)), False)
+
+
+def initial_positions(loaded: LoadedModel, robot: Robot, scene: Scene) -> Float:
+    """Return the initial `qpos` of a model, shape (nq,).
+
+    Args:
+        loaded: the model.
+        robot: the robot.
+        scene: says pose and height; a key frame and the model's own pose say the height too.
+
+    Raises:
+        ModelError: no such key frame.
+        PlatformError: no such pose.
+    """
+    mujoco = import_mujoco()
+    model, base = loaded.model, loaded.base
+    data = mujoco.MjData(model)
+    pose, height = scene.initial_pose, scene.initial_height
+    if isinstance(pose, str) and pose.startswith(KEYFRAME):
+        keyframe = pose.removeprefix(KEYFRAME)
+        names = [model.key(i).name for i in range(model.nkey)]
+        if keyframe not in names:
+            raise ModelError(
+                f"model {loaded.path} has no key frame {keyframe!r}; "
+                f"{alternatives(keyframe, names)}; correct scene.initial_pose"
+            )
+        mujoco.mj_resetDataKeyframe(model, data, names.index(keyframe))
+    elif not scene.posed_by_model:
+        data.qpos[loaded.addresses] = scene.joint_pos(robot)
+    if base is not None:
+        z = int(model.jnt_qposadr[base]) + 2
+        if height is not None:
+            data.qpos[z] = height
+        elif not scene.posed_by_model:
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_comPos(model, data)
+            above = heights(model, data, int(model.jnt_bodyid[base]))
+            data.qpos[z] += _CLEARANCE - min(above.values(), default=_CLEARANCE)
+    return np.array(data.qpos)

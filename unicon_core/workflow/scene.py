@@ -1,0 +1,69 @@
+"""The `scene:` of a workflow: its keys and values checked, for the builder of platforms."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from unicon_core.errors import PlatformError, WorkflowError, alternatives
+from unicon_core.platforms.kit.scene import DISTURBANCES, SCENE_KEYS, Scene
+from unicon_core.platforms.platform import Facts
+from unicon_core.robots import joint_index
+from unicon_core.workflow.autowire import BuildContext
+from unicon_core.workflow.document import WorkflowDocument
+from unicon_core.workflow.option_types import wrong_option
+
+__all__ = ["read_scene"]
+
+
+def read_scene(document: WorkflowDocument, context: BuildContext, facts: Facts) -> Scene:
+    """Return the scene of a workflow for a platform.
+
+    A robot begins where it is, so that the same file runs on it; what would disturb it is refused.
+
+    Raises:
+        WorkflowError: an unknown key, a wrong value, or a disturbance that is meant for a robot.
+    """
+    values: dict[str, Any] = document.get("scene", dict, {})
+    for key in values:
+        if key not in SCENE_KEYS:
+            known = alternatives(str(key), SCENE_KEYS)
+            raise document.error(f"scene has no key {key!r}; {known}", "scene", key)
+        if key in DISTURBANCES and not facts.simulated:
+            raise document.error(
+                f"scene.{key} is for simulators, and platform {facts.name!r} is a robot; leave "
+                f"{key} out, or simulate: platform: mujoco",
+                "scene",
+                key,
+            )
+    values = {key: value for key, value in values.items() if value is not None}
+    wrong = wrong_option(Scene, values)
+    if wrong:
+        raise document.error(f"scene.{wrong}", "scene")
+    pose = values.get("initial_pose")
+    if isinstance(pose, str) and pose.startswith("policy:"):
+        values["pose"] = _pose_of(pose, document, context)
+    try:
+        scene = Scene(**values, folder=context.relative_to)
+        if not scene.posed_by_model:
+            scene.joint_pos(context.robot)
+    except (PlatformError, WorkflowError) as error:
+        raise document.error(str(error), "scene") from error
+    return scene
+
+
+def _pose_of(word: str, document: WorkflowDocument, context: BuildContext) -> Any:
+    """Return the default pose of `policy:NAME` in the robot's order, others standing."""
+    name = word.removeprefix("policy:")
+    if name not in context.policies:
+        known = alternatives(name, context.policies)
+        raise document.error(
+            f"scene.initial_pose is {word!r}, and there is no policy {name!r}; {known}",
+            "scene",
+            "initial_pose",
+        )
+    contract = context.policies[name]
+    pose = np.nan_to_num(context.robot.default_joint_pos)
+    pose[joint_index(contract.joints, context.robot.joint_names)] = contract.default_joint_pos
+    return pose
