@@ -211,8 +211,9 @@ def test_the_wall_stamp_follows_a_clock_that_is_set(clock: Clock) -> None:
 def test_controls_refuse_what_a_real_robot_cannot_do() -> None:
     controls = Controls(lambda seconds: None)
     assert controls.reset() == (False, "nothing runs")
-    platform = SimpleNamespace(name="unitree", simulated=False)
-    controls.runner = SimpleNamespace(workflow=SimpleNamespace(platform=platform))  # type: ignore[assignment]
+    facts = SimpleNamespace(name="unitree", simulated=False)
+    platform = SimpleNamespace(facts=facts)
+    controls.runner = SimpleNamespace(program=SimpleNamespace(platform=platform))  # type: ignore[assignment]
     for act in (controls.reset, controls.pause, controls.step):
         done, said = act()
         assert not done

@@ -319,6 +319,6 @@ def _named(target: Target, ranks: list[int]) -> str:
     return _some([f"{target.field.path}[{k}]" for k in ranks])
 
 
-def _some(names: list[str], limit: int = 5) -> str:
-    shown = ", ".join(repr(name) for name in names[:limit])
-    return shown + (f", … ({len(names)} in all)" if len(names) > limit else "")
+def _some(names: list[str]) -> str:
+    shown = ", ".join(map(repr, names[:5]))
+    return shown if len(names) <= 5 else f"{shown}, … ({len(names)} in all)"
