@@ -1,7 +1,5 @@
 """One tick moves many: a batch axis in front of every state."""
 
-import numpy as np
-
 from unicon_core import Chain, Loop, Program, block, elapsed, policy, pose, run
 
 if __name__ == "__main__":
@@ -17,4 +15,5 @@ if __name__ == "__main__":
     )
     run(program, speed="max")
     x = program.states.base_pos_w[:, 0]
-    print(f"{len(x)} robots went {np.round(x, 2).tolist()} m under pushes")
+    way = ", ".join(f"{value:.1f}" for value in x)
+    print(f"{len(x)} robots went {way} m under pushes")

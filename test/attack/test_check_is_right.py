@@ -90,7 +90,7 @@ def test_joints_that_damp_themselves_need_no_damping_in_simulation(
     folder: Path, assets: Path
 ) -> None:
     """As mujoco_playground's Go1: stiffness 35, damping 0.5 in the model's joints."""
-    model = {"model": "assets:models/go1/go1.xml"}
+    model = {"models": {"mjcf": "assets:models/go1/go1.xml"}}
     contract = {"stiffness": 35.0, "damping": 0.0, "action.scale": 0.5}
     path = write_workflow(folder, contract, None, model)
     result = check_workflow(path)

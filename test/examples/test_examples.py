@@ -25,7 +25,7 @@ SAYS = {
     "05_ros": r"published [1-9]\d+, received \d+, duration",
     "06_modes": r"walked to \+\d\.\d\d \+\d\.\d\d m and stood again",
     "07_gates_and_wind_down": r"done; at the end the thigh is at 1\.36 rad",
-    "08_many_robots": r"8 robots went \[",
+    "08_many_robots": r"8 robots went \d",
     "09_observer": r"largest joint velocity \d+\.\d rad/s",
     "10_test_a_block": r"fast joints are softened",
 }

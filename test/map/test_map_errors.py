@@ -265,6 +265,14 @@ FILES: list[tuple[str, str]] = [
         STATE.replace("publish", "subscribe") + "      position: {state: p, by: names}\n",
         "m.yaml:5: js: position: by 'names' is no mapped array of names; known: none",
     ),
+    (
+        OUT + "    fields: {true: a, 'true': b}\n",
+        "m.yaml:4: fields: key True is not a word; write a name or a path",
+    ),
+    (
+        OUT + "    fields: {linear.x: a, 1: b}\n",
+        "m.yaml:4: fields: key 1 is not a word; write a name or a path",
+    ),
 ]
 
 

@@ -65,6 +65,19 @@ def _below(name: str, folder: Path) -> bool:
     return name[0].isalpha() and "/" in name and (folder / name.split("/")[0]).is_dir()
 
 
+LONGEST_PATH = 1200
+"""Lines of the files that a reader has to open on one way through the house."""
+
+
+@pytest.mark.parametrize("path", ["From `recv` to a published byte", "From a `cmd_vel` byte to"])
+def test_each_reading_path_is_one_sitting(path: str) -> None:
+    section = text_of("ARCHITECTURE.md").split(f"**{path}", 1)[1].split("\n\n", 2)[1]
+    files = re.findall(r"^\d+\. `([\w/.]+\.py)` – ", section, re.MULTILINE)
+    assert len(files) >= 5
+    lines = sum(len(text_of(file).splitlines()) for file in files)
+    assert lines <= LONGEST_PATH, f"{lines} lines in {len(files)} files"
+
+
 def test_every_make_target_that_is_named_exists() -> None:
     targets = set(re.findall(r"^([a-z-]+):", text_of("Makefile"), re.MULTILINE))
     for document in DOCUMENTS:

@@ -57,7 +57,7 @@ def test_joint_that_the_model_lacks(build: Build, tmp_path: Path) -> None:
     assert message(error, tmp_path) == (
         "model DIR/toy.xml: no joint 'fingr_joint'; did you mean 'finger_joint'? known: "
         "elbow_joint, finger_joint, shoulder_joint, wrist_joint; rename it in the model, or "
-        "choose the model of this robot (model: PATH)"
+        "choose the model of this robot (scene: {model: PATH})"
     )
 
 
@@ -82,7 +82,7 @@ def test_joint_that_could_be_two(
         build(model=path, joints=("shoulder_joint", "wrist_joint", "finger_joint"))
     assert message(error, tmp_path) == (
         "model DIR/toy.xml: joint 'wrist_joint' could be any of wrist, a/wrist; "
-        "rename it in the model, or choose the model of this robot (model: PATH)"
+        "rename it in the model, or choose the model of this robot (scene: {model: PATH})"
     )
 
 
@@ -91,7 +91,7 @@ def test_no_model_at_all(build: Build, tmp_path: Path) -> None:
         build(model=None)
     assert message(error, tmp_path) == (
         "robot toy names no model (mjcf or urdf); add models: {mjcf: PATH} to DIR/toy.yaml, or "
-        "let the workflow name one: model: PATH"
+        "let the workflow name one: scene: {model: PATH}"
     )
 
 

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from unicon_core.platforms.platform import Facts
 from unicon_core.runtime import Pacing
 from unicon_ros.bridge import slack, stamps
 from unicon_ros.bridge.controls import Controls
@@ -212,7 +211,8 @@ def test_the_wall_stamp_follows_a_clock_that_is_set(clock: Clock) -> None:
 def test_controls_refuse_what_a_real_robot_cannot_do() -> None:
     controls = Controls(lambda seconds: None)
     assert controls.reset() == (False, "nothing runs")
-    platform = SimpleNamespace(facts=Facts("unitree"))
+    facts = SimpleNamespace(name="unitree", simulated=False)
+    platform = SimpleNamespace(facts=facts)
     controls.runner = SimpleNamespace(program=SimpleNamespace(platform=platform))  # type: ignore[assignment]
     for act in (controls.reset, controls.pause, controls.step):
         done, said = act()

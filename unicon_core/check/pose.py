@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from unicon_core.check.mirror import check_mirrored, mirror_pairs
@@ -103,6 +105,12 @@ def _feet(
     heights = posed.heights()
     if not heights:
         return
+
+    def wrong(what: str) -> None:
+        remedy = "correct the pose, its order, signs or unit"
+        culprit = f"policy {key!r}, default_joint_pos"
+        result.find("pose.feet", culprit, what, remedy, contract.path)
+
     geoms = {geom for group in feet.values() for geom in group}
     lowest_foot = {
         foot: min(heights[geom] for geom in group if geom in heights)
@@ -119,41 +127,25 @@ def _feet(
         geom = min(others, key=lambda g: others[g])
         if others[geom] < ground - BELOW_FEET:
             body = model.body(int(model.geom_bodyid[geom])).name
-            result.find(
-                "pose.feet",
-                f"policy {key!r}, default_joint_pos",
+            wrong(
                 f"{body} is {1e2 * (ground - others[geom]):.1f} cm below the lowest foot "
-                f"({min(lowest_foot, key=lambda f: lowest_foot[f])})",
-                "correct the pose, its order, signs or unit",
-                contract.path,
+                f"({min(lowest_foot, key=lambda f: lowest_foot[f])})"
             )
     for foot, group in feet.items():
         across = [heights[geom] for geom in group if geom in heights]
         if across and max(across) - min(across) > TILTED_FOOT:
-            result.find(
-                "pose.feet",
-                f"policy {key!r}, default_joint_pos",
+            wrong(
                 f"{foot} is not flat on the ground: its parts differ in height by "
-                f"{1e2 * (max(across) - min(across)):.1f} cm",
-                "correct the pose, its order, signs or unit",
-                contract.path,
+                f"{1e2 * (max(across) - min(across)):.1f} cm"
             )
-    _balance(result, key, contract, posed, [g for group in feet.values() for g in group])
+    _balance(wrong, posed, [g for group in feet.values() for g in group])
     for left, right in mirror_pairs(list(lowest_foot)):
         apart = abs(lowest_foot[left] - lowest_foot[right])
         if apart > 0.03:
-            result.find(
-                "pose.feet",
-                f"policy {key!r}, default_joint_pos",
-                f"{left} and {right} are {1e2 * apart:.1f} cm apart in height",
-                "correct the pose, its order, signs or unit",
-                contract.path,
-            )
+            wrong(f"{left} and {right} are {1e2 * apart:.1f} cm apart in height")
 
 
-def _balance(
-    result: CheckResult, key: str, contract: PolicyContract, posed: PosedModel, geoms: list[int]
-) -> None:
+def _balance(wrong: Callable[[str], None], posed: PosedModel, geoms: list[int]) -> None:
     """The centre of mass over the feet: a pose that is far off it is none to stand in."""
     model, data = posed.loaded.model, posed.data
     root = int(model.body_rootid[model.geom_bodyid[geoms[0]]])
@@ -163,13 +155,9 @@ def _balance(
     if far > OFF_BALANCE:
         axis = int(outside.argmax())
         side = ("in front of", "behind") if axis == 0 else ("to the left of", "to the right of")
-        result.find(
-            "pose.feet",
-            f"policy {key!r}, default_joint_pos",
+        wrong(
             f"the centre of mass is {1e2 * far:.0f} cm "
-            f"{side[int(centre[axis] < places[:, axis].mean())]} the feet",
-            "correct the pose, its order, signs or unit",
-            contract.path,
+            f"{side[int(centre[axis] < places[:, axis].mean())]} the feet"
         )
 
 

@@ -64,7 +64,8 @@ def pick_model(
     if found is None:
         raise ModelError(
             f"robot {robot.name} names no model ({' or '.join(prefer)}); add models: "
-            f"{{{prefer[0]}: PATH}} to {robot.path}, or let the workflow name one: model: PATH"
+            f"{{{prefer[0]}: PATH}} to {robot.path}, or let the workflow name one: "
+            "scene: {model: PATH}"
         )
     return find_model(found, robot.path.parent)
 

@@ -33,7 +33,7 @@ def find_joints(mujoco: Any, model: Any, robot: Robot, path: Path) -> list[int]:
     except RobotError as error:
         raise ModelError(
             f"model {path}: {error}; rename it in the model, or choose the model of this robot "
-            "(model: PATH)"
+            "(scene: {model: PATH})"
         ) from error
 
 

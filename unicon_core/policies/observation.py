@@ -158,13 +158,13 @@ class Observation:
         index = self._window_index.reshape(-1)
 
         def write() -> None:
-            slot, newest, twin, take = self._slots[self._head]
+            slot, newest, again, take = self._slots[self._head]
             assemble(slot)
             if self._fresh:
                 self._ring[...] = 0.0 if self._zeros else slot.copy()
                 if self._zeros:
                     assemble(slot)
-            twin[:] = newest
+            again[:] = newest
             take(index, None, flat, "clip")
 
         def advance() -> None:

@@ -160,13 +160,10 @@ def observation_table(
             ]
         )
     layout = contract.observation
-    order = f"{layout.layout}, newest {layout.newest}" if _has_history(slices) else "no history"
+    history = any(part.term.history > 1 for part in slices)
+    order = f"{layout.layout}, newest {layout.newest}" if history else "no history"
     tail = f"{start} values, {order}; term = scale · clip(state − subtract)"
     return "\n".join([*aligned(rows), tail])
-
-
-def _has_history(slices: Sequence[TermSlice]) -> bool:
-    return any(part.term.history > 1 for part in slices)
 
 
 def _source(part: TermSlice) -> str:

@@ -94,7 +94,7 @@ def _models(located: Located, models: Any) -> None:
             raise located.error(
                 ("models", kind),
                 f"models: {kind} {model!r} leads out of its folder; put it beside the robot file, "
-                "or let the workflow name it: model: PATH",
+                "or let the workflow name it: scene: {model: PATH}",
             )
         if path.suffix and (path.suffix.lower() == ".urdf") != (kind == "urdf"):
             other = "mjcf" if kind == "urdf" else "urdf"

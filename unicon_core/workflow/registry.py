@@ -1,7 +1,7 @@
-"""Registry: blocks, platforms and policies by name, for the workflow builder and the tables.
+"""Registry: blocks and platforms by name, for the workflow builder and the tables.
 
 What comes with unicon is listed by its packages; third parties register through entry points in the
-groups `unicon.blocks`, `unicon.platforms` and `unicon.policies`. A factory is imported when it is
+groups `unicon.blocks` and `unicon.platforms`. A factory is imported when it is
 asked for, never before: `unicon --help` loads no simulator.
 
 A workflow may also name a `module:function` that is not registered. Its module is imported, as a
@@ -42,7 +42,7 @@ _BUILTIN = {
 
 @lru_cache(maxsize=4)
 def known(kind: str) -> Mapping[str, str]:
-    """Return name to `module:attribute` of a kind: `blocks`, `platforms` or `policies`."""
+    """Return name to `module:attribute` of a kind: `blocks` or `platforms`."""
     targets: dict[str, str] = {}
     if kind in _BUILTIN:
         module, attribute = _BUILTIN[kind]
@@ -124,14 +124,12 @@ def _is_state(hint: Any) -> bool:
 _FACTORIES: dict[str, Callable[[Factory], bool]] = {
     "blocks": is_block_factory,
     "platforms": is_platform_factory,
-    "policies": lambda _: False,
 }
 _SAY = {
     "blocks": "annotate its states (Reads, Writes, Amends) or what it returns (-> Tick), all of "
     "unicon_core.flow, or register it in the entry point group unicon.blocks",
     "platforms": "annotate what it returns (-> Platform of unicon_core.platforms.platform, or a "
     "class with recv, send and close), or register it in the entry point group unicon.platforms",
-    "policies": "register it in the entry point group unicon.policies",
 }
 
 

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from unicon_msgs_map.codec.binding import Bound
+from unicon_msgs_map.codec.ranges import SINGLE_MAX, limits
 from unicon_msgs_map.codec.targets import Target
 from unicon_msgs_map.errors import count_of
 from unicon_msgs_map.layout.messages import Primitive
@@ -22,12 +23,9 @@ from unicon_msgs_map.layout.walker import Found
 from unicon_msgs_map.spec import SubscribeSpec
 
 __all__ = [
-    "DOUBLE_MAX",
-    "SINGLE_MAX",
     "Rejected",
     "Run",
     "apply",
-    "limits",
     "orientation",
     "select",
     "state_of",
@@ -38,9 +36,6 @@ STAMP, COVARIANCE = -1, -2
 
 UNIT = (0.9, 1.1)
 """Bounds of the square of a quaternion's norm."""
-
-SINGLE_MAX = float(np.finfo(np.float32).max)
-DOUBLE_MAX = float(np.finfo(np.float64).max)
 
 
 class Rejected(ValueError):
@@ -310,12 +305,6 @@ def _integral(run: Run, value: float) -> int:
     return min(max(whole, low), high)
 
 
-def limits(dtype: np.dtype[Any]) -> tuple[int, int]:
-    """Return the smallest and largest integer of a dtype."""
-    info = np.iinfo(dtype)
-    return int(info.min), int(info.max)
-
-
 def _element(run: Run, rank: int) -> str:
     assert run.target is not None
     return _named(run.target, [rank])
@@ -330,6 +319,6 @@ def _named(target: Target, ranks: list[int]) -> str:
     return _some([f"{target.field.path}[{k}]" for k in ranks])
 
 
-def _some(names: list[str], limit: int = 5) -> str:
-    shown = ", ".join(repr(name) for name in names[:limit])
-    return shown + (f", … ({len(names)} in all)" if len(names) > limit else "")
+def _some(names: list[str]) -> str:
+    shown = ", ".join(map(repr, names[:5]))
+    return shown if len(names) <= 5 else f"{shown}, … ({len(names)} in all)"

@@ -7,6 +7,7 @@ import re
 from collections.abc import Mapping
 
 from unicon_core.errors import alternatives
+from unicon_msgs_map.codec.ranges import SINGLE_MAX, limits
 from unicon_msgs_map.errors import MapStateError
 from unicon_msgs_map.layout.messages import Array, Primitive, String, Struct, TypeRef
 from unicon_msgs_map.layout.template import Leaf
@@ -14,10 +15,9 @@ from unicon_msgs_map.spec import FieldSpec
 
 _FRAMES = ("frame_id", "child_frame_id")
 _FRAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_./-]*")  # no leading slash since tf2
-FLOAT32_MAX = 3.4028234663852886e38
 LONGEST_NUMBER = 40
 
-__all__ = ["constant", "integer_range", "owner_constants"]
+__all__ = ["constant", "owner_constants"]
 
 
 def owner_constants(message: Struct, leaf: Leaf) -> dict[str, bool | int | float | str]:
@@ -87,10 +87,10 @@ def constant(
     if kind.name == "bool":
         return bool(number)
     if kind.code in "fd":
-        if kind.code == "f" and FLOAT32_MAX < abs(number) < math.inf:
+        if kind.code == "f" and SINGLE_MAX < abs(number) < math.inf:
             raise MapStateError(f"{field.path}: {value!r} is more than a float32", field.where)
         return float(number)
-    low, high = integer_range(kind)
+    low, high = limits(kind.dtype)
     if isinstance(number, float) and number.is_integer():
         number = int(number)
     if not isinstance(number, int) or not low <= number <= high:
@@ -99,14 +99,6 @@ def constant(
             field.where,
         )
     return int(number)
-
-
-def integer_range(kind: Primitive) -> tuple[int, int]:
-    """Return the smallest and largest value of an integer type."""
-    bits = 8 * kind.size
-    return (
-        (-(1 << (bits - 1)), (1 << (bits - 1)) - 1) if kind.code.islower() else (0, (1 << bits) - 1)
-    )
 
 
 def _parse_number(text: str) -> bool | int | float:

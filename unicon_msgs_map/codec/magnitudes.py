@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from unicon_msgs_map.codec.careful import DOUBLE_MAX, SINGLE_MAX, Run
+from unicon_msgs_map.codec.careful import Run
+from unicon_msgs_map.codec.ranges import DOUBLE_MAX, SINGLE_MAX
 
 __all__ = ["high_byte", "largest_of", "ordinary_bytes", "spans"]
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from unicon_msgs_map.codec.binding import AnyArray, Bound
+from unicon_msgs_map.codec.ranges import SINGLE_MAX, limits
 from unicon_msgs_map.layout.template import Slot, Template
 
 __all__ = ["Conversions", "Packs"]
@@ -96,8 +97,8 @@ class Packs:
         if conversion is None and np.can_cast(state, wire, "safe"):
             return primitive.code, expression
         self.space["integer"] = _integer
-        info = np.iinfo(wire)
-        return primitive.code, f"integer({expression}, {info.min}, {info.max})"
+        low, high = limits(wire)
+        return primitive.code, f"integer({expression}, {low}, {high})"
 
     def _number(self, value: float) -> str:
         if math.isfinite(value):
@@ -160,12 +161,9 @@ class Packs:
         return f"{form}{stop - start}s", stop
 
 
-_SINGLE_MAX = float(np.finfo(np.float32).max)
-
-
 def _single(value: float) -> float:
     """Return what float32 can hold: struct raises beyond it, and encode must not."""
-    if -_SINGLE_MAX <= value <= _SINGLE_MAX or value != value:
+    if -SINGLE_MAX <= value <= SINGLE_MAX or value != value:
         return value
     return math.inf if value > 0 else -math.inf
 

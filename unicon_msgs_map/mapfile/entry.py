@@ -39,8 +39,10 @@ class Entry:
         """Return the value as a mapping whose keys are all known (any, where none is listed)."""
         if not isinstance(self.value, dict):
             raise self.fail(f"{what} must be a mapping of names to values, not {self.value!r}")
-        entries = {str(k): Entry(v, self.document, (*self.at, k)) for k, v in self.value.items()}
+        entries = {k: Entry(v, self.document, (*self.at, k)) for k, v in self.value.items()}
         for key, entry in entries.items():
+            if not isinstance(key, str):
+                raise entry.fail(f"{what}: key {key!r} is not a word; write a name or a path")
             if known and key not in known:
                 raise entry.fail(f"{what} has no key {key!r}; {alternatives(key, known)}")
         return entries

@@ -15,10 +15,10 @@ from pathlib import Path
 from unicon_core.errors import PolicyError
 from unicon_core.policies.networks.network import Tensor
 
-__all__ = ["ELEMENT_TYPES", "OnnxFile", "read_onnx"]
+__all__ = ["OnnxFile", "read_onnx"]
 
 # onnx/onnx.proto3, TensorProto.DataType
-ELEMENT_TYPES = {1: "float32", 6: "int32", 7: "int64", 9: "bool", 10: "float16", 11: "float64"}
+_ELEMENT_TYPES = {1: "float32", 6: "int32", 7: "int64", 9: "bool", 10: "float16", 11: "float64"}
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,6 @@ class OnnxFile:
 
     Attributes:
         path: the file.
-        producer: the exporting program.
         metadata: key and value pairs as they stand, repeated keys included.
         inputs: inputs without initializers.
         outputs: outputs.
@@ -35,7 +34,6 @@ class OnnxFile:
     """
 
     path: Path
-    producer: str
     metadata: tuple[tuple[str, str], ...]
     inputs: tuple[Tensor, ...]
     outputs: tuple[Tensor, ...]
@@ -83,13 +81,10 @@ def read_onnx(path: Path) -> OnnxFile:
 
 
 def _model(path: Path, data: memoryview) -> OnnxFile:
-    producer = ""
     metadata: list[tuple[str, str]] = []
     graph: memoryview | None = None
     for number, value in _fields(data):
-        if number == 2:
-            producer = _text(value)
-        elif number == 7 and isinstance(value, memoryview):
+        if number == 7 and isinstance(value, memoryview):
             graph = value
         elif number == 14:
             metadata.append(_pair(value))
@@ -112,7 +107,6 @@ def _model(path: Path, data: memoryview) -> OnnxFile:
         raise ValueError("no output")
     return OnnxFile(
         path,
-        producer,
         tuple(metadata),
         tuple(tensor for tensor in inputs if tensor.name not in initializers),
         tuple(outputs),
@@ -196,7 +190,7 @@ def _tensor(data: memoryview | int) -> Tensor:
                     continue
                 for field, content in _fields(tensor):
                     if field == 1 and isinstance(content, int):
-                        dtype = ELEMENT_TYPES.get(content, f"type {content}")
+                        dtype = _ELEMENT_TYPES.get(content, f"type {content}")
                     elif field == 2:
                         shape = [_axis(axis) for k, axis in _fields(content) if k == 1]
     return Tensor(name, dtype, tuple(shape))

@@ -24,7 +24,7 @@ name: bench_robot
 description: A robot of the benchmark
 manufacturer: none
 kind: humanoid
-model: null
+models: {{}}
 base_frame: base_link
 joints:
 {joints}

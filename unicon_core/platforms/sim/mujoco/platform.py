@@ -150,7 +150,7 @@ class MujocoPlatform:
 
     @contextmanager
     def unlimited(self) -> Iterator[None]:
-        """Do without the limits of effort for a while, for the twin."""
+        """Do without the limits of effort for a while, for `--twin`."""
         limits = self.model.actuator_forcelimited, self.model.jnt_actfrclimited
         before = [limit.copy() for limit in limits]
         try:
