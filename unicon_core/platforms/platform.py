@@ -33,11 +33,11 @@ __all__ = [
     "Informative",
     "Platform",
     "Pushable",
-    "Rehearsable",
     "RequiresStates",
     "Resettable",
     "Viewable",
     "WaitsForData",
+    "WarmsUp",
     "info_of",
 ]
 
@@ -124,10 +124,10 @@ class CountsArrivals(Protocol):
 
 
 @runtime_checkable
-class Rehearsable(Protocol):
+class WarmsUp(Protocol):
     """Does shortly before a tick what `send` does but the sending: caches are warm then."""
 
-    def rehearse(self) -> None:
+    def warm_up(self) -> None:
         """Do it; nobody else sees it."""
         ...
 

@@ -12,7 +12,7 @@ from unicon_core.errors import Fault
 from unicon_core.flow import Node, compile_graph
 from unicon_core.platforms.platform import CountsArrivals
 from unicon_core.runtime.arrivals import Arrivals
-from unicon_core.runtime.pacing import CATCH_UP, DryRun, WallClock
+from unicon_core.runtime.pacing import CATCH_UP, WallClock, WarmUp
 from unicon_core.runtime.statistics import TickStatistics
 from unicon_core.workflow import Program
 from unicon_core.workflow.gate import NEVER_NS
@@ -99,7 +99,7 @@ class Ticker:
                 self._tell()
 
     def _paced(self, limit: int, status_every: int) -> None:
-        wait = self._dry_run(WallClock(round(self.pacing.spin_us * 1e3))).until
+        wait = self._warm_up(WallClock(round(self.pacing.spin_us * 1e3))).until
         period, backlog = self.period_ns, 0 if self.pacing.overrun == "skip" else CATCH_UP
         statistics, now, gate = self.statistics, time.perf_counter_ns, self._program.gate
         due = now() + min(period, 10_000_000)
@@ -172,7 +172,7 @@ class Ticker:
         """
         statistics, now, period = self.statistics, time.perf_counter_ns, self.period_ns
         platform = self._program.platform
-        until = self._dry_run(WallClock(0)).until
+        until = self._warm_up(WallClock(0)).until
         patience = 3e-9 * period
         arrivals = self._arrivals(wait, patience)
         due = last = now()
@@ -231,9 +231,9 @@ class Ticker:
             return None
         return Arrivals(times)
 
-    def _dry_run(self, clock: WallClock) -> DryRun:
-        able = any(block.dry_run is not None for block in self.graph.blocks)
-        return DryRun(self.graph.dry, clock, round(self.pacing.dry_run_us * 1e3) if able else 0)
+    def _warm_up(self, clock: WallClock) -> WarmUp:
+        able = any(block.warm_up is not None for block in self.graph.blocks)
+        return WarmUp(self.graph.warm_up, clock, round(self.pacing.dry_run_us * 1e3) if able else 0)
 
     def _act(self) -> None:
         self._program.gate.until_ns = NEVER_NS  # a pause takes its time, and may tick

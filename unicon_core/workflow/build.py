@@ -35,9 +35,9 @@ from unicon_core.workflow.expression import expression
 from unicon_core.workflow.flow_yaml import FlowReader
 from unicon_core.workflow.policies import declared_states, policy_factory
 from unicon_core.workflow.registry import Factory, find_factory
-from unicon_core.workflow.rehearsal import Rehearsal
 from unicon_core.workflow.settings import safety_of
 from unicon_core.workflow.uses import EXPRESSION, Use
+from unicon_core.workflow.warm_ups import WarmUps
 
 if TYPE_CHECKING:
     from unicon_core.workflow.program import Program
@@ -73,11 +73,11 @@ class Builder:
 
     Args:
         program: whose states they get; takes the built blocks.
-        rehearsal: gives them dry runs.
+        warm_ups: gives them warm-ups.
     """
 
-    def __init__(self, program: Program, rehearsal: Rehearsal) -> None:
-        self._program, self._rehearsal = program, rehearsal
+    def __init__(self, program: Program, warm_ups: WarmUps) -> None:
+        self._program, self._warm_ups = program, warm_ups
         self._context = program.context
 
     def built(self, node: Node) -> Node:
@@ -121,7 +121,7 @@ class Builder:
             return autowire(factory, use.name, context, options, use.rename, use.where)
 
         block = build(self._context)
-        self._rehearsal.add(block, factory, build)
+        self._warm_ups.add(block, factory, build)
         self._program.blocks.append(block)
         return self._at_its_period(block)
 

@@ -19,7 +19,7 @@ from unicon_core.flow.checks import check_graph, raise_first
 from unicon_core.flow.critical_path import critical_path
 from unicon_core.flow.fuse import fuse
 from unicon_core.flow.stage import Stage
-from unicon_core.platforms.platform import Rehearsable, RequiresStates
+from unicon_core.platforms.platform import RequiresStates, WarmsUp
 from unicon_core.signals import SIGNALS
 from unicon_core.states import Layout, States
 from unicon_core.workflow.autowire import BuildContext
@@ -44,9 +44,9 @@ from unicon_core.workflow.document import WorkflowDocument, document_of, load_do
 from unicon_core.workflow.gate import Gate
 from unicon_core.workflow.platforms import build_platform
 from unicon_core.workflow.policies import controllers_reading, load_policies
-from unicon_core.workflow.rehearsal import Rehearsal
 from unicon_core.workflow.settings import pacing_of
 from unicon_core.workflow.uses import EXPRESSION, Use
+from unicon_core.workflow.warm_ups import WarmUps
 
 if TYPE_CHECKING:
     from unicon_core.runtime.pacing import Pacing
@@ -150,8 +150,8 @@ class Program:
 
     def _assemble(self, sections: Sections, ending: Node | None, hooks: Iterable[Hook]) -> None:
         stages, platform = self.stages, self.platform
-        rehearsal = Rehearsal(self.context)
-        builder = Builder(self, rehearsal)
+        warm_ups = WarmUps(self.context)
+        builder = Builder(self, warm_ups)
         for stage, nodes in sections.items():
             stages[stage] += [builder.built(node) for node in nodes]
         finite_first(self.document, stages[Stage.SAFETY])
@@ -163,8 +163,8 @@ class Program:
                 stages[stage] += blocks
         self._bound_commands()
         recv = Block("recv", platform.recv, writes=platform.facts.writes)
-        rehearse = platform.rehearse if isinstance(platform, Rehearsable) else None
-        recv.dry_run = rehearsal.refresh(rehearse)
+        warm_up = platform.warm_up if isinstance(platform, WarmsUp) else None
+        recv.warm_up = warm_ups.refresh(warm_up)
         send = Block("send", self.gate.before(platform.send), reads=platform.facts.reads)
         stages[Stage.RECV].insert(0, recv)
         stages[Stage.SEND].append(send)

@@ -66,9 +66,9 @@ class EmergencyStop:
 
     def before_send(self) -> Block:
         """Return the look right before `send`; it answers once the platform is closed."""
-        # The dry run, shortly before the tick, hears it as well and need not wait for that tick; it
+        # The warm-up, shortly before the tick, hears it as well and need not wait for that tick; it
         # also keeps the look warm.
-        return Block("estop", self.look, close=self.answer, dry_run=self.look, endless=True)
+        return Block("estop", self.look, close=self.answer, warm_up=self.look, endless=True)
 
     def after_send(self) -> Block:
         """Return the look at the end of a tick: the next one begins at once where ticks overrun."""
