@@ -237,7 +237,7 @@ def test_a_request_that_cannot_be_read_does_not_make_it_deaf() -> None:
 
 def test_a_press_between_two_ticks_does_not_wait_for_the_next_one_to_end() -> None:
     estop = EmergencyStop(NoNode("a press"), lambda: True)
-    between = estop.before_send().dry_run
+    between = estop.before_send().warm_up
     assert between is not None
     with pytest.raises(Fault, match=FAULT):
         between()

@@ -1,4 +1,4 @@
-"""Dry runs change nothing: every kind of policy commands the same at any speed."""
+"""Warm-ups change nothing: every kind of policy commands the same at any speed."""
 
 from __future__ import annotations
 
@@ -74,14 +74,14 @@ def policy_of(folder: Path, **options: Any) -> tuple[Policy, States]:
     return Policy(contract, states, machine, **options), states
 
 
-def told_by(policy: Policy, states: States, dry_runs: int, ticks: int) -> list[list[float]]:
+def told_by(policy: Policy, states: States, warm_ups: int, ticks: int) -> list[list[float]]:
     rng = np.random.default_rng(5)
     told = []
     for _ in range(ticks):
-        for _ in range(dry_runs):
-            # What a dry run sees is older than what the tick sees.
-            states["joint_vel"] = rng.normal(size=JOINTS) if dry_runs else 0.0
-            policy.dry_run()
+        for _ in range(warm_ups):
+            # What a warm-up sees is older than what the tick sees.
+            states["joint_vel"] = rng.normal(size=JOINTS) if warm_ups else 0.0
+            policy.warm_up()
         states["joint_vel"] = np.sin(len(told) + np.arange(JOINTS))
         policy()
         told.append(states["action"].tolist())

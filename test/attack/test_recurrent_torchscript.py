@@ -42,7 +42,7 @@ def test_a_torchscript_policy_commands_the_same_at_real_and_at_full_speed(folder
 @pytest.mark.parametrize("folder", RECURRENT, indirect=True)
 def test_a_modules_memory_goes_on_with_ticks_only_and_reset_clears_it(folder: Path) -> None:
     policy, states = policy_of(folder)
-    # The same module in plain torch, never tried and never run dry.
+    # The same module in plain torch, never tried and never warmed up.
     module = torch.jit.load(str(folder / "policy.pt")).eval()
     expected = []
     plain = []

@@ -20,7 +20,7 @@ from unicon_core.flow import (
 
 
 class Interpreter:
-    """Steps a tree; `step`, `deferred`, `dry` and `reset` as in `CompiledGraph`."""
+    """Steps a tree; `step`, `deferred`, `warm_up` and `reset` as in `CompiledGraph`."""
 
     def __init__(self, root: Node) -> None:
         self.root = root
@@ -146,7 +146,7 @@ class Interpreter:
             self.ending = True
         return False
 
-    # -- making fresh, running dry -------------------------------------------------------------
+    # -- making fresh, warming up -------------------------------------------------------------
 
     def fresh(self, node: Node) -> None:
         if isinstance(node, Block):
@@ -171,21 +171,21 @@ class Interpreter:
         for child in children_of(node):
             self.fresh_late(child, met)
 
-    def dry(self) -> None:
-        self.run_dry(self.root)
+    def warm_up(self) -> None:
+        self.warm_up_node(self.root)
 
-    def run_dry(self, node: Node) -> None:
+    def warm_up_node(self, node: Node) -> None:
         if isinstance(node, Block):
-            if node.dry_run is not None:
-                node.dry_run()
+            if node.warm_up is not None:
+                node.warm_up()
         elif isinstance(node, Chain):
-            self.run_dry(node.children[self.now_child.get(id(node), 0)])
+            self.warm_up_node(node.children[self.now_child.get(id(node), 0)])
         elif isinstance(node, Switch):
             if id(node) in self.case:
-                self.run_dry(node.children[self.case[id(node)]])
+                self.warm_up_node(node.children[self.case[id(node)]])
         elif isinstance(node, Every):
             if self.waited.get(id(node), 0) == 0:
-                self.run_dry(node.child)
+                self.warm_up_node(node.child)
         elif not isinstance(node, Deferred):
             for child in children_of(node):
-                self.run_dry(child)
+                self.warm_up_node(child)

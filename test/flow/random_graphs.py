@@ -59,7 +59,7 @@ block_kinds = st.lists(
     min_size=NUM_BLOCKS,
     max_size=NUM_BLOCKS,
 )
-"""For each block: when it is done, whether it has a reset, a dry run, an inline form."""
+"""For each block: when it is done, whether it has a reset, a warm-up, an inline form."""
 
 
 class World:
@@ -78,7 +78,7 @@ class World:
         self.root = self.build(tree)
 
     def block(
-        self, i: int, script: tuple[bool, ...], resets: bool, dry: bool, inline: bool
+        self, i: int, script: tuple[bool, ...], resets: bool, warm_up: bool, inline: bool
     ) -> Block:
         counts, command, log = self.states["counts"], self.states["command"], self.log
         turn = 0
@@ -101,7 +101,7 @@ class World:
             f"block-{i}",
             tick,
             reset=reset if resets else None,
-            dry_run=(lambda: log.append(("dry", i))) if dry else None,
+            warm_up=(lambda: log.append(("warm_up", i))) if warm_up else None,
             endless=not any(script),
             inline="run() is True" if inline else "",
             inline_names={"run": tick} if inline else {},

@@ -16,10 +16,10 @@ TICKS = 25
 
 
 def run(world: World, graph: CompiledGraph | Interpreter, resets: frozenset[int]) -> list[Any]:
-    """Run ticks with a dry run before each; return everything that can be observed."""
+    """Run ticks with a warm-up before each; return everything that can be observed."""
     seen = []
     for tick in range(TICKS):
-        graph.dry()
+        graph.warm_up()
         seen.append(("done", graph.step()))
         if tick in resets and tick % 2:
             graph.reset()  # as after a fault: what was due is dropped
@@ -63,6 +63,6 @@ def test_two_hundred_levels_of_nesting_compile_and_run() -> None:
     graph = compile_graph(node, trace=True)
     assert not graph.step()
     assert len(calls) == 1
-    graph.dry()
+    graph.warm_up()
     graph.reset()
     assert len(resets) == 1

@@ -89,7 +89,7 @@ def whole(path: Path, overrides: tuple[str, ...] = ()) -> object:
             robot=workflow.robot,
             policies=workflow.policies,
         )
-        Runner(workflow, RunOptions(speed="max", capacity=16)).graph.dry()
+        Runner(workflow, RunOptions(speed="max", capacity=16)).graph.warm_up()
     finally:
         workflow.close()
     return workflow

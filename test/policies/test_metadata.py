@@ -177,7 +177,7 @@ def test_a_motion_policy_reads_the_reference_of_the_step_before(tmp_path: Path) 
     assert "motion_command" not in policy.reads
     for _ in range(2):
         for step in range(3):
-            policy.dry_run()
+            policy.warm_up()
             policy()
             # The observation has the reference of the step before, the states that of this one.
             reference = [10.0 + step, 20.0 + step, 30.0 + step, 40.0 + step]
@@ -384,8 +384,8 @@ def test_exploy_networks_take_states_by_name_and_remember(tmp_path: Path) -> Non
     assert targets == {"b_knee": 1.0, "b_hip": 2.0, "a_knee": 3.0, "a_hip": 4.0}
     policy()
     assert states.action.tolist() == [2.0, 3.0, 4.0, 5.0]
-    policy.dry_run()
-    policy.dry_run()
+    policy.warm_up()
+    policy.warm_up()
     policy()
     assert states.action.tolist() == [3.0, 4.0, 5.0, 6.0]
     policy.reset()

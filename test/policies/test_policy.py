@@ -1,4 +1,4 @@
-"""The policy block: the arithmetic, the joints, faults, dry runs, batches, memory, sizes."""
+"""The policy block: the arithmetic, the joints, faults, warm-ups, batches, memory, sizes."""
 
 from __future__ import annotations
 
@@ -166,7 +166,7 @@ def history(values: dict[str, Any]) -> dict[str, Any]:
     return values
 
 
-def test_dry_runs_change_nothing_that_can_be_observed(tmp_path: Path) -> None:
+def test_warm_ups_change_nothing_that_can_be_observed(tmp_path: Path) -> None:
     write_linear(tmp_path / "policy.onnx", 45, 4)
     values = history(toy_values())
     values["phase"] = {"period": 0.7, "stand": None}
@@ -182,20 +182,20 @@ def test_dry_runs_change_nothing_that_can_be_observed(tmp_path: Path) -> None:
             fill(states, tick)
         snapshot = dry.snapshot()
         for _ in range(tick % 3 + 1):
-            two.dry_run()
+            two.warm_up()
         assert dry.snapshot() == snapshot
         one()
         two()
         assert plain.snapshot() == dry.snapshot()
 
 
-def test_a_dry_run_on_nan_raises_nothing(tmp_path: Path) -> None:
+def test_a_warm_up_on_nan_raises_nothing(tmp_path: Path) -> None:
     contract = load_policy(write_toy(tmp_path))
     machine = robot()
     states = states_of(contract, machine)
     policy = Policy(contract, states, machine)
     states.joint_pos = np.nan
-    policy.dry_run()
+    policy.warm_up()
 
 
 @pytest.mark.parametrize("batch", [1, "N", 5])
@@ -428,7 +428,7 @@ def test_recurrent_tensors_are_fed_back_and_reset(tmp_path: Path) -> None:
     states = states_of(contract, machine)
     policy = Policy(contract, states, machine)
     for expected in (0.0, 1.0, 2.0):
-        policy.dry_run()
+        policy.warm_up()
         policy()
         assert states.action.tolist() == [expected] * 4
     policy.reset()
@@ -498,14 +498,14 @@ def test_ticks_allocate_nothing_that_stays(tmp_path: Path) -> None:
     policy = Policy(contract, states, machine)
     for _ in range(10):
         policy()
-        policy.dry_run()
+        policy.warm_up()
     tracemalloc.start()
     growth = []
     for _ in range(3):  # what others of this process keep once does not come in every window
         before = tracemalloc.get_traced_memory()[0]
         for _ in range(700):
             policy()
-            policy.dry_run()
+            policy.warm_up()
         growth.append(tracemalloc.get_traced_memory()[0] - before)
     tracemalloc.stop()
     assert min(growth) < 700

@@ -75,11 +75,11 @@ def test_targets_equal_those_of_the_onnx_network(folder: Path, num_robots: int |
             np.testing.assert_allclose(scripted[name], twinned[name], rtol=0, atol=1e-5)
 
 
-def test_a_dry_run_and_building_change_nothing(folder: Path) -> None:
+def test_a_warm_up_and_building_change_nothing(folder: Path) -> None:
     policy, states = policy_of(folder / "torch", None)
     assert not states["action"].any()
     before = {name: states[name].copy() for name in states}
-    policy.dry_run()
+    policy.warm_up()
     for name, value in before.items():
         np.testing.assert_array_equal(states[name], value)
 

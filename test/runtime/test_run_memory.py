@@ -13,15 +13,15 @@ from unicon_core.workflow import load_workflow
 
 
 def growth(runner: Runner, ticks: int) -> int:
-    """Bytes that are allocated after some ticks, dry runs included, and were not before."""
+    """Bytes that are allocated after some ticks, warm-ups included, and were not before."""
     now = 0
     for _ in range(1500):  # once through the flow: what is made on first use is there
-        runner.graph.dry()
+        runner.graph.warm_up()
         runner.tick(now)
     tracemalloc.start()
     before = tracemalloc.get_traced_memory()[0]
     for _ in range(ticks):
-        runner.graph.dry()
+        runner.graph.warm_up()
         runner.tick(now)
     after = tracemalloc.get_traced_memory()[0]
     tracemalloc.stop()

@@ -106,7 +106,7 @@ def test_without_data_ticks_go_on_slowly_as_overruns(tmp_path: Path) -> None:
     assert apart.min() > 2.5 * runner.period_ns  # three periods of patience
 
 
-def test_the_policy_runs_dry_before_the_data_that_are_waited_for(tmp_path: Path) -> None:
+def test_the_policy_warms_up_before_the_data_that_are_waited_for(tmp_path: Path) -> None:
     workflow = loaded(tmp_path)
     platform: Any = workflow.platform
     stream = Stream(platform, 2_000_000)
@@ -114,8 +114,8 @@ def test_the_policy_runs_dry_before_the_data_that_are_waited_for(tmp_path: Path)
     recv = next(block for block in blocks(workflow) if block.role == "recv")
     recv.tick = lambda: (order.append("tick"), stream.recv())[1]
     runner = Runner(workflow, RunOptions(duration=0.6))
-    dry = runner.graph.dry
-    runner.graph.dry = lambda: (order.append("dry"), dry())[1]  # type: ignore[func-returns-value]
+    warm_up = runner.graph.warm_up
+    runner.graph.warm_up = lambda: (order.append("warm_up"), warm_up())[1]  # type: ignore[func-returns-value]
     runner.run()
     ticks = "".join(word[0] for word in order).split("t")
-    assert sum("d" in part for part in ticks[5:-1]) >= 10
+    assert sum("w" in part for part in ticks[5:-1]) >= 10

@@ -57,7 +57,7 @@ class Block:
         writes: states that it writes; a state has one writer in a tick.
         amends: states that it reads and changes after their writer.
         reset: called when the flow enters the block anew after it has run, or None.
-        dry_run: the same arithmetic on scratch memory, called shortly before the deadline to warm
+        warm_up: the same arithmetic on scratch memory, called shortly before the deadline to warm
             the caches; changes nothing observable, but may raise `Fault`; or None.
         close: called once at the end, in reverse order of building, or None.
         role: what the graph check needs to know: `recv`, `send`, `safety`, or `tune` for what
@@ -80,7 +80,7 @@ class Block:
     amends: tuple[str, ...] = ()
     reset: Tick | None = None
     close: Tick | None = None
-    dry_run: Tick | None = None
+    warm_up: Tick | None = None
     role: Role = ""
     where: str = ""
     endless: bool = False
@@ -97,7 +97,7 @@ class Block:
 def as_block(candidate: Any, *, name: str = "", where: str = "") -> Block:
     """Wrap what a factory returned, or any callable, as a Block.
 
-    Attributes `reads`, `writes`, `amends`, `reset`, `close`, `dry_run`, `role`, `endless`,
+    Attributes `reads`, `writes`, `amends`, `reset`, `close`, `warm_up`, `role`, `endless`,
     `expects`, `linear` and `name` of the callable are taken over where it has them. A callable
     annotated to return None is endless.
 
@@ -129,7 +129,7 @@ def as_block(candidate: Any, *, name: str = "", where: str = "") -> Block:
         amends=listed("amends"),
         reset=getattr(candidate, "reset", None),
         close=getattr(candidate, "close", None),
-        dry_run=getattr(candidate, "dry_run", None),
+        warm_up=getattr(candidate, "warm_up", None),
         role=getattr(candidate, "role", ""),
         where=where,
         endless=bool(getattr(candidate, "endless", linear is not None or _never_done(candidate))),

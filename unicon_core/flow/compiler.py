@@ -39,7 +39,7 @@ class CompiledGraph:
         step: one tick up to and including `send`; True when the graph is done.
         deferred: the rest of the same tick; call it once after each `step`. True when a
             `Deferred(…, ends=True)` was done, which ends the graph like a true `step`.
-        dry: calls `dry_run` of the blocks that have one and that `step` would run next; changes
+        warm_up: calls `warm_up` of the blocks that have one and that `step` would run next; changes
             nothing observable.
         reset: makes the whole graph fresh, between two ticks or instead of `deferred`.
         source: the generated Python text.
@@ -51,7 +51,7 @@ class CompiledGraph:
 
     step: Callable[[], bool]
     deferred: Callable[[], bool]
-    dry: Callable[[], None]
+    warm_up: Callable[[], None]
     reset: Callable[[], None]
     source: str
     blocks: tuple[Block, ...]
@@ -93,7 +93,7 @@ class _Compiler:
     def compile(self, root: Node) -> CompiledGraph:
         scope = self.scope
         body = self.node(root, ["done = True"], conditional=False, idempotent=True)
-        dry = self.dry(root)
+        warm_up = self.warm_up(root)
         fresh = self.reset(root)
         after = [f"{name} = 0" for name in scope.state if name.startswith(("due", "ending"))]
         late = self.late_resets(root)
@@ -111,16 +111,16 @@ class _Compiler:
         scope.functions += [
             ("step", [*begin, "done = False", *body, "return done"]),
             ("deferred", [*tail, *late, "return False"]),
-            ("dry", dry),
+            ("warm_up", warm_up),
             ("reset", reset),
         ]
-        source, (step, deferred, dry_run, reset_all) = scope.build(
-            "step", "deferred", "dry", "reset"
+        source, (step, deferred, warming, reset_all) = scope.build(
+            "step", "deferred", "warm_up", "reset"
         )
         return CompiledGraph(
             step,
             deferred,
-            dry_run,
+            warming,
             reset_all,
             source,
             tuple(self.blocks),
@@ -315,7 +315,7 @@ class _Compiler:
         self.tail += [f"if {flag}:", f"    {flag} = 0", *indent(body)]
         return [f"{flag} = 1"]
 
-    # -- making fresh, running dry -------------------------------------------------------------
+    # -- making fresh, warming up -------------------------------------------------------------
 
     def reset(self, node: Node) -> Lines:
         """Return the lines that make a node and all below it fresh."""
@@ -351,27 +351,29 @@ class _Compiler:
                 lines += [f"if {flag}:", f"    {flag} = 0", *indent(self.reset(node.child))]
         return lines
 
-    def dry(self, node: Node, depth: int = 0) -> Lines:
-        """Return the lines that call `dry_run` of the blocks that are up next; no predicates."""
+    def warm_up(self, node: Node, depth: int = 0) -> Lines:
+        """Return the lines that call `warm_up` of the blocks that are up next; no predicates."""
         if isinstance(node, Deferred):
             return []
         if isinstance(node, Block):
-            return [f"{self.scope.bind('dry', node.dry_run, node.name)}()"] if node.dry_run else []
+            return (
+                [f"{self.scope.bind('warm_up', node.warm_up, node.name)}()"] if node.warm_up else []
+            )
         if isinstance(node, Switch) or (isinstance(node, Chain) and len(node.children) > 1):
             kind, initial = ("chain", 0) if isinstance(node, Chain) else ("case", -1)
             index = self.scope.counter(kind, node, initial)
             lines = [
                 line
                 for i, child in enumerate(node.children)
-                if (body := self.dry(child, depth + 1))
+                if (body := self.warm_up(child, depth + 1))
                 for line in (f"if {index} == {i}:", *indent(body))
             ]
         else:
-            lines = [line for child in children_of(node) for line in self.dry(child, depth + 1)]
+            lines = [line for child in children_of(node) for line in self.warm_up(child, depth + 1)]
             if isinstance(node, Every) and lines:
                 lines = [f"if not {self.scope.counter('every', node)}:", *indent(lines)]
         outlined = lines and depth and depth % OUTLINE_DEPTH == 0
-        return [self.scope.outline("dry", lines)] if outlined else lines
+        return [self.scope.outline("warm_up", lines)] if outlined else lines
 
 
 def _ending(root: Node) -> list[Deferred]:

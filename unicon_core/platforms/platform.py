@@ -35,7 +35,7 @@ class Platform(Protocol):
 
     Two further methods make it fit for `pacing.trigger: state`: `wait(timeout_s) -> bool`, True
     when new data are there, and `arrivals() -> int`, how many have come so far. A method
-    `rehearse()` is called shortly before a tick and does what `send` does, but for the sending: to
+    `warm_up()` is called shortly before a tick and does what `send` does, but for the sending: to
     have code and data in the caches. A method `require(states)` is called once when the workflow is
     built, with each state that a block on the critical path reads and that block's name: their
     silence is then a fault. What leaves at the end is written by `platforms/damping.py`.

@@ -1,8 +1,8 @@
 """The lane of a policy: observation, network and action on arrays of its own.
 
-What a tick computes stays here until it is published into the states, so that a dry run may take
+What a tick computes stays here until it is published into the states, so that a warm-up may take
 the very same path: the same arrays, the same binding of the network, the same code. With a second
-lane on copies the tick after a dry run took 40 µs in a 50 Hz loop, with one lane it takes 22.
+lane on copies the tick after a warm-up took 40 µs in a 50 Hz loop, with one lane it takes 22.
 """
 
 from __future__ import annotations
@@ -98,9 +98,9 @@ class Lane:
         """Run the network on what is assembled; what it remembers stays as it is."""
         self._run()
 
-    def advance(self, dry: bool = False) -> None:
+    def advance(self, warm_up: bool = False) -> None:
         """Go on to the next tick: the history takes the frame, the network's memory is fed back."""
-        if dry:
+        if warm_up:
             return
         self._advance()
         self._remember()
@@ -112,7 +112,7 @@ class Lane:
             run.commit()
         self._steps += 1.0
 
-    def prime(self) -> None:
+    def step_zero(self) -> None:
         """Run the network on a zero observation, as step 0 of its motion; its action is dropped."""
         self.obs[...] = 0.0
         for item in self._inputs:

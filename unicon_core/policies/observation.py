@@ -145,7 +145,7 @@ class Observation:
     def bind_parts(self, out: Floats) -> tuple[Callable[[], None], Callable[[], None]]:
         """Return `write` and `advance`: the observation of this tick, and on to the next tick.
 
-        `write` may be called several times before `advance`, as a dry run does: it lays its frame
+        `write` may be called several times before `advance`, as a warm-up does: it lays its frame
         where the history's oldest one was, which no later tick reads.
 
         Args:

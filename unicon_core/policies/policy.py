@@ -81,7 +81,7 @@ class Policy:
             (stiffness.reshape(-1), np.tile(self.action_map.stiffness, rows)),
             (damping.reshape(-1), np.tile(self.action_map.damping, rows)),
         )
-        # A dry run does these copies instead, which fetch both sides: what is behind the network
+        # A warm-up does these copies instead, which fetch both sides: what is behind the network
         # costs 17 µs when it is cold, as much as the network.
         scratch = [np.zeros_like(view) for view, _ in self._published]
         self._discarded = tuple(
@@ -94,42 +94,42 @@ class Policy:
         if contract.phase is not None and "gait_phase" in states:
             self.phase = GaitPhase(contract.phase, states, contract.period)
         self._motion = _motion(states) if "motion_command" in states else ()
-        self._primed = False
+        self._begun = False
         self.reads, self.writes = _reads_writes(contract, states, self.phase)
 
-    def __call__(self, dry: bool = False) -> None:
+    def __call__(self, warm_up: bool = False) -> None:
         """Run one tick, or take its path and discard the result.
 
         Raises:
             Fault: the observation or the action holds a NaN or infinity; no target is written.
         """
         lane = self.lane
-        if not dry:
+        if not warm_up:
             if self.phase is not None:
                 self.phase()
-            if self._motion and not self._primed:
+            if self._motion and not self._begun:
                 # The reference of step 0 is an output of the network: run it once to read it.
-                lane.prime()
+                lane.step_zero()
                 self._reference()
-                self._primed = True
+                self._begun = True
         lane.assemble()
         if not lane.finite():
-            if dry:
+            if warm_up:
                 return
             raise Fault(self._blame_observation())
         lane.infer()
         if not lane.action_finite():
-            if dry:
+            if warm_up:
                 return
             raise Fault(self._blame_action())
         self._command()
-        for state, values in self._discarded if dry else self._published:
+        for state, values in self._discarded if warm_up else self._published:
             state[...] = values
-        lane.advance(dry)
-        if self._motion and not dry:
+        lane.advance(warm_up)
+        if self._motion and not warm_up:
             self._reference()
 
-    def dry_run(self) -> None:
+    def warm_up(self) -> None:
         """Take the path of a tick and discard the result: caches get warm, nothing changes.
 
         By the very same call: each bit of code that only the tick runs costs it 2 µs.
@@ -141,7 +141,7 @@ class Policy:
         self.lane.reset()
         for action in self._actions:
             action[...] = 0.0
-        self._primed = False
+        self._begun = False
         if self.phase is not None:
             self.phase.reset()
 

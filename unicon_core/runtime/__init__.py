@@ -1,12 +1,11 @@
 """Runtime: pacing, statistics, trace and report of a running graph."""
 
-from unicon_core.runtime.pacing import DryRun, Pacing, WallClock, prepare_process
+from unicon_core.runtime.pacing import Pacing, WallClock, WarmUp, prepare_process
 from unicon_core.runtime.report import Monitor, Report
 from unicon_core.runtime.runner import Runner, RunOptions
 from unicon_core.runtime.statistics import TickStatistics, percentiles
 
 __all__ = [
-    "DryRun",
     "Monitor",
     "Pacing",
     "Report",
@@ -14,6 +13,7 @@ __all__ = [
     "Runner",
     "TickStatistics",
     "WallClock",
+    "WarmUp",
     "percentiles",
     "prepare_process",
 ]

@@ -1,6 +1,6 @@
 """Arrivals: predicts when the platform's data come, for ticks that are triggered by them.
 
-Who knows when the next message comes can take in what is old and run dry just before. The wait
+Who knows when the next message comes can take in what is old and warm up just before. The wait
 itself stays asleep: asking for the message without a pause (with `sched_yield` in between) kept the
 middleware's thread, which brings it, from its core. On two cores it came 25 to 45 µs later.
 """

@@ -18,7 +18,7 @@ from typing import Any, Literal
 
 from unicon_core.errors import UniconError
 
-__all__ = ["DryRun", "Pacing", "WallClock", "prepare_process", "process_age_s"]
+__all__ = ["Pacing", "WallClock", "WarmUp", "prepare_process", "process_age_s"]
 
 _PR_SET_TIMERSLACK = 29  # linux/prctl.h
 
@@ -34,7 +34,7 @@ class Pacing:
         hang: a tick that comes or ends later than this after its deadline is a fault, in [s];
             None: `HANG` or five periods, whichever is longer.
         spin_us: busy wait before the deadline in [µs].
-        dry_run_us: how long before the deadline the blocks run dry at most in [µs]; 0 for never.
+        dry_run_us: how long before the deadline the blocks warm up at most in [µs]; 0 for never.
         priority: SCHED_FIFO priority 1…99, or None.
         cpu: core to stay on, or None.
         lock_memory: lock all memory.
@@ -129,16 +129,16 @@ class WallClock:
         return present
 
 
-class DryRun:
-    """Waits for deadlines and runs the tick dry before each of them.
+class WarmUp:
+    """Waits for deadlines and warms the tick up before each of them.
 
     Once as early as it takes to bring everything into the caches, then again two or three times up
     to the deadline, for what comes back cold from the waiting in between. Policy tick at 50 Hz on a
-    busy machine, p50: without it 250 µs, one dry run 1 ms early 84, one as late as it goes 44, an
+    busy machine, p50: without it 250 µs, one warm-up 1 ms early 84, one as late as it goes 44, an
     early and a late one 30, an early and two late ones 25 (in a loop without waiting 17).
 
     Args:
-        dry: what is run; nothing observable may change by it.
+        warm_up: what is run; nothing observable may change by it.
         clock: waits.
         longest_ns: the first begins at most so long before the deadline in [ns]; 0 for never.
 
@@ -146,33 +146,33 @@ class DryRun:
         lead_ns: how long before the deadline the next one begins in [ns].
     """
 
-    def __init__(self, dry: Callable[[], object], clock: WallClock, longest_ns: int) -> None:
-        self._dry, self._clock, self._longest = dry, clock, longest_ns
+    def __init__(self, warm_up: Callable[[], object], clock: WallClock, longest_ns: int) -> None:
+        self._warm_up, self._clock, self._longest = warm_up, clock, longest_ns
         self._cold = self._warm = longest_ns // 8
         self.lead_ns = longest_ns
 
     def until(self, deadline_ns: int) -> int:
         """Return at the deadline with the present time in [ns]; at once if it has passed."""
-        now, clock, dry = time.perf_counter_ns, self._clock, self._dry
+        now, clock, warm_up = time.perf_counter_ns, self._clock, self._warm_up
         remaining = deadline_ns - self.lead_ns - now()
         if self._longest and remaining > 0:
             time.sleep(remaining * 1e-9)
             begin = now()
-            dry()
+            warm_up()
             took = now() - begin
             # The cold one follows rises at once and falls slowly: the next is hardly longer.
             self._cold = took if took > self._cold else self._cold - ((self._cold - took) >> 3)
             warm = min(self._warm, self._cold)
             latest = deadline_ns - warm - (warm >> 2) - MARGIN_NS
             # Awake until the deadline: of the ticks slower than 80 µs most had slept here once more
-            # and been woken too late to run dry again.
+            # and been woken too late to warm up again.
             while now() < latest - 2 * warm:
                 pass
             for _ in range(REPEATS):
                 begin = now()
                 if begin > latest:
                     break
-                dry()
+                warm_up()
                 warm += (now() - begin - warm) >> 3
             self._warm = warm
             # Half as much again for the cold one, and 50 µs for a late wake.
@@ -181,7 +181,7 @@ class DryRun:
 
 
 MARGIN_NS = 5_000
-"""Between the end of the last dry run and the deadline, and a quarter of a dry run more."""
+"""Between the end of the last warm-up and the deadline, and a quarter of a warm-up more."""
 
 REPEATS = 4
 """Most repetitions before one deadline."""

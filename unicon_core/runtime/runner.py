@@ -18,9 +18,9 @@ from unicon_core.flow import Deferred, Zip, as_block, compile_graph
 from unicon_core.runtime.arrivals import Arrivals
 from unicon_core.runtime.pacing import (
     CATCH_UP,
-    DryRun,
     Pacing,
     WallClock,
+    WarmUp,
     prepare_process,
     process_age_s,
 )
@@ -330,7 +330,7 @@ class Runner:
         self._paced(limit, status_every)
 
     def _paced(self, limit: int, status_every: int) -> None:
-        wait = self._dry_run(WallClock(round(self.pacing.spin_us * 1e3))).until
+        wait = self._warm_up(WallClock(round(self.pacing.spin_us * 1e3))).until
         period, backlog = self.period_ns, 0 if self.pacing.overrun == "skip" else CATCH_UP
         statistics, now, gate = self.statistics, time.perf_counter_ns, self.workflow.gate
         due = now() + min(period, 10_000_000)
@@ -403,7 +403,7 @@ class Runner:
         """
         statistics, now, period = self.statistics, time.perf_counter_ns, self.period_ns
         platform = self.workflow.platform
-        until = self._dry_run(WallClock(0)).until
+        until = self._warm_up(WallClock(0)).until
         patience = 3e-9 * period
         arrivals = self._arrivals(wait, patience)
         due = last = now()
@@ -462,9 +462,9 @@ class Runner:
             return None
         return Arrivals(times)
 
-    def _dry_run(self, clock: WallClock) -> DryRun:
-        able = any(block.dry_run is not None for block in self.graph.blocks)
-        return DryRun(self.graph.dry, clock, round(self.pacing.dry_run_us * 1e3) if able else 0)
+    def _warm_up(self, clock: WallClock) -> WarmUp:
+        able = any(block.warm_up is not None for block in self.graph.blocks)
+        return WarmUp(self.graph.warm_up, clock, round(self.pacing.dry_run_us * 1e3) if able else 0)
 
     def _act(self) -> None:
         self.workflow.gate.until_ns = NEVER_NS  # a pause takes its time, and may tick

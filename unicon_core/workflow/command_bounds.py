@@ -139,7 +139,7 @@ class CommandBounds:
         )
         self._last: dict[tuple[str, bool], int] = {}
         if len(self._rows) > 1:
-            self.dry_run = self.within = self._all_within  # type: ignore[method-assign]
+            self.warm_up = self.within = self._all_within  # type: ignore[method-assign]
 
     def __call__(self) -> None:
         if not self.within():
@@ -151,7 +151,7 @@ class CommandBounds:
         x, y, z = command
         return self._x0 <= x <= self._x1 and self._y0 <= y <= self._y1 and self._z0 <= z <= self._z1
 
-    dry_run = within
+    warm_up = within
 
     def _all_within(self) -> bool:
         rows = self._rows

@@ -55,8 +55,8 @@ from unicon_core.workflow.policies import (
     policy_factory,
 )
 from unicon_core.workflow.registry import Factory, find_factory
-from unicon_core.workflow.rehearsal import Rehearsal
 from unicon_core.workflow.settings import safety_of
+from unicon_core.workflow.warm_ups import WarmUps
 
 __all__ = ["Hook", "Workflow", "build_workflow", "load_workflow"]
 
@@ -212,8 +212,8 @@ def build_workflow(
 
 def _assemble(workflow: Workflow, inputs: Sequence[Hook], observers: Sequence[Hook]) -> None:
     document = workflow.document
-    rehearsal = Rehearsal(workflow.context)
-    reader = _reader(workflow, rehearsal)
+    warm_ups = WarmUps(workflow.context)
+    reader = _reader(workflow, warm_ups)
 
     def section(key: str, given: Sequence[Any] | None = None) -> list[Node]:
         items = document.get(key, list, []) if given is None else given
@@ -261,7 +261,7 @@ def _assemble(workflow: Workflow, inputs: Sequence[Hook], observers: Sequence[Ho
     observed = [Deferred(block) for block in hooked(observers)]
     platform = workflow.platform
     recv = Block("recv", platform.recv, writes=tuple(platform.writes), role="recv")
-    recv.dry_run = rehearsal.refresh(getattr(platform, "rehearse", None))
+    recv.warm_up = warm_ups.refresh(getattr(platform, "warm_up", None))
     send = Block(
         "send", workflow.gate.before(platform.send), reads=tuple(platform.reads), role="send"
     )
@@ -405,7 +405,7 @@ def _options(factory: Factory, use: BlockUse) -> dict[str, Any]:
     return options
 
 
-def _reader(workflow: Workflow, rehearsal: Rehearsal) -> FlowReader:
+def _reader(workflow: Workflow, warm_ups: WarmUps) -> FlowReader:
     context, document = workflow.context, workflow.document
 
     def make_block(use: BlockUse) -> Node:
@@ -418,7 +418,7 @@ def _reader(workflow: Workflow, rehearsal: Rehearsal) -> FlowReader:
             return autowire(factory, use.label or use.name, context, options, use.rename, use.where)
 
         block = build(context)
-        rehearsal.add(block, factory, build)
+        warm_ups.add(block, factory, build)
         workflow.blocks.append(block)
         return _at_its_period(block, workflow)
 

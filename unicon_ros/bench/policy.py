@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from unicon_core.policies import Observation, Policy, PolicyContract, policy_states
 from unicon_core.robots import Robot, load_robot
-from unicon_core.runtime import DryRun, Pacing, WallClock, prepare_process
+from unicon_core.runtime import Pacing, WallClock, WarmUp, prepare_process
 from unicon_core.states import States, standard_states
 from unicon_ros.bench.networks import CLIP, random_policy
 from unicon_ros.bench.report import Bench
@@ -190,7 +190,7 @@ def _unicon_loop(robot: Robot, contract: PolicyContract) -> Callable[[int], NDAr
         now, period = time.perf_counter_ns, round(1e9 / RATE)
         pacing = Pacing()
         clock = WallClock(round(pacing.spin_us * 1e3))
-        wait = DryRun(policy.dry_run, clock, round(pacing.dry_run_us * 1e3)).until
+        wait = WarmUp(policy.warm_up, clock, round(pacing.dry_run_us * 1e3)).until
         restore = prepare_process(pacing, print)
         due = now() + period
         for i in range(ticks):

@@ -66,10 +66,10 @@ class EmergencyStop:
 
     def before_send(self) -> Block:
         """Return the look right before `send`; it answers once the platform is closed."""
-        # The dry run, shortly before the tick, hears it as well and need not wait for that tick; it
+        # The warm-up, shortly before the tick, hears it as well and need not wait for that tick; it
         # also keeps the look warm.
         return Block(
-            "estop", self.look, close=self.answer, dry_run=self.look, role="safety", endless=True
+            "estop", self.look, close=self.answer, warm_up=self.look, role="safety", endless=True
         )
 
     def after_send(self) -> Block:

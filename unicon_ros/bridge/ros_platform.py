@@ -281,11 +281,11 @@ class RosPlatform:
             self._states.stamp_ns[...] = time.monotonic_ns()
         return None
 
-    def rehearse(self) -> None:
+    def warm_up(self) -> None:
         """Do what `send` does up to the publishing, to warm up."""
         self._finite()
         for out in self._out:
-            out.rehearse()
+            out.warm_up()
 
     def send(self) -> bool | None:
         """Publish the commands that are due.

@@ -143,7 +143,7 @@ class RosSession:
         poll = Block(
             "ros inputs",
             _poll_all(self.incoming),
-            dry_run=_warm_up(self.incoming, self.outgoing),
+            warm_up=_warm_up(self.incoming, self.outgoing),
             writes=tuple(sorted(states - written)),
             amends=tuple(sorted(states & written)),
         )
@@ -313,7 +313,7 @@ def _warm_up(incoming: list[TopicIn], outgoing: list[TopicOut]) -> Callable[[], 
             for topic in incoming:
                 topic.prefetch()
             for out in outgoing:
-                out.rehearse()
+                out.warm_up()
 
     return warm_up
 

@@ -2,7 +2,7 @@
 
 A block after `send`. It looks at the executor 20 to 200 times a second, as there is work (an empty
 look costs about 150 µs, as rclpy builds a wait set of all services for it), and only when the time
-until the next deadline is longer than what a look has cost lately plus the runner's dry run.
+until the next deadline is longer than what a look has cost lately plus the runner's warm-up.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ INTERVAL_NS = 50_000_000
 BUSY_NS = 5_000_000
 """After a look that found something to do, look again after 5 ms, and then ever less often."""
 PATIENCE_NS = 250_000_000
-"""After so long without enough slack, the dry run's share is used too."""
+"""After so long without enough slack, the warm-up's share is used too."""
 LAST_NS = 1_000_000_000
 """After so long, look once whatever the slack: an overloaded loop must still hear its services."""
 ROUNDS = 16

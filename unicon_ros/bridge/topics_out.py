@@ -89,7 +89,7 @@ class TopicOut:
             self.published += 1
             self.failing = 0
 
-    def rehearse(self) -> None:
+    def warm_up(self) -> None:
         """Encode without publishing, if the next tick does: code and constants get warm."""
         if not self._wait and not self._prepared:
             self._encode()

@@ -182,12 +182,12 @@ class TwinSession:
                     network=policy.network,
                 )
             tick = counted.setdefault(used, _Counted(running))
-            block.tick, block.reset, block.dry_run = tick, running.reset, None
+            block.tick, block.reset, block.warm_up = tick, running.reset, None
         return counted
 
     def _restore(self) -> None:
         for _, block, policy in self._uses:
-            block.tick, block.reset, block.dry_run = policy, policy.reset, policy.dry_run
+            block.tick, block.reset, block.warm_up = policy, policy.reset, policy.warm_up
 
     def _lift_limits(self) -> tuple[Any, Any]:
         model: Any = self.workflow.platform.model  # type: ignore[attr-defined]

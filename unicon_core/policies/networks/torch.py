@@ -20,7 +20,7 @@ class TorchNetwork:
     """A TorchScript module that takes one tensor and returns one.
 
     What it remembers from call to call in its buffers, as exporters of recurrent policies have it,
-    goes on with ticks only: not when it is tried, not in dry runs.
+    goes on with ticks only: not when it is tried, not in warm-ups.
 
     A TorchScript file says nothing of its sizes: the input is called `observation`, the output
     `action`, and a wrong size shows when the network is tried once at build.

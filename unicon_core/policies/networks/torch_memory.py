@@ -1,4 +1,4 @@
-"""What a TorchScript module remembers from call to call, for networks that are tried and run dry.
+"""What a TorchScript module remembers from call to call, for networks that are tried and warmed up.
 
 Exporters of recurrent policies keep the hidden state in the module, as buffers that `forward`
 writes. What it writes stands in its graph: attributes that it sets, and tensors that an operation

@@ -40,7 +40,7 @@ class LocalPlatform:
     def send(self) -> None:
         self._driver_out[...] = self._target
 
-    def rehearse(self) -> None:
+    def warm_up(self) -> None:
         time.monotonic_ns()
         self._scratch_in[...] = self._driver_in
         self._scratch_out[...] = self._target

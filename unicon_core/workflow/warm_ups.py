@@ -1,4 +1,4 @@
-"""Rehearsal: dry runs for blocks that have none of their own, for the workflow builder.
+"""WarmUps: warm-ups for blocks that have none of their own, for the workflow builder.
 
 A block whose factory is `pure` (what it does depends on its states, options and calls alone) is
 built a second time on a copy of all states. Before a deadline the copy takes the present values and
@@ -17,15 +17,15 @@ from unicon_core.states import States
 from unicon_core.workflow.autowire import BuildContext
 from unicon_core.workflow.registry import Factory
 
-__all__ = ["Rehearsal"]
+__all__ = ["WarmUps"]
 
 _OURS = "unicon_core.blocks."  # all of them are pure
 
 LARGEST = 65_536
-"""Bytes of states beyond which nothing is rehearsed: the copy alone would take 5 µs and more."""
+"""Bytes of states beyond which nothing is warmed up: the copy alone would take 5 µs and more."""
 
 
-class Rehearsal:
+class WarmUps:
     """The copy of the states and the twins on it.
 
     Args:
@@ -39,7 +39,7 @@ class Rehearsal:
         self._copy: States | None = None
 
     def add(self, block: Block, factory: Factory, build: Callable[[BuildContext], Block]) -> None:
-        """Give a block a dry run, where its factory is pure and it has none.
+        """Give a block a warm-up, where its factory is pure and it has none.
 
         Args:
             block: the block.
@@ -47,28 +47,28 @@ class Rehearsal:
             build: builds it once more in another context.
         """
         pure = getattr(factory, "pure", getattr(factory, "__module__", "").startswith(_OURS))
-        if not (pure and self._worthwhile) or block.dry_run is not None:
+        if not (pure and self._worthwhile) or block.warm_up is not None:
             return
         if self._copy is None:
             self._copy = States(self._states.layout)
             self._context = replace(self._context, states=self._copy)
-        block.dry_run = _quiet(build(self._context).tick)
+        block.warm_up = _quiet(build(self._context).tick)
 
     def refresh(self, platform: Tick | None) -> Tick | None:
-        """Return what brings the present values into the copy, or None where nothing is rehearsed.
+        """Return what brings the present values into the copy, or None where nothing is warmed up.
 
         Args:
             platform: what warms the platform's own way to the motors, called with it; or None.
         """
-        rehearse = None if platform is None else _quiet(platform)
+        warm_up = None if platform is None else _quiet(platform)
         if self._copy is None:
-            return rehearse
+            return warm_up
         into, out_of = memoryview(self._copy.buffer.data), memoryview(self._states.buffer.data)
 
         def refresh() -> None:
             into[:] = out_of
-            if rehearse is not None:
-                rehearse()
+            if warm_up is not None:
+                warm_up()
 
         return refresh
 
@@ -76,10 +76,10 @@ class Rehearsal:
 def _quiet(tick: Tick) -> Tick:
     """Return the tick of a twin: a fault that it finds is told by the block itself, in its turn."""
 
-    def dry_run() -> None:
+    def warm_up() -> None:
         try:
             tick()
         except Exception:
             return
 
-    return dry_run
+    return warm_up

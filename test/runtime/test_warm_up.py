@@ -1,4 +1,4 @@
-"""Dry runs: they change nothing that can be observed, keep to their time, and come when due."""
+"""Warm-ups: they change nothing that can be observed, keep to their time, and come when due."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from policy_workflows import KINDS, write_workflow
 
 from unicon_core.errors import Fault
 from unicon_core.flow import Amends, Reads
-from unicon_core.runtime import DryRun, Runner, RunOptions, WallClock
+from unicon_core.runtime import Runner, RunOptions, WallClock, WarmUp
 from unicon_core.workflow import load_workflow
 
 TICKS = 75
@@ -28,16 +28,16 @@ def paths(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 @pytest.mark.parametrize("kind", KINDS)
 @settings(max_examples=8, deadline=None)
 @given(
-    dry=st.lists(st.integers(0, 3), min_size=TICKS, max_size=TICKS),
+    warm_up=st.lists(st.integers(0, 3), min_size=TICKS, max_size=TICKS),
     resets=st.frozensets(st.integers(1, TICKS - 1), max_size=2),
     kicks=st.integers(0, 1000),
 )
-def test_the_states_of_every_tick_are_the_same_with_and_without_dry_runs(
-    kind: str, paths: dict[str, Path], dry: list[int], resets: frozenset[int], kicks: int
+def test_the_states_of_every_tick_are_the_same_with_and_without_warm_ups(
+    kind: str, paths: dict[str, Path], warm_up: list[int], resets: frozenset[int], kicks: int
 ) -> None:
     one, two = (Runner(load_workflow(paths[kind]), RunOptions(speed="max")) for _ in range(2))
     random = np.random.default_rng(kicks)
-    for tick, count in enumerate(dry):
+    for tick, count in enumerate(warm_up):
         kick = random.normal(size=3).astype(np.float32)
         for runner in (one, two):
             if tick in resets:
@@ -45,7 +45,7 @@ def test_the_states_of_every_tick_are_the_same_with_and_without_dry_runs(
             runner.workflow.states.base_ang_vel = kick
         before = two.workflow.states.snapshot()
         for _ in range(count):
-            two.graph.dry()
+            two.graph.warm_up()
         assert two.workflow.states.snapshot() == before
         assert one.tick(0) == two.tick(0)
         assert one.workflow.states.snapshot() == two.workflow.states.snapshot()
@@ -55,7 +55,7 @@ def test_the_states_of_every_tick_are_the_same_with_and_without_dry_runs(
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_paced_run_sends_the_same_bytes_with_and_without_dry_runs(
+def test_a_paced_run_sends_the_same_bytes_with_and_without_warm_ups(
     kind: str, paths: dict[str, Path]
 ) -> None:
     digests, counts = [], []
@@ -63,8 +63,8 @@ def test_a_paced_run_sends_the_same_bytes_with_and_without_dry_runs(
         overrides = [f"pacing.dry_run_us={microseconds}", "pacing.overrun=catch_up"]
         runner = Runner(load_workflow(paths[kind], overrides), RunOptions(duration=0.8))
         calls: list[int] = []
-        dry = runner.graph.dry
-        runner.graph.dry = lambda dry=dry, calls=calls: (calls.append(1), dry())[1]  # type: ignore
+        warm_up = runner.graph.warm_up
+        runner.graph.warm_up = lambda warm_up=warm_up, calls=calls: (calls.append(1), warm_up())[1]  # type: ignore
         digests.append(runner.run().sha256_commands)
         counts.append(len(calls))
     assert digests[0] == digests[1] == digests[2]
@@ -72,9 +72,9 @@ def test_a_paced_run_sends_the_same_bytes_with_and_without_dry_runs(
     assert min(counts[1:]) > 5
 
 
-def test_every_built_in_block_of_the_flow_runs_dry(paths: dict[str, Path]) -> None:
+def test_every_built_in_block_of_the_flow_warms_up(paths: dict[str, Path]) -> None:
     workflow = load_workflow(paths["plain"])
-    without = {block.name for block in workflow.blocks if block.dry_run is None}
+    without = {block.name for block in workflow.blocks if block.warm_up is None}
     assert without == set()
     workflow.close()
 
@@ -85,32 +85,32 @@ def busy(microseconds: float) -> None:
         pass
 
 
-def test_the_lead_follows_what_a_dry_run_takes_and_keeps_to_its_bound() -> None:
+def test_the_lead_follows_what_a_warm_up_takes_and_keeps_to_its_bound() -> None:
     runs: list[int] = []
-    waiting = DryRun(lambda: (runs.append(1), busy(50.0)), WallClock(), 4_000_000)
+    waiting = WarmUp(lambda: (runs.append(1), busy(50.0)), WallClock(), 4_000_000)
     for _ in range(30):
         due = time.perf_counter_ns() + 6_000_000
         assert waiting.until(due) >= due
     short = waiting.lead_ns
     assert 30 < len(runs) <= 30 * 5
     assert short < 4_000_000
-    waiting._dry = lambda: busy(3_000.0)
+    waiting._warm_up = lambda: busy(3_000.0)
     for _ in range(3):
         waiting.until(time.perf_counter_ns() + 6_000_000)
     assert short < waiting.lead_ns == 4_000_000
 
 
-def test_a_deadline_that_is_near_or_past_is_not_missed_for_a_dry_run() -> None:
+def test_a_deadline_that_is_near_or_past_is_not_missed_for_a_warm_up() -> None:
     runs: list[int] = []
-    waiting = DryRun(lambda: runs.append(1), WallClock(), 1_000_000)
+    waiting = WarmUp(lambda: runs.append(1), WallClock(), 1_000_000)
     waiting.until(time.perf_counter_ns() - 1)
     waiting.until(time.perf_counter_ns() + 500_000)
     assert runs == []
 
 
-def test_no_dry_runs_are_wanted_with_a_lead_of_0() -> None:
+def test_no_warm_ups_are_wanted_with_a_lead_of_0() -> None:
     runs: list[int] = []
-    waiting = DryRun(lambda: runs.append(1), WallClock(), 0)
+    waiting = WarmUp(lambda: runs.append(1), WallClock(), 0)
     waiting.until(time.perf_counter_ns() + 3_000_000)
     assert runs == []
 
@@ -145,11 +145,11 @@ platform: fake
 rate: 50
 commands: [{velocity_command: {constant: [0.1, 0.0, 0.0]}}]
 flow: {hold: {}}
-safety: [{call: "test_dry_run:quiet"}, {call: "test_dry_run:pure_trap"}]
+safety: [{call: "test_warm_up:quiet"}, {call: "test_warm_up:pure_trap"}]
 """
 
 
-def test_pure_blocks_are_rehearsed_on_a_copy_and_their_faults_wait(tmp_path: Path) -> None:
+def test_pure_blocks_are_warmed_up_on_a_copy_and_their_faults_wait(tmp_path: Path) -> None:
     path = tmp_path / "calls.yaml"
     path.write_text(CALLS, encoding="utf-8")
     BUILT.clear()
@@ -158,15 +158,15 @@ def test_pure_blocks_are_rehearsed_on_a_copy_and_their_faults_wait(tmp_path: Pat
     runner = Runner(workflow)
     workflow.states.velocity_command = 1.0
     before = workflow.states.snapshot()
-    runner.graph.dry()
+    runner.graph.warm_up()
     assert workflow.states.snapshot() == before
     with pytest.raises(Fault, match="tripped"):
         runner.tick(0)
     runner.close()
 
 
-def test_large_states_are_not_copied_for_a_rehearsal(paths: dict[str, Path]) -> None:
+def test_large_states_are_not_copied_for_a_warm_up(paths: dict[str, Path]) -> None:
     workflow = load_workflow(paths["plain"], ["num_robots=200"])
-    rehearsed = [block.name for block in workflow.blocks if block.dry_run is not None]
-    assert rehearsed == ["policy", "policy"]
+    warmed = [block.name for block in workflow.blocks if block.warm_up is not None]
+    assert warmed == ["policy", "policy"]
     workflow.close()
