@@ -74,7 +74,7 @@ class WarmUps:
 
 
 def _quiet(tick: Tick) -> Tick:
-    """Return the tick of a second block: a fault that it finds is told by the block itself, in its turn."""
+    """Return its tick: a fault that it finds is told by the block itself, in its turn."""
 
     def warm_up() -> None:
         try:
