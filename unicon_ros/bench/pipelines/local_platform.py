@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
+from unicon_core.platforms.platform import Facts
 from unicon_core.robots import Robot
 from unicon_core.states import States
+from unicon_core.states.standard import JOINT_STATES
 
 __all__ = ["LocalPlatform", "make"]
 
@@ -17,10 +17,7 @@ __all__ = ["LocalPlatform", "make"]
 class LocalPlatform:
     """Copies a driver's arrays into the states and the targets back."""
 
-    name = "local"
-    simulated = False
-    writes = ("joint_pos", "joint_vel", "joint_effort", "stamp_ns")
-    reads = ("joint_pos_target",)
+    facts = Facts("local", writes=(*JOINT_STATES, "stamp_ns"), reads=("joint_pos_target",))
 
     def __init__(self, states: States, robot: Robot) -> None:
         self._stamp = states["stamp_ns"]
@@ -47,12 +44,6 @@ class LocalPlatform:
 
     def close(self) -> None:
         self._driver_out[...] = 0.0
-
-    def reset(self) -> None:
-        pass
-
-    def info(self) -> Mapping[str, Any]:
-        return {}
 
 
 def make(states: States, robot: Robot, period: float) -> LocalPlatform:
