@@ -193,6 +193,17 @@ def test_a_wind_down_that_never_ends_is_bounded() -> None:
     assert ticks.count(Phase.WIND_DOWN) == 500  # 5 s
 
 
+def test_nothing_is_compiled_between_run_and_wind_down(monkeypatch: pytest.MonkeyPatch) -> None:
+    flow = Loop(pose("stand"), until=elapsed(0.1))
+    program = Program(flow=flow, wind_down=pose("rest", duration=0.4), **FAKE)
+    runner = Runner(program, RunOptions(speed="max"))
+    monkeypatch.setattr("unicon_core.runtime.ticker.compile_graph", None)  # a robot would wait
+    report = runner.run()
+    assert (report.faults, report.ticks) == ([], 10)
+    rest = float(program.robot.rest_joint_pos[1])
+    assert float(program.states.joint_pos_target[1]) == pytest.approx(rest, abs=1e-3)
+
+
 def test_after_a_fault_nothing_winds_down() -> None:
     def hook(program: Program) -> dict[Stage, list[Block]]:
         return {Stage.SAFETY: [Block("trip", trip, reads=("tick",))]}

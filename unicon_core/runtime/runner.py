@@ -80,6 +80,10 @@ class Runner:
         self.monitor = program.monitor
         status = None if self.options.status is None else self._status
         self._run = self._ticker = Ticker(program, program.root, self.options.capacity, status)
+        # Compiled now: between run and wind-down a robot would wait for its commands.
+        self._ending_ticks = max(1, round(WIND_DOWN / program.period))
+        root = program.wind_down
+        self._ending = None if root is None else Ticker(program, root, self._ending_ticks, None)
         self.graph, self.statistics = self._run.graph, self._run.statistics
         self.pacing, self.period_ns = program.pacing, self._run.period_ns
         self.faults: list[str] = []
@@ -297,15 +301,16 @@ class Runner:
 
     def _wind_down(self) -> None:
         """Tick the flow that follows the run; commands are zero from here on."""
-        root = self.program.wind_down
-        if root is None or self._hurry or self.program.gate.closed:
+        ending = self._ending
+        if ending is None or self._hurry or self.program.gate.closed:
             return
         self.phase = Phase.WIND_DOWN
         self.monitor.finish()
         self.program.states["velocity_command"][...] = 0.0
-        self._ticker = Ticker(self.program, root, self.options.capacity, None)
-        limit = max(1, round(WIND_DOWN / self.program.period))
-        self._ticker.run(limit, full_speed=self.options.speed == "max")
+        ending.arrivals = self._run.arrivals
+        self._ticker = ending
+        ending.stop |= self._hurry  # asked for just now
+        ending.run(self._ending_ticks, full_speed=self.options.speed == "max")
 
     def _status(self) -> None:
         assert self.options.status is not None

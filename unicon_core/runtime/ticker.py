@@ -37,6 +37,7 @@ class Ticker:
         next_due_ns: when the next tick is due, on the clock of `time.perf_counter_ns`; 0 where
             ticks are not paced.
         between: actions to be called between two ticks.
+        arrivals: when the platform's data come, as far as it was measured.
     """
 
     def __init__(
@@ -50,6 +51,7 @@ class Ticker:
         self.done = self.stop = False
         self.next_due_ns = 0
         self.between: deque[Callable[[], object]] = deque()
+        self.arrivals: Arrivals | None = None
         self._hang_ns = self.pacing.hang_ns(self.period_ns, program.platform.facts.simulated)
         self._tick = program.states["tick"]
 
@@ -174,7 +176,8 @@ class Ticker:
         platform = self._program.platform
         until = self._warm_up(WallClock(0)).until
         patience = 3e-9 * period
-        arrivals = self._arrivals(wait, patience)
+        # A phase before may have measured it: while that is done nothing is sent.
+        arrivals = self.arrivals = self.arrivals or self._arrivals(wait, patience)
         due = last = now()
         hasty, gate = 0, self._program.gate
         silence = round(1e9 * patience) + 2 * period + self._hang_ns
@@ -199,7 +202,8 @@ class Ticker:
             gate.until_ns = last + self._hang_ns
             hasty = hasty + 1 if last - before < 0.6 * period else 0
             if hasty >= 5:  # they come faster than was measured
-                arrivals, hasty = self._arrivals(wait, patience), 0
+                arrivals = self.arrivals = self._arrivals(wait, patience)
+                hasty = 0
                 due = last = now()
             self.next_due_ns = (due if arrivals is not None else last) + period
             if self.step(last):

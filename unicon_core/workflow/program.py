@@ -125,6 +125,10 @@ class Program:
         self.context = BuildContext(
             self.states, self.robot, self.period, self.policies, document.path.parent
         )
+        # Imported here: the runner's package imports this one.
+        from unicon_core.runtime.report import Monitor
+
+        self.monitor = Monitor(self.states)
         self.platform = self.context.platform = build_platform(document, self.context, dry=dry)
         self.blocks: list[Block] = []
         self.stages: dict[Stage, list[Node]] = {stage: [] for stage in Stage}
@@ -134,10 +138,6 @@ class Program:
         self.warn: Callable[[str], None] = print
         self.forced: tuple[str, ...] = ()
         self._closed = False
-        # Imported here: the runner's package imports this one.
-        from unicon_core.runtime.report import Monitor
-
-        self.monitor = Monitor(self.states)
         try:
             with SIGNALS.guard(damp=self.damp_now):
                 self._assemble(sections, ending, hooks)
