@@ -1,0 +1,102 @@
+"""Shared memory: whole values, one writer of a name, and what is left by a killed one."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from unicon_core.errors import StateError
+from unicon_core.states import States, StateSpec
+from unicon_core.states.backends.shm import Segment, ShmReader, ShmWriter, clean, segments
+from unicon_core.states.groups import subset
+
+SPECS = {
+    "joint_pos": StateSpec((12,)),
+    "joint_vel": StateSpec((12,)),
+    "base_quat": StateSpec((4,)),
+    "stamp_ns": StateSpec((), "int64"),
+}
+NAME = f"test-{os.getpid()}"
+
+
+@pytest.fixture
+def segment() -> Iterator[tuple[Segment, States]]:
+    states = States(SPECS)
+    made = Segment.create(NAME, {"measured": subset(states.layout, ("joint_pos", "stamp_ns"))})
+    yield made, states
+    made.close()
+    assert NAME not in [found.name for found in segments()]
+
+
+def test_a_value_arrives_whole_and_once(segment):
+    made, states = segment
+    writer, there = ShmWriter(made, "measured", states), States(SPECS)
+    reader = ShmReader(NAME, "measured", there)
+    assert not reader.take()
+    states.joint_pos = np.arange(12)
+    states.stamp_ns = 7
+    writer.publish()
+    assert reader.wait(0.0)
+    assert reader.take()
+    assert not reader.take()
+    np.testing.assert_array_equal(there.joint_pos, np.arange(12))
+    assert there.stamp_ns == 7
+    assert (reader.number, reader.skipped) == (1, 0)
+    for _ in range(5):
+        writer.publish()
+    assert reader.take()
+    assert (reader.number, reader.skipped) == (6, 4)
+    reader.close()
+
+
+def test_one_writer_has_a_name(segment):
+    made, _ = segment
+    with pytest.raises(StateError, match=f"is written by process {os.getpid()}"):
+        Segment.create(NAME, made.groups)
+
+
+def test_absent_and_wrong_groups_are_named(segment):
+    made, states = segment
+    with pytest.raises(StateError, match=f"no segment 'nowhere'.*there are: .*{NAME}"):
+        ShmReader("nowhere", "measured", states)
+    with pytest.raises(StateError, match="no group 'commands'; there are measured"):
+        ShmReader(NAME, "commands", states)
+    other = States(SPECS | {"joint_pos": StateSpec((29,))})
+    with pytest.raises(StateError, match="state 'joint_pos': shape is"):
+        ShmReader(NAME, "measured", other)
+
+
+def test_what_a_dead_writer_left_is_taken_over_and_followed():
+    states = States(SPECS)
+    groups = {"measured": subset(states.layout, SPECS)}
+    pid = os.fork()
+    if pid == 0:  # dies without closing
+        ShmWriter(Segment.create(NAME, groups), "measured", states).publish()
+        os._exit(0)
+    os.waitpid(pid, 0)
+    there = States(SPECS)
+    reader = ShmReader(NAME, "measured", there)
+    assert reader.take()  # its last value is whole
+    assert not reader.alive()
+    made = Segment.create(NAME, groups)
+    states.joint_pos = 3.0
+    ShmWriter(made, "measured", states).publish()
+    assert reader.alive()
+    assert reader.take()
+    assert there.joint_pos[0] == 3.0
+    made.close()
+    assert not reader.alive()
+    reader.close()
+
+
+def test_clean_removes_the_dead_alone(segment):
+    pid = os.fork()
+    if pid == 0:
+        Segment.create(NAME + "-dead", segment[0].groups)
+        os._exit(0)
+    os.waitpid(pid, 0)
+    assert clean() == [NAME + "-dead"]
+    assert segment[0].alive()

@@ -1,0 +1,119 @@
+"""Groups: some states under a layout of their own, copied from and to a workflow's states.
+
+group = subset(states.layout, ("joint_pos", "joint_vel"))
+copies = Copies(states, group, memory)     # memory: group.nbytes bytes, anywhere
+copies.pack()                              # states -> memory
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable, Mapping
+
+from unicon_core.errors import StateError
+from unicon_core.states.layout import Layout
+from unicon_core.states.states import States
+
+__all__ = ["Copies", "Groups", "difference", "groups_from_json", "groups_hash", "groups_json"]
+__all__ += ["subset"]
+
+Groups = Mapping[str, Layout]
+"""Name of each group to its layout."""
+
+
+def subset(layout: Layout, names: Iterable[str]) -> Layout:
+    """Return the layout of some states of another one, in that one's order.
+
+    Raises:
+        StateError: a state is not there.
+    """
+    wanted = set(names)
+    for name in sorted(wanted - set(layout.specs)):
+        raise StateError(f"no state {name!r} for a group; there are {', '.join(layout.specs)}")
+    chosen = {name: spec for name, spec in layout.specs.items() if name in wanted}
+    return Layout(chosen, layout.num_robots)
+
+
+def groups_json(groups: Groups) -> str:
+    """Return groups as canonical JSON; `groups_from_json` reads it back."""
+    named = {name: json.loads(layout.to_json()) for name, layout in groups.items()}
+    return json.dumps(named, separators=(",", ":"))
+
+
+def groups_from_json(text: str) -> dict[str, Layout]:
+    """Read groups back.
+
+    Raises:
+        StateError: the text does not describe groups.
+    """
+    try:
+        return {n: Layout.from_json(json.dumps(g)) for n, g in json.loads(text).items()}
+    except (AttributeError, ValueError) as error:
+        raise StateError(f"not a description of groups of states: {error}") from error
+
+
+def groups_hash(groups: Groups) -> str:
+    """Return SHA-256 over the canonical JSON: equal exactly when all bytes fit."""
+    return hashlib.sha256(groups_json(groups).encode()).hexdigest()
+
+
+def difference(mine: Layout, theirs: Layout) -> str:
+    """Return the first state in which two layouts differ, in words; "" where they do not."""
+    if mine == theirs:
+        return ""
+    if mine.num_robots != theirs.num_robots:
+        return f"{mine.num_robots or 1} robots here, {theirs.num_robots or 1} there"
+    for name, spec in mine.specs.items():
+        other = theirs.specs.get(name)
+        if other is None:
+            return f"state {name!r} is only here"
+        ours, others = spec.to_dict(), other.to_dict()
+        for key, value in ours.items():
+            if value != others[key]:
+                return f"state {name!r}: {key} is {value!r} here and {others[key]!r} there"
+    for name in theirs.specs:
+        if name not in mine.specs:
+            return f"state {name!r} is only there"
+    return "the states stand in another order"
+
+
+class Copies:
+    """Copies a group's states to and from its packed bytes, in as few pieces as they stand in.
+
+    Args:
+        states: which have all of the group's states, of the same specification.
+        group: layout of the packed bytes.
+        memory: the packed bytes, writable, `group.nbytes` long.
+
+    Raises:
+        StateError: a state is absent, or another one here.
+    """
+
+    def __init__(self, states: States, group: Layout, memory: memoryview) -> None:
+        pieces: list[list[int]] = []  # start in the states' buffer, start in the group, length
+        for name, slot in sorted(group.slots.items(), key=lambda item: item[1].offset):
+            here = states.layout.slots.get(name)
+            if here is None or (here.shape, here.dtype) != (slot.shape, slot.dtype):
+                mine = subset(states.layout, [name] if here else [])
+                raise StateError(f"the group does not fit: {difference(mine, group)}")
+            last = pieces[-1] if pieces else None
+            if last and last[0] + last[2] == here.offset and last[1] + last[2] == slot.offset:
+                last[2] += slot.nbytes
+            else:
+                pieces.append([here.offset, slot.offset, slot.nbytes])
+        buffer = memoryview(states.buffer).cast("B")
+        self.pairs = tuple(
+            (memory[there : there + length], buffer[here : here + length])
+            for here, there, length in pieces
+        )
+
+    def pack(self) -> None:
+        """Copy the states into the packed bytes."""
+        for packed, state in self.pairs:
+            packed[:] = state
+
+    def unpack(self) -> None:
+        """Copy the packed bytes into the states."""
+        for packed, state in self.pairs:
+            state[:] = packed
