@@ -23,18 +23,15 @@ from __future__ import annotations
 
 import errno
 import fcntl
-import json
 import mmap
 import os
 import re
 import struct
-import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from unicon_core.errors import StateError
 from unicon_core.states.backends.sleep import Sleep, barrier
@@ -263,6 +260,10 @@ class Segment:
         if self.owner and not self.replaced():
             with suppress(OSError):
                 os.unlink(segment_path(self.name))
+        # Python's mmap has a descriptor of its own, which would keep the locks of this one.
+        with suppress(OSError):
+            wish = struct.pack("hhqqi4x", fcntl.F_UNLCK, os.SEEK_SET, 0, 0, 0)
+            fcntl.fcntl(self._fd, fcntl.F_OFD_SETLK, wish)
         os.close(self._fd)
         self._fd = -1
 
