@@ -46,7 +46,16 @@ from unicon_core.states.groups import (
 from unicon_core.states.layout import Layout
 from unicon_core.states.states import States
 
-__all__ = ["FOLDER", "Segment", "ShmReader", "ShmWriter", "clean", "segment_path", "segments"]
+__all__ = [
+    "FOLDER",
+    "Segment",
+    "ShmReader",
+    "ShmWriter",
+    "clean",
+    "remove_dead",
+    "segment_path",
+    "segments",
+]
 
 FOLDER = Path("/dev/shm")
 MAGIC = b"UNICONSH"
@@ -177,7 +186,7 @@ class Segment:
             HEAD.pack_into(memory, 0, *head)
             memory[JSON_AT : JSON_AT + len(text)] = text
             _lock(fd, fcntl.F_WRLCK, _WRITER_LOCK)
-            _name(fd, path)
+            _give_name(fd, name)
             inode = os.fstat(fd).st_ino
         except BaseException:
             os.close(fd)
@@ -268,12 +277,13 @@ class Segment:
         self._fd = -1
 
 
-def _name(fd: int, path: Path) -> None:
+def _give_name(fd: int, name: str) -> None:
     """Give a new segment its name, and take that of a writer that died.
 
     Raises:
         StateError: a writer that lives has it.
     """
+    path = segment_path(name)
     for _ in range(_TRIES):
         # Given a folder, Python follows the link: linkat(2) with AT_SYMLINK_FOLLOW.
         folder = os.open("/proc/self/fd", os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
@@ -284,7 +294,7 @@ def _name(fd: int, path: Path) -> None:
             pass
         finally:
             os.close(folder)
-        if not _remove_dead(path):
+        if not remove_dead(name):
             pid = _pid_of(path)
             raise StateError(
                 f"store shm: {path} is written by process {pid} just now; end that run, or give "
@@ -293,8 +303,9 @@ def _name(fd: int, path: Path) -> None:
     raise StateError(f"store shm: others make {path} all the time; give this run another name")
 
 
-def _remove_dead(path: Path) -> bool:
-    """Remove a segment whose writer has died; False where it lives. Two may try at once."""
+def remove_dead(name: str) -> bool:
+    """Remove a segment if its writer has died; False where it lives. Two may try at once."""
+    path = segment_path(name)
     try:
         fd = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC)
     except FileNotFoundError:
@@ -464,6 +475,11 @@ class ShmReader:
         self.starved += 1
         return False
 
+    def restore(self) -> None:
+        """Copy the value that was taken last into the states once more."""
+        for packed, state in self._copies:
+            state[:] = packed
+
     def wait(self, timeout: float) -> bool:
         """Return True when a value is there that has not been taken, False after `timeout` [s]."""
         latest, seen = self._latest, self._seen
@@ -546,4 +562,4 @@ def segments() -> Iterator[Found]:
 def clean() -> list[str]:
     """Remove the segments whose writer has died; return their names."""
     dead = [found.name for found in segments() if not found.alive]
-    return [name for name in dead if _remove_dead(segment_path(name))]
+    return [name for name in dead if remove_dead(name)]
