@@ -262,13 +262,18 @@ class Segment:
             f"segment {self.name!r}: {MAX_SLEEPERS} readers wait for it; poll it, or end one"
         )
 
+    def unlink(self) -> None:
+        """Take its name away: whoever has it keeps it, and nothing is left when they have ended."""
+        if not self.replaced():
+            with suppress(OSError):
+                os.unlink(segment_path(self.name))
+
     def close(self) -> None:
         """Let it go; its writer removes it. Safe to call twice."""
         if self._fd < 0:
             return
-        if self.owner and not self.replaced():
-            with suppress(OSError):
-                os.unlink(segment_path(self.name))
+        if self.owner:
+            self.unlink()
         # Python's mmap has a descriptor of its own, which would keep the locks of this one.
         with suppress(OSError):
             wish = struct.pack("hhqqi4x", fcntl.F_UNLCK, os.SEEK_SET, 0, 0, 0)
@@ -522,6 +527,10 @@ class ShmReader:
         self._segment.close()
         self._attach(segment)
         return True
+
+    def unlink(self) -> None:
+        """Take the segment's name away, as `Segment.unlink`."""
+        self._segment.unlink()
 
     def close(self) -> None:
         """Let go."""
