@@ -38,7 +38,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from unicon_core.errors import StateError
+from unicon_core.errors import StateError, alternatives
 from unicon_core.states.backends.sleep import Sleep, barrier
 from unicon_core.states.groups import (
     Copies,
@@ -231,8 +231,8 @@ class Segment:
         try:
             fd = _open(path, os.O_RDONLY if read_only else os.O_RDWR)
         except FileNotFoundError:
-            there = ", ".join(found.name for found in segments()) or "none"
-            raise StateError(f"no segment {name!r} in {FOLDER}; there are: {there}") from None
+            there = alternatives(name, (found.name for found in segments()))
+            raise StateError(f"no segment {name!r} in {FOLDER}; {there}") from None
         except OSError as error:
             raise StateError(f"store shm: cannot read {path}: {error.strerror}") from error
         try:
@@ -573,6 +573,11 @@ class ShmWatcher:
         """Copy the value that was taken last into the states once more."""
         for packed, state in self._copies:
             state[:] = packed
+
+    @property
+    def pid(self) -> int:
+        """Process of the writer."""
+        return self._segment.pid
 
     def alive(self) -> bool:
         """Return whether the writer lives; where it has died, a new one of the name is taken up.
