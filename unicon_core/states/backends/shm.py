@@ -234,7 +234,8 @@ class Segment:
             there = alternatives(name, (found.name for found in segments()))
             raise StateError(f"no segment {name!r} in {FOLDER}; {there}") from None
         except OSError as error:
-            raise StateError(f"store shm: cannot read {path}: {error.strerror}") from error
+            what = f"cannot read {path}: {error.strerror}; remove it"
+            raise StateError(f"store shm: {what}") from error
         try:
             status = os.fstat(fd)
             if status.st_size < JSON_AT:
@@ -386,7 +387,8 @@ def remove_dead(name: str) -> bool:
     except FileNotFoundError:
         return True
     except OSError as error:
-        raise StateError(f"store shm: cannot take over {path}: {error.strerror}") from error
+        what = f"cannot take over {path}: {error.strerror}; remove it"
+        raise StateError(f"store shm: {what}") from error
     try:
         if not _lock(fd, fcntl.F_WRLCK, _WRITER_LOCK):
             return False
