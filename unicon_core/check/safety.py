@@ -32,7 +32,7 @@ def check_safety(subject: Subject, result: CheckResult) -> None:
     """A workflow without safety blocks, and blocks that are there and see nothing, or seldom."""
     where, sent = subject.document.where("safety"), _sent(subject)
     blocks = _safety(subject)
-    if not any(sent & {*block.reads, *block.amends} for block in blocks):
+    if sent and not any(sent & {*block.reads, *block.amends} for block in blocks):
         what = "safety: none" if not blocks else f"safety: {listed([b.name for b in blocks])}"
         result.note(
             "safety.none",

@@ -87,7 +87,10 @@ class Builder:
             WorkflowError: a block cannot be built; with its place.
         """
         if isinstance(node, Use):
-            return self._block(node)
+            made = self._block(node)
+            for each in blocks_of(made):
+                each.part = node.part
+            return made
         if isinstance(node, Block):
             if node not in self._program.blocks:
                 self._program.blocks.append(node)

@@ -24,6 +24,8 @@ KEYS = {
     "description": "one line",
     "robot": "robot file: name or path",
     "platform": "platform's name: the one word that changes from simulation to the robot",
+    "store": "where else states go: local, shm, or {zmq: ADDRESS}",
+    "parts": "name to {publishes, silent}: the workflow runs in several processes",
     "scene": "how a simulation begins and what disturbs it, the same on every simulator",
     "platforms": "options by platform name",
     "rate": "ticks per second [Hz]; the policy's period unless given",

@@ -8,6 +8,7 @@
 
 A word is a block without options; a mapping with one key is a block with its options, or one of
 zip, chain, loop, every, when, switch, deferred. A value that is no mapping is the first option.
+`on: NAME` beside it gives a block to a part of a divided workflow.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from unicon_core.errors import WorkflowError, alternatives
 from unicon_core.flow import Block, Chain, Deferred, Every, Loop, Node, Switch, When, Zip, as_node
 from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.registry import known
-from unicon_core.workflow.uses import EXPRESSION, Use
+from unicon_core.workflow.uses import EXPRESSION, Use, on
 
 __all__ = ["FLOW_WORDS", "FlowReader"]
 
@@ -58,6 +59,8 @@ class FlowReader:
             return Use(value, where=self._document.where(*path))
         if callable(value) or isinstance(value, NODES):
             return as_node(value, where=self._document.where(*path))
+        if isinstance(value, dict) and len(value) == 2 and "on" in value:
+            return self._on(value, path)
         if not isinstance(value, dict) or len(value) != 1:
             keys = ", ".join(map(str, value)) if isinstance(value, dict) else repr(value)
             raise self._error(
@@ -76,6 +79,13 @@ class FlowReader:
         if word in FLOW_WORDS:
             return self._control(word, body, path)
         return self._use(str(word), body, path)
+
+    def _on(self, value: dict[str, Any], path: Where) -> Node:
+        """Return the node beside `on: NAME`, all of whose blocks belong to that part."""
+        part = value["on"]
+        if not isinstance(part, str):
+            raise self._error((*path, "on"), f"on: {part!r} is not a part; write on: NAME")
+        return on(part, self.node({k: v for k, v in value.items() if k != "on"}, path))
 
     def _use(self, name: str, body: Any, path: Where) -> Use:
         where = self._document.where(*path)
