@@ -44,8 +44,7 @@ def refuse_errors(program: Program, force: Iterable[str] = ()) -> list[str]:
     document = program.document
     result = CheckResult(program.name)
     check_section(document, result)
-    has_platform = program.parts is None or program.part in ("", program.parts.first)
-    facts = declared_platform(document) if has_platform else (program.platform.facts, True)
+    facts = declared_platform(document) if program.has_platform else (program.platform.facts, True)
     static_checks(Subject(document, program, *facts, live=True), result)
     errors = [found for found in result.findings if found.code not in forced]
     if errors:

@@ -42,7 +42,9 @@ class PartPlatform:
         self._first = next((a for a in arrivals if a.part == first), None)
         end = time.monotonic() + patience
         while self._first is not None and not self._first.heard:
+            self._first.quiet = True
             self._first()
+            self._first.quiet = False
             if self._first.refused or time.monotonic() > end:
                 self.close()
                 raise PlatformError(

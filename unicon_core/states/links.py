@@ -160,6 +160,11 @@ class Incoming:
         states: of this part.
         silent: what to do when it is silent.
         tell: takes one line when it falls silent and when it is heard again.
+
+    Attributes:
+        heard: it is, just now; None before the first look.
+        refused: why what is there is not taken, or "".
+        quiet: tells nothing: somebody waits for it.
     """
 
     endless = True
@@ -183,6 +188,7 @@ class Incoming:
         self._tried_ns = dict.fromkeys(groups, -REFUSED_NS)
         self.refused = ""
         self.heard: bool | None = None
+        self.quiet = False
         self._ever, self._neutral_always = False, silent.then != "hold"
         self._neutral = [
             (states[name], neutral_value(states, name, silent.values)) for name in self.writes
@@ -244,15 +250,15 @@ class Incoming:
         self._ever = self._ever or fresh
         if fresh:
             self.refused = ""
-            if before is False:
+            if before is False and not self.quiet:
                 self._tell(f"part {self.part!r} is heard")
             return
         after = f"{self.silent.after:g} s"
-        if before is None:
+        if before is None and not self.quiet:
             self._tell(f"part {self.part!r} is not heard yet: its states are neutral")
-        elif self.silent.then == "fault":
+        elif before and self.silent.then == "fault":
             raise Fault(f"part {self.part!r} has been silent for {after}")
-        else:
+        elif before:
             now = "are neutral" if self._neutral_always else "stay as they were"
             self._tell(f"part {self.part!r} has been silent for {after}: its states {now}")
 

@@ -152,7 +152,7 @@ class Program:
         self.blocks: list[Block] = []
         self.platform = self.context.platform = (
             PartPlatform(part, self.parts.first, self._arrivals)
-            if self.parts is not None and part not in ("", self.parts.first)
+            if self.parts is not None and not self.has_platform
             else build_platform(document, self.context, dry=dry)
         )
         self.stages: dict[Stage, list[Node]] = {stage: [] for stage in Stage}
@@ -185,8 +185,10 @@ class Program:
                 self.blocks += blocks
                 stages[stage] += blocks
         self._bound_commands()
-        if self._arrivals and self.parts and self.part == self.parts.first:
-            stages[Stage.RECV] += map(as_block, self._arrivals)
+        if self.has_platform:
+            heard = [as_block(arrival) for arrival in self._arrivals]
+            self.blocks += heard
+            stages[Stage.RECV] += heard
         recv = Block("recv", platform.recv, writes=platform.facts.writes)
         warm_up = platform.warm_up if isinstance(platform, WarmsUp) else None
         recv.warm_up = warm_ups.refresh(warm_up)
@@ -265,6 +267,11 @@ class Program:
         stages[Stage.INPUT].append(bounds())
         for stage in (Stage.FLOW, *((Stage.COMMAND,) if early else ())):
             stages[stage] = [bounded_flow(node, bounds) for node in stages[stage]]
+
+    @property
+    def has_platform(self) -> bool:
+        """Whether the robot is here: false of a part whose states come from another one."""
+        return self.parts is None or self.part in ("", self.parts.first)
 
     # -- while it runs --------------------------------------------------------------------------
 
