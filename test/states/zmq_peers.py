@@ -97,14 +97,15 @@ class Link:
 
     Args:
         target: port of 127.0.0.1 to which it leads.
+        port: where it listens; any free one if 0.
     """
 
-    def __init__(self, target: int) -> None:
+    def __init__(self, target: int, port: int = 0) -> None:
         self._target = target
         self._open = threading.Event()
         self._open.set()
         self._ended = False
-        self._server = socket.create_server(("127.0.0.1", 0))
+        self._server = socket.create_server(("127.0.0.1", port))
         self._sockets: list[socket.socket] = []
         self.address = f"tcp://127.0.0.1:{self._server.getsockname()[1]}"
         threading.Thread(target=self._accept, daemon=True).start()
