@@ -66,14 +66,13 @@ class Servo:
             self._limit(model, k, joint, i, float(effort_limit[k]))
             model.actuator_gaintype[i] = int(mujoco.mjtGain.mjGAIN_FIXED)
             model.actuator_biastype[i] = int(mujoco.mjtBias.mjBIAS_AFFINE)
-            model.actuator_gainprm[i, :] = 0.0
-            model.actuator_biasprm[i, :] = 0.0
             if self.kinds[k] != "position":  # its range was one of torques or speeds
                 model.actuator_ctrllimited[i] = 0
             limits = np.array([self.effort_lower[k], self.effort_upper[k]]) / self.gear[k]
             model.actuator_forcelimited[i] = int(np.isfinite(limits).all())
             model.actuator_forcerange[i] = np.sort(limits)
-        for i in self.silenced:  # a second actuator on a joint (position and velocity pairs)
+        # Silenced is a second actuator on a joint (position and velocity pairs).
+        for i in (*self.actuators, *self.silenced):
             model.actuator_gainprm[i, :] = 0.0
             model.actuator_biasprm[i, :] = 0.0
         self.index = index_of(self.actuators)
