@@ -13,10 +13,14 @@ from collections.abc import Iterable, Mapping
 
 from unicon_core.errors import StateError
 from unicon_core.states.layout import Layout
+from unicon_core.states.standard import COMMAND_STATES
 from unicon_core.states.states import States
 
-__all__ = ["Copies", "Groups", "difference", "groups_from_json", "groups_hash", "groups_json"]
-__all__ += ["subset"]
+__all__ = ["COMMAND", "MEASURED", "Copies", "Groups", "difference", "groups_from_json"]
+__all__ += ["groups_hash", "groups_json", "groups_of", "subset"]
+
+MEASURED, COMMAND = "measured", "command"
+"""Names of a workflow's groups."""
 
 Groups = Mapping[str, Layout]
 """Name of each group to its layout."""
@@ -33,6 +37,19 @@ def subset(layout: Layout, names: Iterable[str]) -> Layout:
         raise StateError(f"no state {name!r} for a group; there are {', '.join(layout.specs)}")
     chosen = {name: spec for name, spec in layout.specs.items() if name in wanted}
     return Layout(chosen, layout.num_robots)
+
+
+def groups_of(layout: Layout) -> dict[str, Layout]:
+    """Return the groups of a workflow's states: `measured`, and `command` which `send` releases.
+
+    They are two, since nobody outside may see a command before safety has. A group without states
+    is left out.
+    """
+    chosen = {
+        MEASURED: [name for name in layout.specs if name not in COMMAND_STATES],
+        COMMAND: [name for name in layout.specs if name in COMMAND_STATES],
+    }
+    return {group: subset(layout, names) for group, names in chosen.items() if names}
 
 
 def groups_json(groups: Groups) -> str:
@@ -102,7 +119,7 @@ class Copies:
                 last[2] += slot.nbytes
             else:
                 pieces.append([here.offset, slot.offset, slot.nbytes])
-        buffer = memoryview(states.buffer).cast("B")
+        buffer = states.buffer.data
         self.pairs = tuple(
             (memory[there : there + length], buffer[here : here + length])
             for here, there, length in pieces

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypedDict, cast
 
 from unicon_core.errors import alternatives
 from unicon_core.workflow.document import WorkflowDocument
@@ -20,8 +20,12 @@ __all__ = ["PARTS", "PlatformUse", "read_platform"]
 PARTS = ("body", "hands")
 """Parts of a robot that may have a platform of their own."""
 
-CHILD_TIMES = ("silence", "watchdog")
-"""What may be said of a child beside its platform."""
+
+class ChildTimes(TypedDict, total=False):
+    """What may be said of a child beside its platform, in [s]; see `ChildPlatform`."""
+
+    silence: float
+    watchdog: float
 
 
 @dataclass(frozen=True)
@@ -35,7 +39,7 @@ class PlatformUse:
     """
 
     parts: Mapping[str, str]
-    child: Mapping[str, float] | None = None
+    child: ChildTimes | None = None
 
     @property
     def name(self) -> str:
@@ -85,8 +89,8 @@ def _read_child(document: WorkflowDocument, value: Mapping[str, Any]) -> Platfor
                     "platform",
                     key,
                 )
-        elif key not in CHILD_TIMES:
-            known = alternatives(str(key), ("child", *CHILD_TIMES))
+        elif key not in ChildTimes.__annotations__:
+            known = alternatives(str(key), ("child", *ChildTimes.__annotations__))
             raise document.error(f"platform: child has no {key!r}; {known}", "platform", key)
         elif isinstance(said, bool) or not isinstance(said, (int, float)) or not 0 < said <= 60:
             raise document.error(
@@ -96,4 +100,4 @@ def _read_child(document: WorkflowDocument, value: Mapping[str, Any]) -> Platfor
             )
         else:
             times[key] = float(said)
-    return PlatformUse({"": value["child"]}, times)
+    return PlatformUse({"": value["child"]}, cast(ChildTimes, times))

@@ -68,8 +68,8 @@ def build_platform(
         if child is None or dry:
             built = factory(context.states, context.robot, context.period, **arguments)
         else:
-            given = (factory, facts, context.states, context.robot, context.period, arguments)
-            built = ChildPlatform(*given, **child)
+            robot, period = context.robot, context.period
+            built = ChildPlatform(factory, facts, context.states, robot, period, arguments, **child)
     except (TypeError, ValueError) as error:
         raise document.error(
             f"platform {name!r}: {error}; correct platforms.{name}", "platforms", name

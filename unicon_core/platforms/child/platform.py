@@ -126,6 +126,9 @@ class ChildPlatform:
             self.facts = told["facts"]
             self._info: Mapping[str, Any] = told["info"]
             self._reader = ShmReader(self._child_segment, MEASURED, states)
+            # Nobody else is to find them, and whoever is killed leaves nothing.
+            self._segment.unlink()
+            self._reader.unlink()
         except BaseException:
             self.close()
             raise

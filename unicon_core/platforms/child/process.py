@@ -22,7 +22,7 @@ from unicon_core.errors import Fault, UniconError
 from unicon_core.platforms.child.platform import COMMAND, MEASURED
 from unicon_core.platforms.platform import Platform, Pushable, RequiresStates, Resettable, info_of
 from unicon_core.states import Layout, States
-from unicon_core.states.backends.shm import Segment, ShmReader, ShmWriter, remove_dead
+from unicon_core.states.backends.shm import Segment, ShmReader, ShmWriter
 from unicon_core.states.groups import subset
 
 __all__ = ["main"]
@@ -98,11 +98,11 @@ class _Driver:
             self._states, given["robot"], given["period"], **given["arguments"]
         )
         facts = self.platform.facts
-        self._parent, self._watchdog = given["parent"], given["watchdog"]
+        self._watchdog = given["watchdog"]
         measured = subset(self._states.layout, facts.writes)
         self._segment = Segment.create(given["segment"], {MEASURED: measured})
         self._writer = ShmWriter(self._segment, MEASURED, self._states)
-        self._commands = ShmReader(self._parent, COMMAND, self._states)
+        self._commands = ShmReader(given["parent"], COMMAND, self._states)
         self._stepped = facts.simulated
         self._stopped, self._wishes = False, b""
         self.platform.recv()
@@ -157,7 +157,8 @@ class _Driver:
                 return False
             *lines, self._wishes = (self._wishes + read).split(b"\n")
             for line in lines:
-                self._do(*json.loads(line), tell)
+                what, value = json.loads(line)
+                self._do(what, value, tell)
         return True
 
     def _do(self, what: str, value: Any, tell: Any) -> None:
@@ -181,10 +182,9 @@ class _Driver:
             tell(ok=True)
 
     def close(self) -> None:
-        """Let go of both segments; remove the parent's where it has died."""
+        """Let go of both segments."""
         self._commands.close()
         self._segment.close()
-        remove_dead(self._parent)
 
 
 def _exactly(count: int) -> bytes:

@@ -262,13 +262,18 @@ class Segment:
             f"segment {self.name!r}: {MAX_SLEEPERS} readers wait for it; poll it, or end one"
         )
 
+    def unlink(self) -> None:
+        """Take its name away: whoever has it keeps it, and nothing is left when they have ended."""
+        if not self.replaced():
+            with suppress(OSError):
+                os.unlink(segment_path(self.name))
+
     def close(self) -> None:
         """Let it go; its writer removes it. Safe to call twice."""
         if self._fd < 0:
             return
-        if self.owner and not self.replaced():
-            with suppress(OSError):
-                os.unlink(segment_path(self.name))
+        if self.owner:
+            self.unlink()
         # Python's mmap has a descriptor of its own, which would keep the locks of this one.
         with suppress(OSError):
             wish = struct.pack("hhqqi4x", fcntl.F_UNLCK, os.SEEK_SET, 0, 0, 0)
@@ -412,6 +417,7 @@ class ShmReader:
         name: of the segment.
         group: name of the group.
         states: into which values are copied; must have the group's states.
+        layout: what the group must be; None for whatever it is.
 
     Attributes:
         starved: times at which a thousand looks met no whole value; the next `take` goes on.
@@ -420,7 +426,8 @@ class ShmReader:
         StateError: no such segment or group, or its states are others than here.
     """
 
-    def __init__(self, name: str, group: str, states: States) -> None:
+    def __init__(self, name: str, group: str, states: States, layout: Layout | None = None) -> None:
+        self._wanted = layout
         self._name, self._group, self._states = name, group, states
         self.number = self.stamp_ns = self.skipped = self.starved = 0
         self._attach(Segment.attach(name))
@@ -433,6 +440,11 @@ class ShmReader:
                 f"{', '.join(segment.groups)}"
             )
         layout = segment.groups[self._group]
+        what = difference(self._wanted or layout, layout)
+        if what:
+            segment.close()
+            raise StateError(f"segment {self._name!r}, group {self._group!r}: {what}")
+        self._wanted = layout
         start, nbytes, memory = segment.starts[self._group], layout.nbytes, segment.memory
         scratch = memoryview(bytearray(nbytes))
         self._copies = Copies(self._states, layout, scratch).pairs
@@ -513,15 +525,14 @@ class ShmReader:
             segment = Segment.attach(self._name)
         except StateError:
             return False  # it has gone again, or is somebody else's
-        mine = self._segment.groups[self._group]
-        theirs = segment.groups.get(self._group)
-        if theirs is None or theirs != mine:
-            segment.close()
-            what = "has no such group" if theirs is None else difference(mine, theirs)
-            raise StateError(f"segment {self._name!r}, group {self._group!r}: {what}")
-        self._segment.close()
+        old = self._segment
         self._attach(segment)
+        old.close()
         return True
+
+    def unlink(self) -> None:
+        """Take the segment's name away, as `Segment.unlink`."""
+        self._segment.unlink()
 
     def close(self) -> None:
         """Let go."""
