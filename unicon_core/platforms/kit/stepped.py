@@ -63,7 +63,7 @@ class SteppedSimulator(ABC):
         self._command = Command(states, robot.joint_names)
         self._servo = Servo(self._command.rows, robot.effort_limit)
         views = {name: states[name] for name in self.facts.writes}
-        self._told = [(views[name], i) for i, name in enumerate(JOINT_STATES)]
+        self._told = [views[name] for name in JOINT_STATES]
         self._stamp = views["stamp_ns"]
         self._base_states = BaseStates(views, robot, timestep, GRAVITY)
         self.reset()
@@ -94,9 +94,8 @@ class SteppedSimulator(ABC):
 
     def recv(self) -> bool | None:
         """Copy what the simulation says into the states."""
-        measured: tuple[Any, ...] = (*self._measured, self._servo.torque)
-        for view, i in self._told:
-            view[...] = measured[i]
+        for view, value in zip(self._told, (*self._measured, self._servo.torque)):
+            view[...] = value
         self._base_states(self._before, self._now)
         self._stamp[...] = round(self._ticks * self._tick_ns)
         return None
