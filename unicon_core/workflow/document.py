@@ -70,9 +70,7 @@ class WorkflowDocument:
     def where(self, *path: str | int) -> str:
         """Return `file:line` of a value."""
         dotted = ".".join(map(str, path))
-        if any(
-            dotted == set_path or dotted.startswith(set_path + ".") for set_path in self.overridden
-        ):
+        if any(f"{dotted}.".startswith(f"{set_path}.") for set_path in self.overridden):
             return f"--set {dotted}"
         return self.located.where(path)
 

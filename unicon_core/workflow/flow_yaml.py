@@ -28,8 +28,6 @@ FLOW_WORDS = ("zip", "chain", "loop", "every", "when", "switch", "deferred")
 MAX_NODES = 1000
 """Blocks and flow words of one workflow: each takes time to build, and aliases can repeat it."""
 
-NODES = (Zip, Chain, Loop, Every, When, Switch, Deferred)
-
 Where: TypeAlias = tuple[str | int, ...]
 
 
@@ -57,7 +55,7 @@ class FlowReader:
             raise self._error(path, "a list stands alone; write chain: [...] or zip: [...]")
         if isinstance(value, str):
             return Use(value, where=self._document.where(*path))
-        if callable(value) or isinstance(value, NODES):
+        if callable(value) or isinstance(value, Node):
             return as_node(value, where=self._document.where(*path))
         if isinstance(value, dict) and len(value) == 2 and "on" in value:
             return self._on(value, path)
@@ -72,8 +70,8 @@ class FlowReader:
             if not isinstance(body, list) or not body:
                 raise self._error(path, f"{word}: needs a list of blocks")
             children = [self.node(item, (*path, i)) for i, item in enumerate(body)]
-            where = self._document.where(*path)
-            return Zip(*children, where=where) if word == "zip" else Chain(*children, where=where)
+            several = Zip if word == "zip" else Chain
+            return several(*children, where=self._document.where(*path))
         if word == "deferred":
             return Deferred(self.node(body, path), where=self._document.where(*path))
         if word in FLOW_WORDS:
