@@ -21,13 +21,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import UniconError
-from unicon_core.signals import SIGNALS, Interrupted
+from unicon_core.signals import SIGNALS
 from unicon_ros import compat
 from unicon_ros.bench.domains import free_domain, loopback_environment
 from unicon_ros.bench.floor import c_level_floor
-from unicon_ros.bench.loops import LEASE, SETTLE, Loop, breathe
+from unicon_ros.bench.loops import LEASE, SETTLE, Loop
 from unicon_ros.bench.report import Bench
-from unicon_ros.cli.console import CLEAR, is_terminal
+from unicon_ros.bench.turns import take_turns
 
 __all__ = ["VARIANTS", "Variant", "run"]
 
@@ -179,7 +179,8 @@ def run(
     with tempfile.TemporaryDirectory() as folder:
         options = _Options(rate, state_rate, joints, seconds, Path(folder))
         with SIGNALS.guard():  # Ctrl-C is looked for between turns
-            whole, loops = _turns(variants, rounds, options)
+            makers = {v.name: partial(_loop, v, i, options) for i, v in enumerate(variants)}
+            whole, loops = take_turns(makers, rounds, seconds)
         samples = {name: loop.samples() for name, loop in loops.items()}
         results = [{name: each[i] for name, each in samples.items()} for i in range(whole)]
     bench = _bench(results, options)
@@ -189,40 +190,6 @@ def run(
     if floor is not None:
         bench.fact("one hop of DDS in C (ddsperf, 512 B)", floor)
     return bench
-
-
-def _turns(variants: list[Variant], rounds: int, options: _Options) -> tuple[int, dict[str, Loop]]:
-    """Let the variants take their turns; return how many rounds are whole, and the ended loops."""
-    loops: dict[str, Loop] = {}
-    whole = 0
-    try:
-        for i, variant in enumerate(variants):
-            SIGNALS.check()
-            _say(f"start: {i + 1} of {len(variants)}, {variant.name}")
-            held = list(loops.values())
-            loops[variant.name] = loop = _loop(variant, i, options)
-            loop.start(meanwhile=partial(breathe, held))
-            breathe(held)
-        for number in range(rounds):
-            label = f"round {number + 1} of {rounds}"
-            if not is_terminal():
-                _say(label)
-            for i, (name, loop) in enumerate(loops.items()):
-                SIGNALS.check()
-                if is_terminal():
-                    _say(f"{label}: {i + 1} of {len(variants)}, {name}")
-                loop.run(options.seconds)
-            whole += 1
-    except Interrupted:
-        _say(f"stopped; {whole} whole rounds are kept")
-    finally:
-        for loop in loops.values():
-            loop.end()
-        for loop in loops.values():
-            loop.close()
-        if is_terminal():
-            _say("")
-    return whole, loops
 
 
 def _loop(variant: Variant, number: int, options: _Options) -> Loop:
@@ -301,9 +268,3 @@ def _interval(ratios: NDArray[np.float64]) -> str:
     draws = np.random.default_rng(SEED).choice(ratios, (1000, len(ratios)))
     low, high = np.percentile(np.median(draws, axis=1), [2.5, 97.5])
     return f"{low:.3g} to {high:.3g}"
-
-
-def _say(text: str) -> None:
-    """Tell how far it is: in one line of a terminal, else a line each."""
-    begin, end = (CLEAR, "") if is_terminal() else ("", "\n")
-    print(f"{begin}{text}", end=end, file=sys.stderr, flush=True)

@@ -46,11 +46,13 @@ class Slice:
     Attributes:
         begin, end: what lies between is measured.
         cpu_share: CPU time of the controller's process per time, of one core.
+        measuring_share: that of the process which notes what arrives.
     """
 
     begin: int
     end: int
     cpu_share: float
+    measuring_share: float
 
     def holds(self, times: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Return which times lie within."""
@@ -115,14 +117,14 @@ class Loop:
         """Let both go for a settling time and then `seconds`, and note the slice."""
         self.let_go()
         time.sleep(SETTLE)
-        controller = self._processes[0].pid
-        begin, cpu = time.time_ns(), _cpu_ns(controller)
+        both = self._processes[0].pid, self._processes[-1].pid
+        begin, cpu = time.time_ns(), [_cpu_ns(pid) for pid in both]
         time.sleep(seconds)
-        end, used = time.time_ns(), _cpu_ns(controller) - cpu
+        end, used = time.time_ns(), [_cpu_ns(pid) - was for pid, was in zip(both, cpu)]
         self.hold()
         if any(process.poll() is not None for process in self._processes):
             raise UniconError(f"{self.name}: one of its processes has ended")
-        self.slices.append(Slice(begin, end, used / (end - begin)))
+        self.slices.append(Slice(begin, end, *(each / (end - begin) for each in used)))
 
     def let_go(self) -> None:
         """Let both run."""

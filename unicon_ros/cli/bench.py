@@ -18,6 +18,7 @@ BENCHES = {
     "latency": "unicon_ros.bench.latency",
     "policy": "unicon_ros.bench.policy",
     "sloc": "unicon_ros.bench.sloc",
+    "stores": "unicon_ros.bench.stores",
     "tick": "unicon_ros.bench.tick",
     "timing": "unicon_ros.bench.timing",
 }

@@ -49,6 +49,9 @@ def add(commands: Any) -> None:
         default="",
         help="what stands before the names of all ROS frames, such as robot1/",
     )
+    parser.add_argument(
+        "--part", metavar="NAME", default="", help="run one part of a workflow that has parts"
+    )
     parser.add_argument("--record", metavar="FILE.mcap", help="record the states' messages")
     parser.add_argument("--trace", metavar="FILE.json", help="write every block of every tick")
     parser.add_argument("--report", metavar="FILE.json", help="write the report")
@@ -140,7 +143,7 @@ def _run(
             hooks.append(picture.hook)
         if arguments.view:
             hooks.append(_viewer)
-        program = Program(document, hooks=hooks)
+        program = Program(document, hooks=hooks, part=arguments.part)
         guard.damp = program.damp_now
         options = RunOptions(
             duration=arguments.duration,
