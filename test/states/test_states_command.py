@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from ring_processes import PATIENCE, counted_states, running, start, until, write_counts
 
+from unicon_core.handles import FrameRing
 from unicon_core.states import Layout, States, StateSpec
 from unicon_core.states.backends import shm
 from unicon_core.states.backends.shm import Segment, ShmWriter, segments
@@ -365,6 +366,8 @@ def test_another_layout_is_refused_by_the_first_state_that_differs(watched):
 def test_clean_removes_what_the_dead_left_and_nothing_else(folder, walk, capsys):
     os.waitpid(start(lambda: Walk("fell")), 0)
     os.waitpid(start(lambda: Walk("slipped")), 0)
+    os.waitpid(start(lambda: FrameRing.create(8)), 0)
+    (frames,) = folder.glob("unicon_frames_*")
     junk = folder / f"unicon-{os.getuid()}-junk"
     junk.write_bytes(bytes(4096))
     status, told, err = unicon(capsys, "--clean")
@@ -372,6 +375,7 @@ def test_clean_removes_what_the_dead_left_and_nothing_else(folder, walk, capsys)
     assert told.splitlines() == [
         "removed fell",
         "removed slipped",
+        f"removed {frames.name}",
         f"left junk: store shm: {junk} is not a segment of unicon; end what writes it, or remove "
         "it",
     ]

@@ -255,9 +255,10 @@ def number_text(value: float) -> str:
 
 
 def _clean() -> int:
+    from unicon_core.handles import clean_frames
     from unicon_core.states.backends.shm import Segment, clean, segments
 
-    for name in (removed := clean()):
+    for name in (removed := clean() + clean_frames()):
         print(f"removed {name}")
     left = 0
     for found in segments():
