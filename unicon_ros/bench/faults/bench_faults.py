@@ -58,7 +58,7 @@ def run(
     if quick:
         chosen = [case for case in chosen if case.quick]
     missing = {name for case in chosen for name in case.needs if find_spec(name) is None}
-    able = [case for case in chosen if not missing.intersection(case.needs)]
+    able = [case for case in chosen if not missing & case.needs]
     bench = FaultBench("faults", seed=0, rounds=rounds or 1)
     for _ in range(bench.rounds):
         _round(bench, able)
