@@ -93,9 +93,9 @@ class Bench:
         """True where every ratio holds."""
         return all(bool(ratio["holds"]) for ratio in self.ratios.values())
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return everything as plain values."""
-        return {
+    def to_json(self) -> str:
+        """Return everything as JSON; numbers that are not finite become null."""
+        values = {
             "bench": self.name,
             "machine": machine_facts(),
             "versions": package_versions(),
@@ -105,10 +105,7 @@ class Bench:
             "ratios": self.ratios,
             "facts": self.facts,
         }
-
-    def to_json(self) -> str:
-        """Return everything as JSON; numbers that are not finite become null."""
-        return json.dumps(_finite(self.to_dict()), indent=2, ensure_ascii=False)
+        return json.dumps(_finite(values), indent=2, ensure_ascii=False)
 
     def table(self) -> str:
         """Return cases and ratios as aligned text."""

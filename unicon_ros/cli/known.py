@@ -5,10 +5,11 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
+from unicon_core.aligned import aligned
 from unicon_core.errors import PlatformError, PolicyError, UniconError, WorkflowError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Sequence
 
 __all__ = ["add"]
 
@@ -127,8 +128,6 @@ def _workflows(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _print_table(rows: Iterable[Sequence[str]], indent: str = "") -> None:
-    listed = list(rows)
-    width = max((len(row[0]) for row in listed), default=0)
-    for name, text in listed:
-        print(f"{indent}{name:<{width}}  {text}".rstrip())
+def _print_table(rows: Sequence[Sequence[str]], indent: str = "") -> None:
+    for line in aligned(rows, underlined=False):
+        print(f"{indent}{line}")
