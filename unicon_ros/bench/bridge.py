@@ -92,13 +92,12 @@ def _measure(bench: Bench, desk: Desk, rounds: int) -> None:
     bench.ratio("send_growth", ratio(many, few), 1.15)
     bench.ratio("empty_poll", ratio("empty poll: ours", "empty poll: spin_once(0)"), 0.1)
     ours, plain = (float(np.median(times.of(name))) for name in heard)
-    bench.fact(
-        "send JointState to a reader in this process",
-        f"ours {ours:.1f} µs, new message {plain:.1f} µs, ratio {ratio(*heard):.2f}",
+    bench.facts["send JointState to a reader in this process"] = (
+        f"ours {ours:.1f} µs, new message {plain:.1f} µs, ratio {ratio(*heard):.2f}"
     )
     slower = ratio("receive JointState: ours", "receive JointState: typed, drained")
-    bench.fact("receive / typed take, drained as ours is", f"{slower:.2f}")
-    bench.fact("joints", JOINTS)
+    bench.facts["receive / typed take, drained as ours is"] = f"{slower:.2f}"
+    bench.facts["joints"] = JOINTS
 
 
 def _take_received(times: Samples, cases: dict[str, Received], messages: int) -> None:

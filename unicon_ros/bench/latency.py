@@ -152,7 +152,7 @@ def run(
     if results and not SIGNALS.asked:
         floor = c_level_floor(free_domain(), state_rate)
     if floor is not None:
-        bench.fact("one hop of DDS in C (ddsperf, 512 B)", floor)
+        bench.facts["one hop of DDS in C (ddsperf, 512 B)"] = floor
     return bench
 
 
@@ -239,10 +239,10 @@ def _bench(results: list[dict[str, Samples]], options: _Options) -> Bench:
         if not ratios.size:
             continue
         if bar is None:
-            bench.fact(name, f"{np.median(ratios):.3g} ({_interval(ratios)})")
+            bench.facts[name] = f"{np.median(ratios):.3g} ({_interval(ratios)})"
         else:
             bench.ratio(name, float(np.median(ratios)), bar)
-            bench.fact(f"{name}, 95 % interval", _interval(ratios))
+            bench.facts[f"{name}, 95 % interval"] = _interval(ratios)
     return bench
 
 

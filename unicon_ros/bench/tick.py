@@ -57,10 +57,10 @@ def run(rounds: int | None = None) -> Bench:
     bench.ratio("dispatch", ratio("dispatch: compiled", "dispatch: nested closures"), 0.6)
     bench.ratio("fused_copy", ratio("copies: compiled, fused", "copies: compiled, separate"), 0.15)
     flat = ratio("dispatch: compiled", "dispatch: one flat closure")
-    bench.fact("compiled / one flat closure", f"{flat:.3f}")
+    bench.facts["compiled / one flat closure"] = f"{flat:.3f}"
     traced = ratio("dispatch: compiled, traced", "dispatch: compiled")
     per_block = np.median(times.of("dispatch: compiled")) / BLOCKS * 1e3
-    bench.fact("compiled, per block", f"{per_block:.1f} ns, traced {per_block * traced:.1f} ns")
+    bench.facts["compiled, per block"] = f"{per_block:.1f} ns, traced {per_block * traced:.1f} ns"
     return bench
 
 

@@ -12,7 +12,6 @@ import math
 import os
 import signal
 import time
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -109,10 +108,6 @@ class RecordingPlatform:
         self._log.add(CLOSE, self._tick)
         if breaks:
             self._raise()
-
-    def info(self) -> Mapping[str, Any]:
-        """Return where the log is."""
-        return {"log": str(self._log.path)}
 
     def _go_wrong(self, first: bool) -> None:
         fault = self._fault
