@@ -18,38 +18,33 @@ from unicon_ros.bridge.tuning import NO_LIMIT, Tuning, too_little_damping
 
 __all__ = ["Parameters"]
 
-AT_CONFIGURE = "takes effect when the node is configured or started anew"
-
-DECLARED: tuple[tuple[str, Any, str], ...] = (
-    ("workflow", "", f"name in config/workflows/ or path of the workflow; {AT_CONFIGURE}"),
-    (
-        "map",
-        "",
-        f"name in config/maps/ or path of the message map; empty: the workflow's; {AT_CONFIGURE}",
-    ),
-    ("robot", "", f"robot file in place of the workflow's; {AT_CONFIGURE}"),
-    ("platform", "", f"platform in place of the workflow's; {AT_CONFIGURE}"),
-    ("overrides", [""], f"path=value texts as of `unicon run --set`; {AT_CONFIGURE}"),
-    ("force", [""], f"codes of errors of `unicon check` to go on with; {AT_CONFIGURE}"),
-    (
-        "frame_prefix",
-        "",
-        f"stands before the names of all frames, such as robot1/; {AT_CONFIGURE}",
-    ),
-    ("record", "", f"file (.mcap) to record to; empty: no recording; {AT_CONFIGURE}"),
-    ("speed", "real", f"real: by the wall clock; max: as fast as it can; {AT_CONFIGURE}"),
+AT_CONFIGURE: tuple[tuple[str, Any, str], ...] = (
+    ("workflow", "", "name in config/workflows/ or path of the workflow"),
+    ("map", "", "name in config/maps/ or path of the message map; empty: the workflow's"),
+    ("robot", "", "robot file in place of the workflow's"),
+    ("platform", "", "platform in place of the workflow's"),
+    ("overrides", [""], "path=value texts as of `unicon run --set`"),
+    ("force", [""], "codes of errors of `unicon check` to go on with"),
+    ("frame_prefix", "", "stands before the names of all frames, such as robot1/"),
+    ("record", "", "file (.mcap) to record to; empty: no recording"),
+    ("speed", "real", "real: by the wall clock; max: as fast as it can"),
+    ("rate", 0.0, "ticks per second in [Hz], 0: the workflow's own"),
+)
+AT_ONCE: tuple[tuple[str, Any, str], ...] = (
     ("autostart", True, "configure and activate at start"),
     ("exit_on_fault", False, "end the process with status 3 after a fault"),
-    ("rate", 0.0, f"ticks per second in [Hz], 0: the workflow's own; {AT_CONFIGURE}"),
     ("stiffness_scale", 1.0, "factor of all joint stiffnesses, at once"),
-    (
-        "damping_scale",
-        1.0,
-        "factor of all joint dampings, at once; at least 0.5 √stiffness_scale",
-    ),
+    ("damping_scale", 1.0, "factor of all joint dampings, at once; at least 0.5 √stiffness_scale"),
     ("max_vx", NO_LIMIT, "largest |forward command| in [m/s], at once"),
     ("max_vy", NO_LIMIT, "largest |sideward command| in [m/s], at once"),
     ("max_wz", NO_LIMIT, "largest |turning command| in [rad/s], at once"),
+)
+DECLARED = (
+    *(
+        (name, value, f"{what}; takes effect when the node is configured or started anew")
+        for name, value, what in AT_CONFIGURE
+    ),
+    *AT_ONCE,
 )
 """Name, value and description of each."""
 
