@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -44,13 +45,12 @@ class Desk:
     def __init__(self, node: Any, executor: Any) -> None:
         self._node, self._executor = node, executor
         self._group = compat.polled_group()
-        self._closers: list[Callable[[], object]] = []
+        self._opened = ExitStack()
         self._number = 0
 
     def close(self) -> None:
         """Take all topics down."""
-        for close in reversed(self._closers):
-            close()
+        self._opened.close()
 
     def spin(self) -> None:
         """Look for work as plain nodes do."""
@@ -120,20 +120,20 @@ class Desk:
         encoder = Encoder.build(spec, arrays_of(states), None, variables_of(joints))
         message = compat.message_class(spec.type)
         out = TopicOut(self._node, encoder, message, 1, 0, self._group, print)
-        self._closers.append(out.close)
+        self._opened.callback(out.close)
         return out.tick
 
     def _plain(self, kind: str, topic: str, states: States, joints: int, depth: int = 10) -> Step:
         make = plain_sender(kind, states, joints)
         publisher = self._node.create_publisher(compat.message_class(kind), topic, depth)
-        self._closers.append(partial(self._node.destroy_publisher, publisher))
+        self._opened.callback(self._node.destroy_publisher, publisher)
         return lambda: publisher.publish(make())
 
     def _in(self, spec: SubscribeSpec, states: States, joints: int) -> Step:
         decoder = Decoder.build(spec, arrays_of(states), None, variables_of(joints))
         message = compat.message_class(spec.type)
         topic = TopicIn(self._node, decoder, message, False, self._group, print)
-        self._closers.append(topic.close)
+        self._opened.callback(topic.close)
         return topic.poll
 
     def _feed(self, topic: str, source: States) -> Step:
@@ -151,7 +151,7 @@ class Desk:
         subscription = self._node.create_subscription(
             message, topic, lambda m: None, 1, callback_group=self._group
         )
-        self._closers.append(partial(self._node.destroy_subscription, subscription))
+        self._opened.callback(self._node.destroy_subscription, subscription)
         handle = subscription.handle
         arrays = states["joint_pos"], states["joint_vel"], states["joint_effort"]
         stamp = states["stamp_ns"]
@@ -180,12 +180,8 @@ class Desk:
         )
         take, release = compat.raw_take(subscription)
         assert take is not None
-
-        def close() -> None:
-            release()
-            self._node.destroy_subscription(subscription)
-
-        self._closers.append(close)
+        self._opened.callback(self._node.destroy_subscription, subscription)
+        self._opened.callback(release)
         return take
 
 

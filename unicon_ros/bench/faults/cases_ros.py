@@ -15,6 +15,7 @@ _node = partial(Case, "unicon_node", node=True)
 _both = partial(Case, "two at once")
 _RANGES = (1.0, 0.4, 1.0)  # command_ranges of go2_velocity, the larger side
 _COMMANDED = Wants(most=None, ms=None, status=(), report=False)
+_SILENCED = replace(_COMMANDED, zero_ms=650.0)
 # From the call on: the request's way is in it, and a loaded machine takes 150 ms for that.
 _PRESSED = Wants(most=10, ms=300.0, reason="estop", report=False)
 _WAITING = ("-p", "autostart:=false")
@@ -67,16 +68,9 @@ def _estop(name: str, wants: Wants, *words: str, wait: int = 60, **others: Any) 
 
 
 CASES = (
-    _cmd_vel(
-        "cmd_vel falls silent (time-out 0.5 s)", "silence", replace(_COMMANDED, zero_ms=650.0)
-    ),
-    _cmd_vel("cmd_vel NaN at 1 kHz (time-out 0.5 s)", "nan", replace(_COMMANDED, zero_ms=650.0)),
-    _cmd_vel(
-        "cmd_vel cannot be taken (time-out 0.5 s)",
-        "good",
-        replace(_COMMANDED, zero_ms=650.0),
-        failing="take",
-    ),
+    _cmd_vel("cmd_vel falls silent (time-out 0.5 s)", "silence", _SILENCED),
+    _cmd_vel("cmd_vel NaN at 1 kHz (time-out 0.5 s)", "nan", _SILENCED),
+    _cmd_vel("cmd_vel cannot be taken (time-out 0.5 s)", "good", _SILENCED, failing="take"),
     *(
         _cmd_vel(f"cmd_vel of {what}", what, replace(_COMMANDED, speed=_RANGES))
         for what in ("50", "1e30")
