@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import inspect
 from typing import TYPE_CHECKING, Any
 
 from unicon_core.aligned import aligned
@@ -90,16 +91,12 @@ def _factories(kind: str, name: str | None, error: type[UniconError]) -> int:
     target = known(kind).get(name, name)
     print(name if target == name else f"{name}  ({target})")
     _print_table(_parameters(factory), indent="  ")
-    import inspect
-
     print(f"\n{inspect.getdoc(factory) or 'no description'}")
     return 0
 
 
 def _parameters(factory: Any) -> list[tuple[str, str]]:
     """Return what a factory is given: the states it names, and the options of the workflow."""
-    import inspect
-
     from unicon_core.workflow.autowire import option_names, state_names
 
     states, options = state_names(factory), option_names(factory)
