@@ -163,7 +163,8 @@ class Loop:
         if heard.exists():
             states = dict(np.load(heard))
             for sample, each in zip(samples, self.slices):
-                sample.update(_one_way(each, states))
+                if (latency := _under_way(each, states)).size:
+                    sample["one_way"] = latency
         return samples
 
     def _process(self, command: list[str]) -> subprocess.Popen[bytes]:
@@ -207,8 +208,7 @@ def _bridged(
 ) -> dict[str, NDArray[np.float64]]:
     ticks = each.holds(controlled["end"])
     part = {name: controlled[name][ticks] for name in ("stamp", "seen", "begin", "end")}
-    arrived = each.holds(measured["received"])
-    latency = (measured["received"] - measured["stamp"])[arrived] * 1e-3
+    latency = _under_way(each, measured)
     if not part["stamp"].size or not latency.size:
         return {}
     due = part["stamp"][part["end"] < each.end - GRACE_NS]
@@ -224,12 +224,6 @@ def _bridged(
     }
 
 
-def _one_way(each: Slice, heard: dict[str, Any]) -> dict[str, NDArray[np.float64]]:
-    arrived = each.holds(heard["received"])
-    latency = (heard["received"] - heard["stamp"])[arrived] * 1e-3
-    return {"one_way": latency} if latency.size else {}
-
-
 def _mirrored(
     each: Slice, measured: dict[str, Any], controlled: dict[str, Any]
 ) -> dict[str, NDArray[np.float64]]:
@@ -237,14 +231,20 @@ def _mirrored(
     if "stamp" in controlled:  # a driver's, of the monotonic clock
         row, since, to_wall = "state_to_command", "stamp", time.time_ns() - time.monotonic_ns()
     ticks = each.holds(controlled["end"] + to_wall)
-    arrived = each.holds(measured["received"])
-    if not ticks.any() or not arrived.any():
+    latency = _under_way(each, measured)
+    if not ticks.any() or not latency.size:
         return {}
     return {
-        "mirror": (measured["received"] - measured["stamp"])[arrived] * 1e-3,
+        "mirror": latency,
         row: (controlled["end"] - controlled[since])[ticks] * 1e-3,
         "cpu": np.array([100.0 * each.cpu_share]),
     }
+
+
+def _under_way(each: Slice, log: dict[str, Any]) -> NDArray[np.float64]:
+    """Return how long messages that arrived in a slice took, in [µs]."""
+    latency: NDArray[np.float64] = (log["received"] - log["stamp"]) * 1e-3
+    return latency[each.holds(log["received"])]
 
 
 def _cpu_ns(process: int) -> int:

@@ -143,7 +143,7 @@ def _tell(bench: Bench, name: str, result: list[Samples]) -> None:
     values = sum(each["one way"].size for each in parts)
     missed = sum(int(each["not seen"][0]) for each in parts)
     told = f"{values} values, {missed} not seen, {counts['torn']} torn, {counts['starved']} starved"
-    bench.fact(name, told if parts else "nothing has come")
+    bench.facts[name] = told if parts else "nothing has come"
 
 
 def _publish(name: str, rounds: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

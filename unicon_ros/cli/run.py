@@ -226,24 +226,16 @@ def _write(arguments: argparse.Namespace, ended: _Ended) -> tuple[list[str], lis
     problems: list[str] = []
     title = f"{report.workflow} on {report.robot} ({report.platform})"
     trace = partial(runner.statistics.write_trace, arguments.trace, f"unicon {report.workflow}")
-    for path, write, line in (
-        (arguments.trace, trace, f"trace         {arguments.trace} (open it in ui.perfetto.dev)"),
-        (
-            arguments.report,
-            partial(report.write, arguments.report),
-            f"report        {arguments.report}",
-        ),
-        (
-            arguments.picture,
-            lambda: ended.picture.draw(title),
-            f"picture       {arguments.picture}",
-        ),
+    for name, path, write, hint in (
+        ("trace", arguments.trace, trace, " (open it in ui.perfetto.dev)"),
+        ("report", arguments.report, partial(report.write, arguments.report), ""),
+        ("picture", arguments.picture, lambda: ended.picture.draw(title), ""),
     ):
         if not path:
             continue
         try:
             write()
-            written.append(line)
+            written.append(f"{name:<14}{path}{hint}")
         except OSError as error:
             problems.append(
                 f"cannot write {error.filename or path}: {error.strerror}; give a path in a "
