@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import signal
 import time
@@ -26,6 +27,7 @@ def start(act: Callable[[], object]) -> int:
         return pid
     status = 1
     try:
+        ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG: it ends with these tests
         signal.signal(signal.SIGINT, signal.SIG_DFL)
         act()
         status = 0
