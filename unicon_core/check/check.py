@@ -79,7 +79,8 @@ def check_workflow(
         settings = check_section(document, result)
         subject = build_subject(document, hooks)
     except UniconError as error:
-        _cannot(result, error)
+        culprit = next(name for kind, name in _CULPRITS if isinstance(error, kind))
+        result.find_error("build", culprit, error)
         return result
     try:
         platform = subject.platform
@@ -123,13 +124,6 @@ def static_checks(subject: Subject, result: CheckResult) -> None:
         check_frames(subject, result)
         check_files(subject, result)
         check_blocks(subject, result)
-
-
-def _cannot(result: CheckResult, error: UniconError) -> None:
-    """Add the one-line error: its last part is the remedy."""
-    culprit = next(name for kind, name in _CULPRITS if isinstance(error, kind))
-    evidence, _, remedy = str(error).rpartition("; ")
-    result.find("build", culprit, evidence or remedy, remedy if evidence else "")
 
 
 def check_section(document: WorkflowDocument, result: CheckResult) -> dict[str, Any]:
