@@ -159,9 +159,7 @@ class TwinSession:
                         break
         except Fault as error:
             fault = str(error)
-        finally:
-            self._restore()
-            self.called = frozenset(name for name, tick in counted.items() if tick.calls)
+        self.called = frozenset(name for name, tick in counted.items() if tick.calls)
         ticks = len(recorder.rows)
         asked = (ticks - begun + walked if counted else max(ticks, 1)) * program.period
         tracks = any(_reads_command(contract) for contract in self.contracts.values())
@@ -207,7 +205,3 @@ class TwinSession:
             tick = counted.setdefault(used, _Counted(running))
             block.tick, block.reset, block.warm_up = tick, running.reset, None
         return counted
-
-    def _restore(self) -> None:
-        for _, block, policy in self._uses:
-            block.tick, block.reset, block.warm_up = policy, policy.reset, policy.warm_up
