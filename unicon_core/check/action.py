@@ -1,4 +1,4 @@
-"""The action: reachable targets against limits, torque of one unit, period, command ranges."""
+"""The action: reachable targets against limits, torque of one unit, period, commands."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from unicon_core.check.subject import Subject, listed
 from unicon_core.platforms.platform import info_of
 from unicon_core.robots import joint_index
 
-__all__ = ["check_action", "check_timing"]
+__all__ = ["check_action", "check_commands", "check_timing"]
 
 PLAUSIBLE_ACTION = 1.0
 """Action that a trained policy reaches in every walk; used where the contract has no clip."""
@@ -175,6 +175,21 @@ def check_timing(subject: Subject, result: CheckResult) -> None:
         )
     for policy in policies:
         _commands(subject, policy)
+
+
+def check_commands(subject: Subject, result: CheckResult) -> None:
+    """Note what is commanded without a bound of its own: cautious ones hold then."""
+    open_ended = [each for each in subject.program.command_bounds if not each.given]
+    if open_ended:
+        held = ", ".join(f"{b.axis} to {b.low:g}…{b.high:g} {b.unit}" for b in open_ended)
+        result.note(
+            "command.bounds",
+            "velocity_command",
+            f"neither policy nor robot file says how much may be commanded: bounded are {held}",
+            "give command_ranges in policy.yaml (lin_vel_x, lin_vel_y, ang_vel_z), or in the robot "
+            "file (vx, vy, wz)",
+            subject.robot.path,
+        )
 
 
 def _commands(subject: Subject, policy: PolicyResult) -> None:

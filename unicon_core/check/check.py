@@ -6,8 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from unicon_core.check.action import check_action, check_timing
-from unicon_core.check.commands import check_commands
+from unicon_core.check.action import check_action, check_commands, check_timing
 from unicon_core.check.files import check_files, check_robot
 from unicon_core.check.gains import check_gains, check_limits
 from unicon_core.check.graph import check_blocks
@@ -25,6 +24,7 @@ from unicon_core.errors import (
     PolicyError,
     RobotError,
     UniconError,
+    WorkflowError,
     alternatives,
 )
 from unicon_core.workflow import Hook
@@ -132,21 +132,20 @@ def check_section(document: WorkflowDocument, result: CheckResult) -> dict[str, 
     Raises:
         WorkflowError: a setting is wrong.
     """
+
+    def wrong(key: str, what: str) -> WorkflowError:
+        return document.error(f"check: {what}", "check", key)
+
     settings: dict[str, Any] = document.get("check", dict, {})
     for key in settings:
         if key not in SETTINGS:
-            known = alternatives(str(key), SETTINGS)
-            raise document.error(f"check: unknown key {key!r}; {known}", "check", key)
+            raise wrong(key, f"unknown key {key!r}; {alternatives(str(key), SETTINGS)}")
     if "accept" in settings:
         result.accept(settings["accept"], document.where("check", "accept"))
     duration = settings.get("duration", 5.0)
     if isinstance(duration, bool) or not isinstance(duration, (int, float)) or duration < 1.0:
-        raise document.error(
-            f"check: duration is {duration!r}; give [s] from 1", "check", "duration"
-        )
+        raise wrong("duration", f"duration is {duration!r}; give [s] from 1")
     command = settings.get("command")
     if command is not None and not (isinstance(command, list) and len(command) == 3):
-        raise document.error(
-            f"check: command is {command!r}; give [vx, vy, wz]", "check", "command"
-        )
+        raise wrong("command", f"command is {command!r}; give [vx, vy, wz]")
     return settings

@@ -33,7 +33,7 @@ class Subject:
 
     Attributes:
         document: the workflow file.
-        workflow: built; by `build_subject` with `fake` in place of hardware, so nothing moves.
+        program: built; by `build_subject` with `fake` in place of hardware, so nothing moves.
         platform: facts that the document's platform declares, not the exchanged one.
         waits: whether ticks may come with that platform's data.
         live: it is about to run: the platform is left as it was, and what only tables show is not

@@ -73,6 +73,7 @@ class _Reader:
         self._colliding = colliding
         joints = find_joints(mujoco, model, robot, robot.path)
         self._rank = {joint: rank for rank, joint in enumerate(joints)}
+        self._roots = {int(body) for body in model.body_rootid[model.jnt_bodyid[joints]]}
         base = free_joint(mujoco, model, joints[0])
         self._root = 0 if base is None else int(model.jnt_bodyid[base])
         self.links: list[Link] = []
@@ -106,10 +107,8 @@ class _Reader:
 
     def _belongs(self, body: int) -> bool:
         """A fixed robot's bodies stand beside other things in the world: take those with joints."""
-        if self._root or int(self._model.body_parentid[body]):
-            return True
-        weld = {int(self._model.body_rootid[self._model.jnt_bodyid[joint]]) for joint in self._rank}
-        return body in weld
+        beside = not self._root and not self._model.body_parentid[body]
+        return not beside or body in self._roots
 
     def _add_body(self, body: int, parent_body: int) -> None:
         model = self._model

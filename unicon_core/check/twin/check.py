@@ -126,14 +126,13 @@ class _Twin:
         poor = bool(self.policies) and given.tracks and given.tracking < POOR
         if given.stands and not poor:
             return
-        code = "twin.command" if given.stands else "twin.fall"
-        what = given.outcome()
+        code, what = "twin.fall", given.outcome()
         if given.fault:
             what += f" ({given.fault})"
         if given.stands:
+            code, moves = "twin.command", _velocity(given.velocity)
             what = (
-                f"it stays up, but moves at {_velocity(given.velocity)} where "
-                f"{_velocity(given.command)} is commanded"
+                f"it stays up, but moves at {moves} where {_velocity(given.command)} is commanded"
             )
         found = self.mend(given)
         if found is not None:
@@ -198,18 +197,17 @@ class _Twin:
         lines = ["score = survival · (0.7 · tracking + 0.3 · smoothness), from 0 to 1"]
         lines.append("a walk does not validate the rate: half the rate walks as well")
         self.result.table(title, columns, self.rows, lines if self.policies else ())
-        rows = [
-            ["outcome", given.outcome() + (f": {given.fault}" if given.fault else "")],
+        rows = [["outcome", given.outcome() + (f": {given.fault}" if given.fault else "")]]
+        if given.tracks and self.policies:
+            rows.append(["command", _velocity(given.command)])
+            rows.append(["velocity", _velocity(given.velocity)])
+        hits = [f"{name} {share:.0%}" for name, share in given.limit_hits.items()]
+        rows += [
             ["torque", f"{given.torque_use:.0%} of the limit at {given.torque_joint} (rms)"],
             ["saturated", f"{given.saturated:.2%} of all torques"],
             ["change of targets", f"{given.target_rate:.2f} rad/s (rms)"],
+            ["at position limits", ", ".join(hits[:4]) or "never"],
         ]
-        if given.tracks and self.policies:
-            rows.insert(1, ["command", _velocity(given.command)])
-            rows.insert(2, ["velocity", _velocity(given.velocity)])
-        hits = list(given.limit_hits.items())[:4]
-        text = ", ".join(f"{name} {share:.0%}" for name, share in hits)
-        rows.append(["at position limits", text or "never"])
         self.result.table("Twin, as given", ["what", "value"], rows)
 
 

@@ -171,7 +171,6 @@ class Recorder:
         hits = (pos <= robot.lower + AT_LIMIT) | (pos >= robot.upper - AT_LIMIT)
         shares = hits.mean(axis=0)
         saturated = np.abs(effort) >= 0.999 * self._effort
-        ended_early = self.fell or bool(fault)
         return Measures(
             asked_s=asked_s,
             survived_s=survived,
@@ -189,7 +188,7 @@ class Recorder:
             },
             tracking=float(np.exp(-squared / TRACKING_SIGMA).mean()),
             smoothness=float(np.exp(-((rate / SMOOTH_RATE) ** 2))),
-            survival=min(1.0, survived / asked_s) if ended_early else 1.0,
+            survival=min(1.0, survived / asked_s) if self.fell or fault else 1.0,
             tracks=tracks,
         )
 
