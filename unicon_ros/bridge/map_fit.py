@@ -151,8 +151,7 @@ def check_mirror(subject: Subject, result: CheckResult, name: str | None = None)
         result.note("map.fit", f"map {path}", NO_CODECS.format(error))
         return
     except UniconError as error:
-        evidence, _, remedy = str(error).rpartition("; ")
-        result.find("map.fit", f"map {path}", evidence or remedy, remedy if evidence else "")
+        result.find_error("map.fit", f"map {path}", error)
         return
     for spec in heard:
         for state in spec.states:
