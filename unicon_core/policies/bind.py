@@ -14,7 +14,7 @@ from unicon_core.policies.contract import ObservationSpec, ObservationTerm, Poli
 from unicon_core.policies.lane import Input, Lane, Published
 from unicon_core.policies.networks import Network, Tensor
 from unicon_core.policies.observation import Observation
-from unicon_core.policies.terms import PackedStates
+from unicon_core.policies.prefixed import PackedStates
 
 __all__ = ["Binding"]
 

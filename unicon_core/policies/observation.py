@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.policies.contract import ObservationSpec, PolicyContract
-from unicon_core.policies.terms import PackedStates, TermSlice, term_slices
+from unicon_core.policies.prefixed import PackedStates
+from unicon_core.policies.terms import TermSlice, term_slices
 
 __all__ = ["Observation", "nothing"]
 

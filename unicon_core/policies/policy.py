@@ -15,8 +15,7 @@ from unicon_core.policies.bind import Binding
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.networks import Network, open_network
 from unicon_core.policies.phase import GaitPhase
-from unicon_core.policies.prefixed import PrefixedStates
-from unicon_core.policies.terms import PackedStates
+from unicon_core.policies.prefixed import PackedStates, PrefixedStates
 from unicon_core.robots import Robot
 
 __all__ = ["Policy"]

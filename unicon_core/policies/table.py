@@ -12,7 +12,8 @@ from unicon_core.errors import PolicyError
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.load import load_policy, policy_names
 from unicon_core.policies.policy_states import policy_states
-from unicon_core.policies.terms import PackedStates, TermSlice, term_slices
+from unicon_core.policies.prefixed import PackedStates
+from unicon_core.policies.terms import TermSlice, term_slices
 from unicon_core.robots import Robot
 from unicon_core.states import States, standard_states
 
