@@ -19,6 +19,7 @@ __all__ = [
     "check_imu",
     "check_joints",
     "check_keys",
+    "check_mapping",
     "check_name",
     "check_number",
     "check_text",
@@ -78,6 +79,11 @@ def _show(value: Any) -> str:
     return (
         "null" if value is None else str(value).lower() if isinstance(value, bool) else repr(value)
     )
+
+
+def check_mapping(located: Located, where: Where, value: Any, remedy: str) -> None:
+    if not isinstance(value, dict):
+        raise wrong(located, where, f"is {value!r}; {remedy}")
 
 
 def check_text(located: Located, where: Where, value: Any) -> None:
@@ -162,10 +168,8 @@ def _joint(located: Located, where: Where, joint: dict[str, Any]) -> None:
 def check_imu(located: Located, imu: Any) -> None:
     if imu is None:
         return
-    if not isinstance(imu, dict):
-        raise wrong(
-            located, ("imu",), f"is {imu!r}; write {{frame: …, position: …, quat: …}} or null"
-        )
+    remedy = "write {frame: …, position: …, quat: …} or null"
+    check_mapping(located, ("imu",), imu, remedy)
     check_keys(located, ("imu",), imu, IMU_KEYS)
     check_name(located, ("imu", "frame"), imu["frame"])
     for key, length in (("position", 3), ("quat", 4)):
@@ -213,12 +217,8 @@ def check_command_ranges(located: Located, ranges: Any) -> None:
     """`{vx: [lowest, highest], …}`, zero within; whatever is left out is not known."""
     if ranges is None:
         return
-    if not isinstance(ranges, dict):
-        raise wrong(
-            located,
-            ("command_ranges",),
-            f"is {ranges!r}; write {{vx: [lowest, highest], vy: …, wz: …}}",
-        )
+    remedy = "write {vx: [lowest, highest], vy: …, wz: …}"
+    check_mapping(located, ("command_ranges",), ranges, remedy)
     check_keys(located, ("command_ranges",), ranges, (), COMMAND_AXES)
     for axis, pair in ranges.items():
         numbers = isinstance(pair, list) and all(map(_is_finite, pair))

@@ -15,6 +15,7 @@ from unicon_core.robots.checks import (
     check_imu,
     check_joints,
     check_keys,
+    check_mapping,
     check_name,
     check_number,
     check_text,
@@ -87,12 +88,8 @@ def _one_of(located: Located, where: Where, value: Any, known: tuple[str, ...]) 
 
 def _models(located: Located, models: Any) -> None:
     """Paths below the file's folder or a configuration folder; a workflow may name any."""
-    if not isinstance(models, dict):
-        raise wrong(
-            located,
-            ("models",),
-            f"is {models!r}; write {{mjcf: PATH, urdf: PATH}}, {{}} where there is none",
-        )
+    remedy = "write {mjcf: PATH, urdf: PATH}, {} where there is none"
+    check_mapping(located, ("models",), models, remedy)
     check_keys(located, ("models",), models, (), MODEL_FORMATS)
     for kind, model in models.items():
         check_text(located, ("models", kind), model)
@@ -110,8 +107,7 @@ def _models(located: Located, models: Any) -> None:
 
 
 def _transport(located: Located, transport: Any) -> None:
-    if not isinstance(transport, dict):
-        raise wrong(located, ("transport",), f"is {transport!r}; write {{protocol: …, …}}")
+    check_mapping(located, ("transport",), transport, "write {protocol: …, …}")
     if "protocol" not in transport:
         raise located.error(
             ("transport",), "transport: missing key 'protocol'; add it, null where not known"
@@ -191,8 +187,7 @@ def _place(document: dict[str, Any], fact: str) -> Where:
 def _sources(located: Located, document: dict[str, Any]) -> None:
     """Every group of figures that the file gives says where it was taken from."""
     sources = document["sources"]
-    if not isinstance(sources, dict):
-        raise wrong(located, ("sources",), f"is {sources!r}; write one entry per group of facts")
+    check_mapping(located, ("sources",), sources, "write one entry per group of facts")
     for key, text in sources.items():
         if not isinstance(key, str):
             raise located.error(("sources", key), f"sources: {key!r} is no group; write a word")
