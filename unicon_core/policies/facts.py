@@ -38,8 +38,8 @@ _STATES: dict[str, tuple[str, ...]] = {
     "gait_phase_sin": ("sin_phase",),
     "gait_phase_cos": ("cos_phase",),
 }
-_TERMS = {name: {"state": state} for state, names in _STATES.items() for name in names}
-_PARTS: dict[str, dict[str, Any]] = {
+_TERMS: dict[str, dict[str, Any]] = {
+    **{name: {"state": state} for state, names in _STATES.items() for name in names},
     "command_lin_vel": {"state": "velocity_command", "index": [0, 1]},
     "command_ang_vel": {"state": "velocity_command", "index": [2]},
 }
@@ -128,7 +128,7 @@ def term_state(name: str, *, absolute: bool = False) -> dict[str, Any]:
         name: the training side's name.
         absolute: whether a plain `joint_pos` means the position itself.
     """
-    term: dict[str, Any] = dict(_TERMS.get(name, _PARTS.get(name, {})))
+    term = dict(_TERMS.get(name, {}))
     if term.get("state") == "joint_pos" and not (absolute and name == "joint_pos"):
         term["subtract"] = "default_joint_pos"
     return term
