@@ -16,8 +16,7 @@ from unicon_core.models.loaded import LoadedModel
 from unicon_core.platforms.platform import Facts
 from unicon_core.policies import PolicyContract
 from unicon_core.policies.controller import controller_contract
-from unicon_core.policies.prefixed import PrefixedStates
-from unicon_core.policies.terms import PackedStates
+from unicon_core.policies.prefixed import PackedStates, PrefixedStates
 from unicon_core.robots import Robot
 from unicon_core.workflow import Hook, Program
 from unicon_core.workflow.document import WorkflowDocument
