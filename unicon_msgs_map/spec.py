@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from unicon_msgs_map.errors import MapFileError, MapStateError, MessageTypeError
 from unicon_msgs_map.layout.paths import Path, Reference
 
 if TYPE_CHECKING:
     from unicon_msgs_map.layout.messages import Messages
 
-__all__ = ["FieldSpec", "MessageMap", "PublishSpec", "Qos", "SubscribeSpec"]
+__all__ = ["FieldSpec", "MessageMap", "PublishSpec", "Qos", "SubscribeSpec", "TopicSpec"]
 
 Numbers = float | tuple[float, ...]
 
@@ -75,17 +76,29 @@ class FieldSpec:
     checksum: str | None = None
     where: str | None = None
 
+    def file_error(self, text: str) -> MapFileError:
+        """Return the error to raise where the mapping of this field is wrong."""
+        return MapFileError(f"{self.path}: {text}", self.where)
+
+    def type_error(self, text: str) -> MessageTypeError:
+        """Return the error to raise where the path does not fit the message type."""
+        return MessageTypeError(f"{self.path}: {text}", self.where)
+
+    def state_error(self, text: str) -> MapStateError:
+        """Return the error to raise where our side does not fit the message field."""
+        return MapStateError(f"{self.path}: {text}", self.where)
+
 
 @dataclass(frozen=True)
-class PublishSpec:
-    """One topic that we publish.
+class TopicSpec:
+    """What topics of both directions have.
 
     Attributes:
         topic: relative names take the node's namespace.
         type: full type name, `pkg/msg/Name`.
-        fields: what is mapped; every other field is zero, empty, or (Quaternion) identity.
+        fields: what is mapped.
         messages: the type store that defines `type`.
-        rate: [Hz]; None publishes every tick.
+        rate: [Hz], at most that often; None is every tick.
         qos: quality of service.
         optional: leave the topic out where a state or the ROS type is missing.
         where: `file:line: entry` for messages.
@@ -102,8 +115,13 @@ class PublishSpec:
 
     @property
     def states(self) -> tuple[str, ...]:
-        """Names of the states that this message reads, in field order."""
-        return _states(self.fields)
+        """Names of the states that the message reads or writes, in field order."""
+        return tuple(dict.fromkeys(f.source.name for f in self.fields if f.source.kind == "state"))
+
+
+@dataclass(frozen=True)
+class PublishSpec(TopicSpec):
+    """One topic that we publish; fields not mapped are zero, empty, or (Quaternion) identity."""
 
     def every(self, period: float) -> int:
         """Return how many ticks of `period` [s] lie from one message to the next: at least 1."""
@@ -111,17 +129,10 @@ class PublishSpec:
 
 
 @dataclass(frozen=True)
-class SubscribeSpec:
-    """One topic that we receive.
+class SubscribeSpec(TopicSpec):
+    """One topic that we receive; fields not mapped are skipped.
 
     Attributes:
-        topic: relative names take the node's namespace.
-        type: full type name, `pkg/msg/Name`.
-        fields: what is mapped; everything else in the message is skipped.
-        messages: the type store that defines `type`.
-        rate: [Hz]; take at most that often; None takes every tick.
-        qos: quality of service.
-        optional: leave the topic out where a state or the ROS type is missing.
         timeout: [s] without an accepted message after which `on_timeout` applies; None is never.
         on_timeout: `zero` sets the written states to zero, `hold` leaves them.
         missing: elements of ours that the message lacks: `hold`, `zero` or `error`.
@@ -129,28 +140,14 @@ class SubscribeSpec:
         unnamed: a message that should carry names and has none: `error`, or `order` to take
             the elements in our order where their number is ours.
         nonfinite: NaN and infinities: `reject` the message or `accept` them.
-        where: `file:line: entry` for messages.
     """
 
-    topic: str
-    type: str
-    fields: tuple[FieldSpec, ...]
-    messages: Messages = field(repr=False, compare=False)
-    rate: float | None = None
-    qos: Qos = Qos()
-    optional: bool = False
     timeout: float | None = None
     on_timeout: str = "zero"
     missing: str = "hold"
     extra: str = "ignore"
     unnamed: str = "error"
     nonfinite: str = "reject"
-    where: str | None = None
-
-    @property
-    def states(self) -> tuple[str, ...]:
-        """Names of the states that this message writes, in field order."""
-        return _states(self.fields)
 
 
 @dataclass(frozen=True)
@@ -170,7 +167,3 @@ class MessageMap:
     messages: Messages = field(repr=False, compare=False)
     path: str | None = None
     description: str = ""
-
-
-def _states(fields: tuple[FieldSpec, ...]) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(f.source.name for f in fields if f.source.kind == "state"))

@@ -269,7 +269,7 @@ class UniconNode(LifecycleNode):
             patient = settings.speed == "max"
             recording = Recording(settings["record"], map_name, session, warn, patient)
             hooks.append(recording.hook)
-        program = Program(document, hooks=hooks)
+        program = Program(document, hooks=hooks, part=settings["part"])
         try:
             for line in refuse_errors(program, settings.force):
                 warn(line)

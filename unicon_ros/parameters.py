@@ -23,6 +23,7 @@ AT_CONFIGURE: tuple[tuple[str, Any, str], ...] = (
     ("map", "", "name in config/maps/ or path of the message map; empty: the workflow's"),
     ("robot", "", "robot file in place of the workflow's"),
     ("platform", "", "platform in place of the workflow's"),
+    ("part", "", "the one part to run of a workflow that has parts; empty: all of it"),
     ("overrides", [""], "path=value texts as of `unicon run --set`"),
     ("force", [""], "codes of errors of `unicon check` to go on with"),
     ("frame_prefix", "", "stands before the names of all frames, such as robot1/"),

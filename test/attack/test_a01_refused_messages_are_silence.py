@@ -38,8 +38,8 @@ def test_a_walking_go2_stops_half_a_second_after_its_driver_sends_only_garbage(
         wait_for(lambda: topic.stale, "the time-out", 8.0)
         # Half a second and its rounding; the rest is for a busy machine.
         assert (run.runner.statistics.count - begun) * run.program.period < 2.0
-        x, refused = float(states.base_pos_w[0]), topic.rejected
-        wait_for(lambda: topic.rejected > refused + 300, "more garbage")
+        x, refused = float(states.base_pos_w[0]), topic.decoder.rejected
+        wait_for(lambda: topic.decoder.rejected > refused + 300, "more garbage")
         assert topic.stale
         assert states.velocity_command.tolist() == [0.0, 0.0, 0.0]
         assert abs(float(states.base_pos_w[0]) - x) < 0.5
@@ -110,7 +110,7 @@ def test_of_one_tick_the_newest_message_that_is_accepted_counts(topic: TopicIn) 
     arrive(topic, 0.8)
     arrive(topic, 0.5, 0.0, NAN, NAN)
     assert topic.command.tolist() == [0.0, 0.0, 0.0]  # type: ignore[attr-defined]
-    assert (topic.received, topic.rejected, topic.dropped) == (5, 2, 1)
+    assert (topic.received, topic.decoder.rejected, topic.dropped) == (5, 2, 1)
 
 
 def test_a_tick_of_refused_messages_keeps_what_was_accepted_until_the_time_out(
@@ -162,5 +162,5 @@ def test_reasons_without_end_are_told_ten_times(topic: TopicIn) -> None:
     topic._warn = told.append
     for i in range(50):
         arrive(topic, 1e39 * (i + 1))
-    assert topic.rejected == 50
+    assert topic.decoder.rejected == 50
     assert len(told) == 10

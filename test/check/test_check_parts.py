@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from unicon_core.check.mirror import mirror_pairs
 from unicon_core.check.result import CheckResult, Finding, Section
-from unicon_core.check.twin.measures import Measures, Recorder
+from unicon_core.check.twin.measures import Recorder
 from unicon_core.check.twin.perturb import other_order, permuted, perturbations, renamed
 from unicon_core.check.twin.repair import repairs
 from unicon_core.policies import ActionSpec, ObservationSpec, ObservationTerm, PolicyContract
@@ -288,11 +288,6 @@ def test_joints_at_their_limits_are_named(states: States) -> None:
 
 def test_a_run_without_ticks_scores_nothing(states: States) -> None:
     assert record(states, 0).measures(5.0, "no link", True).score == 0.0
-
-
-def test_measures_are_plain_values(states: States) -> None:
-    values = record(states).measures(5.0, "", True).to_dict()
-    assert set(values) == {*Measures.__dataclass_fields__, "score"}
 
 
 def test_a_finding_is_one_line() -> None:

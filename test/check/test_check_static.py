@@ -426,7 +426,7 @@ def test_every_code_that_is_used_is_explained() -> None:
     ours = (ROOT / "unicon_core" / "check").rglob("*.py")
     for path in (*ours, ROOT / "unicon_ros" / "bridge" / "map_fit.py"):
         text = path.read_text(encoding="utf-8")
-        used |= set(re.findall(r"\.(?:find|note)\(\s*\"([a-z0-9_.]+)\"", text))
+        used |= set(re.findall(r"\.(?:find|find_error|note)\(\s*\"([a-z0-9_.]+)\"", text))
     assert used <= set(CODES)
     by_a_variable = {"twin.fall", "twin.command"} | {c for c in CODES if c.endswith(".symmetry")}
     assert used >= set(CODES) - by_a_variable

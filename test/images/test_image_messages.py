@@ -48,7 +48,8 @@ def test_rosbags_reads_what_was_laid_out(kind: str, width: int, height: int, fra
 
 def test_rays_open_as_wide_as_the_field_of_view() -> None:
     height, width, fovy = 240, 320, np.radians(60.0)
-    found = rays(width, height, Intrinsics.of_fovy(width, height, fovy))
+    focal = 0.5 * height / np.tan(0.5 * fovy)
+    found = rays(width, height, Intrinsics(focal, focal, 0.5 * (width - 1), 0.5 * (height - 1)))
     assert found.shape == (height, width, 3)
     np.testing.assert_allclose(found[..., 2], 1.0)
     # The image's upper edge is half a pixel above the uppermost ray.

@@ -72,7 +72,7 @@ def _zero(kind: TypeRef, messages: Messages) -> Any:
         if isinstance(kind.item, Primitive):
             return np.zeros(count, wire_dtype(kind.item))
         return [_zero(kind.item, messages) for _ in range(count)]
-    values = [_zero(member.type, messages) for member in kind.fields]
+    values = [_zero(member, messages) for member in kind.fields.values()]
     return messages.store.types[kind.name](*values)
 
 
@@ -154,7 +154,7 @@ def values(kind: TypeRef, messages: Messages) -> st.SearchStrategy[Any]:
             dtype = wire_dtype(kind.item)
             return lists.map(lambda items: np.array(items, dtype))
         return lists
-    members = [values(member.type, messages) for member in kind.fields]
+    members = [values(member, messages) for member in kind.fields.values()]
     make = messages.store.types[kind.name]
     return st.tuples(*members).map(lambda items: make(*items))
 
@@ -190,8 +190,8 @@ class FlatLeaf:
 def leaves(kind: TypeRef, value: Any, at: tuple[str | int, ...] = ()) -> Iterator[FlatLeaf]:
     """Yield numbers, strings, and whole arrays of either, of a message value."""
     if isinstance(kind, Struct):
-        for member in kind.fields:
-            yield from leaves(member.type, getattr(value, member.name), (*at, member.name))
+        for name, member in kind.fields.items():
+            yield from leaves(member, getattr(value, name), (*at, name))
     elif isinstance(kind, Array) and isinstance(kind.item, Struct) and len(value):
         for index, item in enumerate(value):
             yield from leaves(kind.item, item, (*at, index))

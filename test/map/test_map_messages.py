@@ -24,24 +24,17 @@ def test_exported_names_exist_and_are_sorted() -> None:
 def test_fields_come_in_wire_order_with_their_kinds() -> None:
     joint_state = Messages().struct("sensor_msgs/JointState")
     assert joint_state.name == "sensor_msgs/msg/JointState"
-    assert [f.name for f in joint_state.fields] == [
-        "header",
-        "name",
-        "position",
-        "velocity",
-        "effort",
-    ]
-    header, name, position = (f.type for f in joint_state.fields[:3])
+    assert list(joint_state.fields) == ["header", "name", "position", "velocity", "effort"]
+    header, name, position, *_ = joint_state.fields.values()
     assert isinstance(header, Struct)
     assert isinstance(name, Array)
     assert name.item == String()
     assert isinstance(position, Array)
     assert isinstance(position.item, Primitive)
     assert position.length is None
-    covariance = Messages().struct("sensor_msgs/msg/Imu").field("orientation_covariance")
-    assert covariance is not None
-    assert isinstance(covariance.type, Array)
-    assert covariance.type.length == 9
+    covariance = Messages().struct("sensor_msgs/msg/Imu").fields["orientation_covariance"]
+    assert isinstance(covariance, Array)
+    assert covariance.length == 9
 
 
 @pytest.mark.parametrize(
@@ -81,7 +74,7 @@ def test_definitions_name_their_parts() -> None:
         assert f"MSG: {part}" in lines
     again = Messages("foxy")
     again.register({"copy_msgs/msg/Twist": message_definition("geometry_msgs/msg/Twist").text})
-    assert [f.name for f in again.struct("copy_msgs/Twist").fields] == ["linear", "angular"]
+    assert list(again.struct("copy_msgs/Twist").fields) == ["linear", "angular"]
 
 
 SHIPPED = ("unitree_go", "unitree_hg")
@@ -120,9 +113,9 @@ def test_text_file_and_folder_register_alike(tmp_path: Path) -> None:
     (folder / "Foot.msg").write_text("float32[3] force\nbool contact\n", encoding="utf-8")
     (folder / "Feet.msg").write_text("std_msgs/Header header\nFoot[4] feet\n", encoding="utf-8")
     by_folder, by_file, by_text = Messages(), Messages(), Messages()
-    by_folder.register_folder(folder)
-    by_file.register_file(folder / "Foot.msg")
-    by_file.register_file(folder / "Feet.msg")
+    by_folder.register_path(folder)
+    by_file.register_path(folder / "Foot.msg")
+    by_file.register_path(folder / "Feet.msg")
     by_text.register({"my_msgs/msg/Foot": "float32[3] force\nbool contact\n"})
     by_text.register({"my_msgs/msg/Feet": "std_msgs/Header header\nFoot[4] feet\n"})
     texts = {m.definition("my_msgs/msg/Feet").rihs for m in (by_folder, by_file, by_text)}
@@ -156,11 +149,11 @@ def test_text_file_and_folder_register_alike(tmp_path: Path) -> None:
             "Rename the type, or drop one of the two definitions.",
         ),
         (
-            lambda m: m.register_folder("nowhere"),
-            "folder 'nowhere' holds no .msg file; give the folder that holds them",
+            lambda m: m.register_path("/"),
+            "folder '/' holds no .msg file; give the folder that holds them",
         ),
         (
-            lambda m: m.register_file("nowhere/msg/X.msg"),
+            lambda m: m.register_path("nowhere/msg/X.msg"),
             "cannot read message file 'nowhere/msg/X.msg': No such file or directory",
         ),
         (

@@ -12,7 +12,7 @@ from unicon_core.models.find import find_model
 from unicon_core.models.joints import free_joint
 from unicon_core.models.load import load_model
 from unicon_core.models.loaded import LoadedModel
-from unicon_core.models.posed import PosedModel, foot_geoms, heights
+from unicon_core.models.posed import PosedModel, foot_geoms
 from unicon_core.robots import load_robot
 
 mujoco = pytest.importorskip("mujoco")
@@ -74,11 +74,11 @@ def test_a_fixed_base_stays_where_the_model_has_it() -> None:
 
 def test_without_a_floor_there_are_no_heights() -> None:
     model = mujoco.MjModel.from_xml_string(
-        "<mujoco><worldbody><body><geom size='.1'/></body></worldbody></mujoco>"
+        "<mujoco><worldbody><body><joint/><geom size='.1'/></body></worldbody></mujoco>"
     )
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    assert heights(model, data, 1) == {}
+    posed = PosedModel(LoadedModel(model, Path("scene.xml"), [0]))
+    posed.put([0.0])
+    assert posed.heights() == {}
 
 
 def test_feet_are_bodies_sites_geoms_or_their_stems() -> None:

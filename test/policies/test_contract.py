@@ -10,7 +10,9 @@ import yaml
 from policy_helpers import JOINTS, robot, toy_values, write_toy
 
 from unicon_core.errors import PolicyError
-from unicon_core.policies import load_policy, load_policy_yaml, policy_names, write_policy_yaml
+from unicon_core.policies import PolicyContract, load_policy, policy_names, write_policy_yaml
+from unicon_core.policies.build import build_contract
+from unicon_core.policies.policy_yaml import contract_values, policy_yaml_facts
 
 GOOD = """\
 schema: unicon.policy/1
@@ -41,9 +43,13 @@ def write(tmp_path: Path, *changes: tuple[str, str]) -> Path:
     return path
 
 
+def read(path: Path) -> PolicyContract:
+    return build_contract(policy_yaml_facts(path))
+
+
 def message(path: Path) -> str:
     with pytest.raises(PolicyError) as caught:
-        load_policy_yaml(path)
+        read(path)
     text = str(caught.value)
     assert "\n" not in text
     assert text.startswith(str(path))
@@ -51,7 +57,7 @@ def message(path: Path) -> str:
 
 
 def test_a_good_file_is_read(tmp_path: Path) -> None:
-    contract = load_policy_yaml(write(tmp_path))
+    contract = read(write(tmp_path))
     assert contract.joints == JOINTS
     assert contract.period == 0.02
     assert contract.damping.tolist() == [1.0] * 4
@@ -229,10 +235,8 @@ def test_what_is_written_reads_back_equal(tmp_path: Path) -> None:
         inputs={"observation": "obs"},
         outputs={"action": "actions"},
     )  # fmt: skip
-    first = load_policy_yaml(write_toy(tmp_path / "in", values))
-    second = load_policy_yaml(write_policy_yaml(first, tmp_path / "out"))
-    from unicon_core.policies.policy_yaml import contract_values
-
+    first = read(write_toy(tmp_path / "in", values))
+    second = read(write_policy_yaml(first, tmp_path / "out"))
     one, two = contract_values(first), contract_values(second)
     assert len(two.pop("sha256")) == 64
     assert one == two

@@ -208,6 +208,11 @@ def test_joint_pos_is_absolute_and_joint_pos_rel_relative(tmp_path: Path) -> Non
             ":13: scale has 2 values for 4 joints; give one for each",
         ),
         (
+            DEPLOY[DEPLOY.index("  base_ang_vel:") :],
+            "  policy: 3\n",
+            ":17: observations.policy is 3; no term",
+        ),
+        (
             "step_dt: 0.02",
             "step_dt: 0.02\nstep_dt: 0.01",
             ":3: not valid YAML: key 'step_dt' stands twice, first in line 2; remove one",

@@ -102,7 +102,7 @@ def test_fused_observation_equals_concatenation(
                 twin.reset()
         for name in SIZES:
             states[name] = rng.normal(size=states[name].shape) * 2
-        fused(out)
+        fused.bind(out)()
         for k, twin in enumerate(twins):
             row = {n: states[n] if num_robots is None else states[n][k] for n in SIZES}
             np.testing.assert_array_equal(out[k], twin(row))
@@ -116,7 +116,7 @@ def test_joint_states_are_taken_in_policy_order() -> None:
     states = states_of(contract, order)
     states.joint_pos = [0.0, 9.0, 1.0, 2.0, 3.0]
     out = np.zeros((1, 4), np.float32)
-    Observation(contract, states, order)(out)
+    Observation(contract, states, order).bind(out)()
     assert out[0].tolist() == [1.0, 3.0, 2.0, 0.0]  # a_hip, a_knee, b_hip, b_knee
 
 
@@ -126,7 +126,7 @@ def test_last_action_stays_in_policy_order() -> None:
     states = states_of(contract, order)
     states.action = [1.0, 2.0, 3.0, 4.0]
     out = np.zeros((1, 4), np.float32)
-    Observation(contract, states, order)(out)
+    Observation(contract, states, order).bind(out)()
     assert out[0].tolist() == [1.0, 2.0, 3.0, 4.0]
 
 
@@ -151,7 +151,7 @@ def test_histories_stand_as_declared(layout: str, newest: str, expected: list[fl
     out = np.zeros((1, 6), np.float32)
     for k in (1.0, 2.0, 3.0):
         states.velocity_command = [k, 10 * k, 0.0]
-        observation(out)
+        observation.bind(out)()
     assert out[0].tolist() == expected
 
 
@@ -163,10 +163,10 @@ def test_the_first_observation_fills_the_history() -> None:
     out = np.zeros((1, 4), np.float32)
     for value in (5.0, 6.0):
         states.velocity_command = [value, 0.0, 0.0]
-        observation(out)
+        observation.bind(out)()
     assert out[0].tolist() == [5.0, 5.0, 5.0, 6.0]
     observation.reset()
-    observation(out)
+    observation.bind(out)()
     assert out[0].tolist() == [6.0, 6.0, 6.0, 6.0]
 
 
@@ -176,7 +176,7 @@ def test_clipping_comes_before_scaling_and_passes_nan_on() -> None:
     states = states_of(contract, JOINTS)
     states.velocity_command = [5.0, -5.0, np.nan]
     out = np.zeros((1, 3), np.float32)
-    Observation(contract, states, JOINTS)(out)
+    Observation(contract, states, JOINTS).bind(out)()
     assert out[0, :2].tolist() == [2.0, -2.0]
     assert np.isnan(out[0, 2])
 
@@ -188,11 +188,11 @@ def test_an_observation_written_into_the_packed_buffer_allocates_nothing() -> No
     states = states_of(contract, JOINTS)
     observation = Observation(contract, states, JOINTS)
     out = states.observation.reshape(1, -1)
-    observation(out)
+    observation.bind(out)()
     tracemalloc.start()
     before = tracemalloc.get_traced_memory()[0]
     for _ in range(2000):
-        observation(out)
+        observation.bind(out)()
     after = tracemalloc.get_traced_memory()[0]
     tracemalloc.stop()
     assert after - before < 2000

@@ -10,7 +10,7 @@ import pytest
 import yaml
 from json_schema_reference import accepts
 
-from unicon_core.robots.check_parts import IMU_KEYS
+from unicon_core.robots.checks import IMU_KEYS
 from unicon_core.robots.robot import JOINT_FIELDS
 from unicon_core.robots.validate import _OPTIONAL, _REQUIRED, COMMANDS, KINDS, SCHEMA
 

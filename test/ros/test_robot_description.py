@@ -16,8 +16,8 @@ from unicon_core.models.load import load_model
 from unicon_core.models.quaternions import multiply, rotate
 from unicon_core.models.urdf_write import _rpy, urdf
 from unicon_core.robots import Robot, load_robot
-from unicon_msgs_map import Encoder, parse_map
-from unicon_ros.bridge.transforms import LinkTransforms, tf_map
+from unicon_msgs_map import Encoder
+from unicon_ros.bridge.transforms import LinkTransforms, tf_entry
 
 mujoco = pytest.importorskip("mujoco")
 
@@ -190,7 +190,7 @@ def test_tf_carries_each_moving_link_with_parent_and_pose() -> None:
     poses = LinkTransforms(links, positions(robot))
     poses.update()
     names = [link.name for link in links]
-    spec = parse_map(tf_map("/tf", poses.moving, names, 50.0)).publish[0]
+    spec = tf_entry("/tf", poses.moving, names, 50.0)
     stamp = np.array(5_000_000_001, np.int64)
     arrays = {"stamp_ns": stamp, "positions": poses.positions, "quats": poses.quats}
     raw = Encoder.build(spec, arrays).encode()

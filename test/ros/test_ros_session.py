@@ -214,7 +214,7 @@ def test_malformed_bytes_are_refused_and_told_once(
 
     def refused() -> bool:
         publisher.publish(b"\x00\x01\x00\x00garbage")
-        return topic.rejected > 2
+        return topic.decoder.rejected > 2
 
     plain.spin_until(refused, "refused messages")
     assert len([w for w in run.warnings if "refused" in w]) == 1

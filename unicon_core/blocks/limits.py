@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 
 from unicon_core.bounds import POSITION, SHARE, VELOCITY, within
 from unicon_core.errors import RobotError, WorkflowError
-from unicon_core.flow.block import Amends, Reads
+from unicon_core.flow.block import Amends, Bundle, Reads
 from unicon_core.flow.stage import Stage
 from unicon_core.robots import Robot
 
@@ -17,9 +18,11 @@ __all__ = [
     "EffortLimits",
     "JointLimits",
     "RateLimit",
+    "Servo",
     "effort_limits",
     "joint_limits",
     "rate_limit",
+    "velocity_limits",
 ]
 
 Float = NDArray[np.float32]
@@ -59,18 +62,20 @@ class JointLimits:
         np.minimum(self._target, self._upper, out=self._target)
 
 
-def effort_limits(
-    joint_pos: Reads,
-    joint_vel: Reads,
-    joint_vel_target: Reads,
-    joint_stiffness: Reads,
-    joint_damping: Reads,
-    joint_pos_target: Amends,
-    joint_effort_ff: Amends,
-    *,
-    robot: Robot,
-    scale: float = 1.0,
-) -> EffortLimits:
+@dataclass(frozen=True, eq=False)
+class Servo(Bundle):
+    """What a servo makes a torque of, each of shape (..., n); the targets may be changed."""
+
+    joint_pos: Reads
+    joint_vel: Reads
+    joint_vel_target: Reads
+    joint_stiffness: Reads
+    joint_damping: Reads
+    joint_pos_target: Amends
+    joint_effort_ff: Amends
+
+
+def effort_limits(servo: Servo, *, robot: Robot, scale: float = 1.0) -> EffortLimits:
     """Move targets so that the servo's torque stays within the effort limits.
 
     tau = kp (q* - q) + kd (qd* - qd) + tau_ff is clipped to ±scale·effort; where it was beyond, q*
@@ -81,16 +86,7 @@ def effort_limits(
     """
     scale = within(scale, "scale", "", SHARE, what="effort_limits")
     limit = np.nan_to_num(robot.effort_limit, nan=np.inf) * np.float32(scale)
-    return EffortLimits(
-        joint_pos,
-        joint_vel,
-        joint_vel_target,
-        joint_stiffness,
-        joint_damping,
-        joint_pos_target,
-        joint_effort_ff,
-        limit,
-    )
+    return EffortLimits(servo, limit)
 
 
 class EffortLimits:
@@ -99,48 +95,52 @@ class EffortLimits:
     stage = Stage.SAFETY
     clamps = True
 
-    def __init__(
-        self,
-        pos: Float,
-        vel: Float,
-        vel_target: Float,
-        stiffness: Float,
-        damping: Float,
-        target: Float,
-        effort_ff: Float,
-        limit: Float,
-    ) -> None:
-        self._pos, self._vel, self._vel_target = pos, vel, vel_target
-        self._stiffness, self._damping = stiffness, damping
-        self._target, self._effort_ff = target, effort_ff
-        self._lower, self._upper = -limit, limit
+    def __init__(self, servo: Servo, limit: Float) -> None:
+        self._servo, self._lower, self._upper = servo, -limit, limit
+        target = servo.joint_pos_target
         self._torque, self._rest, self._clipped = (np.zeros_like(target) for _ in range(3))
         self._beyond = np.zeros(target.shape, np.bool_)
         self._stiff, self._limp = self._beyond.copy(), self._beyond.copy()
 
     def __call__(self) -> None:
+        servo = self._servo
         torque, rest, clipped, beyond = self._torque, self._rest, self._clipped, self._beyond
-        np.subtract(self._vel_target, self._vel, out=rest)
-        rest *= self._damping  # what damping adds
-        np.subtract(self._target, self._pos, out=torque)
-        torque *= self._stiffness
+        np.subtract(servo.joint_vel_target, servo.joint_vel, out=rest)
+        rest *= servo.joint_damping  # what damping adds
+        np.subtract(servo.joint_pos_target, servo.joint_pos, out=torque)
+        torque *= servo.joint_stiffness
         torque += rest
-        torque += self._effort_ff
+        torque += servo.joint_effort_ff
         np.maximum(torque, self._lower, out=clipped)
         np.minimum(clipped, self._upper, out=clipped)
         np.not_equal(torque, clipped, out=beyond)
         if not beyond.any():
             return
-        np.greater(self._stiffness, 0.0, out=self._stiff)
+        np.greater(servo.joint_stiffness, 0.0, out=self._stiff)
         np.logical_not(self._stiff, out=self._limp)
         self._stiff &= beyond
         self._limp &= beyond
         clipped -= rest
-        np.copyto(self._effort_ff, clipped, where=self._limp)
-        clipped -= self._effort_ff
-        np.divide(clipped, self._stiffness, out=clipped, where=self._stiff)
-        clipped += self._pos
-        np.copyto(self._target, clipped, where=self._stiff)
+        np.copyto(servo.joint_effort_ff, clipped, where=self._limp)
+        clipped -= servo.joint_effort_ff
+        np.divide(clipped, servo.joint_stiffness, out=clipped, where=self._stiff)
+        clipped += servo.joint_pos
+        np.copyto(servo.joint_pos_target, clipped, where=self._stiff)
+
+
+def velocity_limits(robot: Robot, remedy: str) -> Float:
+    """Return the velocity limits of a robot file in [rad/s], shape (n,).
+
+    Raises:
+        RobotError: it does not say them all; the message ends with the remedy.
+    """
+    unknown = np.isnan(robot.velocity_limit)
+    if unknown.any():
+        joint = robot.joint_names[int(np.argmax(unknown))]
+        raise RobotError(
+            f"robot {robot.name} does not say the velocity limit of joint {joint}; {remedy}"
+        )
+    return robot.velocity_limit
 
 
 def rate_limit(
@@ -160,13 +160,7 @@ def rate_limit(
         RobotError: the robot file does not say them.
     """
     if max_rate == "robot":
-        rate = robot.velocity_limit
-        if np.isnan(rate).any():
-            joint = robot.joint_names[int(np.argmax(np.isnan(rate)))]
-            raise RobotError(
-                f"robot {robot.name} does not say the velocity limit of joint {joint}; "
-                "give rate_limit a max_rate in [rad/s]"
-            )
+        rate = velocity_limits(robot, "give rate_limit a max_rate in [rad/s]")
     elif isinstance(max_rate, str):
         raise WorkflowError(f"max_rate is {max_rate!r}; give [rad/s] above 0, or robot")
     else:

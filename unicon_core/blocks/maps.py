@@ -31,7 +31,7 @@ def copy(
     Raises:
         StateError: no such state or element, or the sizes differ.
     """
-    return _map(states, source, target, index, None, None)
+    return _map(states, source, target, index)
 
 
 def linear_map(
@@ -63,13 +63,11 @@ def _map(
     source: str,
     target: str,
     index: Sequence[int | str] | None,
-    scale: float | Sequence[float] | None,
-    offset: float | Sequence[float] | None,
+    scale: float | Sequence[float] | None = None,
+    offset: float | Sequence[float] | None = None,
 ) -> LinearMap:
-    places = None
-    if index is not None:
-        names = states.spec(source).names
-        places = [_place(element, names, source) for element in index]
+    names = states.spec(source).names
+    places = None if index is None else [_place(element, names, source) for element in index]
     read, written = _vector(states, source), _vector(states, target)
     return LinearMap(read, written, places, scale, offset, source, target)
 

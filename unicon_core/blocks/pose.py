@@ -59,17 +59,16 @@ class Pose:
     ) -> None:
         self._command = command
         self._goal, self._said = named_pose(to, robot, "block 'pose'")
-        self._gains = robot_gains(robot, "pose", stiffness_scale, damping_scale)
+        gains = robot_gains(robot, "pose", stiffness_scale, damping_scale)
         within(duration, "duration", "s", DURATION, POSE_DURATION, above=False)
         self._asked = self._ticks = ticks_of(duration, period, "duration") or 1
         # Peak speed π/2 · way / time: ticks that a way of 1 rad takes at the speed allowed.
         self._ticks_per_rad = 0.5 * math.pi / (POSE_SPEED * period)
         self._fade_ticks = ticks_of(fade_in, period, "fade_in") or 1
         self._start, self._way = (np.zeros_like(command.joint_pos_target) for _ in range(2))
-        self._first_gains = (
-            np.zeros_like(command.joint_stiffness),
-            np.zeros_like(command.joint_damping),
-        )
+        # The states, what they held at the beginning, and the gains that they go to.
+        states = (command.joint_stiffness, command.joint_damping)
+        self._fades = [(out, out.copy(), gain) for out, gain in zip(states, gains)]
         self._tick = 0
 
     def __call__(self) -> bool:
@@ -81,10 +80,8 @@ class Pose:
             farthest = float(np.abs(self._way).max())
             if self._way.ndim == 1 and math.isfinite(farthest):  # a batch is simulated
                 self._ticks = max(self._asked, math.ceil(farthest * self._ticks_per_rad))
-            for held, now in zip(
-                self._first_gains, (command.joint_stiffness, command.joint_damping)
-            ):
-                held[...] = now
+            for out, first, _ in self._fades:
+                first[...] = out
         self._tick += 1
         done = self._tick >= self._ticks
         share = 1.0 if done else 0.5 - 0.5 * math.cos(math.pi * self._tick / self._ticks)
@@ -97,11 +94,8 @@ class Pose:
         return done
 
     def _write_gains(self) -> None:
-        command = self._command
         faded = min(self._tick / self._fade_ticks, 1.0)
-        for out, gain, first in zip(
-            (command.joint_stiffness, command.joint_damping), self._gains, self._first_gains
-        ):
+        for out, first, gain in self._fades:
             if faded == 1.0:
                 out[...] = gain
             else:  # first + faded · (gain - first), in place

@@ -46,8 +46,9 @@ def tilted(projected_gravity: Reads, *, angle: float = 1.0) -> Callable[[], bool
         projected_gravity: unit vector of gravity in the base frame, shape (..., 3).
         angle: between the base's z axis and the vertical in [rad].
     """
-    down = projected_gravity[..., 2]
-    bound, most = -math.cos(check_angle(angle)), largest(down)
+    if not 0.0 < angle <= math.pi:
+        raise WorkflowError(f"angle is {angle}; give radians above 0, at most {math.pi:.4f}")
+    bound, most = -math.cos(angle), largest(projected_gravity[..., 2])
 
     def is_tilted() -> bool:
         return not most() <= bound  # true for NaN: a lost IMU is no upright robot
@@ -58,17 +59,6 @@ def tilted(projected_gravity: Reads, *, angle: float = 1.0) -> Callable[[], bool
 def largest(values: NDArray[np.float32]) -> Callable[[], float]:
     """Return what reads the largest element; of a scalar its value, which is 8x faster."""
     return values.max if values.ndim else values.item
-
-
-def check_angle(angle: float) -> float:
-    """Return an angle of tilt in [rad].
-
-    Raises:
-        WorkflowError: it is not between 0 and π.
-    """
-    if not 0.0 < angle <= math.pi:
-        raise WorkflowError(f"angle is {angle}; give radians above 0, at most {math.pi:.4f}")
-    return angle
 
 
 def commanded(

@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.blocks.joint_command import ticks_of
+from unicon_core.blocks.limits import velocity_limits
 from unicon_core.blocks.predicates import largest
 from unicon_core.bounds import STALE, TILT, VELOCITY, VELOCITY_FACTOR, within
-from unicon_core.errors import Fault, RobotError
+from unicon_core.errors import Fault
 from unicon_core.flow.block import Reads
 from unicon_core.flow.stage import Stage
 from unicon_core.platforms.kit.command import FiniteCheck
@@ -103,13 +104,8 @@ def velocity_stop(
         bound = np.full(robot.num_joints, limit, np.float32)
     else:
         factor = within(factor, "factor", "", VELOCITY_FACTOR, what="velocity_stop")
-        bound = robot.velocity_limit * np.float32(factor)
-        if np.isnan(bound).any():
-            joint = robot.joint_names[int(np.argmax(np.isnan(bound)))]
-            raise RobotError(
-                f"robot {robot.name} does not say the velocity limit of joint {joint}; "
-                "give velocity_stop a limit in [rad/s]"
-            )
+        limits = velocity_limits(robot, "give velocity_stop a limit in [rad/s]")
+        bound = limits * np.float32(factor)
     return VelocityStop(joint_vel, bound, robot.joint_names)
 
 

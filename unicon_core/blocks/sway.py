@@ -8,11 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.blocks.joint_command import (
-    JointCommand,
-    robot_gains,
-    ticks_of,
-)
+from unicon_core.blocks.joint_command import JointCommand, robot_gains, ticks_of
 from unicon_core.errors import WorkflowError
 from unicon_core.flow.block import Reads
 from unicon_core.robots import Robot
@@ -95,11 +91,10 @@ class Sway:
         self._gains = robot_gains(robot, "sway")
         self._ticks, self._tick = ticks, 0
         self.endless = ticks is None
-        self._filtered, self._wanted = (np.zeros_like(command.joint_pos_target) for _ in range(2))
-        self._twist, self._moved = (
-            np.zeros_like(velocity_command),
-            np.zeros_like(command.joint_pos_target),
+        self._filtered, self._wanted, self._moved = (
+            np.zeros_like(command.joint_pos_target) for _ in range(3)
         )
+        self._twist = np.zeros_like(velocity_command)
         rows = np.ascontiguousarray(matrix.T)
         self._parts = [(self._twist[..., i : i + 1], row) for i, row in enumerate(rows)]
 

@@ -1,20 +1,20 @@
-"""The action: reachable targets against limits, torque of one unit, period, command ranges."""
+"""The action: reachable targets against limits, torque of one unit, period, commands."""
 
 from __future__ import annotations
 
+from itertools import compress
 from typing import Any
 
 import numpy as np
 
 from unicon_core.check.mirror import check_mirrored
-from unicon_core.check.result import CheckResult
+from unicon_core.check.result import CheckResult, PolicyResult
 from unicon_core.check.safety import limits_targets
 from unicon_core.check.subject import Subject, listed
 from unicon_core.platforms.platform import info_of
-from unicon_core.policies import PolicyContract
 from unicon_core.robots import joint_index
 
-__all__ = ["check_action", "check_timing"]
+__all__ = ["check_action", "check_commands", "check_timing"]
 
 PLAUSIBLE_ACTION = 1.0
 """Action that a trained policy reaches in every walk; used where the contract has no clip."""
@@ -23,120 +23,109 @@ UNIT_TORQUE = 2.0
 More is worth a look and may be right: a wrist of 5 N·m has 8 with a scale of 1."""
 LARGEST_SCALE = 1.0
 """In [rad] for one unit of action: actions in radians have 1, published ones 0.07 to 1."""
+ROUNDING = 1e-4
+"""In [rad]: by how much a figure may be beyond a limit, which is often the same one rounded."""
 _AXES = ("lin_vel_x", "lin_vel_y", "ang_vel_z")
 
 
 def check_action(subject: Subject, result: CheckResult) -> None:
     """Add one table of reachable targets for each policy, and findings."""
-    for key, contract in subject.policies.items():
-        _action(subject, result, key, contract)
-        culprit, action = (key, "action.scale"), contract.action
-        check_mirrored(
-            result, "action.symmetry", culprit, contract, action.joints, np.abs(action.scale)
-        )
+    for policy in subject.policy_results(result):
+        _action(subject, policy)
+        action = policy.contract.action
+        scale = np.abs(action.scale)
+        check_mirrored(policy, "action.symmetry", "action.scale", action.joints, scale)
 
 
-def _action(subject: Subject, result: CheckResult, key: str, contract: PolicyContract) -> None:
-    robot, action = subject.robot, contract.action
-    bound = np.tile([[-PLAUSIBLE_ACTION], [PLAUSIBLE_ACTION]], (1, len(action.joints)))
+def _action(subject: Subject, policy: PolicyResult) -> None:
+    robot, contract = subject.robot, policy.contract
+    action = contract.action
+    joints = action.joints
+    offset, scale = action.offset.astype(np.float64), action.scale.astype(np.float64)
+    bound = np.tile([[-PLAUSIBLE_ACTION], [PLAUSIBLE_ACTION]], (1, len(joints)))
     clip = bound if action.clip is None else action.clip.astype(np.float64)
     wide = np.abs(clip).max(axis=0) > 10.0  # a clip that only guards against blow-ups
     clip = np.where(wide, bound, clip)
-    reach = np.sort(action.offset + action.scale * clip, axis=0)
-    rows, outside, offsets, idle, jumps, torques = [], [], [], [], [], []
-    beyond = False
-    from_robot = joint_index(action.joints, robot.joint_names)
-    from_policy = joint_index(action.joints, contract.joints)
-    for i, (name, j, k) in enumerate(zip(action.joints, from_robot, from_policy)):
-        lower, upper = float(robot.lower[j]), float(robot.upper[j])
-        offset, scale = float(action.offset[i]), float(action.scale[i])
-        low, high = reach[:, i]
-        effort = float(robot.effort_limit[j])
-        share = abs(scale) * float(contract.stiffness[k]) / effort
-        if low < lower - 1e-4 or high > upper + 1e-4:
-            outside.append(name)
-        if offset < lower - 1e-4 or offset > upper + 1e-4:
-            offsets.append((name, offset, lower, upper))
-        if scale == 0.0:
-            idle.append(name)
-        if abs(scale) > upper - lower:
-            jumps.append((name, scale, upper - lower))
-            beyond |= abs(scale) > LARGEST_SCALE + 1e-6
-        if share > UNIT_TORQUE:
-            torques.append((name, contract.stiffness[k], scale, effort))
-        rows.append(
-            [
-                name,
-                f"{offset:g}",
-                f"{scale:g}",
-                f"{clip[0, i]:g} … {clip[1, i]:g}",
-                f"{low:.4g} … {high:.4g}",
-                f"{lower:.4g} … {upper:.4g}",
-                f"{share:.2f}" if np.isfinite(share) else "?",
-                "outside" if name in outside else "",
-            ]
-        )
+    low, high = np.sort(offset + scale * clip, axis=0)
+    own = joint_index(joints, robot.joint_names)
+    lower, upper, effort = (
+        values[own].astype(np.float64) for values in (robot.lower, robot.upper, robot.effort_limit)
+    )
+    span = upper - lower
+    stiffness = contract.stiffness[joint_index(joints, contract.joints)].astype(np.float64)
+    share = np.abs(scale) * stiffness / effort
+    outside = (low < lower - ROUNDING) | (high > upper + ROUNDING)
+    rows = [
+        [
+            name,
+            f"{offset[i]:g}",
+            f"{scale[i]:g}",
+            f"{clip[0, i]:g} … {clip[1, i]:g}",
+            f"{low[i]:.4g} … {high[i]:.4g}",
+            f"{lower[i]:.4g} … {upper[i]:.4g}",
+            f"{share[i]:.2f}" if np.isfinite(share[i]) else "?",
+            "outside" if outside[i] else "",
+        ]
+        for i, name in enumerate(joints)
+    ]
     columns = ["joint", "offset", "scale", "action", "reach [rad]", "limits [rad]", "torque/unit"]
-    assumed = action.clip is None or bool(wide.any())
     lines = [f"target = offset + scale · action; last action is the {action.feedback} one"]
-    if assumed:
+    if action.clip is None or wide.any():
         lines.append(f"no clip that binds: shown is an action of ±{PLAUSIBLE_ACTION:g}")
     lines.append("torque/unit: stiffness · scale as a share of the effort limit")
-    result.table(f"Action of policy {key}", [*columns, ""], rows, lines)
-    where = contract.path
-    if len(idle) == len(action.joints):
-        result.find(
+    policy.result.table(f"Action of policy {policy.key}", [*columns, ""], rows, lines)
+    idle = scale == 0.0
+    if idle.all():
+        policy.find(
             "action.scale",
-            f"policy {key!r}, action.scale",
+            "action.scale",
             "it is 0: no joint could move",
             "give the scale that it was trained with, in [rad]",
-            where,
         )
-    elif idle:
-        result.note(
-            "action.scale",
-            f"policy {key!r}, action.scale",
-            f"0 at {listed(idle)}: they stay at their offset",
-        )
-    if jumps:
-        name, scale, span = jumps[0]
+    elif idle.any():
+        evidence = f"0 at {listed(compress(joints, idle))}: they stay at their offset"
+        policy.note("action.scale", "action.scale", evidence)
+    jumps = np.flatnonzero(np.abs(scale) > span)
+    if jumps.size:
+        i = jumps[0]
         # An action in radians (scale 1) may well span more than a narrow joint's range.
-        result.find(
+        policy.find(
             "action.scale",
-            f"policy {key!r}, action.scale",
-            f"one unit of action moves {name} by {scale:g} rad, and its whole range is {span:.4g} "
-            f"({len(jumps)} joints)",
+            "action.scale",
+            f"one unit of action moves {joints[i]} by {scale[i]:g} rad, and its whole range is "
+            f"{span[i]:.4g} ({jumps.size} joints)",
             "give the scale that it was trained with, in [rad]",
-            where,
-            error=beyond,
+            error=bool((np.abs(scale[jumps]) > LARGEST_SCALE + 1e-6).any()),
         )
-    if torques:
-        name, stiffness, scale, effort = torques[0]
-        result.note(
+    strong = np.flatnonzero(share > UNIT_TORQUE)
+    if strong.size:
+        i = strong[0]
+        policy.note(
             "action.torque",
-            f"policy {key!r}, action.scale and stiffness",
-            f"one unit of action asks {name} for {stiffness:g} · {scale:g} = "
-            f"{stiffness * scale:.3g} N·m, and its effort limit is {effort:g} "
-            f"({len(torques)} joints)",
+            "action.scale and stiffness",
+            f"one unit of action asks {joints[i]} for {stiffness[i]:g} · {scale[i]:g} = "
+            f"{stiffness[i] * scale[i]:.3g} N·m, and its effort limit is {effort[i]:g} "
+            f"({strong.size} joints)",
         )
-    if offsets:
-        name, offset, lower, upper = offsets[0]
-        result.find(
+    beyond = np.flatnonzero((offset < lower - ROUNDING) | (offset > upper + ROUNDING))
+    if beyond.size:
+        i = beyond[0]
+        policy.find(
             "action.offset",
-            f"policy {key!r}, action.offset",
-            f"action 0 puts {name} at {offset:g} rad, its limits are [{lower:.4g}, {upper:.4g}]",
+            "action.offset",
+            f"action 0 puts {joints[i]} at {offset[i]:g} rad, its limits are "
+            f"[{lower[i]:.4g}, {upper[i]:.4g}]",
             "correct the offset (the default pose) or the robot's limits",
-            where,
         )
-    if outside:
-        limited = limits_targets(subject)
-        text = f"actions within the table reach beyond the limits of {listed(outside)}"
-        if limited:
-            result.note("action.reach", f"policy {key!r}", f"{text}; joint_limits cuts them off")
+    if outside.any():
+        far = listed(compress(joints, outside))
+        text = f"actions within the table reach beyond the limits of {far}"
+        if limits_targets(subject):
+            policy.note("action.reach", "", f"{text}; joint_limits cuts them off")
         else:
-            result.find(
+            policy.result.find(
                 "action.reach",
-                f"policy {key!r}",
+                f"policy {policy.key!r}",
                 f"{text}, and no joint_limits is in safety:",
                 "add joint_limits to safety",
                 subject.document.where("safety"),
@@ -147,29 +136,27 @@ def check_timing(subject: Subject, result: CheckResult) -> None:
     """Add the table of rates; an implausible period or command is a finding."""
     program = subject.program
     rows = [["workflow", f"{program.period:g}", f"{1.0 / program.period:g}", "each tick"]]
-    for key, contract in subject.policies.items():
-        n = round(contract.period / program.period)
+    policies = subject.policy_results(result)
+    for policy in policies:
+        key, period = policy.key, policy.contract.period
+        n = round(period / program.period)
         often = "each tick" if n == 1 else f"every {n} ticks"
-        rows.append([f"policy {key}", f"{contract.period:g}", f"{1.0 / contract.period:g}", often])
-        if not 0.002 <= contract.period <= 0.1:
-            result.find(
+        rows.append([f"policy {key}", f"{period:g}", f"{1.0 / period:g}", often])
+        if not 0.002 <= period <= 0.1:
+            policy.find(
                 "timing.period",
-                f"policy {key!r}, period",
-                f"{contract.period:g} s ({1.0 / contract.period:g} Hz)",
+                "period",
+                f"{period:g} s ({1.0 / period:g} Hz)",
                 "give the control period in seconds: 0.02 for 50 Hz",
-                contract.path,
             )
     info = info_of(program.platform)
     if "physics_step_s" in info:
-        step = float(info["physics_step_s"])
-        rows.append(
-            ["physics", f"{step:g}", f"{1.0 / step:g}", f"{info['physics_steps_per_tick']} a tick"]
-        )
+        step, often = float(info["physics_step_s"]), f"{info['physics_steps_per_tick']} a tick"
+        rows.append(["physics", f"{step:g}", f"{1.0 / step:g}", often])
     result.table("Timing", ["who", "period [s]", "rate [Hz]", "runs"], rows)
     platform = subject.platform
-    if (
-        subject.program.pacing.trigger == "state" and not subject.waits and not subject.live
-    ):  # the runner tells it
+    told = subject.live  # by the runner
+    if program.pacing.trigger == "state" and not subject.waits and not told:
         result.find(
             "timing.trigger",
             f"platform {platform.name!r}",
@@ -178,7 +165,7 @@ def check_timing(subject: Subject, result: CheckResult) -> None:
             subject.document.where("pacing", "trigger"),
         )
     catching_up = subject.document.get("pacing", dict, {}).get("overrun") == "catch_up"
-    if catching_up and not platform.simulated and not subject.live:
+    if catching_up and not platform.simulated and not told:
         result.find(
             "timing.catch_up",
             f"platform {platform.name!r}",
@@ -186,23 +173,38 @@ def check_timing(subject: Subject, result: CheckResult) -> None:
             "set pacing.overrun: skip",
             subject.document.where("pacing", "overrun"),
         )
-    for key, contract in subject.policies.items():
-        _commands(subject, result, key, contract)
+    for policy in policies:
+        _commands(subject, policy)
 
 
-def _commands(subject: Subject, result: CheckResult, key: str, contract: PolicyContract) -> None:
+def check_commands(subject: Subject, result: CheckResult) -> None:
+    """Note what is commanded without a bound of its own: cautious ones hold then."""
+    open_ended = [each for each in subject.program.command_bounds if not each.given]
+    if open_ended:
+        held = ", ".join(f"{b.axis} to {b.low:g}…{b.high:g} {b.unit}" for b in open_ended)
+        result.note(
+            "command.bounds",
+            "velocity_command",
+            f"neither policy nor robot file says how much may be commanded: bounded are {held}",
+            "give command_ranges in policy.yaml (lin_vel_x, lin_vel_y, ang_vel_z), or in the robot "
+            "file (vx, vy, wz)",
+            subject.robot.path,
+        )
+
+
+def _commands(subject: Subject, policy: PolicyResult) -> None:
     document = subject.document
     for i, item in enumerate(document.get("commands", list, [])):
         options = item.get("velocity_command") if isinstance(item, dict) else None
         for vector in _vectors(options):
             for axis, value in zip(_AXES, vector):
-                low, high = contract.command_ranges.get(axis, (-np.inf, np.inf))
+                low, high = policy.contract.command_ranges.get(axis, (-np.inf, np.inf))
                 if not low - 1e-6 <= value <= high + 1e-6:
-                    result.find(
+                    policy.result.find(
                         "command.range",
                         "velocity_command",
                         f"{axis} {value:g} is outside [{low:g}, {high:g}], for which policy "
-                        f"{key!r} was trained",
+                        f"{policy.key!r} was trained",
                         "command less",
                         document.where("commands", i),
                     )

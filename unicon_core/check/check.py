@@ -6,8 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from unicon_core.check.action import check_action, check_timing
-from unicon_core.check.commands import check_commands
+from unicon_core.check.action import check_action, check_commands, check_timing
 from unicon_core.check.files import check_files, check_robot
 from unicon_core.check.gains import check_gains, check_limits
 from unicon_core.check.graph import check_blocks
@@ -26,6 +25,7 @@ from unicon_core.errors import (
     PolicyError,
     RobotError,
     UniconError,
+    WorkflowError,
     alternatives,
 )
 from unicon_core.workflow import Hook
@@ -80,7 +80,8 @@ def check_workflow(
         settings = check_section(document, result)
         subject = build_subject(document, hooks)
     except UniconError as error:
-        _cannot(result, error)
+        culprit = next(name for kind, name in _CULPRITS if isinstance(error, kind))
+        result.find_error("build", culprit, error)
         return result
     try:
         platform = subject.platform
@@ -127,34 +128,26 @@ def static_checks(subject: Subject, result: CheckResult) -> None:
         check_blocks(subject, result)
 
 
-def _cannot(result: CheckResult, error: UniconError) -> None:
-    """Add the one-line error: its last part is the remedy."""
-    culprit = next(name for kind, name in _CULPRITS if isinstance(error, kind))
-    evidence, _, remedy = str(error).rpartition("; ")
-    result.find("build", culprit, evidence or remedy, remedy if evidence else "")
-
-
 def check_section(document: WorkflowDocument, result: CheckResult) -> dict[str, Any]:
     """Return the workflow's `check:` section, its codes accepted by the result.
 
     Raises:
         WorkflowError: a setting is wrong.
     """
+
+    def wrong(key: str, what: str) -> WorkflowError:
+        return document.error(f"check: {what}", "check", key)
+
     settings: dict[str, Any] = document.get("check", dict, {})
     for key in settings:
         if key not in SETTINGS:
-            known = alternatives(str(key), SETTINGS)
-            raise document.error(f"check: unknown key {key!r}; {known}", "check", key)
+            raise wrong(key, f"unknown key {key!r}; {alternatives(str(key), SETTINGS)}")
     if "accept" in settings:
         result.accept(settings["accept"], document.where("check", "accept"))
     duration = settings.get("duration", 5.0)
     if isinstance(duration, bool) or not isinstance(duration, (int, float)) or duration < 1.0:
-        raise document.error(
-            f"check: duration is {duration!r}; give [s] from 1", "check", "duration"
-        )
+        raise wrong("duration", f"duration is {duration!r}; give [s] from 1")
     command = settings.get("command")
     if command is not None and not (isinstance(command, list) and len(command) == 3):
-        raise document.error(
-            f"check: command is {command!r}; give [vx, vy, wz]", "check", "command"
-        )
+        raise wrong("command", f"command is {command!r}; give [vx, vy, wz]")
     return settings

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-from pathlib import Path
 
 from unicon_core.check.result import CheckResult
 from unicon_core.check.subject import Subject, listed
@@ -29,16 +28,10 @@ def check_files(subject: Subject, result: CheckResult) -> None:
             files += [(f"weights {key}", contract.model.parent / name) for name in external]
     rows = []
     for role, path in files:
-        digest = _sha256(path)
-        said = ""
-        if path in expected:
-            said = "as the contract says" if digest == expected[path] else "not the contract's"
+        digest = hashlib.sha256(path.read_bytes()).hexdigest()
+        said = "as the contract says" if expected.get(path) == digest else ""
         rows.append([role, str(path), f"{path.stat().st_size / 1024:.0f}", digest[:16], said])
     result.table("Files", ["what", "file", "KiB", "sha256", ""], rows)
-
-
-def _sha256(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def check_robot(subject: Subject, result: CheckResult) -> None:

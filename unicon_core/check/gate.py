@@ -22,7 +22,7 @@ def refuse_errors(program: Program, force: Iterable[str] = ()) -> list[str]:
     The static checks of `unicon check` take the workflow as it is: 20 to 50 ms, once.
 
     Args:
-        workflow: built, not yet ticked; `forced` is set in it.
+        program: built, not yet ticked; `forced` is set in it.
         force: codes of errors to go on with.
 
     Returns:

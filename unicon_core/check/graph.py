@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from unicon_core.check.result import CheckResult
 from unicon_core.check.subject import Subject
-from unicon_core.flow import Block
 from unicon_core.flow.checks import check_graph
 from unicon_core.workflow.program import GIVEN
 
@@ -23,7 +22,7 @@ def check_blocks(subject: Subject, result: CheckResult) -> None:
             block.stage.value if block.stage else "-",
             "before send" if block in program.critical else "after send",
             " ".join(block.reads) or "-",
-            " ".join(_changed(block)) or "-",
+            " ".join([*block.writes, *(f"{name}*" for name in block.amends)]) or "-",
         ]
         for block in subject.blocks
     ]
@@ -31,7 +30,3 @@ def check_blocks(subject: Subject, result: CheckResult) -> None:
     result.table("Blocks", columns, rows)
     for found in check_graph(program.root, program.states, given=GIVEN):
         result.find("graph", found.culprit, found.evidence, found.remedy, found.where)
-
-
-def _changed(block: Block) -> list[str]:
-    return [*block.writes, *(f"{name}*" for name in block.amends)]

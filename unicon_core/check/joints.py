@@ -34,18 +34,16 @@ def check_joints(subject: Subject, result: CheckResult) -> None:
             row.append(str(i))
         rows.append(row)
     lines = []
-    for key, contract in subject.policies.items():
+    for policy in subject.policy_results(result):
+        contract = policy.contract
         moved = [name for name in contract.joints if name in contract.action.joints]
         same = [name for name in names if name in contract.joints] == list(contract.joints)
         order = "in the robot's order" if same else "in another order, aligned by name"
-        lines.append(f"policy {key} moves {len(moved)} of {len(names)} joints, {order}")
+        lines.append(f"policy {policy.key} moves {len(moved)} of {len(names)} joints, {order}")
         held = [name for name in names if name not in contract.action.joints]
         if held:
-            result.note(
-                "joints.held",
-                f"policy {key!r}",
-                f"does not move {listed(held)}; they are held at their default",
-            )
+            evidence = f"does not move {listed(held)}; they are held at their default"
+            policy.note("joints.held", "", evidence)
     result.table("Joints", columns, rows, lines)
     if subject.platform.simulated or not isinstance(motors, list):
         return

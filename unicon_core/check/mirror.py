@@ -8,9 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.check.result import CheckResult
+from unicon_core.check.result import PolicyResult
 from unicon_core.check.subject import listed
-from unicon_core.policies import PolicyContract
 
 __all__ = ["check_mirrored", "mirror_pairs"]
 
@@ -47,10 +46,9 @@ def mirror_pairs(names: Sequence[str]) -> list[tuple[str, str]]:
 
 
 def check_mirrored(
-    result: CheckResult,
+    policy: PolicyResult,
     code: str,
-    culprit: tuple[str, str],
-    contract: PolicyContract,
+    what: str,
     joints: Sequence[str],
     values: NDArray[np.float32],
     tolerance: float | None = None,
@@ -58,10 +56,9 @@ def check_mirrored(
     """Find values that are not the same size on both sides: they are in another order.
 
     Args:
-        result: is added to.
+        policy: is added to.
         code: of the finding.
-        culprit: key of the policy, and what the values are.
-        contract: of the policy.
+        what: the values are in the contract.
         joints: whose values they are.
         values: one for each joint.
         tolerance: by which sides may differ; None for `ROUNDING` of the figure.
@@ -74,12 +71,11 @@ def check_mirrored(
         if not np.isclose(abs(sides[left]), abs(sides[right]), *limits)
     ]
     if odd:
-        (left, right), (key, what) = odd[0], culprit
+        left, right = odd[0]
         more = f" (and {len(odd) - 1} more pairs)" if len(odd) > 1 else ""
-        result.find(
+        policy.find(
             code,
-            f"policy {key!r}, {what}",
+            what,
             f"{left} has {sides[left]:g} and {right} has {sides[right]:g}{more}",
             f"bring {what} into the order of joints: {listed(joints, 3)}",
-            contract.path,
         )

@@ -5,33 +5,33 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.check.result import CheckResult
-from unicon_core.check.subject import NOT_ON_HARDWARE, Subject
+from unicon_core.check.result import CheckResult, PolicyResult
+from unicon_core.check.subject import Subject
 from unicon_core.platforms.platform import info_of
 from unicon_core.policies import PolicyContract, TermSlice, term_slices
 from unicon_core.policies.networks.onnx_file import read_onnx
 
 __all__ = ["check_frames", "check_observation"]
 
+NOT_ON_HARDWARE = ("base_lin_vel", "base_pos_w")
+"""What no sensor of a legged robot measures: it takes an estimator or a tracking system."""
+
 
 def check_observation(subject: Subject, result: CheckResult) -> None:
     """Add a table of terms and one of the network's input for each policy, and findings."""
-    for key, contract in subject.policies.items():
+    for policy in subject.policy_results(result):
+        key, contract = policy.key, policy.contract
         if not contract.terms:
             continue
         states = subject.states_of(key)
         slices = term_slices(contract, states, subject.robot.joint_names)
         columns = ["term", "state", "slice", "offset", "scale", "clip", "history", "unit", "frame"]
         rows = [_row(part, states.spec(part.term.state).frame) for part in slices]
-        result.table(
-            f"Observation of policy {key}",
-            columns,
-            rows,
-            [f"term = scale · clip(state − offset); {_layout(contract)}"],
-        )
-        _sizes(result, key, contract, slices)
+        lines = [f"term = scale · clip(state − offset); {_layout(contract)}"]
+        result.table(f"Observation of policy {key}", columns, rows, lines)
+        _sizes(policy, slices)
         for part in slices:
-            _term(subject, result, key, contract, part)
+            _term(subject, policy, part)
 
 
 def _row(part: TermSlice, frame: str) -> list[str]:
@@ -66,67 +66,51 @@ def _layout(contract: PolicyContract) -> str:
     return f"{spec.layout}, newest {spec.newest}, begins with {spec.start}"
 
 
-def _sizes(
-    result: CheckResult, key: str, contract: PolicyContract, slices: tuple[TermSlice, ...]
-) -> None:
+def _sizes(policy: PolicyResult, slices: tuple[TermSlice, ...]) -> None:
     """Input size term by term beside the network's own; the build refuses a difference."""
+    contract = policy.contract
     start, rows = 0, []
     for part in slices:
-        width = part.elements.size
-        total = width * part.term.history
-        rows.append(
-            [
-                part.term.name,
-                f"{width} × {part.term.history}",
-                f"[{start}:{start + total}]",
-            ]
-        )
-        start += total
-    name = contract.inputs.get("observation", "")
+        width, frames = part.elements.size, part.term.history
+        stop = start + width * frames
+        rows.append([part.term.name, f"{width} × {frames}", f"[{start}:{stop}]"])
+        start = stop
     tensor = None
     if not contract.is_torchscript:
         tensors = {tensor.name: tensor for tensor in read_onnx(contract.model).inputs}
-        tensor = tensors.get(name)
+        tensor = tensors.get(contract.inputs.get("observation", ""))
     said = f"{contract.model.name} takes {tensor}" if tensor else "the network says no size"
-    result.table(
-        f"Network input of policy {key}",
-        ["term", "size", "input"],
-        rows,
-        [f"{start} values; {said}"],
-    )
+    title = f"Network input of policy {policy.key}"
+    policy.result.table(title, ["term", "size", "input"], rows, [f"{start} values; {said}"])
 
 
-def _term(
-    subject: Subject, result: CheckResult, key: str, contract: PolicyContract, part: TermSlice
-) -> None:
+def _term(subject: Subject, policy: PolicyResult, part: TermSlice) -> None:
     term = part.term
-    culprit = f"policy {key!r}, term {term.name!r}"
+    culprit = f"term {term.name!r}"
     none = np.flatnonzero(part.scale == 0.0)
     if 0 < none.size < part.scale.size:
-        result.note(
+        policy.note(
             "observation.scale",
             culprit,
             f"scale is 0 at {none.size} of {part.scale.size} elements: the network does not see "
             "them",
         )
     elif none.size:
-        result.find(
+        policy.find(
             "observation.scale",
             culprit,
             "scale is 0: the network would not see it",
             "give the scale that it was trained with, or leave the term out",
-            contract.path,
         )
     if (part.low >= part.high).any():
-        result.find(
+        policy.find(
             "observation.clip",
             culprit,
             f"it is clipped to {part.low.max():g} … {part.high.min():g}",
             "give the lowest value first and a greater one second",
-            contract.path,
         )
     if term.state == "base_quat" and term.index is None:
-        result.note(
+        policy.note(
             "observation.frame",
             culprit,
             "base_quat is w, x, y, z; for a policy trained with x, y, z, w give "
@@ -138,11 +122,12 @@ def _term(
             "add a block that estimates it, or take a policy that was trained without it "
             "(it may stay in the critic)"
         )
-        if term.state in subject.unmeasured:
-            text += f" and platform {subject.platform.name!r} does not deliver"
-            result.find("observation.measured", culprit, text, remedy, contract.path)
+        platform = subject.platform
+        if platform.simulated or term.state in platform.writes:
+            policy.note("observation.measured", culprit, f"{text}; on the robot: {remedy}")
         else:
-            result.note("observation.measured", culprit, f"{text}; on the robot: {remedy}")
+            text += f" and platform {platform.name!r} does not deliver"
+            policy.find("observation.measured", culprit, text, remedy)
 
 
 def check_frames(subject: Subject, result: CheckResult) -> None:

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from itertools import compress
+from typing import Any
 
 import numpy as np
 
 from unicon_core.check.mirror import check_mirrored, mirror_pairs
-from unicon_core.check.result import CheckResult
+from unicon_core.check.result import CheckResult, PolicyResult
 from unicon_core.check.subject import Subject, listed
 from unicon_core.models.posed import PosedModel, foot_geoms
 from unicon_core.platforms.platform import Resettable
-from unicon_core.policies import PolicyContract
-from unicon_core.robots import joint_index
+from unicon_core.robots import Robot, joint_index
 
 __all__ = ["check_pose"]
 
@@ -30,10 +31,11 @@ ABOVE_FLOOR = 0.3
 
 def check_pose(subject: Subject, result: CheckResult) -> None:
     """Add the table of poses for each policy, and findings."""
-    for key, contract in subject.policies.items():
-        _limits(subject, result, key, contract)
-        culprit, pose = (key, "default_joint_pos"), contract.default_joint_pos
-        check_mirrored(result, "pose.symmetry", culprit, contract, contract.joints, pose, 0.02)
+    policies = subject.policy_results(result)
+    for policy in policies:
+        joints, pose = policy.contract.joints, policy.contract.default_joint_pos
+        _limits(subject.robot, policy)
+        check_mirrored(policy, "pose.symmetry", "default_joint_pos", joints, pose, 0.02)
     model = subject.model
     if not subject.robot.walks:
         return
@@ -41,55 +43,56 @@ def check_pose(subject: Subject, result: CheckResult) -> None:
         what = "it simulates no model, so feet and height above the floor are not checked"
         result.note("pose.feet", f"platform {subject.platform.name!r}", what)
         return
-    for key, contract in subject.policies.items():
-        _feet(subject, result, key, contract, PosedModel(model))
-    _start(subject, result, PosedModel(model))
+    posed = PosedModel(model)
+    for policy in policies:
+        _feet(subject.robot, policy, posed)
+    _start(subject, result, posed)
 
 
-def _limits(subject: Subject, result: CheckResult, key: str, contract: PolicyContract) -> None:
-    robot = subject.robot
-    rows, outside, far = [], [], []
-    policy_from_robot = joint_index(contract.joints, robot.joint_names)
-    for i, (name, j) in enumerate(zip(contract.joints, policy_from_robot)):
-        value, own = float(contract.default_joint_pos[i]), float(robot.default_joint_pos[j])
-        lower, upper = float(robot.lower[j]), float(robot.upper[j])
-        wrong = value < lower - 1e-4 or value > upper + 1e-4
-        rows.append(
-            [
-                name,
-                f"{value:g}",
-                "?" if np.isnan(own) else f"{own:g}",
-                f"{lower:.4g} … {upper:.4g}",
-                "outside" if wrong else "≠" if abs(value - own) > 0.3 else "",
-            ]
-        )
-        outside += [(name, value, lower, upper)] if wrong else []
-        far += [name] if abs(value - own) > 0.3 else []
+def _limits(robot: Robot, policy: PolicyResult) -> None:
+    joints = policy.contract.joints
+    index = joint_index(joints, robot.joint_names)
+    pose = policy.contract.default_joint_pos.astype(np.float64)
+    own, lower, upper = (
+        values[index].astype(np.float64)
+        for values in (robot.default_joint_pos, robot.lower, robot.upper)
+    )
+    outside = (pose < lower - 1e-4) | (pose > upper + 1e-4)
+    far = np.abs(pose - own) > 0.3
+    rows = [
+        [
+            name,
+            f"{pose[i]:g}",
+            "?" if np.isnan(own[i]) else f"{own[i]:g}",
+            f"{lower[i]:.4g} … {upper[i]:.4g}",
+            "outside" if outside[i] else "≠" if far[i] else "",
+        ]
+        for i, name in enumerate(joints)
+    ]
     columns = ["joint", "policy [rad]", "robot [rad]", "limits [rad]", ""]
-    result.table(f"Default pose of policy {key}", columns, rows)
-    if outside:
-        name, value, lower, upper = outside[0]
-        result.find(
+    policy.result.table(f"Default pose of policy {policy.key}", columns, rows)
+    wrong = np.flatnonzero(outside)
+    if wrong.size:
+        i = wrong[0]
+        policy.find(
             "pose.limits",
-            f"policy {key!r}, default_joint_pos",
-            f"{name} is {value:g} rad, its limits are [{lower:.4g}, {upper:.4g}] "
-            f"({len(outside)} joints)",
+            "default_joint_pos",
+            f"{joints[i]} is {pose[i]:g} rad, its limits are [{lower[i]:.4g}, {upper[i]:.4g}] "
+            f"({wrong.size} joints)",
             "correct the pose, its order or its unit (degrees?)",
-            contract.path,
         )
-    if far:
-        result.note(
+    if far.any():
+        policy.note(
             "pose.differ",
-            f"policy {key!r}",
-            f"its default pose is more than 0.3 rad from robot {robot.name}'s at {listed(far)}",
+            "",
+            f"its default pose is more than 0.3 rad from robot {robot.name}'s at "
+            f"{listed(compress(joints, far))}",
         )
 
 
-def _feet(
-    subject: Subject, result: CheckResult, key: str, contract: PolicyContract, posed: PosedModel
-) -> None:
+def _feet(robot: Robot, policy: PolicyResult, posed: PosedModel) -> None:
     """Put the default pose into the model, base upright, and look what is lowest."""
-    model, robot = posed.loaded.model, subject.robot
+    model, contract, result = posed.loaded.model, policy.contract, policy.result
     feet = foot_geoms(model, robot.feet)
     if not feet:
         result.note(
@@ -103,46 +106,46 @@ def _feet(
     pose[joint_index(contract.joints, robot.joint_names)] = contract.default_joint_pos
     posed.put(pose)
     heights = posed.heights()
-    if not heights:
-        return
 
     def wrong(what: str) -> None:
         remedy = "correct the pose, its order, signs or unit"
-        culprit = f"policy {key!r}, default_joint_pos"
-        result.find("pose.feet", culprit, what, remedy, contract.path)
+        policy.find("pose.feet", "default_joint_pos", what, remedy)
 
-    geoms = {geom for group in feet.values() for geom in group}
-    lowest_foot = {
-        foot: min(heights[geom] for geom in group if geom in heights)
-        for foot, group in feet.items()
-        if any(geom in heights for geom in group)
-    }
-    others = {geom: height for geom, height in heights.items() if geom not in geoms}
-    if not lowest_foot:
+    geoms = [geom for group in feet.values() for geom in group]
+    parts = {foot: [heights[g] for g in group if g in heights] for foot, group in feet.items()}
+    lowest = {foot: min(own) for foot, own in parts.items() if own}
+    if not lowest:
         return
-    ground = min(lowest_foot.values())
-    rows = [[foot, f"{1e3 * (height - ground):.0f}"] for foot, height in lowest_foot.items()]
-    result.table(f"Feet in the default pose of policy {key}", ["foot", "height [mm]"], rows)
+    ground = min(lowest.values())
+    rows = [[foot, f"{1e3 * (height - ground):.0f}"] for foot, height in lowest.items()]
+    title = f"Feet in the default pose of policy {policy.key}"
+    result.table(title, ["foot", "height [mm]"], rows)
+    others = {geom: height for geom, height in heights.items() if geom not in geoms}
     if others:
-        geom = min(others, key=lambda g: others[g])
-        if others[geom] < ground - BELOW_FEET:
-            body = model.body(int(model.geom_bodyid[geom])).name
+        body, height = _lowest(model, others)
+        if height < ground - BELOW_FEET:
             wrong(
-                f"{body} is {1e2 * (ground - others[geom]):.1f} cm below the lowest foot "
-                f"({min(lowest_foot, key=lambda f: lowest_foot[f])})"
+                f"{body} is {1e2 * (ground - height):.1f} cm below the lowest foot "
+                f"({min(lowest, key=lambda foot: lowest[foot])})"
             )
-    for foot, group in feet.items():
-        across = [heights[geom] for geom in group if geom in heights]
-        if across and max(across) - min(across) > TILTED_FOOT:
+    for foot, height in lowest.items():
+        across = max(parts[foot]) - height
+        if across > TILTED_FOOT:
             wrong(
                 f"{foot} is not flat on the ground: its parts differ in height by "
-                f"{1e2 * (max(across) - min(across)):.1f} cm"
+                f"{1e2 * across:.1f} cm"
             )
-    _balance(wrong, posed, [g for group in feet.values() for g in group])
-    for left, right in mirror_pairs(list(lowest_foot)):
-        apart = abs(lowest_foot[left] - lowest_foot[right])
+    _balance(wrong, posed, geoms)
+    for left, right in mirror_pairs(list(lowest)):
+        apart = abs(lowest[left] - lowest[right])
         if apart > 0.03:
             wrong(f"{left} and {right} are {1e2 * apart:.1f} cm apart in height")
+
+
+def _lowest(model: Any, heights: Mapping[int, float]) -> tuple[str, float]:
+    """Return the body of the lowest geom, and how high that is."""
+    geom = min(heights, key=lambda geom: heights[geom])
+    return model.body(int(model.geom_bodyid[geom])).name, heights[geom]
 
 
 def _balance(wrong: Callable[[str], None], posed: PosedModel, geoms: list[int]) -> None:
@@ -178,23 +181,17 @@ def _start(subject: Subject, result: CheckResult, posed: PosedModel) -> None:
     heights = posed.heights()
     if not heights:
         return
-    geom = min(heights, key=lambda g: heights[g])
-    model = posed.loaded.model
-    lowest, body = heights[geom], model.body(int(model.geom_bodyid[geom])).name
-    where = subject.document.where("scene")
+    body, lowest = _lowest(posed.loaded.model, heights)
     if lowest < -INSIDE_FLOOR:
-        result.find(
-            "pose.floor",
-            "initial state of the simulation",
-            f"{body} is {-1e2 * lowest:.1f} cm inside the floor",
-            "raise initial_height, or leave it out and give initial_pose",
-            where,
-        )
+        what, change = f"{body} is {-1e2 * lowest:.1f} cm inside the floor", "raise"
     elif lowest > ABOVE_FLOOR:
-        result.find(
-            "pose.floor",
-            "initial state of the simulation",
-            f"the lowest part, {body}, is {lowest:.2f} m above the floor",
-            "lower initial_height, or leave it out and give initial_pose",
-            where,
-        )
+        what, change = f"the lowest part, {body}, is {lowest:.2f} m above the floor", "lower"
+    else:
+        return
+    result.find(
+        "pose.floor",
+        "initial state of the simulation",
+        what,
+        f"{change} initial_height, or leave it out and give initial_pose",
+        subject.document.where("scene"),
+    )

@@ -6,12 +6,15 @@ import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from unicon_core.aligned import aligned
-from unicon_core.errors import alternatives
+from unicon_core.errors import UniconError, alternatives
 
-__all__ = ["CODES", "FIRM", "CheckResult", "Finding", "Section"]
+if TYPE_CHECKING:
+    from unicon_core.policies import PolicyContract
+
+__all__ = ["CODES", "FIRM", "CheckResult", "Finding", "PolicyResult", "Section"]
 
 CODES = {
     "build": "the workflow cannot be built",
@@ -183,6 +186,11 @@ class CheckResult:
         else:
             self.note(code, culprit, evidence, remedy, where)
 
+    def find_error(self, code: str, culprit: str, error: UniconError) -> None:
+        """Add an error of one line as a finding: its last part is the remedy."""
+        evidence, _, remedy = str(error).rpartition("; ")
+        self.find(code, culprit, evidence or remedy, remedy if evidence else "")
+
     def note(
         self, code: str, culprit: str, evidence: str, remedy: str = "", where: Any = ""
     ) -> None:
@@ -197,8 +205,7 @@ class CheckResult:
         lines: Iterable[str] = (),
     ) -> None:
         """Add a table."""
-        listed = tuple(tuple(row) for row in rows)
-        self.sections.append(Section(title, tuple(columns), listed, tuple(lines)))
+        self.sections.append(Section(title, tuple(columns), tuple(map(tuple, rows)), tuple(lines)))
 
     @property
     def clean(self) -> bool:
@@ -226,15 +233,7 @@ class CheckResult:
             "clean": self.clean,
             "findings": [vars(finding) for finding in self.findings],
             "notes": [vars(note) for note in self.notes],
-            "sections": [
-                {
-                    "title": section.title,
-                    "columns": list(section.columns),
-                    "rows": [list(row) for row in section.rows],
-                    "lines": list(section.lines),
-                }
-                for section in self.sections
-            ],
+            "sections": [vars(section) for section in self.sections],
         }
 
     def write(self, path: str | Path) -> None:
@@ -243,3 +242,30 @@ class CheckResult:
         target.parent.mkdir(parents=True, exist_ok=True)
         text = json.dumps(self.to_json(), indent=2, ensure_ascii=False)
         target.write_text(text + "\n", encoding="utf-8")
+
+
+@dataclass(frozen=True)
+class PolicyResult:
+    """What is found about one policy: each finding names it and the file of its contract.
+
+    Attributes:
+        result: is added to.
+        key: of the policy under `policies:`.
+        contract: of the policy.
+    """
+
+    result: CheckResult
+    key: str
+    contract: PolicyContract
+
+    def find(self, code: str, part: str, evidence: str, remedy: str, *, error: bool = True) -> None:
+        """Add what fails the check; as `CheckResult.find`, with a part of the contract or ""."""
+        where = self.contract.path
+        self.result.find(code, self._culprit(part), evidence, remedy, where, error=error)
+
+    def note(self, code: str, part: str, evidence: str) -> None:
+        """Add what is worth knowing."""
+        self.result.note(code, self._culprit(part), evidence)
+
+    def _culprit(self, part: str) -> str:
+        return f"policy {self.key!r}, {part}" if part else f"policy {self.key!r}"

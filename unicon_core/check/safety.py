@@ -81,13 +81,12 @@ def _conditional(node: Node, under: str) -> Iterator[tuple[Block, str]]:
         if under:
             yield node, under
         return
-    chooses = isinstance(node, (Chain, Loop, Switch, When)) or (
-        isinstance(node, Every) and node.n > 1
+    chooses = (
+        isinstance(node, (Switch, When))
+        or (isinstance(node, Chain) and len(node.children) > 1)
+        or (isinstance(node, Every) and node.n > 1)
+        or (isinstance(node, Loop) and node.until is not None)
     )
-    if isinstance(node, Loop) and node.until is None:
-        chooses = False
-    if isinstance(node, Chain) and len(node.children) == 1:
-        chooses = False
     chosen = type(node).__name__.lower() if chooses and not under else under
     choosers = [getattr(node, name, None) for name in ("predicate", "selector", "until")]
     for child in children_of(node):

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
+from unicon_core.check.result import CheckResult, PolicyResult
 from unicon_core.flow import Block, Stage, blocks_of
 from unicon_core.models.find import Modelled
 from unicon_core.models.load import load_model
@@ -15,18 +16,14 @@ from unicon_core.models.loaded import LoadedModel
 from unicon_core.platforms.platform import Facts
 from unicon_core.policies import PolicyContract
 from unicon_core.policies.controller import controller_contract
-from unicon_core.policies.prefixed import PrefixedStates
-from unicon_core.policies.terms import PackedStates
+from unicon_core.policies.prefixed import PackedStates, PrefixedStates
 from unicon_core.robots import Robot
 from unicon_core.workflow import Hook, Program
 from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.hardware import can_wait, declared_facts
 from unicon_core.workflow.platforms import find_platform, platform_options
 
-__all__ = ["NOT_ON_HARDWARE", "Subject", "build_subject", "declared_platform"]
-
-NOT_ON_HARDWARE = ("base_lin_vel", "base_pos_w")
-"""What no sensor of a legged robot measures: it takes an estimator or a tracking system."""
+__all__ = ["Subject", "build_subject", "declared_platform"]
 
 
 @dataclass
@@ -35,7 +32,7 @@ class Subject:
 
     Attributes:
         document: the workflow file.
-        workflow: built; by `build_subject` with `fake` in place of hardware, so nothing moves.
+        program: built; by `build_subject` with `fake` in place of hardware, so nothing moves.
         platform: facts that the document's platform declares, not the exchanged one.
         waits: whether ticks may come with that platform's data.
         live: it is about to run: the platform is left as it was, and what only tables show is not
@@ -49,13 +46,6 @@ class Subject:
     live: bool = False
 
     @property
-    def unmeasured(self) -> tuple[str, ...]:
-        """What no sensor of a legged robot measures, and this platform does not write."""
-        if self.platform.simulated:
-            return ()
-        return tuple(state for state in NOT_ON_HARDWARE if state not in self.platform.writes)
-
-    @property
     def robot(self) -> Robot:
         """The robot."""
         return self.program.robot
@@ -66,6 +56,10 @@ class Subject:
         used = [controller_contract(block) for block in self.program.blocks]
         named = self.program.policies.items()
         return {key: contract for key, contract in named if contract in used}
+
+    def policy_results(self, result: CheckResult) -> list[PolicyResult]:
+        """Return for each policy of the flow what adds to a result in its name."""
+        return [PolicyResult(result, *policy) for policy in self.policies.items()]
 
     def states_of(self, key: str) -> PackedStates:
         """Return the states as one policy sees them: with several, each has its own `action`."""

@@ -68,18 +68,18 @@ def drop_absent_meshes(spec: Any, path: Path, floats: bool) -> list[str]:
 def drop_absent_textures(spec: Any, path: Path) -> list[str]:
     """Take the textures without a file out; return a line that says so, if any."""
     folder = path.parent / (spec.compiler.texturedir or spec.texturedir or "")
-    absent = [
-        texture
-        for texture in spec.textures
-        for file in (texture.file, *texture.cubefiles)
-        if file and not (folder / file).is_file()
-    ]
-    names = {texture.name or Path(texture.file).stem for texture in absent}
+
+    def lacks(texture: Any) -> bool:
+        files = [file for file in (texture.file, *texture.cubefiles) if file]
+        return not all((folder / file).is_file() for file in files)
+
+    absent = [texture for texture in spec.textures if lacks(texture)]
     if not absent:
         return []
+    names = {texture.name or Path(texture.file).stem for texture in absent}
     for material in spec.materials:
         material.textures = ["" if name in names else name for name in material.textures]
-    for texture in {id(texture): texture for texture in absent}.values():
+    for texture in absent:
         _delete(spec, texture)
     return [f"{len(names)} textures are absent ({', '.join(sorted(names))}): left out"]
 

@@ -50,18 +50,6 @@ class Intrinsics:
     cx: float
     cy: float
 
-    @classmethod
-    def of_fovy(cls, width: int, height: int, fovy: float) -> Intrinsics:
-        """Return those of square pixels and a principal point in the middle of the image.
-
-        Args:
-            width: in pixels.
-            height: in pixels.
-            fovy: vertical field of view, [rad].
-        """
-        focal = 0.5 * height / float(np.tan(0.5 * fovy))
-        return cls(focal, focal, 0.5 * (width - 1), 0.5 * (height - 1))
-
 
 class ModelCamera:
     """Draws what a camera of a robot's model sees.
@@ -169,13 +157,14 @@ def intrinsics(model: Any, camera: int, width: int, height: int) -> Intrinsics:
     field = "cam_projection" if hasattr(model, "cam_projection") else "cam_orthographic"
     if getattr(model, field)[camera]:
         return Intrinsics(0.0, 0.0, 0.0, 0.0)
-    whole = Intrinsics.of_fovy(width, height, float(np.radians(model.cam_fovy[camera])))
+    middle = 0.5 * (width - 1), 0.5 * (height - 1)
     across, down = (float(size) for size in model.cam_sensorsize[camera])
-    if not down > 0.0:
-        return whole
+    if not down > 0.0:  # square pixels
+        focal = 0.5 * height / float(np.tan(0.5 * np.radians(model.cam_fovy[camera])))
+        return Intrinsics(focal, focal, *middle)
     fx, fy, right, up = (float(value) for value in model.cam_intrinsic[camera])  # [m]
     right, up = right / across * width, up / down * height
-    return Intrinsics(fx / across * width, fy / down * height, whole.cx - right, whole.cy - up)
+    return Intrinsics(fx / across * width, fy / down * height, middle[0] - right, middle[1] - up)
 
 
 def optical_frame(

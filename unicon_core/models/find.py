@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import pkgutil
-from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
@@ -42,10 +41,7 @@ def model_of(platform: object, robot: Robot) -> Path:
 
 
 def pick_model(
-    robot: Robot,
-    given: str | Path | None = None,
-    relative_to: Path | None = None,
-    prefer: Sequence[str] = MODEL_FORMATS,
+    robot: Robot, given: str | Path | None = None, relative_to: Path | None = None
 ) -> Path:
     """Return the model file for a robot: the one given, else the best one of its robot file.
 
@@ -53,19 +49,17 @@ def pick_model(
         robot: says its own.
         given: as for `find_model`; None for the robot's own.
         relative_to: folder of the file that gives it.
-        prefer: formats that the reader takes, the best one first.
 
     Raises:
         ModelError: there is none.
     """
     if given is not None:
         return find_model(given, relative_to)
-    found = next((robot.models[kind] for kind in prefer if kind in robot.models), None)
+    found = next((robot.models[kind] for kind in MODEL_FORMATS if kind in robot.models), None)
     if found is None:
         raise ModelError(
-            f"robot {robot.name} names no model ({' or '.join(prefer)}); add models: "
-            f"{{{prefer[0]}: PATH}} to {robot.path}, or let the workflow name one: "
-            "scene: {model: PATH}"
+            f"robot {robot.name} names no model ({' or '.join(MODEL_FORMATS)}); add models: "
+            f"{{mjcf: PATH}} to {robot.path}, or let the workflow name one: scene: {{model: PATH}}"
         )
     return find_model(found, robot.path.parent)
 

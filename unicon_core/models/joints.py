@@ -8,7 +8,7 @@ from typing import Any
 from unicon_core.errors import ModelError, RobotError
 from unicon_core.robots import Robot, joint_index
 
-__all__ = ["drives", "find_joints", "free_joint"]
+__all__ = ["drives", "find_joints", "free_joint", "is_simple"]
 
 
 def find_joints(mujoco: Any, model: Any, robot: Robot, path: Path) -> list[int]:
@@ -25,8 +25,7 @@ def find_joints(mujoco: Any, model: Any, robot: Robot, path: Path) -> list[int]:
     Raises:
         ModelError: a joint is not there, or two would fit.
     """
-    kinds = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
-    ids = [i for i in range(model.njnt) if int(model.jnt_type[i]) in kinds and model.joint(i).name]
+    ids = [i for i in range(model.njnt) if is_simple(mujoco, model, i) and model.joint(i).name]
     names = [model.joint(i).name for i in ids]
     try:
         return [ids[i] for i in joint_index(robot.joint_names, names, loose=True)]
@@ -35,6 +34,12 @@ def find_joints(mujoco: Any, model: Any, robot: Robot, path: Path) -> list[int]:
             f"model {path}: {error}; rename it in the model, or choose the model of this robot "
             "(scene: {model: PATH})"
         ) from error
+
+
+def is_simple(mujoco: Any, model: Any, joint: int) -> bool:
+    """Return whether a joint has one axis, about which it turns or along which it slides."""
+    kinds = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
+    return int(model.jnt_type[joint]) in kinds
 
 
 def free_joint(mujoco: Any, model: Any, joint: int) -> int | None:

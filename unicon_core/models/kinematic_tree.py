@@ -6,12 +6,13 @@ A link's frame is where URDF has it: at its joint's anchor, turned as the body i
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from unicon_core.models.joints import find_joints, free_joint
+from unicon_core.models.joints import find_joints, free_joint, is_simple
 from unicon_core.models.links import Geom, Link
 from unicon_core.models.load import load_model
 from unicon_core.models.loaded import import_mujoco
@@ -45,7 +46,7 @@ def read_tree(model: Any, robot: Robot, *, colliding: bool = False) -> list[Link
         robot: gives joint names, base frame and the IMU's place.
         colliding: the geoms are those that collide, not those that are shown.
     """
-    return _Reader(import_mujoco(), model, robot, colliding).read()
+    return _Reader(model, robot, colliding).links
 
 
 def frame_of(model: Any, robot: Robot, body: int) -> tuple[str, Float] | None:
@@ -58,110 +59,88 @@ def frame_of(model: Any, robot: Robot, body: int) -> tuple[str, Float] | None:
         robot: as for `read_tree`.
         body: number of the body in the model.
     """
-    reader = _Reader(import_mujoco(), model, robot)
-    links = reader.read()
+    reader = _Reader(model, robot)
     if body not in reader.of_body:
         return None
     number, origin = reader.of_body[body]
-    return links[number].name, origin
+    return reader.links[number].name, origin
 
 
 class _Reader:
-    def __init__(self, mujoco: Any, model: Any, robot: Robot, colliding: bool = False) -> None:
+    def __init__(self, model: Any, robot: Robot, colliding: bool = False) -> None:
+        mujoco = import_mujoco()
         self._mujoco, self._model, self._robot = mujoco, model, robot
         self._colliding = colliding
         joints = find_joints(mujoco, model, robot, robot.path)
         self._rank = {joint: rank for rank, joint in enumerate(joints)}
+        self._roots = {int(body) for body in model.body_rootid[model.jnt_bodyid[joints]]}
         base = free_joint(mujoco, model, joints[0])
         self._root = 0 if base is None else int(model.jnt_bodyid[base])
-        self._links: list[Link] = []
+        self.links: list[Link] = []
         self.of_body: dict[int, tuple[int, Float]] = {}  # body -> last link, its shift
+        self._read()
 
-    def read(self) -> list[Link]:
+    def _read(self) -> None:
         robot, model = self._robot, self._model
-        none, same = np.zeros(3), np.array((1.0, 0.0, 0.0, 0.0))
-        self._links.append(Link(BASE, -1, none, same))
-        root = 0
+        self.links.append(Link(BASE, -1))
         if robot.base_frame and robot.base_frame != BASE:
-            self._links.append(Link(robot.base_frame, 0, none, same))
-            root = 1
+            self.links.append(Link(robot.base_frame, 0))
+        root, none = len(self.links) - 1, np.zeros(3)
         self.of_body[self._root] = (root, none)
         if self._root:
-            self._dress(self._links[root], self._root, none)
+            base = self.links[root]
+            self._dress(base, self._root, none)
             if root == 0:  # tools refuse inertia at the root: a link of its own carries it
-                base = self._links[0]
-                carrier = Link(f"{BASE}_inertia", 0, none, same, mass=base.mass)
-                carrier.centre, carrier.inertia = base.centre, base.inertia
-                carrier.inertia_quat, base.mass = base.inertia_quat, 0.0
-                self._links.append(carrier)
+                self.links.append(replace(base, name=f"{BASE}_inertia", parent=0, geoms=[]))
+                base.mass = 0.0
         for body in range(1, model.nbody):
             parent = int(model.body_parentid[body])
             if body != self._root and parent in self.of_body and self._belongs(body):
                 self._add_body(body, parent)
         imu = robot.imu
-        taken = {link.name for link in self._links}
+        taken = {link.name for link in self.links}
         if imu is not None and imu.frame not in taken and np.isfinite(imu.position).all():
-            quat = imu.quat if np.isfinite(imu.quat).all() else same
-            self._links.append(
-                Link(imu.frame, root, imu.position.astype(float), quat.astype(float))
-            )
-        return self._links
+            link = Link(imu.frame, root, imu.position.astype(float))
+            if np.isfinite(imu.quat).all():
+                link.quat = imu.quat.astype(float)
+            self.links.append(link)
 
     def _belongs(self, body: int) -> bool:
         """A fixed robot's bodies stand beside other things in the world: take those with joints."""
-        if self._root or int(self._model.body_parentid[body]):
-            return True
-        weld = {int(self._model.body_rootid[self._model.jnt_bodyid[joint]]) for joint in self._rank}
-        return body in weld
+        beside = not self._root and not self._model.body_parentid[body]
+        return not beside or body in self._roots
 
     def _add_body(self, body: int, parent_body: int) -> None:
         model = self._model
         parent, parent_shift = self.of_body[parent_body]
         position = np.array(model.body_pos[body]) - parent_shift
         quat = np.array(model.body_quat[body])
-        name = self._name("BODY", body) or f"body_{body}"
+        name = model.body(body).name or f"body_{body}"
         first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
         shift = np.zeros(3)
-        joints = [j for j in range(first, first + count) if self._is_simple(j)]
+        joints = [j for j in range(first, first + count) if is_simple(self._mujoco, model, j)]
         if not joints:
-            self._links.append(Link(name, parent, position, quat))
+            self.links.append(Link(name, parent, position, quat))
         for number, joint in enumerate(joints):
             anchor, axis = np.array(model.jnt_pos[joint]), np.array(model.jnt_axis[joint])
             zero = float(model.qpos0[model.jnt_qposadr[joint]])
-            sliding = model.jnt_type[joint] == int(self._mujoco.mjtJoint.mjJNT_SLIDE)
+            sliding = bool(model.jnt_type[joint] == int(self._mujoco.mjtJoint.mjJNT_SLIDE))
             position = position + rotate(quat, anchor - shift)
             if sliding:
                 position = position - rotate(quat, axis * zero)
             else:
                 quat = multiply(quat, about(axis, -zero))
-            last = number == len(joints) - 1
+            own = name if joint == joints[-1] else f"{name}_{number}"
             rank = self._rank.get(joint, -1)
-            ranged = bool(model.jnt_limited[joint])
-            lower, upper = model.jnt_range[joint] if ranged else (float("nan"), float("nan"))
-            label = self._robot.joint_names[rank] if rank >= 0 else self._name("JOINT", joint)
-            self._links.append(
-                Link(
-                    name if last else f"{name}_{number}",
-                    parent,
-                    position,
-                    quat,
-                    label or f"joint_{joint}",
-                    rank,
-                    bool(sliding),
-                    axis,
-                    float(lower),
-                    float(upper),
-                )
-            )
-            parent, shift = len(self._links) - 1, anchor
+            label = self._robot.joint_names[rank] if rank >= 0 else model.joint(joint).name
+            link = Link(own, parent, position, quat, label or f"joint_{joint}", rank, sliding, axis)
+            if model.jnt_limited[joint]:
+                link.lower, link.upper = map(float, model.jnt_range[joint])
+            self.links.append(link)
+            parent, shift = len(self.links) - 1, anchor
             position, quat = np.zeros(3), np.array((1.0, 0.0, 0.0, 0.0))
-        self.of_body[body] = (len(self._links) - 1, shift)
-        self._dress(self._links[-1], body, shift)
-
-    def _is_simple(self, joint: int) -> bool:
-        kinds = self._mujoco.mjtJoint
-        simple = int(kinds.mjJNT_HINGE), int(kinds.mjJNT_SLIDE)
-        return int(self._model.jnt_type[joint]) in simple
+        self.of_body[body] = (len(self.links) - 1, shift)
+        self._dress(self.links[-1], body, shift)
 
     def _dress(self, link: Link, body: int, shift: Float) -> None:
         """Give a link the inertia and the looks of a body."""
@@ -195,23 +174,14 @@ class _Reader:
             return [part("sphere", size[0])]
         if kind == int(kinds.mjGEOM_BOX):
             return [part("box", *(2.0 * x for x in size))]
-        if kind == int(kinds.mjGEOM_CYLINDER):
-            return [part("cylinder", size[0], 2.0 * size[1])]
-        if kind == int(kinds.mjGEOM_CAPSULE):  # which URDF lacks
-            end = rotate(quat, np.array((0.0, 0.0, size[1])))
-            return [
-                part("cylinder", size[0], 2.0 * size[1]),
-                part("sphere", size[0], at=position + end),
-                part("sphere", size[0], at=position - end),
-            ]
+        if kind in (int(kinds.mjGEOM_CYLINDER), int(kinds.mjGEOM_CAPSULE)):
+            parts = [part("cylinder", size[0], 2.0 * size[1])]
+            if kind == int(kinds.mjGEOM_CAPSULE):  # which URDF lacks
+                end = rotate(quat, np.array((0.0, 0.0, size[1])))
+                parts += [part("sphere", size[0], at=position + at) for at in (end, -end)]
+            return parts
         if kind in (int(kinds.mjGEOM_ELLIPSOID), int(kinds.mjGEOM_MESH)):
             centre, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
             middle = position + rotate(quat, np.array(centre))
             return [part("box", *(2.0 * float(x) for x in half), at=middle)]
         return []  # planes and height fields are no part of a robot
-
-    def _name(self, kind: str, number: int) -> str:
-        name: str | None = self._mujoco.mj_id2name(
-            self._model, getattr(self._mujoco.mjtObj, f"mjOBJ_{kind}"), number
-        )
-        return name or ""

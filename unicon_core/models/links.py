@@ -53,8 +53,8 @@ class Link:
 
     name: str
     parent: int
-    position: Float
-    quat: Float
+    position: Float = field(default_factory=lambda: np.zeros(3))
+    quat: Float = field(default_factory=lambda: np.array((1.0, 0.0, 0.0, 0.0)))
     joint: str = ""
     index: int = -1
     sliding: bool = False

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -70,33 +71,32 @@ def load_model(
         notes.append("the model has no surroundings: a floor was added")
     if prepare is not None:
         prepare(spec)
-    model = _compile(spec, path)
+    with _told(path):
+        model = spec.compile()
     joints = find_joints(mujoco, model, robot, path)
     if mend_actuators(mujoco, spec, model, joints, robot.joint_names, notes):
-        model = _compile(spec, path)
+        with _told(path):
+            model = spec.compile()
     return LoadedModel(model, path, joints, notes)
 
 
 def _read(mujoco: Any, path: Path, text: str | None) -> Any:
-    try:
+    with _told(path):
         if text is None:
             return mujoco.MjSpec.from_file(str(path))
         spec = mujoco.MjSpec.from_string(text)
-    except ValueError as error:
-        raise ModelError(f"model {path}: {_one_line(error)}; correct the file") from error
     spec.modelfiledir = f"{path.parent}/"  # a text has no folder to look for meshes in
     return spec
 
 
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())
-
-
-def _compile(spec: Any, path: Path) -> Any:
+@contextmanager
+def _told(path: Path) -> Iterator[None]:
+    """Tell what MuJoCo finds wrong in a file as a ModelError."""
     try:
-        return spec.compile()
+        yield
     except ValueError as error:
-        raise ModelError(f"model {path}: {_one_line(error)}; correct the file") from error
+        reason = " ".join(str(error).split())
+        raise ModelError(f"model {path}: {reason}; correct the file") from error
 
 
 def _add_free_joint(mujoco: Any, spec: Any, notes: list[str]) -> None:

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 
-__all__ = ["PosedModel", "foot_geoms", "heights"]
+__all__ = ["PosedModel", "foot_geoms"]
 
 _FAR = 100.0  # [m]
 _ENDINGS = ("_foot", "_link", "_sphere", "_toe")
@@ -45,37 +45,27 @@ class PosedModel:
         return data
 
     def heights(self) -> dict[int, float]:
-        """Return `heights` of the robot as it stands."""
-        model = self.loaded.model
-        return heights(model, self.data, int(model.jnt_bodyid[self.loaded.joints[0]]))
+        """Return the height of each geom of the robot above the floor, [m]; empty without a floor.
 
-
-def heights(model: Any, data: Any, body: int) -> dict[int, float]:
-    """Return the height of each geom of a robot above the floor, [m]; empty without a floor.
-
-    Geoms that do not collide with the floor are left out; none is higher than 100 m.
-
-    Args:
-        model: an `MjModel`.
-        data: its `MjData`, kinematics up to date.
-        body: any of the robot.
-    """
-    mujoco = import_mujoco()
-    plane, root = int(mujoco.mjtGeom.mjGEOM_PLANE), model.body_rootid[body]
-    geoms = range(model.ngeom)
-    floors = [i for i in geoms if model.geom_type[i] == plane and model.geom_bodyid[i] == 0]
-    found: dict[int, float] = {}
-    for geom in geoms:
-        if model.body_rootid[model.geom_bodyid[geom]] != root or geom in floors:
-            continue
-        for floor in floors:
-            if (
-                model.geom_contype[floor] & model.geom_conaffinity[geom]
-                or model.geom_contype[geom] & model.geom_conaffinity[floor]
-            ):
-                height = float(mujoco.mj_geomDistance(model, data, floor, geom, _FAR, None))
-                found[geom] = min(height, found.get(geom, _FAR))
-    return found
+        Geoms that do not collide with the floor are left out; none is higher than 100 m.
+        """
+        mujoco, model, data = self._mujoco, self.loaded.model, self.data
+        plane = int(mujoco.mjtGeom.mjGEOM_PLANE)
+        root = model.body_rootid[model.jnt_bodyid[self.loaded.joints[0]]]
+        geoms = range(model.ngeom)
+        floors = [i for i in geoms if model.geom_type[i] == plane and model.geom_bodyid[i] == 0]
+        found: dict[int, float] = {}
+        for geom in geoms:
+            if model.body_rootid[model.geom_bodyid[geom]] != root or geom in floors:
+                continue
+            for floor in floors:
+                if (
+                    model.geom_contype[floor] & model.geom_conaffinity[geom]
+                    or model.geom_contype[geom] & model.geom_conaffinity[floor]
+                ):
+                    height = float(mujoco.mj_geomDistance(model, data, floor, geom, _FAR, None))
+                    found[geom] = min(height, found.get(geom, _FAR))
+        return found
 
 
 def foot_geoms(model: Any, feet: tuple[str, ...]) -> dict[str, list[int]]:
@@ -99,11 +89,12 @@ def foot_geoms(model: Any, feet: tuple[str, ...]) -> dict[str, list[int]]:
 def _geoms_of(model: Any, name: str) -> list[int]:
     mujoco = import_mujoco()
     kinds = mujoco.mjtObj
-    geom = mujoco.mj_name2id(model, kinds.mjOBJ_GEOM, name)
+    geom, body, site = (  # -1 where there is none of that name
+        mujoco.mj_name2id(model, kind, name)
+        for kind in (kinds.mjOBJ_GEOM, kinds.mjOBJ_BODY, kinds.mjOBJ_SITE)
+    )
     if geom >= 0:
         return [geom]
-    body = mujoco.mj_name2id(model, kinds.mjOBJ_BODY, name)
-    if body < 0:
-        site = mujoco.mj_name2id(model, kinds.mjOBJ_SITE, name)
-        body = int(model.site_bodyid[site]) if site >= 0 else -1
-    return [] if body < 0 else [g for g in range(model.ngeom) if model.geom_bodyid[g] == body]
+    if body < 0 <= site:
+        body = model.site_bodyid[site]
+    return [g for g in range(model.ngeom) if model.geom_bodyid[g] == body]

@@ -12,17 +12,9 @@ Float = NDArray[np.float64]
 
 def multiply(a: Float, b: Float) -> Float:
     """Return the product of two quaternions wxyz, shape (…, 4)."""
-    aw, ax, ay, az = np.moveaxis(np.asarray(a), -1, 0)
-    bw, bx, by, bz = np.moveaxis(np.asarray(b), -1, 0)
-    return np.stack(
-        (
-            aw * bw - ax * bx - ay * by - az * bz,
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-        ),
-        axis=-1,
-    )
+    aw, av, bw, bv = a[..., :1], a[..., 1:], b[..., :1], b[..., 1:]
+    real = aw * bw - (av * bv).sum(axis=-1, keepdims=True)
+    return np.concatenate((real, aw * bv + bw * av + np.cross(av, bv)), axis=-1)
 
 
 def rotate(quat: Float, vector: Float) -> Float:

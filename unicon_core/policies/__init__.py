@@ -13,7 +13,7 @@ from unicon_core.policies.observation import Observation
 from unicon_core.policies.phase import GaitPhase
 from unicon_core.policies.policy import Policy
 from unicon_core.policies.policy_states import policy_states
-from unicon_core.policies.policy_yaml import load_policy_yaml, write_policy_yaml
+from unicon_core.policies.policy_yaml import write_policy_yaml
 from unicon_core.policies.table import (
     joint_table,
     observation_table,
@@ -37,7 +37,6 @@ __all__ = [
     "import_policy",
     "joint_table",
     "load_policy",
-    "load_policy_yaml",
     "observation_table",
     "policies_table",
     "policy_names",

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from unicon_core.policies.facts import Facts
+from unicon_core.policies.facts import Facts, dig
 
 __all__ = ["check_agreement"]
 
@@ -34,6 +34,7 @@ def check_agreement(facts: Facts, other: Facts) -> None:
             f"joint {unknown[0]!r} is not in the metadata of {other.path.name}, which has "
             f"{', '.join(map(str, names))}; contract and network do not belong together",
         )
+    relative, absolute = map(max, facts.tolerance, other.tolerance)
     for key in _VECTORS:
         mine, theirs = _by_joint(facts.values, key, joints), _by_joint(other.values, key, names)
         if mine is None or theirs is None:
@@ -42,8 +43,6 @@ def check_agreement(facts: Facts, other: Facts) -> None:
             a, b = mine.get(joint), theirs.get(joint)
             if a is None or b is None:
                 continue
-            relative = max(facts.tolerance[0], other.tolerance[0])
-            absolute = max(facts.tolerance[1], other.tolerance[1])
             if not np.isclose(a, b, rtol=relative, atol=absolute):
                 raise facts.error(
                     tuple(key.split(".")),
@@ -53,12 +52,9 @@ def check_agreement(facts: Facts, other: Facts) -> None:
 
 
 def _by_joint(values: Mapping[str, Any], key: str, joints: list[str]) -> dict[str, float] | None:
-    value: Any = values.get(key)
-    if key == "action.scale":
-        action = values.get("action")
-        action = action if isinstance(action, Mapping) else {}
-        value, moved = action.get("scale"), action.get("joints")
-        joints = moved if isinstance(moved, list) else joints
+    value, moved = dig(values, *key.split(".")), dig(values, "action", "joints")
+    if key == "action.scale" and isinstance(moved, list):
+        joints = moved
     if isinstance(value, (int, float)) and not isinstance(value, bool):
         return dict.fromkeys(joints, float(value))
     if isinstance(value, (list, tuple)) and len(value) == len(joints):

@@ -16,7 +16,7 @@ from unicon_core.errors import PolicyError, alternatives
 from unicon_core.located_yaml import Where
 from unicon_core.resources import file_beside
 
-__all__ = ["Facts", "dotted", "given_joints", "merge_given", "missing_facts", "term_state"]
+__all__ = ["Facts", "dig", "dotted", "given_joints", "merge_given", "missing_facts", "term_state"]
 
 # Name of a term on the training side -> where its values come from. A plain `joint_pos` is relative
 # as a term of BeyondMimic, mjlab and holosoma, and absolute as a function of Isaac Lab and Unitree.
@@ -38,8 +38,8 @@ _STATES: dict[str, tuple[str, ...]] = {
     "gait_phase_sin": ("sin_phase",),
     "gait_phase_cos": ("cos_phase",),
 }
-_TERMS = {name: {"state": state} for state, names in _STATES.items() for name in names}
-_PARTS: dict[str, dict[str, Any]] = {
+_TERMS: dict[str, dict[str, Any]] = {
+    **{name: {"state": state} for state, names in _STATES.items() for name in names},
     "command_lin_vel": {"state": "velocity_command", "index": [0, 1]},
     "command_ang_vel": {"state": "velocity_command", "index": [2]},
 }
@@ -53,6 +53,14 @@ _NEEDED = {
     "damping": "in [N·m·s/rad], policy order",
     "action.scale": "in [rad], one number or one for each joint",
     "observation.terms": "the terms of the network's input, in order",
+}
+_ASKED = {
+    "observation.scale": "one factor for every term, or scale of single terms",
+    "observation.layout": "term_major or frame_major",
+    "observation.newest": "last or first",
+    "phase": "the gait clock: period in [s], offsets in [rad]",
+    "inputs": "observation or a state -> input of the network",
+    "outputs": "action -> output of the network",
 }
 
 
@@ -120,7 +128,7 @@ def term_state(name: str, *, absolute: bool = False) -> dict[str, Any]:
         name: the training side's name.
         absolute: whether a plain `joint_pos` means the position itself.
     """
-    term: dict[str, Any] = dict(_TERMS.get(name, _PARTS.get(name, {})))
+    term = dict(_TERMS.get(name, {}))
     if term.get("state") == "joint_pos" and not (absolute and name == "joint_pos"):
         term["subtract"] = "default_joint_pos"
     return term
@@ -136,15 +144,13 @@ def dotted(where: Where) -> str:
 
 def missing_facts(facts: Facts) -> dict[str, str]:
     """Return the facts that are needed and not known: dotted name -> what it is."""
-    missing = {}
-    for name, meaning in _NEEDED.items():
-        value = _said(facts.values, name)
-        if value is not None and not (name == "observation.terms" and value == []):
-            continue
-        if name == "observation.terms" and not _has_observation(facts.values):
-            continue
-        missing[name] = meaning
-    terms = _said(facts.values, "observation.terms")
+    values, place = facts.values, "observation.terms"
+    missing = {name: what for name, what in _NEEDED.items() if _said(values, name) is None}
+    terms, inputs = _said(values, place), values.get("inputs")
+    if terms == []:
+        missing[place] = _NEEDED[place]
+    if isinstance(inputs, Mapping) and "observation" not in inputs:
+        missing.pop(place, None)
     for term in terms if isinstance(terms, list) else []:
         if isinstance(term, Mapping) and "name" in term and term.get("state") is None:
             missing[f"observation.terms.{term['name']}.state"] = "the state that it is taken from"
@@ -154,26 +160,15 @@ def missing_facts(facts: Facts) -> dict[str, str]:
     return missing
 
 
+def dig(tree: Any, *keys: str) -> Any:
+    """Return what stands under keys of nested mappings, None where nothing does."""
+    for key in keys:
+        tree = tree.get(key) if isinstance(tree, Mapping) else None
+    return tree
+
+
 def _said(values: Any, name: str) -> Any:
-    """Return what stands under a dotted name, None where nothing does."""
-    for key in name.split("."):
-        values = values.get(key) if isinstance(values, Mapping) else None
-    return values
-
-
-_ASKED = {
-    "observation.scale": "one factor for every term, or scale of single terms",
-    "observation.layout": "term_major or frame_major",
-    "observation.newest": "last or first",
-    "phase": "the gait clock: period in [s], offsets in [rad]",
-    "inputs": "observation or a state -> input of the network",
-    "outputs": "action -> output of the network",
-}
-
-
-def _has_observation(values: Mapping[str, Any]) -> bool:
-    inputs = values.get("inputs")
-    return not isinstance(inputs, Mapping) or "observation" in inputs
+    return dig(values, *name.split("."))
 
 
 def given_joints(path: Path, given: Mapping[str, Any]) -> list[str] | None:

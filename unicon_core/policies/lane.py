@@ -7,7 +7,7 @@ lane on copies the tick after a warm-up took 40 µs in a 50 Hz loop, with one la
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import isfinite
 from typing import Any, TypeAlias
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.policies.networks import Remembering
-from unicon_core.policies.observation import Observation
+from unicon_core.policies.observation import Observation, nothing
 
 __all__ = ["Input", "Lane", "Published"]
 
@@ -36,10 +36,11 @@ class Input:
         self.finite = finite_check(self.values)
 
 
+@dataclass(eq=False)
 class Lane:
     """Arrays and bound calls.
 
-    Args:
+    Attributes:
         observation: assembles the input vector, or None.
         obs: the input vector, shape (rows, size).
         action: the output, shape (rows, m).
@@ -47,56 +48,42 @@ class Lane:
         memory: outputs of the network and the inputs that they are fed back to.
         runs: calls of the network, one for all rows or one for each.
         published: views of states and the arrays here that are copied into them after a tick.
-
-    Attributes:
-        observation, obs, action, published: as given.
+        infer: runs the network on what is assembled; what it remembers stays as it is.
         action_finite: tells whether the output holds neither NaN nor infinity.
     """
 
-    def __init__(
-        self,
-        observation: Observation | None,
-        obs: NDArray[np.float32],
-        action: NDArray[np.float32],
-        inputs: Sequence[Input],
-        memory: Sequence[tuple[NDArray[Any], NDArray[Any]]],
-        runs: Sequence[Callable[[], None]],
-        published: Sequence[Published] = (),
-    ) -> None:
-        self.observation = observation
-        self.obs = obs
-        self.action = action
-        self._inputs = tuple(inputs)
-        self._memory = tuple(memory)
-        self._runs = tuple(runs)
-        self._run = runs[0] if len(runs) == 1 else self._run_rows
-        self._remembering = tuple(run for run in runs if isinstance(run, Remembering))
-        self._write, self._advance = _nothing, _nothing
-        if observation is not None:
-            self._write, self._advance = observation.bind_parts(obs)
-        self.published = tuple(published)
-        self._obs_finite = finite_check(obs)
-        self.action_finite = finite_check(action)
+    observation: Observation | None
+    obs: NDArray[np.float32]
+    action: NDArray[np.float32]
+    inputs: list[Input]
+    memory: list[tuple[NDArray[Any], NDArray[Any]]]
+    runs: list[Callable[[], None]]
+    published: list[Published]
+
+    def __post_init__(self) -> None:
+        self.infer = self.runs[0] if len(self.runs) == 1 else self._run_rows
+        self._remembering = tuple(run for run in self.runs if isinstance(run, Remembering))
+        self._write, self._advance = nothing, nothing
+        if self.observation is not None:
+            self._write, self._advance = self.observation.bind_parts(self.obs)
+        self._obs_finite = finite_check(self.obs)
+        self.action_finite = finite_check(self.action)
         self._steps = 0.0
 
     def _run_rows(self) -> None:
-        for run in self._runs:
+        for run in self.runs:
             run()
 
     def assemble(self) -> None:
         """Write the inputs of this tick; until `advance` it may be done again and again."""
         self._write()
-        for item in self._inputs:
+        for item in self.inputs:
             if item.write is not None:
                 item.write()
             else:
                 item.values[...] = self._steps
             if item.cast is not None:
                 np.copyto(item.cast, item.values, casting="unsafe")
-
-    def infer(self) -> None:
-        """Run the network on what is assembled; what it remembers stays as it is."""
-        self._run()
 
     def advance(self, warm_up: bool = False) -> None:
         """Go on to the next tick: the history takes the frame, the network's memory is fed back."""
@@ -106,7 +93,7 @@ class Lane:
         self._remember()
 
     def _remember(self) -> None:
-        for source, target in self._memory:
+        for source, target in self.memory:
             target[...] = source
         for run in self._remembering:
             run.commit()
@@ -115,7 +102,7 @@ class Lane:
     def step_zero(self) -> None:
         """Run the network on a zero observation, as step 0 of its motion; its action is dropped."""
         self.obs[...] = 0.0
-        for item in self._inputs:
+        for item in self.inputs:
             item.values[...] = 0.0
         self.infer()
         self._remember()
@@ -127,7 +114,7 @@ class Lane:
         """Forget history, memory and the number of calls."""
         if self.observation is not None:
             self.observation.reset()
-        for source, target in self._memory:
+        for source, target in self.memory:
             source[...] = 0
             target[...] = 0
         for run in self._remembering:
@@ -137,11 +124,7 @@ class Lane:
 
     def finite(self) -> bool:
         """Whether observation and other inputs hold neither NaN nor infinity."""
-        return self._obs_finite() and all(item.finite() for item in self._inputs)
-
-
-def _nothing() -> None:
-    """A network without an observation vector has nothing to assemble."""
+        return self._obs_finite() and all(item.finite() for item in self.inputs)
 
 
 def finite_check(array: NDArray[np.float32]) -> Callable[[], bool]:

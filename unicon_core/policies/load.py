@@ -7,7 +7,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from unicon_core.errors import PolicyError, alternatives
 from unicon_core.located_yaml import read_yaml
@@ -28,23 +28,14 @@ from unicon_core.policies.policy_yaml import (
 from unicon_core.policies.registered import registered_policy
 from unicon_core.registered import registered
 from unicon_core.resources import config_roots, find_resource, list_config
-from unicon_core.robots import load_robot
+from unicon_core.robots import Robot, load_robot
 
-__all__ = ["ImportReport", "NamedJoints", "import_policy", "load_policy", "policy_names"]
+__all__ = ["ImportReport", "import_policy", "load_policy", "policy_names"]
 
 _TORCHSCRIPT = (".pt", ".pth", ".jit")
 # Files that carry no name of their own: the policy is called after the folder.
 _PLAIN_STEMS = ("policy", "deploy", "env", "model")
 _PLAIN_FOLDERS = ("params", "exported", "config")
-
-
-class NamedJoints(Protocol):
-    """What an importer asks of a robot: its name, and its joints in the vendor's order."""
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def joint_names(self) -> tuple[str, ...]: ...
 
 
 @dataclass(frozen=True)
@@ -80,7 +71,7 @@ def policy_names() -> list[str]:
 def load_policy(
     reference: str | Path,
     *,
-    robot: NamedJoints | None = None,
+    robot: Robot | None = None,
     given: Mapping[str, Any] | None = None,
 ) -> PolicyContract:
     """Load a policy in any known format.
@@ -99,17 +90,14 @@ def load_policy(
     Raises:
         PolicyError: nothing there; facts missing (all are named) or contradictory; files missing.
     """
-    facts = _read(reference, robot, given or {})
-    contract = build_contract(facts)
-    _check_model(facts, contract)
-    return contract
+    return _contract(_read(reference, robot, given or {}))
 
 
 def import_policy(
     reference: str | Path,
     out_dir: str | Path,
     *,
-    robot: NamedJoints | None = None,
+    robot: Robot | None = None,
     given: Mapping[str, Any] | None = None,
 ) -> ImportReport:
     """Write a policy of any known format as `policy.yaml`, and list what its source did not say.
@@ -128,9 +116,7 @@ def import_policy(
     if missing:
         path = write_partial_yaml(facts, missing, out_dir)
     else:
-        contract = build_contract(facts)
-        _check_model(facts, contract)
-        path = write_policy_yaml(contract, out_dir)
+        path = write_policy_yaml(_contract(facts), out_dir)
     return ImportReport(path, facts.source, missing, tuple(facts.notes))
 
 
@@ -184,9 +170,9 @@ def _main_file(folder: Path) -> Path | None:
     return models[0] if len(models) == 1 else None
 
 
-def _read(reference: str | Path, robot: NamedJoints | None, given: Mapping[str, Any]) -> Facts:
+def _read(reference: str | Path, robot: Robot | None, given: Mapping[str, Any]) -> Facts:
     path = _locate(reference)
-    facts, onnx = _facts_of(path, robot, given)
+    facts = _facts_of(path, robot, given)
     merge_given(facts, given)
     for key in ("onnx", "torchscript"):
         if isinstance(given.get(key), str):  # of the workflow, which may name any file
@@ -194,9 +180,7 @@ def _read(reference: str | Path, robot: NamedJoints | None, given: Mapping[str, 
             facts.network = named if named.is_absolute() else facts.path.parent / named
     facts.values.setdefault("name", _name_of(path))
     if "onnx" in facts.values and "torchscript" not in facts.values:
-        model = facts.model()
-        if onnx is None or onnx.path != model:
-            onnx = read_onnx(model)
+        onnx = read_onnx(facts.model())
         lost = onnx.missing_external()
         if lost:
             raise facts.error(
@@ -213,22 +197,20 @@ def _read(reference: str | Path, robot: NamedJoints | None, given: Mapping[str, 
     return facts
 
 
-def _facts_of(
-    path: Path, robot: NamedJoints | None, given: Mapping[str, Any]
-) -> tuple[Facts, OnnxFile | None]:
+def _facts_of(path: Path, robot: Robot | None, given: Mapping[str, Any]) -> Facts:
     if path.suffix == ".onnx":
         onnx = read_onnx(path)
         for beside in ("policy.yaml", "deploy.yaml", "../params/deploy.yaml"):
             other = path.parent / beside
             if os.path.isfile(other):
-                facts, _ = _facts_of(other.resolve(), robot, given)
-                if _names_model(facts, path):
-                    return facts, onnx
+                facts = _facts_of(other.resolve(), robot, given)
+                if "onnx" in facts.values and facts.model().resolve() == path.resolve():
+                    return facts
         if has_metadata(onnx):
-            return metadata_facts(onnx), onnx
-        return Facts(path, "ONNX file (no metadata)", {"onnx": path.name}), onnx
+            return metadata_facts(onnx)
+        return Facts(path, "ONNX file (no metadata)", {"onnx": path.name})
     if path.suffix in _TORCHSCRIPT:
-        return Facts(path, "TorchScript file", {"torchscript": path.name}), None
+        return Facts(path, "TorchScript file", {"torchscript": path.name})
     values = read_yaml(path, PolicyError, foreign=True).value
     if is_deploy_yaml(values):
         made_for = given.get("robot")
@@ -241,22 +223,17 @@ def _facts_of(
     elif is_legged_gym(values):
         facts = legged_gym_facts(path, given)
     else:
-        return policy_yaml_facts(path), None
+        return policy_yaml_facts(path)
     _add_model(facts)
-    return facts, None
+    return facts
 
 
-def _motors(robot: NamedJoints) -> dict[int, str]:
+def _motors(robot: Robot) -> dict[int, str]:
     """Motor numbers of the vendor's SDK; they are the joints' places unless the robot says more."""
-    transport = getattr(robot, "transport", {})
-    numbers = transport.get("motors") if isinstance(transport, Mapping) else None
+    numbers = robot.transport.get("motors")
     if not isinstance(numbers, (list, tuple)) or len(numbers) != len(robot.joint_names):
         numbers = range(len(robot.joint_names))
     return {int(number): name for number, name in zip(numbers, robot.joint_names)}
-
-
-def _names_model(facts: Facts, model: Path) -> bool:
-    return "onnx" in facts.values and facts.model().resolve() == model.resolve()
 
 
 def _add_model(facts: Facts) -> None:
@@ -303,7 +280,9 @@ def _name_tensors(facts: Facts, onnx: OnnxFile) -> None:
             facts.asks[key] = f"it has {choice}"
 
 
-def _check_model(facts: Facts, contract: PolicyContract) -> None:
+def _contract(facts: Facts) -> PolicyContract:
+    """Build the contract, whose network is there and the one that it was written for."""
+    contract = build_contract(facts)
     if not os.path.isfile(contract.model):
         where = ("torchscript",) if contract.is_torchscript else ("onnx",)
         raise facts.error(
@@ -317,3 +296,4 @@ def _check_model(facts: Facts, contract: PolicyContract) -> None:
                 f"{contract.model.name} has sha256 {digest[:12]}… and not {contract.sha256[:12]}…; "
                 "it is not the network that this contract was written for: import it again",
             )
+    return contract

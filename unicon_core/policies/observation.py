@@ -7,15 +7,16 @@ lays out the window. Nothing is looped over terms.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.policies.contract import ObservationSpec, PolicyContract
-from unicon_core.policies.terms import PackedStates, TermSlice, term_slices
+from unicon_core.policies.prefixed import PackedStates
+from unicon_core.policies.terms import TermSlice, term_slices
 
-__all__ = ["Observation"]
+__all__ = ["Observation", "nothing"]
 
 Floats = NDArray[np.float32]
 
@@ -154,7 +155,7 @@ class Observation:
         flat = out.reshape(-1)
         assemble = self._assembler()
         if self._history == 1:
-            return (lambda: assemble(flat)), _nothing
+            return (lambda: assemble(flat)), nothing
         index = self._window_index.reshape(-1)
 
         def write() -> None:
@@ -173,10 +174,6 @@ class Observation:
             self._fresh = False
 
         return write, advance
-
-    def __call__(self, out: Floats) -> None:
-        """Write the observation of this tick once; a tick loop keeps what `bind` returns."""
-        self.bind(out)()
 
     def _assembler(self) -> Callable[[Floats], None]:
         """Return the straight-line function that writes one frame to a flat array."""
@@ -242,13 +239,9 @@ class Observation:
         old = f", {age} frames ago" if age else ""
         return f"term {part.term.name!r} ({part.term.state}, {element}{old})"
 
-    def table(self) -> Mapping[str, tuple[int, int]]:
-        """Return each term's name and (elements of a frame, history), for size messages."""
-        return {p.term.name: (p.elements.size, p.term.history) for p in self.slices}
 
-
-def _nothing() -> None:
-    """Without a history there is nothing to go on to."""
+def nothing() -> None:
+    """There is nothing to write, or without a history nothing to go on to."""
 
 
 def _joined(parts: Iterable[Floats], rows: int) -> Floats:

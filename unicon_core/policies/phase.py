@@ -13,7 +13,7 @@ import numpy as np
 
 from unicon_core.errors import PolicyError
 from unicon_core.policies.contract import PhaseSpec
-from unicon_core.policies.terms import PackedStates
+from unicon_core.policies.prefixed import PackedStates
 
 __all__ = ["GaitPhase"]
 

@@ -11,12 +11,11 @@ import numpy as np
 
 from unicon_core.errors import Fault, PolicyError
 from unicon_core.policies.action_map import ActionMap
-from unicon_core.policies.bind import build_lane
+from unicon_core.policies.bind import Binding
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.networks import Network, open_network
 from unicon_core.policies.phase import GaitPhase
-from unicon_core.policies.prefixed import PrefixedStates
-from unicon_core.policies.terms import PackedStates
+from unicon_core.policies.prefixed import PackedStates, PrefixedStates
 from unicon_core.robots import Robot
 
 __all__ = ["Policy"]
@@ -63,7 +62,7 @@ class Policy:
         self.network = open_network(contract) if network is None else network
         self._states = states
         rows = states.num_robots or 1
-        self.lane = build_lane(contract, states, robot.joint_names, self.network)
+        self.lane = Binding(contract, states, robot.joint_names, self.network).lane()
         self.action_map = ActionMap(contract, robot, rows)
         n = robot.num_joints
         for name in _TARGETS:

@@ -16,14 +16,13 @@ from numpy.typing import NDArray
 
 from unicon_core.errors import PolicyError
 from unicon_core.located_yaml import read_yaml
-from unicon_core.policies.build import SCHEMA, build_contract
+from unicon_core.policies.build import SCHEMA
 from unicon_core.policies.contract import ObservationTerm, PolicyContract
 from unicon_core.policies.facts import Facts
 from unicon_core.policies.networks.onnx_file import read_onnx
 
 __all__ = [
     "contract_values",
-    "load_policy_yaml",
     "policy_yaml_facts",
     "write_partial_yaml",
     "write_policy_yaml",
@@ -40,18 +39,6 @@ def policy_yaml_facts(path: Path) -> Facts:
     if not isinstance(located.value, Mapping):
         raise located.error((), f"no policy; start it with 'schema: {SCHEMA}'")
     return Facts(path, "policy.yaml", dict(located.value), located.lines)
-
-
-def load_policy_yaml(path: str | Path) -> PolicyContract:
-    """Read and check a `policy.yaml`.
-
-    Args:
-        path: the file.
-
-    Raises:
-        PolicyError: wrong; the message has file and line, the culprit and the remedy.
-    """
-    return build_contract(policy_yaml_facts(Path(path)))
 
 
 def write_policy_yaml(contract: PolicyContract, out_dir: str | Path) -> Path:
@@ -124,7 +111,7 @@ def _copy_model(model: Path, folder: Path) -> None:
 
 def contract_values(contract: PolicyContract) -> dict[str, Any]:
     """Return the canonical form as plain values; `build_contract` reads them back."""
-    action, observation = contract.action, contract.observation
+    action, observation, phase = contract.action, contract.observation, contract.phase
     values: dict[str, Any] = {
         "schema": SCHEMA,
         "name": contract.name,
@@ -134,54 +121,47 @@ def contract_values(contract: PolicyContract) -> dict[str, Any]:
         "robot": contract.robot,
         "joints": list(contract.joints),
         "default_joint_pos": _plain(contract.default_joint_pos),
-        "action": {
-            "joints": list(action.joints) if action.joints != contract.joints else None,
-            "scale": _plain(action.scale),
-            "offset": _plain(action.offset),
-            "clip": None if action.clip is None else _plain(action.clip),
-            "feedback": action.feedback,
-        },
+        "action": _without_none(
+            joints=list(action.joints) if action.joints != contract.joints else None,
+            scale=_plain(action.scale),
+            offset=_plain(action.offset),
+            clip=None if action.clip is None else _plain(action.clip),
+            feedback=action.feedback,
+        ),
         "stiffness": _plain(contract.stiffness),
         "damping": _plain(contract.damping),
-    }
-    if observation.terms:
-        values["observation"] = {
+        "observation": {
             "layout": observation.layout,
             "newest": observation.newest,
             "start": observation.start,
             "terms": [_term(term) for term in observation.terms],
-        }
-    if contract.inputs:
-        values["inputs"] = dict(contract.inputs)
-    if contract.outputs:
-        values["outputs"] = dict(contract.outputs)
-    if contract.recurrent:
-        values["recurrent"] = [asdict(pair) for pair in contract.recurrent]
-    if contract.command_ranges:
-        values["command_ranges"] = {k: list(v) for k, v in contract.command_ranges.items()}
-    if contract.phase is not None:
-        values["phase"] = asdict(contract.phase) | {"offsets": list(contract.phase.offsets)}
-    for key in ("joints", "clip"):
-        if values["action"][key] is None:
-            del values["action"][key]
-    return {key: value for key, value in values.items() if value is not None}
+        },
+        "inputs": dict(contract.inputs) or None,
+        "outputs": dict(contract.outputs) or None,
+        "recurrent": [asdict(pair) for pair in contract.recurrent] or None,
+        "command_ranges": {k: list(v) for k, v in contract.command_ranges.items()} or None,
+        "phase": phase and asdict(phase) | {"offsets": list(phase.offsets)},
+    }
+    if not observation.terms:
+        del values["observation"]
+    return _without_none(**values)
 
 
 def _term(term: ObservationTerm) -> dict[str, Any]:
-    values: dict[str, Any] = {"name": term.name, "state": term.state}
-    if term.index is not None:
-        values["index"] = list(term.index)
-    if term.subtract is not None:
-        values["subtract"] = (
-            term.subtract if isinstance(term.subtract, str) else _scalar_or_list(term.subtract)
-        )
-    if not (term.scale == 1.0).all():
-        values["scale"] = _scalar_or_list(term.scale)
-    if term.clip is not None:
-        values["clip"] = [_scalar_or_list(side) for side in term.clip]
-    if term.history != 1:
-        values["history"] = term.history
-    return values
+    subtract, clip = term.subtract, term.clip
+    return _without_none(
+        name=term.name,
+        state=term.state,
+        index=None if term.index is None else list(term.index),
+        subtract=_scalar_or_list(subtract) if isinstance(subtract, np.ndarray) else subtract,
+        scale=None if (term.scale == 1.0).all() else _scalar_or_list(term.scale),
+        clip=None if clip is None else [_scalar_or_list(side) for side in clip],
+        history=None if term.history == 1 else term.history,
+    )
+
+
+def _without_none(**values: Any) -> dict[str, Any]:
+    return {key: value for key, value in values.items() if value is not None}
 
 
 def _plain(array: NDArray[np.float32]) -> Any:

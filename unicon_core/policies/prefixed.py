@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Iterator
+from typing import Any, TypeAlias
 
 from numpy.typing import NDArray
 
-from unicon_core.policies.terms import PackedStates
-from unicon_core.states.standard import standard_states
+from unicon_core.states import States, StateSpec, standard_states
 
-__all__ = ["PrefixedStates"]
+__all__ = ["PackedStates", "PrefixedStates"]
 
 
 class PrefixedStates:
@@ -28,7 +28,7 @@ class PrefixedStates:
         self._prefix = prefix
         self._standard = frozenset(standard_states(["joint"]))
 
-    def actual(self, name: object) -> Any:
+    def actual(self, name: str) -> str:
         """Return the name under which a state is declared."""
         prefixed = f"{self._prefix}{name}"
         return prefixed if name not in self._standard and prefixed in self._states else name
@@ -41,13 +41,13 @@ class PrefixedStates:
     def __getitem__(self, name: str) -> NDArray[Any]:
         return self._states[self.actual(name)]
 
-    def __contains__(self, name: object) -> bool:
+    def __contains__(self, name: str) -> bool:
         return self.actual(name) in self._states
 
-    def __iter__(self) -> Any:
+    def __iter__(self) -> Iterator[str]:
         return iter(self._states)
 
-    def spec(self, name: str) -> Any:
+    def spec(self, name: str) -> StateSpec:
         """Return the specification of a state."""
         return self._states.spec(self.actual(name))
 
@@ -58,3 +58,7 @@ class PrefixedStates:
     def offset(self, name: str) -> int:
         """Return the index of a state's first element in `buffer_of`."""
         return self._states.offset(self.actual(name))
+
+
+PackedStates: TypeAlias = States | PrefixedStates
+"""What is asked for: views by name, their specifications and the packed buffer."""

@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 from unicon_core.aligned import aligned
 from unicon_core.errors import PolicyError
 from unicon_core.policies.contract import PolicyContract
-from unicon_core.policies.load import NamedJoints, load_policy, policy_names
+from unicon_core.policies.load import load_policy, policy_names
 from unicon_core.policies.policy_states import policy_states
-from unicon_core.policies.terms import PackedStates, TermSlice, term_slices
+from unicon_core.policies.prefixed import PackedStates
+from unicon_core.policies.terms import TermSlice, term_slices
+from unicon_core.robots import Robot
 from unicon_core.states import States, standard_states
 
 __all__ = ["joint_table", "observation_table", "policies_table", "policy_table"]
@@ -40,7 +42,7 @@ def policies_table() -> str:
     return "\n".join(aligned(rows)) if len(rows) > 1 else "no policies in config/policies"
 
 
-def policy_table(contract: PolicyContract, robot: NamedJoints | None = None) -> str:
+def policy_table(contract: PolicyContract, robot: Robot | None = None) -> str:
     """Return all that is known of a policy.
 
     Args:
@@ -80,7 +82,7 @@ def policy_table(contract: PolicyContract, robot: NamedJoints | None = None) -> 
     return "\n".join(lines)
 
 
-def joint_table(contract: PolicyContract, robot: NamedJoints | None = None) -> str:
+def joint_table(contract: PolicyContract, robot: Robot | None = None) -> str:
     """Return one line for each joint in policy order: gains, pose and action.
 
     Args:
@@ -118,7 +120,7 @@ def joint_table(contract: PolicyContract, robot: NamedJoints | None = None) -> s
 
 def observation_table(
     contract: PolicyContract,
-    robot: NamedJoints | None = None,
+    robot: Robot | None = None,
     states: PackedStates | None = None,
 ) -> str:
     """Return one line for each term: source state, slice of the input, numbers, unit.

@@ -4,31 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import PolicyError, RobotError, alternatives
 from unicon_core.policies.contract import ObservationSpec, ObservationTerm, PolicyContract
+from unicon_core.policies.prefixed import PackedStates
 from unicon_core.robots import joint_index
 
-__all__ = ["PackedStates", "TermSlice", "term_slices"]
+__all__ = ["TermSlice", "term_slices"]
 
 Floats = NDArray[np.float32]
-
-
-class PackedStates(Protocol):
-    """What is asked of the states: views by name, their specifications and the packed buffer."""
-
-    @property
-    def num_robots(self) -> int | None: ...
-    def __getitem__(self, name: str) -> NDArray[Any]: ...
-    def __contains__(self, name: object) -> bool: ...
-    def __iter__(self) -> Any: ...
-    def spec(self, name: str) -> Any: ...
-    def buffer_of(self, dtype: Any) -> NDArray[Any]: ...
-    def offset(self, name: str) -> int: ...
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Checks of one value of a robot file, for the checks of its parts."""
+"""Checks of a robot file's values, joints, IMU and contacts, for the validator."""
 
 from __future__ import annotations
 
@@ -6,14 +6,44 @@ import math
 import re
 from typing import Any
 
-from unicon_core.errors import alternatives
+from unicon_core.bounds import DAMPING, EFFORT, POSITION, STIFFNESS, VELOCITY
+from unicon_core.errors import UniconError, alternatives
 from unicon_core.located_yaml import Located, Where
 from unicon_core.robots.robot import JOINT_FIELDS
 
-__all__ = ["check_keys", "check_name", "check_number", "check_text"]
+__all__ = [
+    "IMU_KEYS",
+    "NOT_NEGATIVE",
+    "check_command_ranges",
+    "check_contacts",
+    "check_imu",
+    "check_joints",
+    "check_keys",
+    "check_mapping",
+    "check_name",
+    "check_number",
+    "check_text",
+    "wrong",
+]
 
+COMMAND_AXES = ("vx", "vy", "wz")
+IMU_KEYS = ("frame", "position", "quat")
+NOT_NEGATIVE = ("stiffness", "damping")
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_./:+-]*")
 _NULLABLE = ("imu", "position", "quat", *JOINT_FIELDS)
+# The largest plausible size of each figure of a joint.
+_LARGEST = {
+    **dict.fromkeys(("lower", "upper", "default", "rest"), POSITION),
+    "velocity": VELOCITY,
+    "effort": EFFORT,
+    "stiffness": STIFFNESS,
+    "damping": DAMPING,
+}
+
+
+def wrong(located: Located, where: Where, finding: str) -> UniconError:
+    """Return the error about a value: `file:line: `, what it is called, and what was found."""
+    return located.error(where, f"{_place(located, where[:-1])}{where[-1]} {finding}")
 
 
 def check_keys(
@@ -23,7 +53,7 @@ def check_keys(
     required: tuple[str, ...],
     optional: tuple[str, ...] = (),
 ) -> None:
-    place = place_name(located, where)
+    place = _place(located, where)
     for key in mapping:
         if key not in required and key not in optional:
             known = alternatives(str(key), required + optional)
@@ -35,7 +65,7 @@ def check_keys(
             raise located.error(where, f"{place}missing key {key!r}; {remedy}")
 
 
-def place_name(located: Located, where: Where) -> str:
+def _place(located: Located, where: Where) -> str:
     """How a message calls a place: `joint 'FR_hip_joint': `, `imu: `, or nothing for the top."""
     if where[:1] == ("joints",) and len(where) > 1:
         joint = located.value["joints"][where[1]]
@@ -51,31 +81,150 @@ def _show(value: Any) -> str:
     )
 
 
+def check_mapping(located: Located, where: Where, value: Any, remedy: str) -> None:
+    if not isinstance(value, dict):
+        raise wrong(located, where, f"is {value!r}; {remedy}")
+
+
 def check_text(located: Located, where: Where, value: Any) -> None:
     if not isinstance(value, str) or not value.strip():
-        raise located.error(
-            where, f"{place_name(located, where[:-1])}{where[-1]} is {_show(value)}; write a text"
-        )
+        raise wrong(located, where, f"is {_show(value)}; write a text")
 
 
 def check_name(located: Located, where: Where, value: Any) -> None:
     """The name of a joint or frame: it stands in URDF, TF and joint states as it is."""
     check_text(located, where, value)
     if len(value) > 255 or not _NAME.fullmatch(value):
-        raise located.error(
+        raise wrong(
+            located,
             where,
-            f"{place_name(located, where[:-1])}{where[-1]} {value[:60]!r} is no name; write "
-            "letters, digits and _ . / : + -, the first a letter, a digit or _",
+            f"{value[:60]!r} is no name; write letters, digits and _ . / : + -, the first a "
+            "letter, a digit or _",
         )
+
+
+def _is_finite(value: Any) -> bool:
+    number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    return number and math.isfinite(value)
 
 
 def check_number(located: Located, where: Where, value: Any) -> None:
     """A finite number, or null."""
-    if value is None:
+    if value is not None and not _is_finite(value):
+        raise wrong(located, where, f"is {_show(value)}; write a number or null")
+
+
+def check_joints(located: Located, joints: Any) -> None:
+    if not isinstance(joints, list) or not joints:
+        raise wrong(located, ("joints",), "is no list; name each joint in motor order")
+    seen: dict[str, int] = {}
+    for i, joint in enumerate(joints):
+        where: Where = ("joints", i)
+        if not isinstance(joint, dict):
+            raise located.error(
+                where, f"joint number {i} is {joint!r}; write {{name: …, lower: …}}"
+            )
+        check_keys(located, where, joint, ("name", *JOINT_FIELDS))
+        check_name(located, (*where, "name"), joint["name"])
+        if joint["name"] in seen:
+            raise located.error(
+                (*where, "name"),
+                f"joint {joint['name']!r} stands twice, as number {seen[joint['name']]} and {i}; "
+                "name each joint once",
+            )
+        seen[joint["name"]] = i
+        _joint(located, where, joint)
+
+
+def _joint(located: Located, where: Where, joint: dict[str, Any]) -> None:
+    def bad(key: str, finding: str) -> UniconError:
+        return wrong(located, (*where, key), f"{joint[key]} {finding}")
+
+    for key in JOINT_FIELDS:
+        check_number(located, (*where, key), joint[key])
+        if joint[key] is not None and abs(joint[key]) > _LARGEST[key]:
+            raise wrong(
+                located,
+                (*where, key),
+                f"{joint[key]!r:.20} is beyond ±{_LARGEST[key]:.4g}, the largest plausible figure "
+                "in SI units; correct it, or write null if not known",
+            )
+    given = {key: joint[key] for key in JOINT_FIELDS if joint[key] is not None}
+    lower, upper = given.get("lower", -math.inf), given.get("upper", math.inf)
+    if lower >= upper:
+        raise bad("lower", f"is not below upper {upper}; swap or correct them")
+    for key in ("default", "rest"):
+        if key in given and not lower <= given[key] <= upper:
+            limits = f"[{joint['lower']}, {joint['upper']}]"
+            raise bad(key, f"is outside its limits {limits}; correct the pose or the limits")
+    for key in ("velocity", "effort"):
+        if key in given and given[key] <= 0:
+            raise bad(key, "is not above 0; write null if not known")
+    for key in NOT_NEGATIVE:
+        if key in given and given[key] < 0:
+            raise bad(key, "is negative; correct it")
+
+
+def check_imu(located: Located, imu: Any) -> None:
+    if imu is None:
         return
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise located.error(
-            where,
-            f"{place_name(located, where[:-1])}{where[-1]} is {_show(value)}; "
-            f"write a number or null",
-        )
+    remedy = "write {frame: …, position: …, quat: …} or null"
+    check_mapping(located, ("imu",), imu, remedy)
+    check_keys(located, ("imu",), imu, IMU_KEYS)
+    check_name(located, ("imu", "frame"), imu["frame"])
+    for key, length in (("position", 3), ("quat", 4)):
+        value, remedy = imu[key], f"write {length} numbers or null"
+        if value is None:
+            continue
+        if not isinstance(value, list) or len(value) != length:
+            got = f"{len(value)} values" if isinstance(value, list) else repr(value)
+            raise wrong(located, ("imu", key), f"has {got}; {remedy}")
+        for i, number in enumerate(value):
+            if number is None:
+                raise wrong(located, ("imu", key), f"has a null; {remedy}")
+            check_number(located, ("imu", key, i), number)
+    if imu["quat"] is not None:
+        norm = math.hypot(*imu["quat"])
+        if abs(norm - 1.0) > 1e-3:
+            raise wrong(
+                located,
+                ("imu", "quat"),
+                f"has length {norm:.4g}; write a unit quaternion, w first",
+            )
+
+
+def check_contacts(located: Located, document: dict[str, Any]) -> None:
+    """Feet of a robot that walks, fingertips of a hand: a list of names, empty where not known."""
+    kind = document["kind"]
+    key = {"quadruped": "feet", "humanoid": "feet", "hand": "fingertips"}.get(kind)
+    for other in ("feet", "fingertips"):
+        if other in document and other != key:
+            remedy = f"write {key!r}" if key else "remove it"
+            raise located.error((other,), f"a robot of kind {kind} has no {other!r}; {remedy}")
+    if key is None:
+        return
+    if key not in document:
+        raise located.error((), f"missing key {key!r}; add it, [] where not known")
+    names = document[key]
+    if not isinstance(names, list) or not all(isinstance(n, str) and n for n in names):
+        raise wrong(located, (key,), f"is {names!r}; write a list of names")
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise located.error((key,), f"{key}: {twice[0]!r} stands twice; name each once")
+
+
+def check_command_ranges(located: Located, ranges: Any) -> None:
+    """`{vx: [lowest, highest], …}`, zero within; whatever is left out is not known."""
+    if ranges is None:
+        return
+    remedy = "write {vx: [lowest, highest], vy: …, wz: …}"
+    check_mapping(located, ("command_ranges",), ranges, remedy)
+    check_keys(located, ("command_ranges",), ranges, (), COMMAND_AXES)
+    for axis, pair in ranges.items():
+        numbers = isinstance(pair, list) and all(map(_is_finite, pair))
+        if not numbers or len(pair) != 2 or not pair[0] <= 0.0 <= pair[1]:
+            raise wrong(
+                located,
+                ("command_ranges", axis),
+                f"is {pair!r}; write [lowest, highest] with 0 between them",
+            )

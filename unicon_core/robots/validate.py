@@ -7,15 +7,20 @@ from typing import Any
 
 from unicon_core.errors import alternatives
 from unicon_core.located_yaml import Located, Where
-from unicon_core.robots.check_parts import (
+from unicon_core.robots.checks import (
     IMU_KEYS,
     NOT_NEGATIVE,
     check_command_ranges,
     check_contacts,
     check_imu,
     check_joints,
+    check_keys,
+    check_mapping,
+    check_name,
+    check_number,
+    check_text,
+    wrong,
 )
-from unicon_core.robots.checks import check_keys, check_name, check_number, check_text
 from unicon_core.robots.robot import JOINT_FIELDS, MODEL_FORMATS
 
 __all__ = ["COMMANDS", "KINDS", "SCHEMA", "validate"]
@@ -52,23 +57,20 @@ def validate(located: Located) -> None:
         raise located.error((), "a robot file is a mapping; begin with `schema: unicon.robot/1`")
     check_keys(located, (), document, _REQUIRED, _OPTIONAL)
     if document["schema"] != SCHEMA:
-        raise located.error(
-            ("schema",), f"schema {document['schema']!r} is not known; write `schema: {SCHEMA}`"
+        raise wrong(
+            located, ("schema",), f"{document['schema']!r} is not known; write `schema: {SCHEMA}`"
         )
     for key in ("name", "description", "manufacturer"):
         check_text(located, (key,), document[key])
     check_name(located, ("base_frame",), document["base_frame"])
     if document["name"] != located.path.stem:
-        raise located.error(
+        raise wrong(
+            located,
             ("name",),
-            f"name {document['name']!r} differs from the file's name; "
+            f"{document['name']!r} differs from the file's name; "
             f"write `name: {located.path.stem}` or rename the file",
         )
-    if document["kind"] not in KINDS:
-        raise located.error(
-            ("kind",),
-            f"kind {document['kind']!r} is not known; {alternatives(str(document['kind']), KINDS)}",
-        )
+    _one_of(located, ("kind",), document["kind"], KINDS)
     _models(located, document["models"])
     check_joints(located, document["joints"])
     check_imu(located, document["imu"])
@@ -79,52 +81,46 @@ def validate(located: Located) -> None:
     _sources(located, document)
 
 
+def _one_of(located: Located, where: Where, value: Any, known: tuple[str, ...]) -> None:
+    if value not in known:
+        raise wrong(located, where, f"{value!r} is not known; {alternatives(str(value), known)}")
+
+
 def _models(located: Located, models: Any) -> None:
     """Paths below the file's folder or a configuration folder; a workflow may name any."""
-    if not isinstance(models, dict):
-        raise located.error(
-            ("models",),
-            f"models is {models!r}; write {{mjcf: PATH, urdf: PATH}}, {{}} where there is none",
-        )
+    remedy = "write {mjcf: PATH, urdf: PATH}, {} where there is none"
+    check_mapping(located, ("models",), models, remedy)
     check_keys(located, ("models",), models, (), MODEL_FORMATS)
     for kind, model in models.items():
         check_text(located, ("models", kind), model)
         path = PurePath(model.removeprefix("assets:"))
         if path.is_absolute() or ".." in path.parts or model.startswith("~"):
-            raise located.error(
+            raise wrong(
+                located,
                 ("models", kind),
-                f"models: {kind} {model!r} leads out of its folder; put it beside the robot file, "
-                "or let the workflow name it: scene: {model: PATH}",
+                f"{model!r} leads out of its folder; put it beside the robot file, or let the "
+                "workflow name it: scene: {model: PATH}",
             )
         if path.suffix and (path.suffix.lower() == ".urdf") != (kind == "urdf"):
             other = "mjcf" if kind == "urdf" else "urdf"
-            raise located.error(
-                ("models", kind), f"models: {kind} {model!r} does not look so; write {other}: …"
-            )
+            raise wrong(located, ("models", kind), f"{model!r} does not look so; write {other}: …")
 
 
 def _transport(located: Located, transport: Any) -> None:
-    if not isinstance(transport, dict):
-        raise located.error(("transport",), f"transport is {transport!r}; write {{protocol: …, …}}")
+    check_mapping(located, ("transport",), transport, "write {protocol: …, …}")
     if "protocol" not in transport:
         raise located.error(
             ("transport",), "transport: missing key 'protocol'; add it, null where not known"
         )
     if transport["protocol"] is not None:
         check_text(located, ("transport", "protocol"), transport["protocol"])
-    command = transport.get("command", "torque")
-    if command not in COMMANDS:
-        raise located.error(
-            ("transport", "command"),
-            f"transport: command {command!r} is not known; {alternatives(str(command), COMMANDS)}",
-        )
+    _one_of(located, ("transport", "command"), transport.get("command", "torque"), COMMANDS)
     _finite(located, ("transport",), transport)
     rate = transport.get("rate_hz")
     check_number(located, ("transport", "rate_hz"), rate)
     if rate is not None and rate <= 0:
-        raise located.error(
-            ("transport", "rate_hz"),
-            f"transport: rate_hz {rate} is not above 0; write null if not known",
+        raise wrong(
+            located, ("transport", "rate_hz"), f"{rate} is not above 0; write null if not known"
         )
 
 
@@ -162,7 +158,7 @@ def _unknown(located: Located, document: dict[str, Any]) -> None:
     if unknown is None:
         unknown = []
     if not isinstance(unknown, list) or not all(isinstance(fact, str) for fact in unknown):
-        raise located.error(("unknown",), f"unknown is {unknown!r}; write a list of facts")
+        raise wrong(located, ("unknown",), f"is {unknown!r}; write a list of facts")
     nulls = _nulls(document)
     for fact in nulls:
         if fact not in unknown:
@@ -191,10 +187,7 @@ def _place(document: dict[str, Any], fact: str) -> Where:
 def _sources(located: Located, document: dict[str, Any]) -> None:
     """Every group of figures that the file gives says where it was taken from."""
     sources = document["sources"]
-    if not isinstance(sources, dict):
-        raise located.error(
-            ("sources",), f"sources is {sources!r}; write one entry per group of facts"
-        )
+    check_mapping(located, ("sources",), sources, "write one entry per group of facts")
     for key, text in sources.items():
         if not isinstance(key, str):
             raise located.error(("sources", key), f"sources: {key!r} is no group; write a word")

@@ -10,6 +10,8 @@ from unicon_core.states import States
 
 __all__ = ["show_mermaid"]
 
+ENTITIES = str.maketrans({"#": "#35;", '"': "#quot;", "<": "#lt;", ">": "#gt;"})
+
 
 def show_mermaid(root: Node, states: States, critical: Collection[Block] = ()) -> str:
     """Return a Mermaid flowchart; blocks on the critical path have the class `critical`.
@@ -62,6 +64,4 @@ class _Chart:
 
 def _quoted(text: str) -> str:
     """Return a text in quotes with Mermaid's entities for what would end or mark it up."""
-    for sign, entity in (("#", "#35;"), ('"', "#quot;"), ("<", "#lt;"), (">", "#gt;")):
-        text = text.replace(sign, entity)
-    return f'"{text}"'
+    return f'"{text.translate(ENTITIES)}"'

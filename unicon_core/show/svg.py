@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from html import escape
 
 from unicon_core.flow import Block, Chain, Node, Switch
-from unicon_core.show.state_table import HEAD, state_rows
+from unicon_core.show.state_table import state_rows
 from unicon_core.show.tree import LEGEND, branches, is_critical, shortened, title
 from unicon_core.states import States
 
@@ -61,7 +61,7 @@ def show_svg(root: Node, states: States, critical: Collection[Block] = ()) -> st
     y = PAD + box.height + GAP
     legend = f'<rect class="critical" x="{PAD}" y="{y}" width="24" height="14" rx="3"/>'
     parts += [legend, _text(PAD + 32, y + 12, LEGEND)]
-    rows = [HEAD, *(row.cells() for row in state_rows(root, states))]
+    rows = state_rows(root, states)
     widths = [max(map(len, column)) * CHAR + GAP for column in zip(*rows)]
     top = y + 2 * GAP + LINE
     for i, row in enumerate(rows):
@@ -92,16 +92,14 @@ def _measured(node: Node, label: str) -> _Box:
     box.children = [_measured(child, name) for name, child in branches(node)]
     text = max(len(line) for line in [*box.lines, label]) * CHAR
     head = len(box.lines) * LINE + (LINE if label else 0)
-    if not box.children:
-        box.width, box.height = text + 2 * PAD, head + 2 * PAD - 4
-    elif box.sideways:
-        gaps = (len(box.children) - 1) * ARROW
-        box.width = max(text, sum(child.width for child in box.children) + gaps) + 2 * PAD
-        box.height = head + max(child.height for child in box.children) + 2 * PAD
-    else:
-        gaps = (len(box.children) - 1) * GAP
-        box.width = max(text, *(child.width for child in box.children)) + 2 * PAD
-        box.height = head + sum(child.height for child in box.children) + gaps + 2 * PAD
+    widths = [child.width for child in box.children]
+    heights = [child.height for child in box.children]
+    inner: tuple[float, float] = 0, -4
+    if box.sideways:
+        inner = sum(widths) + (len(widths) - 1) * ARROW, max(heights)
+    elif box.children:
+        inner = max(widths), sum(heights) + (len(heights) - 1) * GAP
+    box.width, box.height = max(text, inner[0]) + 2 * PAD, head + inner[1] + 2 * PAD
     return box
 
 

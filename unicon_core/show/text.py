@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Mapping
 from typing import TYPE_CHECKING
 
+from unicon_core.aligned import aligned
 from unicon_core.flow import Block, Node
-from unicon_core.show.state_table import state_table
+from unicon_core.show.state_table import state_rows
 from unicon_core.show.tree import LEGEND, branches, is_critical, shortened, title
 from unicon_core.states import States
 
@@ -25,7 +26,6 @@ def show_text(
     critical: Collection[Block] = (),
     *,
     robot: Robot | None = None,
-    policy: PolicyContract | None = None,
     policies: Mapping[str, PolicyContract] | None = None,
 ) -> str:
     """Return graph, states, and the joint and observation tables of the policies.
@@ -35,8 +35,7 @@ def show_text(
         states: all states.
         critical: blocks on the critical path (`critical_path(root).critical`).
         robot: adds the place of each policy joint in the robot's order.
-        policy: one policy to tell about.
-        policies: several, by name.
+        policies: by name.
 
     Raises:
         PolicyError: a policy's observation does not fit the states.
@@ -44,29 +43,19 @@ def show_text(
     layout = states.layout
     batch = "" if layout.num_robots is None else f" × {layout.num_robots} robots"
     parts = [
-        "\n".join(_head(_tree(root, critical, "", ""))),
+        "\n".join(aligned([*_tree(root, critical, "", "")], underlined=False)),
         f"{MARK} {LEGEND}",
         f"{len(states)} states{batch}, {layout.nbytes} bytes, layout {layout.hash[:12]}",
-        state_table(root, states),
+        "\n".join(aligned(state_rows(root, states))),
     ]
-    told = dict(policies or {})
-    if policy is not None:
-        told.setdefault(policy.name, policy)
-    if told:
+    if policies:
         from unicon_core.policies import joint_table, observation_table
 
-        for name, contract in told.items():
+        for name, contract in policies.items():
             parts += [f"joints of policy {name}", joint_table(contract, robot)]
             table = observation_table(contract, robot, states)
             parts += [f"observation of policy {name}", table]
     return "\n\n".join(parts)
-
-
-def _head(rows: Iterator[tuple[str, str]]) -> list[str]:
-    """Return lines with the second column aligned."""
-    table = list(rows)
-    width = max(len(first) for first, _ in table)
-    return [f"{first.ljust(width)}  {second}".rstrip() for first, second in table]
 
 
 def _tree(

@@ -14,16 +14,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import alternatives
-from unicon_msgs_map.errors import MapStateError, count_of
+from unicon_msgs_map.errors import count_of
+from unicon_msgs_map.layout.messages import QUATERNION, Struct, TypeRef
 from unicon_msgs_map.layout.units import PER_SI
 from unicon_msgs_map.spec import FieldSpec
 
-__all__ = ["Arrays", "Bound", "Names", "Variables", "bind_state", "bind_variable", "quaternions"]
+__all__ = [
+    "Arrays",
+    "Bound",
+    "Conversion",
+    "Names",
+    "Variables",
+    "bind_state",
+    "bind_variable",
+    "message_order",
+]
 
 AnyArray = NDArray[Any]
 Arrays = Mapping[str, AnyArray]
 Names = Mapping[str, Sequence[str]]
 Variables = Mapping[str, object]
+Conversion = tuple[AnyArray, AnyArray]
+"""Factor and summand per element."""
 
 _KINDS = frozenset("biuf")
 # xyzw on the wire, wxyz in the states: message element k is state element _WXYZ[k].
@@ -39,12 +51,14 @@ class Bound:
         flat: 1-D view of the whole state array.
         elements: indices into `flat`, in message order.
         names: element names of the selection, where the state has any.
+        conversion: in message order; None where nothing is converted.
     """
 
     field: FieldSpec
     flat: AnyArray
     elements: tuple[int, ...]
     names: tuple[str, ...] | None
+    conversion: Conversion | None = None
 
     @property
     def is_float(self) -> bool:
@@ -58,30 +72,23 @@ def bind_state(field: FieldSpec, arrays: Arrays, names: Names) -> Bound:
     Raises:
         MapStateError: no such state, element or range, or an array that cannot be used in place.
     """
-    name, where = field.source.name, field.where
+    name = field.source.name
     array = arrays.get(name)
     if array is None:
-        raise MapStateError(
-            f"{field.path}: no state {name!r}; {alternatives(name, arrays)}; "
-            f"write ={name} for the text",
-            where,
+        raise field.state_error(
+            f"no state {name!r}; {alternatives(name, arrays)}; write ={name} for the text"
         )
     if array.dtype.kind not in _KINDS or not array.dtype.isnative or array.dtype.itemsize > 8:
-        raise MapStateError(
-            f"{field.path}: state {name!r} has dtype {array.dtype}; "
-            "use bool, native integers, float32 or float64",
-            where,
+        raise field.state_error(
+            f"state {name!r} has dtype {array.dtype}; use bool, native integers, float32 or float64"
         )
     if array.dtype == np.float16:
-        raise MapStateError(
-            f"{field.path}: state {name!r} has dtype float16; use float32 or float64", where
-        )
+        raise field.state_error(f"state {name!r} has dtype float16; use float32 or float64")
     flat = array.reshape(-1)
     if array.size and not np.may_share_memory(flat, array):
-        raise MapStateError(
-            f"{field.path}: state {name!r} with shape {array.shape} and strides {array.strides} "
-            "is not one evenly spaced run; give a contiguous array",
-            where,
+        raise field.state_error(
+            f"state {name!r} with shape {array.shape} and strides {array.strides} is not one "
+            "evenly spaced run; give a contiguous array"
         )
     own = tuple(names[name]) if name in names else None
     if own is not None and len(own) != flat.size:
@@ -98,30 +105,34 @@ def bind_variable(field: FieldSpec, variables: Variables) -> object:
     """
     name = field.source.name
     if name not in variables:
-        raise MapStateError(
-            f"{field.path}: no variable ${name}; {alternatives(name, variables)}; "
-            "variables are given when the map is built",
-            field.where,
+        raise field.state_error(
+            f"no variable ${name}; {alternatives(name, variables)}; variables are given when the "
+            "map is built"
         )
     return variables[name]
 
 
-def quaternions(elements: tuple[int, ...], field: FieldSpec) -> tuple[int, ...]:
-    """Reorder wxyz elements into the message's xyzw, four at a time.
+def message_order(elements: tuple[int, ...], field: FieldSpec, kind: TypeRef) -> tuple[int, ...]:
+    """Return a field's elements as the message orders them: of quaternions, wxyz becomes xyzw.
+
+    Args:
+        elements: in the state's order.
+        field: the mapping's entry.
+        kind: the type that its path ends at.
 
     Raises:
         MapStateError: the number of elements is no multiple of four.
     """
+    whole = isinstance(kind, Struct) and kind.name == QUATERNION
+    if field.quat == "none" or (field.quat is None and not whole):
+        return elements
     if len(elements) % 4:
-        raise MapStateError(
-            f"{field.path}: a quaternion has 4 elements, {field.source} has {len(elements)}",
-            field.where,
-        )
+        raise field.state_error(f"a quaternion has 4 elements, {field.source} has {len(elements)}")
     groups = range(0, len(elements), 4)
     return tuple(elements[start + k] for start in groups for k in _WXYZ)
 
 
-def affine(field: FieldSpec, count: int, *, receive: bool) -> tuple[AnyArray, AnyArray] | None:
+def affine(field: FieldSpec, count: int, *, receive: bool) -> Conversion | None:
     """Return factor and summand per element, or None where nothing is converted.
 
     Args:
@@ -135,10 +146,9 @@ def affine(field: FieldSpec, count: int, *, receive: bool) -> tuple[AnyArray, An
     factor = PER_SI[field.unit] if field.unit else 1.0
     for label, value in (("scale", field.scale), ("offset", field.offset)):
         if isinstance(value, tuple) and len(value) != count:
-            raise MapStateError(
-                f"{field.path}: {label} has {len(value)} entries for {count_of(count)}; "
-                "give one number or one per element",
-                field.where,
+            raise field.state_error(
+                f"{label} has {len(value)} entries for {count_of(count)}; give one number or one "
+                "per element"
             )
     scale = np.broadcast_to(np.asarray(field.scale, dtype=np.float64), (count,))
     scale = scale / factor if receive else scale * factor
@@ -154,22 +164,18 @@ def _select(field: FieldSpec, size: int, names: tuple[str, ...] | None) -> tuple
         return tuple(range(size))
     if isinstance(index, str):
         if names is None:
-            raise MapStateError(
-                f"{field.path}: state {name!r} has no element names; use a number, as in {name}[0]",
-                field.where,
+            raise field.state_error(
+                f"state {name!r} has no element names; use a number, as in {name}[0]"
             )
         if index not in names:
-            raise MapStateError(
-                f"{field.path}: state {name!r} has no element {index!r}; "
-                f"{alternatives(index, names)}",
-                field.where,
+            raise field.state_error(
+                f"state {name!r} has no element {index!r}; {alternatives(index, names)}"
             )
         return (names.index(index),)
     start, stop = (index, index + 1) if isinstance(index, int) else index
     stop = size if stop is None else stop
     if stop > size or start >= size:
-        raise MapStateError(
-            f"{field.path}: {field.source} is out of range; state {name!r} has {count_of(size)}",
-            field.where,
+        raise field.state_error(
+            f"{field.source} is out of range; state {name!r} has {count_of(size)}"
         )
     return tuple(range(start, stop))

@@ -43,22 +43,21 @@ class Grid:
 
 def castable(run: Run) -> bool:
     """Tell whether NumPy's cast gives the value, with no rounding, saturation or wrapping."""
-    assert run.target is not None
     assert run.primitive is not None
     wire, state = np.dtype(run.primitive.dtype), run.flat.dtype
     if wire.kind == "b" or state.kind == "b":
         return False
     if state.kind == "f":
         return True
-    return run.target.conversion is None and bool(np.can_cast(wire, state, "safe"))
+    return run.conversion is None and bool(np.can_cast(wire, state, "safe"))
 
 
 def read_in_bulk(code: Code, number: int, primitive: Primitive, runs: list[Run]) -> None:
     """Read all long runs of one wire type with one gather, write them with few copies."""
     stage = code.stage()
     wire = np.dtype(primitive.dtype).newbyteorder("<" if code.order == "<" else ">")
-    converted = any(run.target and run.target.conversion for run in runs)
-    groups = fuse(runs, _alike, _begin)
+    converted = any(run.conversion for run in runs)
+    groups = fuse(runs, _form, _begin)
     grids = [_grid_of(group) for group in groups]
     if wire.isnative and not converted and all(grids):
         _direct(code, number, wire, groups, [grid for grid in grids if grid])
@@ -110,11 +109,9 @@ def _direct(
 def _convert(code: Code, number: int, runs: list[Run]) -> AnyArray:
     scales, summands = [], []
     for run in runs:
-        assert run.target is not None
         for rank in run.ranks:
-            pair = run.target.conversion
-            scales.append(float(pair[0][rank]) if pair else 1.0)
-            summands.append(float(pair[1][rank]) if pair else 0.0)
+            scales.append(float(run.conversion[0][rank]) if run.conversion else 1.0)
+            summands.append(float(run.conversion[1][rank]) if run.conversion else 0.0)
     real = np.zeros(len(scales))
     code.space |= {
         f"real{number}": real,
@@ -185,15 +182,11 @@ def _bounded(
     code.work.append(f"if {test}: return False")
 
 
-def _alike(a: Run, b: Run) -> bool:
-    steps = step(a.elements), step(b.elements)
-    return (
-        steps[0] is not None
-        and steps[0] == steps[1]
-        and len(a.elements) == len(b.elements)
-        and a.flat.dtype == b.flat.dtype
-        and a.flat.strides == b.flat.strides
-    )
+def _form(run: Run) -> object:
+    distance = step(run.elements)
+    if distance is None:
+        return object()  # uneven: like no other
+    return distance, len(run.elements), run.flat.dtype, run.flat.strides
 
 
 def _begin(run: Run) -> tuple[int]:

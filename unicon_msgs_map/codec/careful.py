@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from unicon_msgs_map.codec.binding import Bound
+from unicon_msgs_map.codec.binding import Bound, Conversion
 from unicon_msgs_map.codec.ranges import SINGLE_MAX, limits
 from unicon_msgs_map.codec.targets import Target
 from unicon_msgs_map.errors import count_of
@@ -22,14 +22,7 @@ from unicon_msgs_map.layout.messages import Primitive
 from unicon_msgs_map.layout.walker import Found
 from unicon_msgs_map.spec import SubscribeSpec
 
-__all__ = [
-    "Rejected",
-    "Run",
-    "apply",
-    "orientation",
-    "select",
-    "state_of",
-]
+__all__ = ["Rejected", "Run", "apply", "orientation", "select", "state_of"]
 
 STAMP, COVARIANCE = -1, -2
 """Numbers of what is read beside the fields: the stamp, an Imu's first orientation covariance."""
@@ -56,16 +49,18 @@ class Run:
         elements: where each goes in the state's flat view.
         ranks: position of each in its field, for per-element scale and offset.
         flat: the state's flat view, or the decoder's own stamp.
+        conversion: of the whole field, by rank; None where nothing is converted.
     """
 
     kind: str
     target: Target | None
     order: str
-    primitive: Primitive | None
-    offsets: tuple[int, ...]
-    elements: tuple[int, ...]
-    ranks: tuple[int, ...]
-    flat: Any
+    primitive: Primitive | None = None
+    offsets: tuple[int, ...] = ()
+    elements: tuple[int, ...] = ()
+    ranks: tuple[int, ...] = ()
+    flat: Any = None
+    conversion: Conversion | None = None
 
 
 def select(found: Found, spec: SubscribeSpec, targets: list[Target], stamp: list[int]) -> list[Run]:
@@ -77,19 +72,17 @@ def select(found: Found, spec: SubscribeSpec, targets: list[Target], stamp: list
     runs: list[Run] = []
     by_name, carried = False, 0
     for target in targets:
-        if target.bound is None:
+        bound = target.bound
+        if bound is None:
             if target.required is not None:
                 _require(found, target, runs)
             continue
         places: list[tuple[int, Primitive | None]] = []
         for offset, primitive, count in found.numbers.get(target.number, []):
-            if count == 1:
-                places.append((offset, primitive))
-            elif primitive is not None:
-                end = offset + count * primitive.size
-                places += [(at, primitive) for at in range(offset, end, primitive.size)]
+            size = 0 if primitive is None else primitive.size  # a time is never one of many
+            places += [(offset + k * size, primitive) for k in range(count)]
         ranks = _ranks(found, spec, target, len(places))
-        absent = sorted(set(range(len(target.bound.elements))) - set(ranks))
+        absent = sorted(set(range(len(bound.elements))) - set(ranks))
         by_name |= target.by is not None
         if absent and spec.missing == "error":
             raise Rejected(
@@ -98,21 +91,10 @@ def select(found: Found, spec: SubscribeSpec, targets: list[Target], stamp: list
             )
         pairs = [(place, rank) for place, rank in zip(places, ranks) if rank is not None]
         carried += len(pairs)
-        runs += _runs(found.order, target, target.bound, pairs)
+        runs += _runs(found.order, target, bound, pairs)
         if absent and spec.missing == "zero":
-            elements = tuple(target.bound.elements[k] for k in absent)
-            runs.append(
-                Run(
-                    "zero",
-                    target,
-                    found.order,
-                    None,
-                    (),
-                    elements,
-                    tuple(absent),
-                    target.bound.flat,
-                )
-            )
+            elements = tuple(bound.elements[k] for k in absent)
+            runs.append(Run("zero", target, found.order, elements=elements, flat=bound.flat))
     if not carried and spec.missing != "zero":
         what = "known names" if by_name else "mapped elements"
         raise Rejected(f"it carries none of the {what}")
@@ -139,10 +121,11 @@ def orientation(found: Found, runs: list[Run], state: str) -> list[Run]:
     if not written:
         raise Rejected(f"it carries nothing for {state}")
     offsets = tuple(offset for run in written for offset in run.offsets)
-    checks = [Run("unit", written[0].target, found.order, None, offsets, (), (), None)]
-    for offset, primitive, _ in found.numbers.get(COVARIANCE, []):
-        checks.append(Run("told", None, found.order, primitive, (offset,), (), (), None))
-    return checks
+    covariance = found.numbers.get(COVARIANCE, [])
+    return [
+        Run("unit", written[0].target, found.order, None, offsets),
+        *(Run("told", None, found.order, kind, (offset,)) for offset, kind, _ in covariance),
+    ]
 
 
 def state_of(run: Run) -> str:
@@ -187,24 +170,15 @@ def _runs(
     bound: Bound,
     pairs: list[tuple[tuple[int, Primitive | None], int]],
 ) -> list[Run]:
-    groups: dict[Primitive | None, list[tuple[int, int]]] = {}
+    groups: dict[Primitive | None, list[tuple[int, int, int]]] = {}
     for (offset, primitive), rank in pairs:
-        groups.setdefault(primitive, []).append((offset, rank))
+        groups.setdefault(primitive, []).append((bound.elements[rank], rank, offset))
     runs = []
     for primitive, members in groups.items():
-        members.sort(key=lambda member: bound.elements[member[1]])
-        runs.append(
-            Run(
-                "number" if primitive else "time",
-                target,
-                order,
-                primitive,
-                tuple(offset for offset, _ in members),
-                tuple(bound.elements[rank] for _, rank in members),
-                tuple(rank for _, rank in members),
-                bound.flat,
-            )
-        )
+        elements, ranks, offsets = zip(*sorted(members))
+        kind, flat = "number" if primitive else "time", bound.flat
+        run = Run(kind, target, order, primitive, offsets, elements, ranks, flat, bound.conversion)
+        runs.append(run)
     return runs
 
 
@@ -219,7 +193,7 @@ def _require(found: Found, target: Target, runs: list[Run]) -> None:
     if not numbers:
         raise Rejected(f"{path} is absent, and {wanted!r} is required")
     offset, primitive, _ = numbers[0]
-    runs.append(Run("required", target, found.order, primitive, (offset,), (), (), None))
+    runs.append(Run("required", target, found.order, primitive, (offset,)))
 
 
 def apply(raw: bytes, runs: list[Run], nonfinite: str) -> None:
@@ -245,11 +219,11 @@ def apply(raw: bytes, runs: list[Run], nonfinite: str) -> None:
                 raise Rejected(f"the quaternion's norm is {square**0.5:g}, not 1")
             continue
         if run.primitive is None:
-            for offset, element in zip(run.offsets, run.elements):
+            for offset, element, rank in zip(run.offsets, run.elements, run.ranks):
                 sec, nanosec = struct.unpack_from(run.order + "iI", raw, offset)
                 value = sec * 1_000_000_000 + nanosec
                 if run.target is not None:
-                    value = _integral(run, value)
+                    value = _integral(run, value, rank)
                 writes.append((run.flat, element, value))
             continue
         code = run.order + ("B" if run.primitive.code == "?" else run.primitive.code)
@@ -278,31 +252,27 @@ def apply(raw: bytes, runs: list[Run], nonfinite: str) -> None:
 
 
 def _convert(run: Run, value: float, rank: int, nonfinite: str) -> Any:
-    assert run.target is not None
     dtype = run.flat.dtype
-    if run.target.conversion is not None:
-        scale, offset = run.target.conversion
+    if run.conversion is not None:
+        scale, offset = run.conversion
         value = value * float(scale[rank]) + float(offset[rank])
     if nonfinite == "reject" and isinstance(value, float) and not math.isfinite(value):
         raise Rejected(f"{_element(run, rank)} is {value}, and nonfinite: reject is declared")
     if dtype.kind == "b":
         return bool(value)
     if dtype.kind != "f":
-        return _integral(run, value)
+        return _integral(run, value, rank)
     value = float(value)
     if dtype == np.float32 and math.isfinite(value) and abs(value) > SINGLE_MAX:
         raise Rejected(f"{_element(run, rank)} is {value:g}, which float32 cannot hold")
     return value
 
 
-def _integral(run: Run, value: float) -> int:
+def _integral(run: Run, value: float, rank: int) -> int:
     low, high = limits(run.flat.dtype)
     if not low <= value <= high:  # NaN too
-        raise Rejected(
-            f"{_element(run, run.ranks[0])} is {value}, which {run.flat.dtype} cannot hold"
-        )
-    whole = round(value)
-    return min(max(whole, low), high)
+        raise Rejected(f"{_element(run, rank)} is {value}, which {run.flat.dtype} cannot hold")
+    return min(max(round(value), low), high)
 
 
 def _element(run: Run, rank: int) -> str:
@@ -312,11 +282,8 @@ def _element(run: Run, rank: int) -> str:
 
 def _named(target: Target, ranks: list[int]) -> str:
     assert target.bound is not None
-    if target.order:
-        return _some([target.order[k] for k in ranks])
-    if target.bound.names:
-        return _some([target.bound.names[k] for k in ranks])
-    return _some([f"{target.field.path}[{k}]" for k in ranks])
+    names = target.order or target.bound.names
+    return _some([names[k] if names else f"{target.field.path}[{k}]" for k in ranks])
 
 
 def _some(names: list[str]) -> str:

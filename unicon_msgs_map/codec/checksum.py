@@ -12,8 +12,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from unicon_msgs_map.errors import MapStateError
-from unicon_msgs_map.layout.messages import Array, Primitive, String, Struct, TypeRef
+from unicon_msgs_map.layout.messages import PRIMITIVES, Array, Primitive, String, Struct, TypeRef
 from unicon_msgs_map.spec import FieldSpec
 
 __all__ = ["unitree_crc"]
@@ -33,14 +32,11 @@ def unitree_crc(field: FieldSpec, message: Struct, buffer: bytearray) -> Callabl
     Raises:
         MapStateError: the message is no C struct that ends in a uint32 checksum.
     """
-    last = message.fields[-1]
-    if field.path != last.name or not (
-        isinstance(last.type, Primitive) and last.type.name == "uint32"
-    ):
-        raise MapStateError(
-            f"{field.path}: Unitree's checksum is a uint32 at the end of the message; "
-            f"{message.name} ends in {last.name}",
-            field.where,
+    last = list(message.fields)[-1]
+    if field.path != last or message.fields[last] is not PRIMITIVES["uint32"]:
+        raise field.state_error(
+            f"Unitree's checksum is a uint32 at the end of the message; "
+            f"{message.name} ends in {last}"
         )
     places = _Places(field)
     places.walk(message)
@@ -78,17 +74,16 @@ class _Places:
             self.memory += kind.size
         elif isinstance(kind, Struct):
             self.memory += -self.memory % _alignment(kind)
-            for member in kind.fields:
-                self.walk(member.type)
+            for member in kind.fields.values():
+                self.walk(member)
             self.memory += -self.memory % _alignment(kind)
         elif isinstance(kind, Array) and kind.length is not None:
             for _ in range(kind.length):
                 self.walk(kind.item)
         else:
-            raise MapStateError(
-                f"{self.field.path}: a message with strings or sequences is no C struct; "
-                "Unitree's checksum covers LowCmd and its kin",
-                self.field.where,
+            raise self.field.state_error(
+                "a message with strings or sequences is no C struct; Unitree's checksum covers "
+                "LowCmd and its kin"
             )
 
 
@@ -99,4 +94,4 @@ def _alignment(kind: TypeRef) -> int:
         return _alignment(kind.item)
     if isinstance(kind, String):
         return 4
-    return max(_alignment(member.type) for member in kind.fields)
+    return max(map(_alignment, kind.fields.values()))

@@ -8,30 +8,14 @@ from collections.abc import Mapping
 
 from unicon_core.errors import alternatives
 from unicon_msgs_map.codec.ranges import SINGLE_MAX, limits
-from unicon_msgs_map.errors import MapStateError
-from unicon_msgs_map.layout.messages import Array, Primitive, String, Struct, TypeRef
-from unicon_msgs_map.layout.template import Leaf
+from unicon_msgs_map.layout.messages import Primitive, String, TypeRef
 from unicon_msgs_map.spec import FieldSpec
 
 _FRAMES = ("frame_id", "child_frame_id")
 _FRAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_./-]*")  # no leading slash since tf2
 LONGEST_NUMBER = 40
 
-__all__ = ["constant", "owner_constants"]
-
-
-def owner_constants(message: Struct, leaf: Leaf) -> dict[str, bool | int | float | str]:
-    """Return the constants of the message that holds a leaf, such as POWER_SUPPLY_STATUS_FULL."""
-    owner = message
-    for step in leaf.at[:-1]:
-        if isinstance(step, str):
-            member = owner.field(step)
-            kind = member.type if member else None
-            if isinstance(kind, Array):
-                kind = kind.item
-            if isinstance(kind, Struct):
-                owner = kind
-    return owner.constants
+__all__ = ["constant"]
 
 
 def constant(
@@ -52,24 +36,19 @@ def constant(
         if not isinstance(value, str):
             value = str(value)
         if kind.bound and len(value.encode()) > kind.bound:
-            raise MapStateError(
-                f"{field.path}: {value!r} is longer than the string's bound of {kind.bound}",
-                field.where,
-            )
+            raise field.state_error(f"{value!r} is longer than the string's bound of {kind.bound}")
         if "\0" in value:
-            raise MapStateError(f"{field.path}: a string cannot hold a NUL character", field.where)
+            raise field.state_error("a string cannot hold a NUL character")
         if field.steps[-1][0] in _FRAMES and value and not _FRAME.fullmatch(value):
-            raise MapStateError(
-                f"{field.path}: {value[:60]!r} is no frame; write letters, digits and _ . / -, "
-                "without a leading slash",
-                field.where,
+            raise field.state_error(
+                f"{value[:60]!r} is no frame; write letters, digits and _ . / -, without a leading "
+                "slash"
             )
         return value
     if not isinstance(kind, Primitive):
-        raise MapStateError(
-            f"{field.path}: {value!r} cannot fill a {getattr(kind, 'name', 'message array')}; "
-            "map the fields of its elements",
-            field.where,
+        raise field.state_error(
+            f"{value!r} cannot fill a {getattr(kind, 'name', 'message array')}; map the fields of "
+            "its elements"
         )
     number = constants.get(value, value) if isinstance(value, str) else value
     if isinstance(number, bytes) and len(number) == 1:
@@ -79,24 +58,21 @@ def constant(
             number = _parse_number(number)
         except ValueError:
             named = alternatives(str(number), constants) if constants else "no constant is named"
-            raise MapStateError(
-                f"{field.path}: {number!r} is no {kind.name}; {named}", field.where
-            ) from None
+            raise field.state_error(f"{number!r} is no {kind.name}; {named}") from None
     if not isinstance(number, (int, float)):
-        raise MapStateError(f"{field.path}: {value!r} is no {kind.name}", field.where)
+        raise field.state_error(f"{value!r} is no {kind.name}")
     if kind.name == "bool":
         return bool(number)
     if kind.code in "fd":
         if kind.code == "f" and SINGLE_MAX < abs(number) < math.inf:
-            raise MapStateError(f"{field.path}: {value!r} is more than a float32", field.where)
+            raise field.state_error(f"{value!r} is more than a float32")
         return float(number)
     low, high = limits(kind.dtype)
     if isinstance(number, float) and number.is_integer():
         number = int(number)
     if not isinstance(number, int) or not low <= number <= high:
-        raise MapStateError(
-            f"{field.path}: {value!r} is no {kind.name}; give an integer from {low} to {high}",
-            field.where,
+        raise field.state_error(
+            f"{value!r} is no {kind.name}; give an integer from {low} to {high}"
         )
     return int(number)
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from unicon_msgs_map.codec.binding import AnyArray, Bound
+from unicon_msgs_map.codec.binding import AnyArray, Bound, Conversion
 from unicon_msgs_map.codec.strides import address, fuse, line, stack, step
 from unicon_msgs_map.layout.template import Slot
 
@@ -40,7 +40,7 @@ class Copy:
     offset: int
     stride: int
     wire: np.dtype[Any]
-    conversion: tuple[AnyArray, AnyArray] | None
+    conversion: Conversion | None
 
     def target(self, data: bytearray) -> AnyArray:
         """Return the view of the message that it fills."""
@@ -49,11 +49,9 @@ class Copy:
         return target
 
 
-def as_copy(
-    slots: list[Slot], bound: Bound, conversion: tuple[AnyArray, AnyArray] | None
-) -> Copy | None:
+def as_copy(slots: list[Slot], bound: Bound) -> Copy | None:
     """Return the copy that fills the slots of one field; None where they go one by one."""
-    primitive = slots[0].primitive
+    primitive, conversion = slots[0].primitive, bound.conversion
     if primitive is None or len(slots) <= SCALAR_LIMIT:
         return None
     wire = np.dtype(primitive.dtype)
@@ -75,7 +73,7 @@ def copy_lines(copies: list[Copy], data: bytearray) -> tuple[list[str], dict[str
     lines: list[str] = []
     space: dict[str, Any] = {}
     plain = sorted(filter(_plain, copies), key=lambda copy: copy.offset)
-    for number, group in enumerate(fuse(plain, _alike, _begins)):
+    for number, group in enumerate(fuse(plain, _form, _begins)):
         space[f"keep{number}"] = [copy.view for copy in group]  # alive with the function
         space[f"from{number}"] = stack([copy.view for copy in group])
         space[f"into{number}"] = stack([copy.target(data) for copy in group])
@@ -120,14 +118,8 @@ def _plain(copy: Copy) -> bool:
     return copy.conversion is None and not narrowed
 
 
-def _alike(a: Copy, b: Copy) -> bool:
-    return (a.view.shape, a.view.dtype, a.view.strides, a.stride, a.wire) == (
-        b.view.shape,
-        b.view.dtype,
-        b.view.strides,
-        b.stride,
-        b.wire,
-    )
+def _form(copy: Copy) -> object:
+    return copy.view.shape, copy.view.dtype, copy.view.strides, copy.stride, copy.wire
 
 
 def _begins(copy: Copy) -> tuple[int, int]:

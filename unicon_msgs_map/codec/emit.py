@@ -20,7 +20,7 @@ from collections.abc import Callable, Mapping
 from unicon_core.generated import define
 from unicon_msgs_map.codec.binding import Bound
 from unicon_msgs_map.codec.copies import Copy, as_copy, copy_lines
-from unicon_msgs_map.codec.packs import Conversions, Packs
+from unicon_msgs_map.codec.packs import Packs
 from unicon_msgs_map.layout.template import Slot, Template
 
 __all__ = ["generate"]
@@ -29,7 +29,6 @@ __all__ = ["generate"]
 def generate(
     template: Template,
     bounds: Mapping[int, Bound],
-    conversions: Conversions,
     checksum: Callable[[], int] | None = None,
 ) -> tuple[Callable[[], bytes], str]:
     """Return the encode function and its source.
@@ -37,18 +36,17 @@ def generate(
     Args:
         template: bytes and slots.
         bounds: state per field number.
-        conversions: factor and summand per field number, None where there is nothing to do.
         checksum: computes the last four bytes from the others, where the message has one.
     """
     copies: list[Copy] = []
     scalars: list[Slot] = []
     for key, slots in _by_field(template.slots).items():
-        found = as_copy(slots, bounds[key[0]], conversions[key[0]])
+        found = as_copy(slots, bounds[key[0]])
         if found is None:
             scalars += slots
         else:
             copies.append(found)
-    writer = Packs(template, bounds, conversions)
+    writer = Packs(template, bounds)
     body = writer.loads(scalars)
     if copies or checksum:
         body += writer.packs_into(scalars)

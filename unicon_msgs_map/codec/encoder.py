@@ -15,7 +15,6 @@ from unicon_msgs_map.codec.binding import (
     Bound,
     Names,
     Variables,
-    affine,
     bind_state,
     bind_variable,
 )
@@ -79,9 +78,8 @@ class Encoder:
         bounds: dict[int, Bound] = {}
         for number, field in enumerate(spec.fields):
             if field.source.kind == "state":
-                bounds[number] = place_state(
-                    root, message, number, field, bind_state(field, arrays, names or {})
-                )
+                bound = bind_state(field, arrays, names or {})
+                bounds[number] = place_state(root, message, number, bound)
             else:
                 value = field.source.value
                 if field.source.kind == "variable":
@@ -91,13 +89,9 @@ class Encoder:
             template = Template(message, root)
         except MapStateError as error:
             raise MapStateError(error.message, spec.where) from None
-        conversions = {
-            number: affine(bound.field, len(bound.elements), receive=False)
-            for number, bound in bounds.items()
-        }
         checksum = None
         for field in spec.fields:
             if field.checksum is not None:
                 checksum = unitree_crc(field, message, template.data)
-        encode, source = generate(template, bounds, conversions, checksum)
+        encode, source = generate(template, bounds, checksum)
         return cls(spec, encode, source, len(template.data))

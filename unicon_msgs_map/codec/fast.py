@@ -33,7 +33,7 @@ from unicon_msgs_map.codec.code import Code
 from unicon_msgs_map.codec.scalars import Scalars
 from unicon_msgs_map.layout.messages import Primitive
 
-__all__ = ["Fast", "merge"]
+__all__ = ["compile_fast", "merge"]
 
 SCALAR_LIMIT = 8  # numbers of one field that are still read one by one
 PIECES_LIMIT = 8  # structural pieces that are still compared one by one
@@ -63,8 +63,15 @@ def _maker(source: str) -> Callable[..., Callable[[bytes], bool | None]]:
     return maker
 
 
-class Fast(Code):
-    """The function for payloads that are built like one: structure, then tests, then writes.
+def compile_fast(
+    raw: bytes,
+    order: str,
+    hard: list[tuple[int, int]],
+    runs: list[Run],
+    reject: bool,
+    loose: bool,
+) -> Callable[[bytes], bool | None]:
+    """Generate and return the function for payloads that are built like one.
 
     Args:
         raw: the payload that was walked.
@@ -74,97 +81,79 @@ class Fast(Code):
         reject: whether numbers that are not finite are refused.
         loose: compare structural bytes only, not the padding between them.
     """
-
-    def __init__(
-        self,
-        raw: bytes,
-        order: str,
-        hard: list[tuple[int, int]],
-        runs: list[Run],
-        reject: bool,
-        loose: bool,
-    ) -> None:
-        super().__init__(raw, order, reject)
-        scalars = Scalars(self)
-        bulk: dict[Primitive, list[Run]] = {}
-        for number, run in enumerate(runs):
-            many = run.kind == "number" and len(run.offsets) > SCALAR_LIMIT
-            if many and run.primitive is not None and castable(run):
-                bulk.setdefault(run.primitive, []).append(run)
-            else:
-                scalars.add(number, run)
-        for number, (primitive, members) in enumerate(bulk.items()):
-            read_in_bulk(self, number, primitive, members)
-        self.guards = self._guards(hard, [o for r in runs for o in r.offsets], loose)
-
-    def compile(self) -> Callable[[bytes], bool | None]:
-        """Generate and return the function."""
-        body = ["if len(raw) != size: return None"]
-        if len(self.guards) > PIECES_LIMIT:
-            body += ["stage[:] = raw", *self._mask(), *self._unpack([])]
+    code = Code(raw, order, reject)
+    scalars = Scalars(code)
+    bulk: dict[Primitive, list[Run]] = {}
+    for number, run in enumerate(runs):
+        many = run.kind == "number" and len(run.offsets) > SCALAR_LIMIT
+        if many and run.primitive is not None and castable(run):
+            bulk.setdefault(run.primitive, []).append(run)
         else:
-            body += self._unpack(self.guards)
-            if "staged" in self.space:
-                body.append("stage[:] = raw")
-        body += self.checks
-        body += self.work
-        body += self.writes
-        body.append("return True")
-        lines = [
-            f"def make({', '.join(self.space)}):",
-            "    def decode(raw):",
-            *(f"        {line}" for line in body),
-            "    return decode",
-        ]
-        function = _maker("\n".join(lines))(**self.space)
-        vars(function)["space"] = self.space  # what it writes to by address stays alive with it
-        return function
+            scalars.add(number, run)
+    for number, (primitive, members) in enumerate(bulk.items()):
+        read_in_bulk(code, number, primitive, members)
+    guards = hard if loose else _bridged(hard, sorted(o for r in runs for o in r.offsets))
+    body = ["if len(raw) != size: return None"]
+    if len(guards) > PIECES_LIMIT:
+        body += ["stage[:] = raw", *_mask(code, guards), *_unpack(code, [])]
+    else:
+        body += _unpack(code, guards)
+        if "staged" in code.space:
+            body.append("stage[:] = raw")
+    body += [*code.checks, *code.work, *code.writes, "return True"]
+    lines = [
+        f"def make({', '.join(code.space)}):",
+        "    def decode(raw):",
+        *(f"        {line}" for line in body),
+        "    return decode",
+    ]
+    function = _maker("\n".join(lines))(**code.space)
+    vars(function)["space"] = code.space  # what it writes to by address stays alive with it
+    return function
 
-    def _guards(
-        self, hard: list[tuple[int, int]], offsets: list[int], loose: bool
-    ) -> list[tuple[int, int]]:
-        read = sorted(offsets)
-        guards: list[tuple[int, int]] = []
-        for start, end in hard:
-            if guards and not loose and start - guards[-1][1] <= BRIDGE:
-                before = guards[-1][1]
-                if bisect_left(read, before) == bisect_left(read, start):
-                    guards[-1] = (guards[-1][0], end)
-                    continue
+
+def _bridged(hard: list[tuple[int, int]], read: list[int]) -> list[tuple[int, int]]:
+    """Return the pieces to compare, near ones united where nothing between them is read."""
+    guards: list[tuple[int, int]] = []
+    for start, end in hard:
+        before = guards[-1][1] if guards else -BRIDGE - 1
+        if start - before <= BRIDGE and bisect_left(read, before) == bisect_left(read, start):
+            guards[-1] = (guards[-1][0], end)
+        else:
             guards.append((start, end))
-        return guards
+    return guards
 
-    def _mask(self) -> list[str]:
-        """Compare many structural pieces at once: 300 ns for a payload of 1 kB."""
-        mask = np.zeros(len(self.raw), np.uint8)
-        for start, end in self.guards:
-            mask[start:end] = 255
-        kept = bytearray(len(self.raw))
-        self.stage()
-        self.space |= {
-            "bitwise_and": np.bitwise_and,
-            "mask": mask,
-            "masked": np.frombuffer(kept, np.uint8),
-            "kept": kept,
-            "structure": (np.frombuffer(self.raw, np.uint8) & mask).tobytes(),
-        }
-        return ["bitwise_and(staged, mask, masked)", "if kept != structure: return None"]
 
-    def _unpack(self, guards: list[tuple[int, int]]) -> list[str]:
-        pieces: list[tuple[int, str, str]] = [
-            (offset, code, name) for offset, (code, name) in self.reads.items()
-        ]
-        tests = []
-        for number, (start, end) in enumerate(guards):
-            pieces.append((start, f"{end - start}s", f"g{number}"))
-            self.space[f"G{number}"] = self.raw[start:end]
-            tests.append(f"g{number} != G{number}")
-        form, position, names = self.order, 0, []
-        for offset, code, name in sorted(pieces):
-            form += f"{offset - position}x{code}"
-            names.append(name)
-            position = offset + struct.calcsize(self.order + code)
-        form += f"{len(self.raw) - position}x"
-        self.space["unpack"] = struct.Struct(form).unpack
-        lines = [f"{', '.join(names)}, = unpack(raw)"] if names else []
-        return [*lines, f"if {' or '.join(tests)}: return None"] if tests else lines
+def _mask(code: Code, guards: list[tuple[int, int]]) -> list[str]:
+    """Compare many structural pieces at once: 300 ns for a payload of 1 kB."""
+    mask = np.zeros(len(code.raw), np.uint8)
+    for start, end in guards:
+        mask[start:end] = 255
+    kept = bytearray(len(code.raw))
+    code.stage()
+    code.space |= {
+        "bitwise_and": np.bitwise_and,
+        "mask": mask,
+        "masked": np.frombuffer(kept, np.uint8),
+        "kept": kept,
+        "structure": (np.frombuffer(code.raw, np.uint8) & mask).tobytes(),
+    }
+    return ["bitwise_and(staged, mask, masked)", "if kept != structure: return None"]
+
+
+def _unpack(code: Code, guards: list[tuple[int, int]]) -> list[str]:
+    pieces = [(offset, form, name) for offset, (form, name) in code.reads.items()]
+    tests = []
+    for number, (start, end) in enumerate(guards):
+        pieces.append((start, f"{end - start}s", f"g{number}"))
+        code.space[f"G{number}"] = code.raw[start:end]
+        tests.append(f"g{number} != G{number}")
+    whole, position, names = code.order, 0, []
+    for offset, form, name in sorted(pieces):
+        whole += f"{offset - position}x{form}"
+        names.append(name)
+        position = offset + struct.calcsize(code.order + form)
+    whole += f"{len(code.raw) - position}x"
+    code.space["unpack"] = struct.Struct(whole).unpack
+    lines = [f"{', '.join(names)}, = unpack(raw)"] if names else []
+    return [*lines, f"if {' or '.join(tests)}: return None"] if tests else lines

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from unicon_msgs_map.codec.careful import COVARIANCE, STAMP, Run, apply, orientation, select
-from unicon_msgs_map.codec.fast import Fast, merge
+from unicon_msgs_map.codec.fast import compile_fast, merge
 from unicon_msgs_map.codec.targets import Target
 from unicon_msgs_map.layout.messages import HEADER, TIME, Struct
 from unicon_msgs_map.layout.paths import Path, parse_path
@@ -100,7 +100,7 @@ class Layouts:
             self._loose = True
             self.kept.clear()
         reject = self._spec.nonfinite == "reject"
-        self.fast = Fast(raw, found.order, hard, runs, reject, self._loose).compile()
+        self.fast = compile_fast(raw, found.order, hard, runs, reject, self._loose)
         self.kept.insert(0, _Layout(len(raw), structure, self.fast, runs))
         del self.kept[KEPT_LAYOUTS:]
 
@@ -110,11 +110,9 @@ def _miss(_: bytes) -> bool | None:
 
 
 def _stamp_path(message: Struct) -> Path:
-    header = message.field("header")
-    if header is not None and isinstance(header.type, Struct) and header.type.name == HEADER:
-        return (("header", None), ("stamp", None))
-    for name in ("stamp", "clock"):
-        member = message.field(name)
-        if member is not None and isinstance(member.type, Struct) and member.type.name == TIME:
-            return ((name, None),)
+    for path, owner in (("header.stamp", HEADER), ("stamp", TIME), ("clock", TIME)):
+        steps = parse_path(path)
+        kind = message.fields.get(steps[0][0])
+        if isinstance(kind, Struct) and kind.name == owner:
+            return steps
     return ()

@@ -43,8 +43,7 @@ def largest_of(runs: list[Run], wire: np.dtype[Any], reject: bool) -> float | No
     """
     bound = math.inf
     for run in runs:
-        assert run.target is not None
-        pair, single = run.target.conversion, run.flat.dtype == np.float32
+        pair, single = run.conversion, run.flat.dtype == np.float32
         if not reject and pair is None and not (single and wire.itemsize == 8):
             continue
         largest = SINGLE_MAX if single or wire.itemsize == 4 else DOUBLE_MAX

@@ -16,9 +16,7 @@ from unicon_msgs_map.codec.binding import AnyArray, Bound
 from unicon_msgs_map.codec.ranges import SINGLE_MAX, limits
 from unicon_msgs_map.layout.template import Slot, Template
 
-__all__ = ["Conversions", "Packs"]
-
-Conversions = Mapping[int, tuple[AnyArray, AnyArray] | None]
+__all__ = ["Packs"]
 
 GAP_LIMIT = 64  # constant bytes that a pack into the buffer may write again, [B]
 
@@ -26,12 +24,9 @@ GAP_LIMIT = 64  # constant bytes that a pack into the buffer may write again, [B
 class Packs:
     """Writes the lines of one function and collects the names that they use."""
 
-    def __init__(
-        self, template: Template, bounds: Mapping[int, Bound], conversions: Conversions
-    ) -> None:
+    def __init__(self, template: Template, bounds: Mapping[int, Bound]) -> None:
         self.data = template.data
         self.bounds = bounds
-        self.conversions = conversions
         self.space: dict[str, Any] = {}
         self.values: dict[Slot, list[tuple[str, str]]] = {}
 
@@ -68,7 +63,7 @@ class Packs:
 
     def _scalar(self, slot: Slot, name: str) -> tuple[str, str]:
         bound = self.bounds[slot.source]
-        conversion = self.conversions[slot.source]
+        conversion = bound.conversion
         expression, state = name, bound.flat.dtype
         if conversion is not None:
             scale, offset = float(conversion[0][slot.rank]), float(conversion[1][slot.rank])

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
-from unicon_msgs_map.codec.binding import Bound, quaternions
-from unicon_msgs_map.codec.constants import constant, owner_constants
+from unicon_msgs_map.codec.binding import Bound, affine, message_order
+from unicon_msgs_map.codec.constants import constant
 from unicon_msgs_map.errors import MapStateError, count_of
-from unicon_msgs_map.layout.messages import QUATERNION, Array, Primitive, String, Struct, TypeRef
+from unicon_msgs_map.layout.check import resolve
+from unicon_msgs_map.layout.messages import Array, Primitive, String, Struct, TypeRef
 from unicon_msgs_map.layout.template import (
     Leaf,
     Node,
@@ -22,36 +24,23 @@ from unicon_msgs_map.spec import FieldSpec
 __all__ = ["place_constant", "place_state"]
 
 
-def place_state(root: Node, message: Struct, number: int, field: FieldSpec, bound: Bound) -> Bound:
+def place_state(root: Node, message: Struct, number: int, bound: Bound) -> Bound:
     """Place a state's elements; return them in message order.
 
     Args:
         root: what is placed so far.
         message: its type.
         number: of the field in the mapping entry.
-        field: the mapping's entry.
         bound: the state, with elements in its own order.
 
     Raises:
+        MessageTypeError: the path does not fit the type.
         MapStateError: size or type do not fit, or the place is taken.
     """
-    elements = bound.elements
-    leaves = expand(field, message, len(elements))
-    if len(leaves) == 1 and isinstance(leaves[0].type, Array) and leaves[0].type.length is None:
-        kind = leaves[0].type
-        _check_sequence(field, kind, len(elements))
-        if field.quat == "xyzw_from_wxyz":
-            elements = quaternions(elements, field)
-        place(root, leaves[0], Place("number", number, elements, 0), field)
-        return Bound(field, bound.flat, elements, bound.names)
-    if any(_is_quaternion(leaf.type) for leaf in leaves) and field.quat is None:
-        if not all(_is_quaternion(leaf.type) for leaf in leaves):  # pragma: no cover - one type
-            raise MapStateError(f"{field.path}: mixes quaternions and others", field.where)
-        elements = quaternions(elements, field)
-    elif field.quat == "xyzw_from_wxyz":
-        elements = quaternions(elements, field)
-    flat = [one for leaf in leaves for one in numeric_leaves(leaf, field)]
-    sizes = [leaf_size(leaf.type, field) for leaf in flat]
+    field = bound.field
+    kind = resolve(field, message, receive=False)
+    elements = message_order(bound.elements, field, kind)
+    leaves, sizes = _leaves(field, message, len(elements))
     if sum(sizes) != len(elements):
         raise MapStateError(
             f"{field.path} takes {count_of(sum(sizes))}, {field.source} has {len(elements)}; "
@@ -59,114 +48,91 @@ def place_state(root: Node, message: Struct, number: int, field: FieldSpec, boun
             field.where,
         )
     rank = 0
-    for leaf, size in zip(flat, sizes):
+    for leaf, size in zip(leaves, sizes):
         part = elements[rank : rank + size]
-        place(root, leaf, _state_place(field, leaf.type, number, part, rank, bound), field)
+        place(root, leaf, _state_place(leaf.type, number, part, rank, bound), field)
         rank += size
-    return Bound(field, bound.flat, elements, bound.names)
+    conversion = affine(field, len(elements), receive=False)
+    return replace(bound, elements=elements, conversion=conversion)
+
+
+def _leaves(field: FieldSpec, message: Struct, count: int | None) -> tuple[list[Leaf], list[int]]:
+    """Return where a path leads to, and how many of our `count` elements go to each place."""
+    places = expand(field, field.steps, Leaf((), message, message), count)
+    leaves = [leaf for each in places for leaf in numeric_leaves(each, field)]
+    if count is None:
+        return leaves, []
+    if len(places) == 1 and isinstance(places[0].type, Array) and places[0].type.length is None:
+        return leaves, [count]
+    return leaves, [leaf_size(leaf.type, field) for leaf in leaves]
 
 
 def _state_place(
-    field: FieldSpec,
-    kind: TypeRef,
-    number: int,
-    part: tuple[int, ...],
-    rank: int,
-    bound: Bound,
+    kind: TypeRef, number: int, part: tuple[int, ...], rank: int, bound: Bound
 ) -> Place:
+    field = bound.field
     if isinstance(kind, Struct):  # a Time or Duration
         if bound.is_float or bound.flat.dtype.kind == "b":
-            raise MapStateError(
-                f"{field.path}: {kind.name} takes integer nanoseconds, state "
-                f"{field.source.name!r} has dtype {bound.flat.dtype}; use an int64 state",
-                field.where,
+            raise field.state_error(
+                f"{kind.name} takes integer nanoseconds, state {field.source.name!r} has dtype "
+                f"{bound.flat.dtype}; use an int64 state"
             )
         return Place("time", number, part, rank)
     if isinstance(kind, String):
         if field.text is None:
-            raise MapStateError(
-                f"{field.path}: a string cannot hold state {field.source.name!r}; write "
-                f"{{state: {field.source}, text: 8.2f}} for a number of fixed width, "
-                f"or ={field.source} for the word",
-                field.where,
+            raise field.state_error(
+                f"a string cannot hold state {field.source.name!r}; write "
+                f"{{state: {field.source}, text: 8.2f}} for a number of fixed width, or "
+                f"={field.source} for the word"
             )
         width = len(format(0.0 if bound.is_float else 0, field.text))
         if kind.bound and width > kind.bound:
-            raise MapStateError(
-                f"{field.path}: text {field.text!r} is {width} wide; the string takes {kind.bound}",
-                field.where,
+            raise field.state_error(
+                f"text {field.text!r} is {width} wide; the string takes {kind.bound}"
             )
         return Place("text", number, part, rank, width)
-    if isinstance(kind, Array):
-        _check_sequence(field, kind, len(part))
-    return Place("number", number, part, rank)
-
-
-def _check_sequence(field: FieldSpec, kind: Array, count: int) -> None:
-    if not isinstance(kind.item, Primitive):
+    if isinstance(kind, Array) and not isinstance(kind.item, Primitive):
         what = "strings" if isinstance(kind.item, String) else kind.item.name
-        raise MapStateError(
-            f"{field.path}: an array of {what} cannot hold state {field.source.name!r}; map the "
-            f"fields of its elements, as in {field.path}[0], or give a $variable",
-            field.where,
+        raise field.state_error(
+            f"an array of {what} cannot hold state {field.source.name!r}; map the fields of its "
+            f"elements, as in {field.path}[0], or give a $variable"
         )
-    if kind.bound and count > kind.bound:
+    if isinstance(kind, Array) and kind.bound and len(part) > kind.bound:
         raise MapStateError(
-            f"{field.path} takes at most {count_of(kind.bound)}, {field.source} has {count}; "
+            f"{field.path} takes at most {count_of(kind.bound)}, {field.source} has {len(part)}; "
             f"select them, as in {field.source.name}[:{kind.bound}]",
             field.where,
         )
-
-
-def _is_quaternion(kind: TypeRef) -> bool:
-    return isinstance(kind, Struct) and kind.name == QUATERNION
+    return Place("number", number, part, rank)
 
 
 def place_constant(root: Node, message: Struct, field: FieldSpec, value: object) -> None:
     """Place a constant or the value of a variable, one or a list of them.
 
     Raises:
+        MessageTypeError: the path does not fit the type.
         MapStateError: it does not fit, or the place is taken.
     """
+    resolve(field, message, receive=False)
     if isinstance(value, str) or not isinstance(value, Sequence):
-        leaves = expand(field, message, None)
-        for leaf in leaves:
-            for one in numeric_leaves(leaf, field):
-                _place_one(root, message, field, one, value)
+        for leaf in _leaves(field, message, None)[0]:
+            _place_one(root, field, leaf, value)
         return
     items = list(value)
-    leaves = expand(field, message, len(items))
-    if len(leaves) == 1 and isinstance(leaves[0].type, Array) and leaves[0].type.length is None:
-        kind = leaves[0].type
-        if kind.bound and len(items) > kind.bound:
-            raise MapStateError(
-                f"{field.path} takes at most {count_of(kind.bound)}, {len(items)} are given",
-                field.where,
-            )
-        constants = message.constants
-        place(
-            root,
-            leaves[0],
-            [constant(field, kind.item, item, constants) for item in items],
-            field,
-        )
-        return
-    flat = [one for leaf in leaves for one in numeric_leaves(leaf, field)]
-    total = sum(leaf_size(leaf.type, field) for leaf in flat)
-    if total != len(items):
+    leaves, sizes = _leaves(field, message, len(items))
+    if sum(sizes) != len(items):
         raise MapStateError(
-            f"{field.path} takes {total} values, {len(items)} are given", field.where
+            f"{field.path} takes {sum(sizes)} values, {len(items)} are given", field.where
         )
     start = 0
-    for leaf in flat:
-        size = leaf_size(leaf.type, field)
-        part: object = items[start : start + size] if isinstance(leaf.type, Array) else items[start]
-        _place_one(root, message, field, leaf, part)
+    for leaf, size in zip(leaves, sizes):
+        many = isinstance(leaf.type, Array)
+        _place_one(root, field, leaf, items[start : start + size] if many else items[start])
         start += size
 
 
-def _place_one(root: Node, message: Struct, field: FieldSpec, leaf: Leaf, value: object) -> None:
-    kind, constants = leaf.type, owner_constants(message, leaf)
+def _place_one(root: Node, field: FieldSpec, leaf: Leaf, value: object) -> None:
+    kind, constants = leaf.type, leaf.owner.constants
     if isinstance(kind, Array):
         if isinstance(value, list):
             items = value
@@ -177,23 +143,20 @@ def _place_one(root: Node, message: Struct, field: FieldSpec, leaf: Leaf, value:
             )
         else:
             items = [value] * kind.length
+        if kind.bound and len(items) > kind.bound:
+            raise MapStateError(
+                f"{field.path} takes at most {count_of(kind.bound)}, {len(items)} are given",
+                field.where,
+            )
         parts = [constant(field, kind.item, item, constants) for item in items]
         place(root, leaf, parts, field)
         return
     if isinstance(kind, Struct):  # a Time or Duration, in nanoseconds
         if isinstance(value, bool) or not isinstance(value, int):
-            raise MapStateError(
-                f"{field.path}: {kind.name} takes integer nanoseconds, not {value!r}", field.where
-            )
+            raise field.state_error(f"{kind.name} takes integer nanoseconds, not {value!r}")
         sec, nanosec = divmod(value, 1_000_000_000)
         for name, number in (("sec", sec), ("nanosec", nanosec)):
-            member = kind.field(name)
-            assert member is not None
-            place(
-                root,
-                Leaf((*leaf.at, name), member.type),
-                constant(field, member.type, number, {}),
-                field,
-            )
+            part = Leaf((*leaf.at, name), kind.fields[name], kind)
+            place(root, part, constant(field, part.type, number, {}), field)
         return
     place(root, leaf, constant(field, kind, value, constants), field)

@@ -83,8 +83,7 @@ class Scalars:
         self.code.work.append(f"if not unit_low <= {square} <= unit_high: return False")
 
     def _numbers(self, number: int, run: Run, primitive: Primitive) -> None:
-        assert run.target is not None
-        dtype, conversion = run.flat.dtype, run.target.conversion
+        dtype, conversion = run.flat.dtype, run.conversion
         wire = np.dtype(primitive.dtype)
         real = wire.kind == "f" or conversion is not None
         for position, (offset, rank) in enumerate(zip(run.offsets, run.ranks)):

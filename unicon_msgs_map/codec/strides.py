@@ -52,14 +52,14 @@ def stack(lines: Sequence[AnyArray]) -> AnyArray:
 
 def fuse(
     members: Iterable[Member],
-    alike: Callable[[Member, Member], bool],
+    form: Callable[[Member], object],
     places: Callable[[Member], Sequence[int]],
 ) -> list[list[Member]]:
     """Group consecutive members of equal form that lie at even distances.
 
     Args:
         members: in the order of their places.
-        alike: whether two members have the same form.
+        form: what two members must have alike.
         places: where a member begins in each memory that counts, [B].
     """
 
@@ -70,7 +70,7 @@ def fuse(
     for member in members:
         group = groups[-1] if groups else []
         even = len(group) < 2 or apart(group[-1], member) == apart(group[0], group[1])
-        if group and alike(group[-1], member) and even:
+        if group and form(group[-1]) == form(member) and even:
             group.append(member)
         else:
             groups.append([member])

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from unicon_msgs_map.codec.binding import (
-    AnyArray,
     Arrays,
     Bound,
     Names,
@@ -14,25 +13,18 @@ from unicon_msgs_map.codec.binding import (
     affine,
     bind_state,
     bind_variable,
-    quaternions,
+    message_order,
 )
 from unicon_msgs_map.codec.constants import constant
 from unicon_msgs_map.errors import MapStateError, count_of
 from unicon_msgs_map.layout.check import resolve
-from unicon_msgs_map.layout.messages import (
-    DURATION,
-    QUATERNION,
-    TIME,
-    Array,
-    Primitive,
-    String,
-    Struct,
-    TypeRef,
-)
+from unicon_msgs_map.layout.messages import Array, Primitive, String, Struct, TypeRef
 from unicon_msgs_map.layout.template import Leaf, leaf_size, numeric_leaves
 from unicon_msgs_map.spec import FieldSpec, SubscribeSpec
 
 __all__ = ["Target", "bind_targets"]
+
+Listed = dict[int, tuple[str, ...]]  # element names by the number of the field that carries them
 
 
 @dataclass(frozen=True)
@@ -43,9 +35,7 @@ class Target:
         number: of the field in the mapping entry.
         field: the mapping's entry.
         bound: the state it writes, elements in message order; None for names and constants.
-        conversion: factor and summand per element, None where nothing is converted.
         is_time: whether the field is a Time or Duration.
-        fixed: number of message elements where the type and path fix it.
         by: number of the field whose texts order the elements; None goes by position.
         order: our element names as the message would write them, where `by` is set.
         required: constant that the message must carry; None where a state is written.
@@ -54,9 +44,7 @@ class Target:
     number: int
     field: FieldSpec
     bound: Bound | None = None
-    conversion: tuple[AnyArray, AnyArray] | None = None
     is_time: bool = False
-    fixed: int | None = None
     by: int | None = None
     order: tuple[str, ...] = ()
     required: object = None
@@ -70,7 +58,7 @@ def bind_targets(
     Raises:
         MapStateError: a state, variable, size or dtype does not fit.
     """
-    listed = {
+    listed: Listed = {
         number: _texts(field, bind_variable(field, variables))
         for number, field in enumerate(spec.fields)
         if field.source.kind == "variable"
@@ -86,20 +74,18 @@ def bind_targets(
         else:
             bound = bind_state(field, arrays, names)
             if not bound.flat.flags.writeable:
-                raise MapStateError(
-                    f"{field.path}: state {field.source.name!r} is read-only; "
-                    "a subscription needs a writable array",
-                    field.where,
+                raise field.state_error(
+                    f"state {field.source.name!r} is read-only; a subscription needs a writable "
+                    "array"
                 )
-            target = _target(number, field, kind, message, bound, listed, spec)
+            target = _target(number, kind, message, bound, listed, spec)
             assert target.bound is not None
             for element in target.bound.elements:
                 key = (field.source.name, element)
                 if key in written:
-                    raise MapStateError(
-                        f"{field.path}: {field.source.name}[{element}] is already written by "
-                        f"{written[key]}; drop one of the two",
-                        field.where,
+                    raise field.state_error(
+                        f"{field.source.name}[{element}] is already written by {written[key]}; "
+                        "drop one of the two"
                     )
                 written[key] = field.path
             targets.append(target)
@@ -107,68 +93,49 @@ def bind_targets(
 
 
 def _target(
-    number: int,
-    field: FieldSpec,
-    kind: TypeRef,
-    message: Struct,
-    bound: Bound,
-    listed: dict[int, tuple[str, ...]],
-    spec: SubscribeSpec,
+    number: int, kind: TypeRef, message: Struct, bound: Bound, listed: Listed, spec: SubscribeSpec
 ) -> Target:
+    field, count = bound.field, len(bound.elements)
     if isinstance(kind, String) or (isinstance(kind, Array) and isinstance(kind.item, String)):
-        raise MapStateError(
-            f"{field.path}: text cannot be read into state {field.source.name!r}; "
-            f"write ={field.source} to require the word",
-            field.where,
+        raise field.state_error(
+            f"text cannot be read into state {field.source.name!r}; write ={field.source} to "
+            "require the word"
         )
     if isinstance(kind, Array) and not isinstance(kind.item, Primitive):
-        raise MapStateError(
-            f"{field.path}: an array of {kind.item.name} cannot fill state "  # type: ignore[union-attr]
-            f"{field.source.name!r}; map the fields of its elements, as in {field.path}[0]",
-            field.where,
+        raise field.state_error(
+            f"an array of {kind.item.name} cannot fill state "  # type: ignore[union-attr]
+            f"{field.source.name!r}; map the fields of its elements, as in {field.path}[0]"
         )
-    is_time = isinstance(kind, Struct) and kind.name in (TIME, DURATION)
+    is_time = isinstance(kind, Struct) and kind.is_time
     if is_time and bound.flat.dtype.kind not in "iu":
-        raise MapStateError(
-            f"{field.path}: a time is integer nanoseconds, state {field.source.name!r} has dtype "
-            f"{bound.flat.dtype}; use an int64 state",
-            field.where,
+        raise field.state_error(
+            f"a time is integer nanoseconds, state {field.source.name!r} has dtype "
+            f"{bound.flat.dtype}; use an int64 state"
         )
-    elements = bound.elements
-    field = _close_ranges(field, message, kind, len(elements))
-    fixed = _fixed_count(field, message, kind)
-    if fixed is not None and fixed != len(elements):
+    field = _close_ranges(field, message, count)
+    fixed = _fixed_count(field, message)
+    if fixed is not None and fixed != count:
         raise MapStateError(
-            f"{field.path} has {count_of(fixed)}, {field.source} has {len(elements)}; "
+            f"{field.path} has {count_of(fixed)}, {field.source} has {count}; "
             f"select them, as in {field.source.name}[:{fixed}]",
             field.where,
         )
-    whole = isinstance(kind, Struct) and kind.name == QUATERNION
-    if field.quat == "wxyz_from_xyzw" or (whole and field.quat is None):
-        elements = quaternions(elements, field)
-    bound = Bound(field, bound.flat, elements, bound.names)
-    by = _by(field, fixed, spec, listed, len(elements))
+    elements = message_order(bound.elements, field, kind)
+    by = _by(field, fixed, spec, listed)
     order: tuple[str, ...] = ()
     if by is not None:
-        order = listed[by] if len(listed[by]) == len(elements) else (bound.names or ())
-        if len(order) != len(elements):
-            raise MapStateError(
-                f"{field.path}: {field.source} has {count_of(len(elements))}, "
-                f"${spec.fields[by].source.name} names {len(listed[by])}; give a state of that "
-                "size, element names for it, or by: none",
-                field.where,
+        order = listed[by] if len(listed[by]) == count else (bound.names or ())
+        if len(order) != count:
+            raise field.state_error(
+                f"{field.source} has {count_of(count)}, ${spec.fields[by].source.name} names "
+                f"{len(listed[by])}; give a state of that size, element names for it, or by: none"
             )
-    conversion = affine(field, len(elements), receive=True)
-    return Target(number, field, bound, conversion, is_time, fixed, by, order)
+    conversion = affine(field, count, receive=True)
+    bound = replace(bound, field=field, elements=elements, conversion=conversion)
+    return Target(number, field, bound, is_time, by, order)
 
 
-def _by(
-    field: FieldSpec,
-    fixed: int | None,
-    spec: SubscribeSpec,
-    listed: dict[int, tuple[str, ...]],
-    count: int,
-) -> int | None:
+def _by(field: FieldSpec, fixed: int | None, spec: SubscribeSpec, listed: Listed) -> int | None:
     if field.by == "none":
         return None
     if field.by is not None:
@@ -177,27 +144,24 @@ def _by(
         return None
     if len(listed) > 1:
         paths = ", ".join(spec.fields[n].path for n in listed)
-        raise MapStateError(
-            f"{field.path}: several fields carry names ({paths}); say which one orders it, "
-            "as in {state: …, by: …}",
-            field.where,
+        raise field.state_error(
+            f"several fields carry names ({paths}); say which one orders it, as in "
+            "{state: …, by: …}"
         )
     return next(iter(listed))
 
 
-def _close_ranges(field: FieldSpec, message: Struct, kind: TypeRef, count: int) -> FieldSpec:
+def _close_ranges(field: FieldSpec, message: Struct, count: int) -> FieldSpec:
     """End an open range over a fixed array where the state ends; sequences stay open."""
     steps = list(field.steps)
     owner: TypeRef = message
     for number, (name, selector) in enumerate(steps):
         assert isinstance(owner, Struct)
-        member = owner.field(name)
-        assert member is not None
-        owner = member.type
+        owner = owner.fields[name]
         if isinstance(owner, Array) and selector is not None:
             if isinstance(selector, tuple) and selector[1] is None and owner.length is not None:
                 steps[number] = (name, (selector[0], selector[0] + 1))
-                each = _fixed_count(replace(field, steps=tuple(steps)), message, kind) or 1
+                each = _fixed_count(replace(field, steps=tuple(steps)), message) or 1
                 stop = selector[0] + count // each
                 if stop > owner.length or stop == selector[0]:
                     raise MapStateError(
@@ -210,15 +174,13 @@ def _close_ranges(field: FieldSpec, message: Struct, kind: TypeRef, count: int) 
     return replace(field, steps=tuple(steps))
 
 
-def _fixed_count(field: FieldSpec, message: Struct, kind: TypeRef) -> int | None:
+def _fixed_count(field: FieldSpec, message: Struct) -> int | None:
     """Return the number of elements at a path, None where the message decides it."""
     total = 1
     owner: TypeRef = message
     for name, selector in field.steps:
         assert isinstance(owner, Struct)
-        member = owner.field(name)
-        assert member is not None
-        owner = member.type
+        owner = owner.fields[name]
         if isinstance(owner, Array):
             if selector is None:
                 return None if owner.length is None else total * owner.length
@@ -228,7 +190,7 @@ def _fixed_count(field: FieldSpec, message: Struct, kind: TypeRef) -> int | None
                     return None
                 total *= stop - selector[0]
             owner = owner.item
-    flat = numeric_leaves(Leaf((), kind), field)
+    flat = numeric_leaves(Leaf((), owner, message), field)
     return total * sum(leaf_size(leaf.type, field) for leaf in flat)
 
 
@@ -236,25 +198,18 @@ def _required(number: int, field: FieldSpec, kind: TypeRef) -> Target:
     if not isinstance(kind, (Primitive, String)) or any(
         isinstance(selector, tuple) for _, selector in field.steps
     ):
-        raise MapStateError(
-            f"{field.path}: a subscription can require the value of one number or text only; "
-            "name it, as in header.frame_id",
-            field.where,
+        raise field.state_error(
+            "a subscription can require the value of one number or text only; name it, as in "
+            "header.frame_id"
         )
     return Target(number, field, required=constant(field, kind, field.source.value, {}))
 
 
 def _texts(field: FieldSpec, value: object) -> tuple[str, ...]:
     if isinstance(value, str) or not isinstance(value, Sequence):
-        raise MapStateError(
-            f"{field.path}: ${field.source.name} must be a list of names, not {value!r}",
-            field.where,
-        )
+        raise field.state_error(f"${field.source.name} must be a list of names, not {value!r}")
     texts = tuple(str(item) for item in value)
     if len(set(texts)) != len(texts):
         twice = next(t for t in texts if texts.count(t) > 1)
-        raise MapStateError(
-            f"{field.path}: ${field.source.name} holds {twice!r} twice; names must differ",
-            field.where,
-        )
+        raise field.state_error(f"${field.source.name} holds {twice!r} twice; names must differ")
     return texts

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from unicon_core.errors import alternatives
-from unicon_msgs_map.errors import MapFileError, MessageTypeError, count_of
+from unicon_msgs_map.errors import MapFileError, count_of
 from unicon_msgs_map.layout.messages import Array, String, Struct, TypeRef
 from unicon_msgs_map.layout.paths import Key, Selector
 from unicon_msgs_map.spec import FieldSpec, PublishSpec, SubscribeSpec
@@ -22,10 +22,7 @@ def check_publish(spec: PublishSpec) -> None:
     for field in spec.fields:
         resolve(field, message, receive=False)
         if field.by is not None:
-            raise MapFileError(
-                f"{field.path}: 'by' orders received arrays; publish with a $variable of names",
-                field.where,
-            )
+            raise field.file_error("'by' orders received arrays; publish with a $variable of names")
 
 
 def check_subscribe(spec: SubscribeSpec) -> None:
@@ -40,26 +37,20 @@ def check_subscribe(spec: SubscribeSpec) -> None:
     for field in spec.fields:
         kind = resolve(field, message, receive=True)
         if field.text is not None:
-            raise MapFileError(
-                f"{field.path}: 'text' formats published strings; drop it", field.where
-            )
+            raise field.file_error("'text' formats published strings; drop it")
         if field.checksum is not None:
-            raise MapFileError(
-                f"{field.path}: checksums are written, not checked on receive; drop it", field.where
-            )
+            raise field.file_error("checksums are written, not checked on receive; drop it")
         if field.source.kind == "variable" and not (
             isinstance(kind, Array) and isinstance(kind.item, String)
         ):
-            raise MapFileError(
-                f"{field.path}: a variable in a subscription names the elements of an array and "
-                "stands on an array of strings; write =text for a required text",
-                field.where,
+            raise field.file_error(
+                "a variable in a subscription names the elements of an array and stands on an "
+                "array of strings; write =text for a required text"
             )
         if field.by not in (None, "none") and field.by not in variables:
-            raise MapFileError(
-                f"{field.path}: by {field.by!r} is no mapped array of names; "
-                f"{alternatives(str(field.by), [*variables, 'none'])}",
-                field.where,
+            raise field.file_error(
+                f"by {field.by!r} is no mapped array of names; "
+                f"{alternatives(str(field.by), [*variables, 'none'])}"
             )
     if not spec.states:
         raise MapFileError("the entry writes no state; map a field to one", spec.where)
@@ -75,9 +66,7 @@ def resolve(field: FieldSpec, message: Struct, *, receive: bool) -> TypeRef:
     kind: TypeRef = message
     for number, (name, selector) in enumerate(field.steps):
         if not isinstance(owner, Struct):
-            raise MessageTypeError(
-                f"{field.path}: {field.steps[number - 1][0]} has no fields below it", field.where
-            )
+            raise field.type_error(f"{field.steps[number - 1][0]} has no fields below it")
         kind = field_type(field, owner, name, selector, last=number == len(field.steps) - 1)
         if isinstance(kind, Array) and selector is not None:
             _check_selector(field, owner, name, selector, kind, receive=receive)
@@ -102,25 +91,18 @@ def field_type(
         MessageTypeError: no such field, or elements are selected where there are none, or not
             selected where there are some.
     """
-    found = owner.field(name)
-    if found is None:
-        known = [f.name for f in owner.fields]
-        raise MessageTypeError(
-            f"{field.path}: {owner.name} has no field {name!r}; {alternatives(name, known)}",
-            field.where,
-        )
-    is_array = isinstance(found.type, Array)
+    kind = owner.fields.get(name)
+    if kind is None:
+        known = list(owner.fields)
+        raise field.type_error(f"{owner.name} has no field {name!r}; {alternatives(name, known)}")
+    is_array = isinstance(kind, Array)
     if is_array and selector is None and not last:
-        raise MessageTypeError(
-            f"{field.path}: {name} of {owner.name} is an array; "
-            f"select elements, as in {name}[0] or {name}[:12]",
-            field.where,
+        raise field.type_error(
+            f"{name} of {owner.name} is an array; select elements, as in {name}[0] or {name}[:12]"
         )
     if selector is not None and not is_array:
-        raise MessageTypeError(
-            f"{field.path}: {name} of {owner.name} is no array; drop the [...]", field.where
-        )
-    return found.type
+        raise field.type_error(f"{name} of {owner.name} is no array; drop the [...]")
+    return kind
 
 
 def _check_selector(
@@ -128,22 +110,16 @@ def _check_selector(
 ) -> None:
     if isinstance(selector, Key):
         if not receive:
-            raise MessageTypeError(
-                f"{field.path}: elements are selected by text in subscriptions only; "
-                f"use a number, as in {name}[0]",
-                field.where,
+            raise field.type_error(
+                "elements are selected by text in subscriptions only; use a number, as in "
+                f"{name}[0]"
             )
-        member = kind.item.field(selector.field) if isinstance(kind.item, Struct) else None
-        if member is None or not isinstance(member.type, String):
-            raise MessageTypeError(
-                f"{field.path}: elements of {name} have no string field {selector.field!r} "
-                "to select by",
-                field.where,
+        fields = kind.item.fields if isinstance(kind.item, Struct) else {}
+        if not isinstance(fields.get(selector.field), String):
+            raise field.type_error(
+                f"elements of {name} have no string field {selector.field!r} to select by"
             )
         return
-    limit = kind.length if kind.length is not None else (kind.bound or None)
     top = selector + 1 if isinstance(selector, int) else (selector[1] or selector[0] + 1)
-    if limit is not None and top > limit:
-        raise MessageTypeError(
-            f"{field.path}: {name} of {owner.name} has at most {count_of(limit)}", field.where
-        )
+    if kind.most is not None and top > kind.most:
+        raise field.type_error(f"{name} of {owner.name} has at most {count_of(kind.most)}")

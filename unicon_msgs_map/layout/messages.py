@@ -20,7 +20,6 @@ __all__ = [
     "DEFAULT_DISTRO",
     "PRIMITIVES",
     "Array",
-    "Field",
     "MessageDefinition",
     "Messages",
     "Primitive",
@@ -77,26 +76,24 @@ class Array:
     length: int | None
     bound: int = 0
 
-
-@dataclass(frozen=True)
-class Field:
-    """One field of a message."""
-
-    name: str
-    type: TypeRef
+    @property
+    def most(self) -> int | None:
+        """The largest number of elements; None where there is no limit."""
+        return self.bound or None if self.length is None else self.length
 
 
 @dataclass(frozen=True, eq=False)
 class Struct:
-    """A message type: its fields in wire order and its constants."""
+    """A message type: its fields' types in wire order and its constants, both by name."""
 
     name: str
-    fields: tuple[Field, ...]
+    fields: dict[str, TypeRef]
     constants: dict[str, bool | int | float | str]
 
-    def field(self, name: str) -> Field | None:
-        """Return the field of that name, or None."""
-        return next((f for f in self.fields if f.name == name), None)
+    @property
+    def is_time(self) -> bool:
+        """Whether it is a Time or a Duration, which is one number of ours in [ns]."""
+        return self.name in (TIME, DURATION)
 
 
 TypeRef = Primitive | String | Struct | Array
@@ -177,22 +174,17 @@ class Messages:
             self._register_shipped(full.split("/")[0])
         return full in self.store.fielddefs
 
-    def register_file(self, path: str | Path) -> None:
-        """Add one type from `<package>[/msg]/<Name>.msg`; the package is the folder's name."""
+    def register_path(self, path: str | Path) -> None:
+        """Add the type `<package>[/msg]/<Name>.msg`, or all of the folder `<package>[/msg]`."""
         path = Path(path)
-        folder = path.parent.parent if path.parent.name == "msg" else path.parent
-        self.register({f"{folder.name}/msg/{path.stem}": _read(path)})
-
-    def register_folder(self, path: str | Path) -> None:
-        """Add every `.msg` file of a folder as one package, which has the folder's name."""
-        path = Path(path)
-        files = sorted(path.glob("*.msg"))
+        files = sorted(path.glob("*.msg")) if path.is_dir() else [path]
         if not files:
             raise MessageTypeError(
                 f"folder {str(path)!r} holds no .msg file; give the folder that holds them"
             )
-        folder = path.parent if path.name == "msg" else path
-        self.register({f"{folder.name}/msg/{file.stem}": _read(file) for file in files})
+        folder = files[0].parent
+        package = folder.parent.name if folder.name == "msg" else folder.name
+        self.register({f"{package}/msg/{file.stem}": _read(file) for file in files})
 
     def definition(self, name: str) -> MessageDefinition:
         """Return text and hashes of a type, as MCAP and Foxglove need them."""
@@ -266,9 +258,9 @@ class Messages:
                 "or name its .msg file under 'messages'"
             )
         constants, fielddefs = self.store.fielddefs[full]
-        fields = tuple(Field(name, self._type(full, name, desc)) for name, desc in fielddefs)
+        fields = {name: self._type(full, name, desc) for name, desc in fielddefs}
         if not fields:  # an empty message has one byte on the wire
-            fields = (Field("structure_needs_at_least_one_member", PRIMITIVES["uint8"]),)
+            fields["structure_needs_at_least_one_member"] = PRIMITIVES["uint8"]
         return Struct(full, fields, {name: value for name, _, value in constants})
 
     def _type(self, owner: str, field: str, desc: Any) -> TypeRef:

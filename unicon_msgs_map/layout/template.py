@@ -9,20 +9,10 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
-from unicon_msgs_map.errors import MapStateError, MessageTypeError, count_of
-from unicon_msgs_map.layout.check import field_type
-from unicon_msgs_map.layout.messages import (
-    DURATION,
-    QUATERNION,
-    TIME,
-    Array,
-    Primitive,
-    String,
-    Struct,
-    TypeRef,
-)
+from unicon_msgs_map.errors import MapStateError, count_of
+from unicon_msgs_map.layout.messages import QUATERNION, Array, Primitive, String, Struct, TypeRef
 from unicon_msgs_map.layout.paths import Key, Path
 from unicon_msgs_map.spec import FieldSpec
 
@@ -35,10 +25,11 @@ Where = tuple[str | int, ...]
 
 @dataclass(frozen=True)
 class Leaf:
-    """One target of a field: a concrete place in the message and its type."""
+    """One target of a field: a concrete place in the message, its type, and what it lies in."""
 
     at: Where
     type: TypeRef
+    owner: Struct
 
 
 @dataclass(frozen=True)
@@ -72,10 +63,6 @@ class Node:
     value: object = None
     owner: str = ""
 
-    def child(self, key: str | int) -> Node | None:
-        """Return the node below, where something was placed."""
-        return self.children.get(key)
-
 
 @dataclass(frozen=True)
 class Place:
@@ -88,76 +75,44 @@ class Place:
     width: int = 0
 
 
-def expand(spec: FieldSpec, root: Struct, available: int | None) -> list[Leaf]:
+def expand(spec: FieldSpec, steps: Path, leaf: Leaf, available: int | None) -> list[Leaf]:
     """Return the concrete places that a path names, in element order.
 
     Args:
-        spec: the field.
-        root: type of the message.
+        spec: the field, for messages.
+        steps: the path, which fits the type (`layout.check.resolve`).
+        leaf: where it begins.
         available: number of elements on our side, which sets the end of open ranges and the
             length of whole sequences; None for a constant.
 
     Raises:
-        MessageTypeError: a step names no field, or selects where there is no array.
+        MessageTypeError: an open range has no end, or the array is shorter.
     """
-    return _expand(spec, root, spec.steps, (), root, available)
-
-
-def _expand(
-    spec: FieldSpec,
-    root: Struct,
-    steps: Path,
-    at: Where,
-    owner: TypeRef,
-    available: int | None,
-) -> list[Leaf]:
     if not steps:
-        return [Leaf(at, owner)]
-    if not isinstance(owner, Struct):
-        parent = ".".join(str(part) for part in at)
-        raise MessageTypeError(
-            f"{spec.path}: {parent} of {root.name} has no fields below it", spec.where
-        )
+        return [leaf]
+    owner = leaf.type
+    assert isinstance(owner, Struct)
     (name, selector), rest = steps[0], steps[1:]
-    here, kind = (*at, name), field_type(spec, owner, name, selector, last=not rest)
-    if not isinstance(kind, Array):
-        return _expand(spec, root, rest, here, kind, available)
-    if selector is None:
-        return [Leaf(here, kind)]
-    if isinstance(selector, Key):
-        raise MessageTypeError(
-            f"{spec.path}: elements are selected by text in subscriptions only; "
-            f"use a number, as in {name}[0]",
-            spec.where,
-        )
-    limit = kind.length if kind.length is not None else (kind.bound or None)
-    if isinstance(selector, int):
-        start, stop = selector, selector + 1
-    elif selector[1] is not None:
-        start, stop = selector[0], selector[1]
-    else:
-        start = selector[0]
-        stop = start + _open_end(spec, kind, rest, available)
-    if limit is not None and (stop > limit or start >= limit):
-        raise MessageTypeError(
-            f"{spec.path}: {name} of {owner.name} has at most {count_of(limit)}", spec.where
-        )
+    here, kind = (*leaf.at, name), owner.fields[name]
+    if selector is None or not isinstance(kind, Array):
+        return expand(spec, rest, Leaf(here, kind, owner), available)
+    assert not isinstance(selector, Key)
+    start, stop = (selector, selector + 1) if isinstance(selector, int) else selector
+    if stop is None:
+        stop = start + _open_end(spec, Leaf(here, kind.item, owner), rest, available)
+    if kind.most is not None and stop > kind.most:
+        raise spec.type_error(f"{name} of {owner.name} has at most {count_of(kind.most)}")
     leaves: list[Leaf] = []
     for index in range(start, stop):
-        leaves += _expand(spec, root, rest, (*here, index), kind.item, available)
+        leaves += expand(spec, rest, Leaf((*here, index), kind.item, owner), available)
     return leaves
 
 
-def _open_end(spec: FieldSpec, kind: Array, rest: Path, available: int | None) -> int:
+def _open_end(spec: FieldSpec, item: Leaf, rest: Path, available: int | None) -> int:
     if available is None:
-        raise MessageTypeError(
-            f"{spec.path}: an open range takes its end from a state; give a number after ':'",
-            spec.where,
-        )
-    root = kind.item if isinstance(kind.item, Struct) else Struct("", (), {})
-    each = _expand(spec, root, rest, (), kind.item, available)
-    size = sum(leaf_size(leaf.type, spec) for leaf in each)
-    return available // size
+        raise spec.type_error("an open range takes its end from a state; give a number after ':'")
+    each = expand(spec, rest, item, available)
+    return available // sum(leaf_size(leaf.type, spec) for leaf in each)
 
 
 def leaf_size(kind: TypeRef, spec: FieldSpec) -> int:
@@ -168,14 +123,13 @@ def leaf_size(kind: TypeRef, spec: FieldSpec) -> int:
     """
     if isinstance(kind, Array):
         if kind.length is None:
-            raise MessageTypeError(
-                f"{spec.path}: the length of a sequence inside a range is not known; "
-                "map its elements, as in points[0].positions",
-                spec.where,
+            raise spec.type_error(
+                "the length of a sequence inside a range is not known; map its elements, as in "
+                "points[0].positions"
             )
         return kind.length * leaf_size(kind.item, spec)
-    if isinstance(kind, Struct) and kind.name not in (TIME, DURATION):
-        return sum(leaf_size(f.type, spec) for f in kind.fields)
+    if isinstance(kind, Struct) and not kind.is_time:
+        return sum(leaf_size(member, spec) for member in kind.fields.values())
     return 1
 
 
@@ -185,20 +139,19 @@ def numeric_leaves(leaf: Leaf, spec: FieldSpec) -> list[Leaf]:
     Raises:
         MessageTypeError: the message holds more than numbers.
     """
-    if not isinstance(leaf.type, Struct) or leaf.type.name in (TIME, DURATION):
+    if not isinstance(leaf.type, Struct) or leaf.type.is_time:
         return [leaf]
     found: list[Leaf] = []
-    for member in leaf.type.fields:
-        if isinstance(member.type, String) or (
-            isinstance(member.type, Array)
-            and not (isinstance(member.type.item, Primitive) and member.type.length is not None)
+    for name, member in leaf.type.fields.items():
+        if isinstance(member, String) or (
+            isinstance(member, Array)
+            and not (isinstance(member.item, Primitive) and member.length is not None)
         ):
-            raise MessageTypeError(
-                f"{spec.path}: {leaf.type.name} holds more than numbers; "
-                f"map its fields, as in {spec.path}.{member.name}",
-                spec.where,
+            raise spec.type_error(
+                f"{leaf.type.name} holds more than numbers; map its fields, as in "
+                f"{spec.path}.{name}"
             )
-        found += numeric_leaves(Leaf((*leaf.at, member.name), member.type), spec)
+        found += numeric_leaves(Leaf((*leaf.at, name), member, leaf.type), spec)
     return found
 
 
@@ -211,15 +164,11 @@ def place(root: Node, leaf: Leaf, value: object, spec: FieldSpec) -> None:
     node = root
     for key in leaf.at:
         if node.value is not None:
-            raise MapStateError(
-                f"{spec.path}: already mapped by {node.owner}; drop one of the two", spec.where
-            )
+            raise spec.state_error(f"already mapped by {node.owner}; drop one of the two")
         node = node.children.setdefault(key, Node())
     if node.value is not None or node.children:
         owner = node.owner or next(_owners(node), "another field")
-        raise MapStateError(
-            f"{spec.path}: already mapped by {owner}; drop one of the two", spec.where
-        )
+        raise spec.state_error(f"already mapped by {owner}; drop one of the two")
     node.value, node.owner = value, spec.path
 
 
@@ -265,12 +214,9 @@ class Template:
             self._array(kind, node)
 
     def _struct(self, kind: Struct, node: Node | None) -> None:
-        value = node.value if node else None
-        if isinstance(value, Place) and value.kind == "time":
+        if node is not None and isinstance(node.value, Place):  # a Time or Duration
             self._align(4)
-            self.slots.append(
-                Slot(len(self.data), "time", value.source, value.elements[0], value.rank)
-            )
+            self._slot(node.value)
             self.data += bytes(8)
             return
         if node is None and kind.name == QUATERNION:
@@ -278,37 +224,36 @@ class Template:
             self._align(8)
             self.data += struct.pack("<4d", 0.0, 0.0, 0.0, 1.0)
             return
-        for member in kind.fields:
-            self._any(member.type, node.child(member.name) if node else None)
+        for name, member in kind.fields.items():
+            self._any(member, node.children.get(name) if node else None)
+
+    def _slot(self, place: Place, primitive: Primitive | None = None) -> None:
+        self.slots.append(
+            Slot(
+                len(self.data),
+                place.kind,
+                place.source,
+                place.elements[0],
+                place.rank,
+                primitive,
+                place.width,
+            )
+        )
 
     def _primitive(self, kind: Primitive, node: Node | None) -> None:
         self._align(kind.size)
         value = node.value if node else None
         if isinstance(value, Place):
-            self.slots.append(
-                Slot(len(self.data), "number", value.source, value.elements[0], value.rank, kind)
-            )
+            self._slot(value, kind)
             value = None
-        self._number(kind, 0 if value is None else value)
-
-    def _number(self, kind: Primitive, value: object) -> None:
-        self.data += struct.pack("<" + kind.code, value)
+        self.data += struct.pack("<" + kind.code, 0 if value is None else value)
 
     def _string(self, kind: String, node: Node | None) -> None:
         self._align(4)
         value = node.value if node else None
         if isinstance(value, Place):
             self.data += struct.pack("<I", value.width + 1)
-            self.slots.append(
-                Slot(
-                    len(self.data),
-                    "text",
-                    value.source,
-                    value.elements[0],
-                    value.rank,
-                    width=value.width,
-                )
-            )
+            self._slot(value)
             self.data += bytes(value.width + 1)
             return
         text = str(value or "").encode()
@@ -316,27 +261,17 @@ class Template:
 
     def _array(self, kind: Array, node: Node | None) -> None:
         value = node.value if node else None
-        children = node.children if node else {}
-        if kind.length is not None:
-            count = kind.length
+        if isinstance(value, Place):
+            each = enumerate(value.elements)
+            value = [replace(value, elements=(e,), rank=value.rank + k) for k, e in each]
+        if isinstance(value, list):
+            items = dict(enumerate(Node(value=one) for one in value))
         else:
-            if isinstance(value, Place):
-                count = len(value.elements)
-            elif isinstance(value, list):
-                count = len(value)
-            else:
-                count = 1 + max((int(key) for key in children), default=-1)
+            items = {int(key): child for key, child in node.children.items()} if node else {}
+        count = kind.length
+        if count is None:
+            count = 1 + max(items, default=-1)
             self._align(4)
             self.data += struct.pack("<I", count)
         for index in range(count):
-            item: Node | None
-            if isinstance(value, Place):
-                one = Place(
-                    value.kind, value.source, (value.elements[index],), value.rank + index, 0
-                )
-                item = Node(value=one)
-            elif isinstance(value, list):
-                item = Node(value=value[index])
-            else:
-                item = children.get(index)
-            self._any(kind.item, item)
+            self._any(kind.item, items.get(index))

@@ -9,16 +9,9 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass, field
+from functools import cache
 
-from unicon_msgs_map.layout.messages import (
-    DURATION,
-    TIME,
-    Array,
-    Primitive,
-    String,
-    Struct,
-    TypeRef,
-)
+from unicon_msgs_map.layout.messages import Array, Primitive, String, Struct, TypeRef
 from unicon_msgs_map.layout.paths import Key, Path, Selector
 
 __all__ = ["Found", "Malformed", "Want", "walk"]
@@ -51,23 +44,22 @@ class Want:
             return
         assert isinstance(kind, Struct)
         (name, selector), rest = steps[0], steps[1:]
-        member = kind.field(name)
-        assert member is not None
+        member = kind.fields[name]
         below = self.fields.setdefault(name, Want())
         if selector is None:
-            below.add(number, rest, member.type)
+            below.add(number, rest, member)
             return
-        assert isinstance(member.type, Array)
+        assert isinstance(member, Array)
         inner = next((want for known, want in below.items if known == selector), None)
         if inner is None:
             inner = Want()
             below.items.append((selector, inner))
-        inner.add(number, rest, member.type.item)
+        inner.add(number, rest, member.item)
 
     def _end(self, number: int, kind: TypeRef) -> None:
-        if isinstance(kind, Struct) and kind.name not in (TIME, DURATION):
-            for member in kind.fields:
-                self.fields.setdefault(member.name, Want()).add(number, (), member.type)
+        if isinstance(kind, Struct) and not kind.is_time:
+            for name, member in kind.fields.items():
+                self.fields.setdefault(name, Want()).add(number, (), member)
         else:
             self.ends.append(number)
 
@@ -144,8 +136,8 @@ class _Walker:
             if not want.fields:
                 return self.need(at, 8, kind.name)
         fields = want.fields if want else {}
-        for member in kind.fields:
-            at = self.any(member.type, at, fields.get(member.name))
+        for name, member in kind.fields.items():
+            at = self.any(member, at, fields.get(name))
         return at
 
     def numbers(self, kind: Primitive, at: int, count: int, want: Want | None) -> int:
@@ -202,7 +194,9 @@ class _Walker:
             return self.skip(item, at, count)
         matched: set[int] = set()
         for index in range(count):
-            at = self.item(item, at, self.below(want, item, at, index, matched))
+            # Several selectors may meet in one element: it is walked for each.
+            wants = self.below(want, item, at, index, matched) or [None]
+            at = [self.any(item, at, each) for each in wants][-1]
         return at
 
     def primitives(self, item: Primitive, at: int, count: int, want: Want | None) -> int:
@@ -216,16 +210,10 @@ class _Walker:
                     self.found.numbers.setdefault(number, []).append(run)
         return end
 
-    def item(self, kind: TypeRef, at: int, wants: list[Want]) -> int:
-        if not wants:
-            return self.any(kind, at, None)
-        # Several selectors may meet in one element: it is walked for each.
-        return [self.any(kind, at, want) for want in wants][-1]
-
     def below(
         self, want: Want, item: TypeRef, at: int, index: int, matched: set[int]
-    ) -> list[Want]:
-        wants = [Want(ends=want.ends)] if want.ends else []
+    ) -> list[Want | None]:
+        wants: list[Want | None] = [Want(ends=want.ends)] if want.ends else []
         for selector, inner in want.items:
             if isinstance(selector, Key):
                 if self.key(item, at, selector):
@@ -275,32 +263,25 @@ class _Walker:
         return end
 
 
-_SIZES: dict[tuple[int, int], tuple[TypeRef, int | None]] = {}
-
-
+@cache
 def static_size(kind: TypeRef, phase: int) -> int | None:
     """Return bytes that a type takes from an alignment phase (0 to 7) on; None where it varies."""
     if isinstance(kind, Primitive):
         return -phase % kind.size + kind.size
     if isinstance(kind, String):
         return None
-    key = (id(kind), phase)
-    known = _SIZES.get(key)
-    if known is not None and known[0] is kind:
-        return known[1]
-    total = 0
-    members: list[TypeRef]
     if isinstance(kind, Struct):
-        members = [member.type for member in kind.fields]
+        members = list(kind.fields.values())
+    elif kind.length is None:
+        return None
     else:
-        members = [kind.item] * kind.length if kind.length is not None else [String()]
+        members = [kind.item] * kind.length
+    total = 0
     for member in members:
         size = static_size(member, (phase + total) % 8)
         if size is None:
-            _SIZES[key] = (kind, None)
             return None
         total += size
-    _SIZES[key] = (kind, total)
     return total
 
 
@@ -312,7 +293,7 @@ def _least(kind: TypeRef) -> int:
         return 4
     if isinstance(kind, Array):
         return 4 if kind.length is None else kind.length * _least(kind.item)
-    return sum(_least(member.type) for member in kind.fields)
+    return sum(map(_least, kind.fields.values()))
 
 
 def _range(selector: Selector, count: int) -> tuple[int, int]:

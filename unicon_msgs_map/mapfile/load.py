@@ -5,11 +5,12 @@ See the package's docstring for the format, and `config/maps/` for ready files.
 
 from __future__ import annotations
 
-import os
 import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from unicon_core.errors import alternatives
 from unicon_core.located_yaml import parse_yaml, read_text
@@ -134,64 +135,46 @@ def _messages(keys: dict[str, Entry], typestore: object, folder: Path) -> Messag
     for entry in _list(keys, "messages"):
         path = folder / entry.text("an entry of 'messages'")
         try:
-            if os.path.isdir(path):
-                messages.register_folder(path)
-            else:
-                messages.register_file(path)
+            messages.register_path(path)
         except MapError as error:
             raise entry.fail(error.message) from None
     return messages
 
 
 def _publish(entry: Entry, messages: Messages) -> PublishSpec:
-    keys, topic, kind, where = _head(entry, "a publish entry", _BOTH, messages)
-    qos = _qos(keys.get("qos"))
-    if qos.history == "keep_all" and qos.reliability == "reliable":
+    keys = _keys(entry, "a publish entry", _BOTH)
+    spec = PublishSpec(**_both(entry, keys, messages, receive=False))
+    if spec.qos.history == "keep_all" and spec.qos.reliability == "reliable":
         # Fast DDS blocks a writer with a full history for 100 ms.
         raise keys["qos"].fail(
-            f"topic {topic!r} is reliable and keep_all, so a reader that hangs would stop the "
+            f"topic {spec.topic!r} is reliable and keep_all, so a reader that hangs would stop the "
             "tick; say history: keep_last and a depth, or reliability: best_effort"
         )
-    spec = PublishSpec(
-        topic=topic,
-        type=kind,
-        fields=_fields(keys["fields"], topic, receive=False),
-        messages=messages,
-        rate=_positive(keys, "rate", HIGHEST_RATE),
-        qos=qos,
-        optional=keys["optional"].boolean("optional") if "optional" in keys else False,
-        where=where,
-    )
     check_publish(spec)
     return spec
 
 
 def _subscribe(entry: Entry, messages: Messages) -> SubscribeSpec:
-    keys, topic, kind, where = _head(entry, "a subscribe entry", _SUBSCRIBE, messages)
-    policies = {k: keys[k].one_of(k, c) for k, c in _POLICIES.items() if k in keys}
-    spec = SubscribeSpec(
-        topic=topic,
-        type=kind,
-        fields=_fields(keys["fields"], topic, receive=True),
-        messages=messages,
-        rate=_positive(keys, "rate", HIGHEST_RATE),
-        qos=_qos(keys.get("qos")),
-        optional=keys["optional"].boolean("optional") if "optional" in keys else False,
-        timeout=_positive(keys, "timeout", LONGEST_TIMEOUT),
-        where=where,
-        **policies,
-    )
+    keys = _keys(entry, "a subscribe entry", _SUBSCRIBE)
+    values = _both(entry, keys, messages, receive=True)
+    values |= {k: keys[k].one_of(k, c) for k, c in _POLICIES.items() if k in keys}
+    spec = SubscribeSpec(**values, timeout=_positive(keys, "timeout", LONGEST_TIMEOUT))
     check_subscribe(spec)
     return spec
 
 
-def _head(
-    entry: Entry, what: str, known: tuple[str, ...], messages: Messages
-) -> tuple[dict[str, Entry], str, str, str]:
+def _keys(entry: Entry, what: str, known: tuple[str, ...]) -> dict[str, Entry]:
     keys = entry.mapping(what, known)
     for key in ("topic", "type", "fields"):
         if key not in keys:
             raise entry.fail(f"{what} lacks {key!r}; it needs topic, type and fields")
+    return keys
+
+
+def _both(
+    entry: Entry, keys: dict[str, Entry], messages: Messages, *, receive: bool
+) -> dict[str, Any]:
+    """Return the attributes that both directions have, by name."""
     topic = keys["topic"].text("topic")
     if len(topic) > 255 or "__" in topic or not _TOPIC.fullmatch(topic):
         shown = topic if len(topic) <= 60 else f"{topic[:57]}…"
@@ -206,7 +189,16 @@ def _head(
         raise
     except MapError as error:
         raise type(error)(error.message, f"{keys['type'].where}: {topic}") from None
-    return keys, topic, kind, f"{entry.where}: {topic}"
+    return {
+        "topic": topic,
+        "type": kind,
+        "qos": _qos(keys.get("qos")),
+        "fields": _fields(keys["fields"], topic, receive=receive),
+        "messages": messages,
+        "rate": _positive(keys, "rate", HIGHEST_RATE),
+        "optional": keys["optional"].boolean("optional") if "optional" in keys else False,
+        "where": f"{entry.where}: {topic}",
+    }
 
 
 def _positive(keys: dict[str, Entry], key: str, highest: float) -> float | None:
@@ -258,16 +250,13 @@ def _field(path: str, entry: Entry, topic: str, *, receive: bool) -> FieldSpec:
         if not isinstance(entry.value, dict):
             return FieldSpec(path, steps, parse_reference(entry.value), where=where)
         keys = entry.mapping(f"field {path!r}", _FIELD)
+        plain = FieldSpec(path, steps, Reference("const", value=0), where=where)
         if "checksum" in keys:
-            return _checksum(
-                path, keys, FieldSpec(path, steps, Reference("const", value=0), where=where)
-            )
+            return _checksum(keys, plain)
         if ("state" in keys) == ("const" in keys):
-            raise MapFileError(f"{path}: give either 'state' or 'const'", where)
+            raise plain.file_error("give either 'state' or 'const'")
         if "const" in keys:
-            return FieldSpec(
-                path, steps, Reference("const", value=keys["const"].value), where=where
-            )
+            return replace(plain, source=Reference("const", value=keys["const"].value))
         source = parse_reference(keys["state"].text("state"))
     except PathError as error:
         raise MapFileError(str(error), where) from None
@@ -290,11 +279,11 @@ def _field(path: str, entry: Entry, topic: str, *, receive: bool) -> FieldSpec:
     )
 
 
-def _checksum(path: str, keys: dict[str, Entry], field: FieldSpec) -> FieldSpec:
+def _checksum(keys: dict[str, Entry], field: FieldSpec) -> FieldSpec:
     other = next((key for key in keys if key != "checksum"), None)
     if other is not None:
-        raise keys[other].fail(f"{path}: a checksum is computed; drop {other!r}")
-    kind = keys["checksum"].one_of(f"{path}: checksum", ("unitree",))
+        raise keys[other].fail(f"{field.path}: a checksum is computed; drop {other!r}")
+    kind = keys["checksum"].one_of(f"{field.path}: checksum", ("unitree",))
     return replace(field, checksum=kind)
 
 
@@ -314,21 +303,16 @@ def _text(path: str, entry: Entry) -> str:
 def _scale(path: str, keys: dict[str, Entry]) -> float | tuple[float, ...]:
     scale = _numbers(keys["scale"], f"{path}: scale") if "scale" in keys else 1.0
     sign = _numbers(keys["sign"], f"{path}: sign") if "sign" in keys else 1.0
-    signs = sign if isinstance(sign, tuple) else (sign,)
-    if any(abs(s) != 1.0 for s in signs):
+    if np.any(np.abs(sign) != 1.0):
         raise keys["sign"].fail(f"{path}: sign must be 1 or -1; use scale for other factors")
-    scales = scale if isinstance(scale, tuple) else (scale,)
-    if any(s == 0.0 for s in scales):
+    if np.any(np.equal(scale, 0.0)):
         raise keys["scale"].fail(f"{path}: scale must not be 0; drop the field instead")
     if isinstance(scale, tuple) and isinstance(sign, tuple) and len(scale) != len(sign):
         raise keys["sign"].fail(
             f"{path}: sign has {len(sign)} entries, scale has {len(scale)}; give equally many"
         )
-    count = max(len(scales), len(signs))
-    if count == 1 and not isinstance(scale, tuple) and not isinstance(sign, tuple):
-        return scale * sign
-    scales, signs = scales * (count // len(scales)), signs * (count // len(signs))
-    return tuple(a * b for a, b in zip(scales, signs))
+    product: float | list[float] = np.multiply(scale, sign).tolist()
+    return tuple(product) if isinstance(product, list) else product
 
 
 def _numbers(entry: Entry, what: str) -> float | tuple[float, ...]:

@@ -39,11 +39,11 @@ from unicon_core.states import States, StateSpec
 from unicon_core.workflow.autowire import BuildContext
 from unicon_ros.bridge.bindings import checked_prefix
 from unicon_ros.bridge.images import frame_message
+from unicon_ros.transport import PROFILES
 
 __all__ = ["Camera", "camera"]
 
 START = 60.0  # s for the process to be ready: a software renderer compiles shaders
-PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 
 
 class Camera:

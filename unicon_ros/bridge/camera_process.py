@@ -39,7 +39,8 @@ def main() -> int:
     os.dup2(2, 1)  # what libraries print is not for the parent
     try:
         camera = _Camera(options)
-        publish = CameraTopics(options, camera) if options["topic"] else _nowhere
+        shot = options, camera.message, camera.model
+        publish = CameraTopics(*shot) if options["topic"] else _nowhere
     except UniconError as error:
         print(json.dumps({"error": str(error)}), file=told, flush=True)
         return 1
@@ -64,7 +65,7 @@ class _Camera:
 
     Attributes:
         message: layout of a frame.
-        pinhole, mount: as of `ModelCamera`.
+        model: what draws.
     """
 
     def __init__(self, options: dict[str, Any]) -> None:
@@ -72,7 +73,7 @@ class _Camera:
         size = int(options["width"]), int(options["height"])
         self.message = frame_message(self._kind, *size, options["frame_id"])
         self.ring = FrameRing.attach(options["ring"])
-        self._camera = ModelCamera(
+        self.model = ModelCamera(
             Path(options["model"]),
             load_robot(options["robot"]),
             options["camera"],
@@ -82,12 +83,11 @@ class _Camera:
             fovy=options["fovy"],
             depth=self._kind != "color",
         )
-        self.pinhole, self.mount = self._camera.pinhole, self._camera.mount
         self._rays: NDArray[np.float32] | None = None
         if self._kind == "cloud":
-            if not self.pinhole.fx:
+            if not self.model.pinhole.fx:
                 raise ModelError(f"camera: {options['camera']!r} has no perspective, so no cloud")
-            self._rays = rays(*size, self.pinhole)
+            self._rays = rays(*size, self.model.pinhole)
         for _ in range(self.ring.slots):
             slot = self.ring.fill()
             slot[:] = np.frombuffer(self.message.template, np.uint8)
@@ -97,7 +97,7 @@ class _Camera:
         """Draw a record's pose into the ring; return the message."""
         stamp_ns = int(np.frombuffer(record, np.int64, 1)[0])
         values = np.frombuffer(record, np.float64, offset=8)
-        picture = self._camera.shoot(values[7:], values[:7])
+        picture = self.model.shoot(values[7:], values[:7])
         slot = self.ring.fill()
         into = self.message.data(slot)
         if self._kind != "color":

@@ -7,29 +7,20 @@ their stamp and frame. The optical frame is told once, latched, on /tf_static.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.models.camera import Intrinsics
+from unicon_core.models.camera import ModelCamera
 from unicon_core.models.links import Link
-from unicon_msgs_map import Encoder, Messages, parse_map
 from unicon_ros import compat
 from unicon_ros.bridge.images import INFO, STAMP, FrameMessage, info_message
 from unicon_ros.bridge.own_node import OwnNode
 from unicon_ros.bridge.qos import LATCHED, qos_profile
-from unicon_ros.bridge.transforms import tf_map
+from unicon_ros.bridge.transforms import TF_MESSAGE, static_transforms
 
-__all__ = ["CameraTopics", "Shot"]
-
-
-class Shot(Protocol):
-    """What is published of a camera; see `camera_process`."""
-
-    message: FrameMessage
-    pinhole: Intrinsics
-    mount: tuple[str, NDArray[np.float64], NDArray[np.float64]] | None
+__all__ = ["CameraTopics"]
 
 
 class CameraTopics:
@@ -37,20 +28,21 @@ class CameraTopics:
 
     Args:
         options: of the camera.
-        camera: what the options led to.
+        message: layout of a frame.
+        camera: whose pictures they are.
 
     Raises:
         UniconError: a name or a ROS argument is wrong.
         MissingDependencyError: rclpy is not installed.
     """
 
-    def __init__(self, options: dict[str, Any], camera: Shot) -> None:
+    def __init__(self, options: dict[str, Any], message: FrameMessage, camera: ModelCamera) -> None:
         from rclpy.qos import QoSProfile, ReliabilityPolicy
 
         self._own = OwnNode(options["node"], options["namespace"], options["ros_args"])
         reliability = ReliabilityPolicy[options["reliability"].upper()]
         self._qos = QoSProfile(depth=2, reliability=reliability)
-        self._publish, topic = self._publisher(camera.message.type, options["topic"])
+        self._publish, topic = self._publisher(message.type, options["topic"])
         self._publish_info: Callable[[bytes], object] | None = None
         if options["kind"] != "cloud":
             beside = f"{topic.rpartition('/')[0]}/camera_info"
@@ -69,15 +61,12 @@ class CameraTopics:
     def _tell_frame(
         self, frame: str, parent: str, at: NDArray[np.float64], quat: NDArray[np.float64]
     ) -> None:
-        message = compat.message_class("tf2_msgs/msg/TFMessage")
+        message = compat.message_class(TF_MESSAGE)
         if message is None:
             return
         links = [Link(parent, -1, at, quat), Link(frame, 0, at, quat)]
-        text = tf_map("/tf_static", links[1:], [link.name for link in links], None)
-        spec = parse_map(text, Messages(), name="/tf_static").publish[0]
-        arrays = {"stamp_ns": np.zeros((), np.int64), "positions": at, "quats": quat}
-        publisher = self._own.node.create_publisher(message, spec.topic, qos_profile(LATCHED))
-        publisher.publish(Encoder.build(spec, arrays).encode())
+        publisher = self._own.node.create_publisher(message, "/tf_static", qos_profile(LATCHED))
+        publisher.publish(static_transforms(links[1:], [parent, frame]))
 
     def __call__(self, message: bytes) -> None:
         self._publish(message)

@@ -109,8 +109,9 @@ class Diagnostics:
                 values[f"{out.topic} failed"] = str(out.failed)
         for topic in self.incoming:
             values[f"{topic.topic} hz"] = self._rate(f"< {topic.topic}", topic.received, seconds)
-            if topic.rejected:
-                values[f"{topic.topic} rejected"] = f"{topic.rejected}; {topic.last_error}"
+            rejected, last_error = topic.decoder.rejected, topic.decoder.last_error
+            if rejected:
+                values[f"{topic.topic} rejected"] = f"{rejected}; {last_error}"
                 level, message = WARN, f"{topic.topic}: messages were refused"
             if topic.stale:
                 level, message = WARN, f"{topic.topic}: no messages any more"

@@ -6,6 +6,7 @@ tests hold them against rosbags' codec.
 
 from __future__ import annotations
 
+import math
 import struct
 from dataclasses import dataclass
 from typing import Any
@@ -78,28 +79,22 @@ def frame_message(kind: str, width: int, height: int, frame_id: str) -> FrameMes
     """
     if kind not in KINDS:
         raise UniconError(f"camera kind {kind!r}; {alternatives(kind, KINDS)}")
-    out = _Cdr()
-    shape: tuple[int, ...]
-    out.pack("iI", 0, 0)
-    out.text(frame_id)
-    out.pack("II", height, width)
+    shape = (height, width) if kind == "depth" else (height, width, 3)
+    dtype = "|u1" if kind == "color" else "<f4"
+    row = np.dtype(dtype).itemsize * math.prod(shape[1:])
+    out = _Cdr(frame_id, height, width)
     if kind == "cloud":
         out.pack("I", 3)
         for number, name in enumerate("xyz"):
             out.text(name)
             out.pack("IBI", 4 * number, _FLOAT32, 1)
-        out.pack("BII", 0, 12, 12 * width)
-        size, shape, dtype = 12 * width * height, (height, width, 3), "<f4"
+        out.pack("BII", 0, 12, row)
     else:
-        color = kind == "color"
-        out.text("rgb8" if color else "32FC1")
-        pixel = 3 if color else 4
-        out.pack("BI", 0, pixel * width)
-        size = pixel * width * height
-        shape, dtype = ((height, width, 3), "|u1") if color else ((height, width), "<f4")
-    out.pack("I", size)
+        out.text("rgb8" if kind == "color" else "32FC1")
+        out.pack("BI", 0, row)
+    out.pack("I", row * height)
     offset = len(out.bytes)
-    out.bytes += bytes(size)
+    out.bytes += bytes(row * height)
     if kind == "cloud":
         out.pack("B", 0)  # is_dense: no, what is too far is NaN
     return FrameMessage(CLOUD if kind == "cloud" else IMAGE, bytes(out.bytes), offset, shape, dtype)
@@ -120,10 +115,7 @@ def info_message(width: int, height: int, frame_id: str, pinhole: Intrinsics) ->
     """
     fx, fy, cx, cy = pinhole.fx, pinhole.fy, pinhole.cx, pinhole.cy
     known = float(fx > 0.0)
-    out = _Cdr()
-    out.pack("iI", 0, 0)
-    out.text(frame_id)
-    out.pack("II", height, width)
+    out = _Cdr(frame_id, height, width)
     out.text("plumb_bob")
     out.pack("I", 5)
     out.pack("d" * 5, *[0.0] * 5)
@@ -149,10 +141,13 @@ def rays(width: int, height: int, pinhole: Intrinsics) -> NDArray[np.float32]:
 
 
 class _Cdr:
-    """Little-endian CDR, written once."""
+    """Little-endian CDR, written once: of messages that begin with header, height and width."""
 
-    def __init__(self) -> None:
+    def __init__(self, frame_id: str, height: int, width: int) -> None:
         self.bytes = bytearray(b"\x00\x01\x00\x00")
+        self.pack("iI", 0, 0)
+        self.text(frame_id)
+        self.pack("II", height, width)
 
     def pack(self, codes: str, *values: float) -> None:
         for code, value in zip(codes, values):

@@ -22,8 +22,10 @@ from unicon_msgs_map import (
     Encoder,
     MapDependencyError,
     MapStateError,
+    MessageMap,
     load_map,
 )
+from unicon_msgs_map.spec import TopicSpec
 from unicon_ros import compat
 from unicon_ros.bridge.bindings import arrays_of, given_by_blocks, names_of, variables_of
 
@@ -32,10 +34,75 @@ if TYPE_CHECKING:
     from unicon_core.check.subject import Subject
     from unicon_core.workflow import Program
 
-__all__ = ["check_mirror", "examine_platform", "mirror_hook", "refuse_untold", "wanted_of"]
+__all__ = [
+    "ORIENTATION",
+    "Exchange",
+    "check_mirror",
+    "codecs",
+    "examine_platform",
+    "message_class",
+    "mirror_hook",
+    "robot_codecs",
+]
+
+ORIENTATION = "base_quat"
 
 NO_CODECS = "the message map was not looked at: {}"
 NO_ROS = "rclpy is not installed: whether ROS knows the map's types was not looked at"
+
+
+class Exchange:
+    """What platform `ros` hears and says by a map, and what that is to a workflow.
+
+    Args:
+        path: of the map.
+        states: of the workflow.
+        decoders: of what is heard.
+        said: entries of the map that are published.
+
+    Attributes:
+        writes: states that the platform writes.
+        reads: states that it reads.
+        turned: whether gravity is computed of the orientation.
+
+    Raises:
+        PlatformError: nothing is heard.
+    """
+
+    def __init__(
+        self, path: Path, states: States, decoders: Sequence[Decoder], said: Iterable[TopicSpec]
+    ) -> None:
+        if not decoders:
+            raise PlatformError(f"map {path} subscribes to nothing; a robot tells its joint_pos")
+        self._path, self._states, self._decoders = path, states, decoders
+        told = [state for decoder in decoders for state in decoder.spec.states]
+        self.turned = ORIENTATION in told and "projected_gravity" not in told
+        also = ["projected_gravity", "stamp_ns"] if self.turned else ["stamp_ns"]
+        self.writes = tuple(dict.fromkeys([*told, *also]))
+        read = dict.fromkeys(state for spec in said for state in spec.states)
+        self.reads = tuple(s for s in read if s not in self.writes or s in COMMAND_STATES)
+
+    def wanted(self, needed: Mapping[str, str]) -> dict[str, str]:
+        """Return those of the needed states that messages tell, with who reads them.
+
+        Args:
+            needed: each state that a block on the critical path reads, and that block's name.
+
+        Raises:
+            PlatformError: the map writes some elements only of a state that is needed.
+        """
+        wanted = {name: reader for name, reader in needed.items() if name in self.writes}
+        if self.turned and "projected_gravity" in wanted:
+            wanted.setdefault(ORIENTATION, wanted["projected_gravity"])
+        for name, reader in wanted.items():
+            told = [d.elements(name) for d in self._decoders if name in d.spec.states]
+            written, size = set().union(*told), self._states[name].size
+            if told and len(written) < size:
+                raise PlatformError(
+                    f"platform 'ros': the map {self._path} writes {len(written)} of {size} "
+                    f"elements of {name}, which block {reader!r} reads; map the others too"
+                )
+        return wanted
 
 
 def examine_platform(
@@ -53,63 +120,48 @@ def examine_platform(
         PlatformError: the map does not fit the states or the robot.
     """
     path = find_config("maps", map, error=PlatformError, relative_to=relative_to)
-    arrays = {name: states[name] for name in states}
-    names = {name: spec.names for name, spec in states.layout.specs.items() if spec.names}
-    variables: dict[str, object] = {"joint_names": list(robot.joint_names)}
+    ros_is_there = find_spec("rclpy") is not None
     try:
-        heard, said, decoders = _codecs(path, arrays, names, variables)
+        decoders, encoders = robot_codecs(load_map(path), states, robot)
+        said: list[TopicSpec] = [encoder.spec for encoder in encoders]
+        for spec in (*(decoder.spec for decoder in decoders), *said) if ros_is_there else ():
+            message_class(spec)
     except MapDependencyError as error:
         return Binding(Facts("ros", writes=tuple(states), notes=(NO_CODECS.format(error),)))
     except UniconError as error:
         raise PlatformError(f"platform 'ros': {error}") from error
-    if not heard:
-        raise PlatformError(f"map {path} subscribes to nothing; a robot tells its joint_pos")
-    written = dict.fromkeys(state for spec in heard for state in spec.states)
-    turned = "base_quat" in written and "projected_gravity" not in written
-    if turned:
-        written["projected_gravity"] = None
-    writes = tuple(dict.fromkeys([*written, "stamp_ns"]))
-    read = dict.fromkeys(state for spec in said for state in spec.states)
-    reads = tuple(s for s in read if s in states and (s not in writes or s in COMMAND_STATES))
-    note = _unknown_types([*heard, *said])
+    exchange = Exchange(path, states, decoders, said)
+    notes = () if ros_is_there else (NO_ROS,)
+    facts = Facts("ros", reads=exchange.reads, writes=exchange.writes, notes=notes)
 
     def require(needed: Mapping[str, str]) -> None:
-        refuse_untold(path, wanted_of(needed, writes, turned), decoders, states)
+        exchange.wanted(needed)
 
-    facts = Facts("ros", reads=reads, writes=writes, notes=(note,) if note else ())
     return Binding(facts, require)
 
 
-def wanted_of(needed: Mapping[str, str], writes: Iterable[str], turned: bool) -> dict[str, str]:
-    """Return those of the needed states that messages tell, with who reads them.
-
-    Args:
-        needed: each state that a block on the critical path reads, and that block's name.
-        writes: states that the platform writes.
-        turned: whether gravity is computed of the orientation.
-    """
-    wanted = {name: reader for name, reader in needed.items() if name in writes}
-    if turned and "projected_gravity" in wanted:
-        wanted.setdefault("base_quat", wanted["projected_gravity"])
-    return wanted
+def robot_codecs(
+    mapping: MessageMap, states: States, robot: Robot
+) -> tuple[list[Decoder], list[Encoder]]:
+    """Build the codecs of a map for platform `ros`, as `codecs` does."""
+    arrays = {name: states[name] for name in states}
+    names = {name: spec.names for name, spec in states.layout.specs.items() if spec.names}
+    return codecs(mapping, arrays, names, {"joint_names": list(robot.joint_names)})
 
 
-def refuse_untold(
-    path: Path, wanted: Mapping[str, str], decoders: Sequence[Decoder], states: States
-) -> None:
-    """Refuse a map that writes some elements only of a state that is needed.
+def message_class(spec: TopicSpec) -> Any:
+    """Return the Python class of a topic's type; None where it is absent and optional.
 
     Raises:
-        PlatformError: it does.
+        PlatformError: ROS does not know the type, and the map needs it.
     """
-    for name, reader in wanted.items():
-        told = [d.elements(name) for d in decoders if name in d.spec.states]
-        written, size = set().union(*told), states[name].size
-        if told and len(written) < size:
-            raise PlatformError(
-                f"platform 'ros': the map {path} writes {len(written)} of {size} "
-                f"elements of {name}, which block {reader!r} reads; map the others too"
-            )
+    message = compat.message_class(spec.type)
+    if message is None and not spec.optional:
+        raise PlatformError(
+            f"{spec.where or spec.topic}: the type {spec.type} is not installed; "
+            f"install the ROS package {spec.type.split('/')[0]}"
+        )
+    return message
 
 
 def mirror_hook(program: Program, name: str | None = None) -> dict[Stage, list[Block]]:
@@ -123,10 +175,9 @@ def mirror_hook(program: Program, name: str | None = None) -> dict[Stage, list[B
     """
     path = find_config("maps", name or program.document.get("map", str) or "default")
     try:
-        heard, _, _ = _codecs(path, arrays_of(program), names_of(program), variables_of(program))
+        states = {state for spec in _heard(program, path) for state in spec.states}
     except UniconError:
         return {}
-    states = {state for spec in heard for state in spec.states}
     if not states or not states.isdisjoint(program.platform.facts.writes):
         return {}
     written = given_by_blocks(program)
@@ -146,13 +197,12 @@ def check_mirror(subject: Subject, result: CheckResult, name: str | None = None)
     program: Program = subject.program
     path = find_config("maps", name or subject.document.get("map", str) or "default")
     try:
-        heard, _, _ = _codecs(path, arrays_of(program), names_of(program), variables_of(program))
+        heard = _heard(program, path)
     except MapDependencyError as error:
         result.note("map.fit", f"map {path}", NO_CODECS.format(error))
         return
     except UniconError as error:
-        evidence, _, remedy = str(error).rpartition("; ")
-        result.find("map.fit", f"map {path}", evidence or remedy, remedy if evidence else "")
+        result.find_error("map.fit", f"map {path}", error)
         return
     for spec in heard:
         for state in spec.states:
@@ -166,13 +216,20 @@ def check_mirror(subject: Subject, result: CheckResult, name: str | None = None)
                 )
 
 
-def _codecs(
-    path: Path,
+def _heard(program: Program, path: Path) -> list[TopicSpec]:
+    """Return what the bridge hears by a map; raises as `codecs`."""
+    bindings = arrays_of(program), names_of(program), variables_of(program)
+    decoders, _ = codecs(load_map(path), *bindings)
+    return [decoder.spec for decoder in decoders]
+
+
+def codecs(
+    mapping: MessageMap,
     arrays: Mapping[str, Any],
     names: Mapping[str, Sequence[str]],
     variables: Mapping[str, object],
-) -> tuple[list[Any], list[Any], list[Decoder]]:
-    """Build every codec of a map; return the entries that are received and sent, and decoders.
+) -> tuple[list[Decoder], list[Encoder]]:
+    """Build every codec of a map.
 
     An optional entry whose states are not there is left out, as in a run.
 
@@ -181,34 +238,14 @@ def _codecs(
         MapError: the map is wrong, or does not fit.
     """
 
-    def built(spec: Any, build: Callable[..., Any]) -> Any:
+    def built(spec: TopicSpec, build: Callable[..., Any]) -> list[Any]:
         try:
-            return build(spec, arrays, names, variables)
+            return [build(spec, arrays, names, variables)]
         except MapStateError:
             if not spec.optional:
                 raise
-            return None
+            return []
 
-    mapping = load_map(path)
-    decoders = [built(spec, Decoder.build) for spec in mapping.subscribe]
-    encoders = [built(spec, Encoder.build) for spec in mapping.publish]
-    heard = [spec for spec, made in zip(mapping.subscribe, decoders) if made is not None]
-    said = [spec for spec, made in zip(mapping.publish, encoders) if made is not None]
-    return heard, said, [made for made in decoders if made is not None]
-
-
-def _unknown_types(specs: Iterable[Any]) -> str:
-    """Return a note where ROS is not there to be asked.
-
-    Raises:
-        PlatformError: ROS does not know a type that the map needs.
-    """
-    if find_spec("rclpy") is None:
-        return NO_ROS
-    for spec in specs:
-        if not spec.optional and compat.message_class(spec.type) is None:
-            raise PlatformError(
-                f"platform 'ros': {spec.where or spec.topic}: the type {spec.type} is not "
-                f"installed; install the ROS package {spec.type.split('/')[0]}"
-            )
-    return ""
+    decoders = [made for spec in mapping.subscribe for made in built(spec, Decoder.build)]
+    encoders = [made for spec in mapping.publish for made in built(spec, Encoder.build)]
+    return decoders, encoders

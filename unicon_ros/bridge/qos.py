@@ -14,22 +14,12 @@ LATCHED = Qos(durability="transient_local", depth=1)
 
 def qos_profile(qos: Qos) -> Any:
     """Return rclpy's profile of a map's QoS; times in [s] there, Durations here."""
+    from rclpy import qos as ros
     from rclpy.duration import Duration
-    from rclpy.qos import (
-        DurabilityPolicy,
-        HistoryPolicy,
-        LivelinessPolicy,
-        QoSProfile,
-        ReliabilityPolicy,
-    )
 
-    values: dict[str, Any] = {
-        "reliability": ReliabilityPolicy[qos.reliability.upper()],
-        "durability": DurabilityPolicy[qos.durability.upper()],
-        "history": HistoryPolicy[qos.history.upper()],
-        "liveliness": LivelinessPolicy[qos.liveliness.upper()],
-        "depth": qos.depth,
-    }
+    values: dict[str, Any] = {"depth": qos.depth}
+    for word in ("reliability", "durability", "history", "liveliness"):
+        values[word] = getattr(ros, f"{word.capitalize()}Policy")[getattr(qos, word).upper()]
     for name, seconds in (
         ("deadline", qos.deadline),
         ("lifespan", qos.lifespan),
@@ -37,4 +27,4 @@ def qos_profile(qos: Qos) -> Any:
     ):
         if seconds is not None:
             values[name] = Duration(nanoseconds=round(seconds * 1e9))
-    return QoSProfile(**values)
+    return ros.QoSProfile(**values)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import UniconError
@@ -15,11 +14,16 @@ from unicon_core.models.kinematic_tree import tree_of
 from unicon_core.models.links import Link
 from unicon_core.models.urdf_write import urdf
 from unicon_core.workflow import Program
-from unicon_msgs_map import Encoder, Messages, parse_map
+from unicon_msgs_map import Encoder
 from unicon_ros import compat
 from unicon_ros.bridge.qos import LATCHED, qos_profile
 from unicon_ros.bridge.topics_out import TopicOut
-from unicon_ros.bridge.transforms import LinkTransforms, tf_map
+from unicon_ros.bridge.transforms import (
+    TF_MESSAGE,
+    LinkTransforms,
+    static_transforms,
+    tf_entry,
+)
 
 __all__ = ["RobotFrames"]
 
@@ -69,7 +73,7 @@ class RobotFrames:
             return
         self.description = urdf(links, program.robot)
         self._latch("robot_description", "std_msgs/msg/String", self.description)
-        if compat.message_class("tf2_msgs/msg/TFMessage") is not None:
+        if compat.message_class(TF_MESSAGE) is not None:
             self._publish_frames(program, links, stamp)
 
     def _latch(self, topic: str, kind: str, content: str | bytes) -> None:
@@ -86,20 +90,12 @@ class RobotFrames:
         joint_pos = states["joint_pos"] if states.num_robots is None else states["joint_pos"][0]
         poses = LinkTransforms(links, joint_pos)
         names = [link.name for link in links]
-        messages = Messages()
         if poses.fixed:
-            text = tf_map("/tf_static", poses.fixed, names, None, self._prefix)
-            arrays = {
-                "stamp_ns": np.zeros((), np.int64),
-                "positions": np.array([link.position for link in poses.fixed]),
-                "quats": np.array([link.quat for link in poses.fixed]),
-            }
-            spec = parse_map(text, messages, name="/tf_static").publish[0]
-            self._latch(spec.topic, spec.type, Encoder.build(spec, arrays).encode())
+            static = static_transforms(poses.fixed, names, self._prefix)
+            self._latch("/tf_static", TF_MESSAGE, static)
         if not poses.moving:
             return
-        text = tf_map("/tf", poses.moving, names, RATE, self._prefix)
-        spec = parse_map(text, messages, name="/tf").publish[0]
+        spec = tf_entry("/tf", poses.moving, names, RATE, self._prefix)
         encoder = Encoder.build(
             spec, {"stamp_ns": stamp, "positions": poses.positions, "quats": poses.quats}
         )

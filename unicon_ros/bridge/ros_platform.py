@@ -17,7 +17,6 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -33,17 +32,21 @@ from unicon_core.robots import Robot
 from unicon_core.signals import SIGNALS
 from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES
-from unicon_msgs_map import Decoder, Encoder, MapStateError, load_map
+from unicon_msgs_map import load_map
 from unicon_ros import compat
-from unicon_ros.bridge.map_fit import examine_platform, refuse_untold, wanted_of
+from unicon_ros.bridge.map_fit import (
+    ORIENTATION,
+    Exchange,
+    examine_platform,
+    message_class,
+    robot_codecs,
+)
 from unicon_ros.bridge.middleware_threads import calm_middleware_threads
 from unicon_ros.bridge.own_node import OwnNode
 from unicon_ros.bridge.topics_in import TopicIn
 from unicon_ros.bridge.topics_out import TopicOut
 
 __all__ = ["RosPlatform", "make"]
-
-ORIENTATION = "base_quat"
 
 TIMEOUT = 0.5
 """Silence that is a fault where the map gives no `timeout`, [s]."""
@@ -129,54 +132,37 @@ class RosPlatform:
         self._states, self._robot, self._own, self._path = states, robot, own, path
         self._period, self._patience, self._damping = period, connect, damping
         mapping = load_map(path)
-        arrays = {name: states[name] for name in states}
-        names = {name: spec.names for name, spec in states.layout.specs.items() if spec.names}
-        variables: dict[str, object] = {"joint_names": list(robot.joint_names)}
+        # Silence is a fault here; zeros in its place would be commanded by the last damping.
+        heard = [
+            replace(spec, on_timeout="hold", timeout=spec.timeout or TIMEOUT)
+            for spec in mapping.subscribe
+        ]
+        decoders, encoders = robot_codecs(replace(mapping, subscribe=tuple(heard)), states, robot)
         group = compat.polled_group()
         self._warnings: list[str] = []
         self._in: list[TopicIn] = []
         self._out: list[TopicOut] = []
-        self._needed: list[TopicIn] = []
-        self._decoders: list[Decoder] = []
         self._awaited: list[str] = []
-        for given in mapping.subscribe:
-            # Silence is a fault here; zeros in its place would be commanded by the last damping.
-            spec = replace(given, on_timeout="hold", timeout=given.timeout or TIMEOUT)
-            made = _made(spec, partial(Decoder.build, spec, arrays, names, variables))
-            if made is not None:
-                decoder, message = made
-                self._decoders.append(decoder)
-                topic = TopicIn(own.node, decoder, message, False, group, self._warnings.append)
-                self._in.append(topic)
-                if not spec.optional:
-                    self._needed.append(topic)
-        for entry in mapping.publish:
-            made = _made(entry, partial(Encoder.build, entry, arrays, names, variables))
-            if made is not None:
-                encoder, message = made
-                every, warn = entry.every(period), self._warnings.append
+        warn = self._warnings.append
+        for decoder in decoders:
+            message = message_class(decoder.spec)
+            if message is not None:
+                self._in.append(TopicIn(own.node, decoder, message, False, group, warn))
+        for encoder in encoders:
+            message, every = message_class(encoder.spec), encoder.spec.every(period)
+            if message is not None:
                 self._out.append(TopicOut(own.node, encoder, message, every, 0, group, warn))
-        if not self._in:
-            raise PlatformError(f"map {path} subscribes to nothing; a robot tells its joint_pos")
+        self._needed = [topic for topic in self._in if not topic.decoder.spec.optional]
+        said = [out.spec for out in self._out]
+        self._exchange = Exchange(path, states, [topic.decoder for topic in self._in], said)
         if not all(topic.polled for topic in self._in):
             raise PlatformError("this rclpy cannot be polled; use one of Humble, Jazzy or Kilted")
-        heard, said = [topic.topic for topic in self._in], [out.topic for out in self._out]
-        self.topics = (*heard, *said)
-        written = dict.fromkeys(state for topic in self._in for state in topic.states)
-        self._stamped = "stamp_ns" in written
+        self.topics = (*(topic.topic for topic in self._in), *(out.topic for out in self._out))
+        self._stamped = any("stamp_ns" in topic.decoder.spec.states for topic in self._in)
         self._gravity: Callable[[], None] | None = None
-        if ORIENTATION in written and "projected_gravity" not in written:
+        if self._exchange.turned:
             self._gravity = projected_gravity(states[ORIENTATION], states["projected_gravity"])
-            written["projected_gravity"] = None
-        writes = tuple(dict.fromkeys([*written, "stamp_ns"]))
-        reads = tuple(
-            dict.fromkeys(
-                state
-                for out in self._out
-                for state in out.block.reads
-                if state not in writes or state in COMMAND_STATES
-            )
-        )
+        reads, writes = self._exchange.reads, self._exchange.writes
         self.facts = replace(self.facts, reads=reads, writes=writes)
         # A map without gains moves motors that look at nothing but their targets.
         self._hold = {"joint_stiffness", "joint_damping"}.isdisjoint(reads)
@@ -201,7 +187,7 @@ class RosPlatform:
             for topic in self._in:
                 topic.poll()
             if time.monotonic() > end:
-                errors = [topic.last_error for topic in self._needed]
+                errors = [topic.decoder.last_error for topic in self._needed]
                 said = "; ".join(each for each in dict.fromkeys([*self._warnings, *errors]) if each)
                 raise PlatformError(
                     f"platform 'ros': no message {missing} within {self._patience:g} s"
@@ -232,14 +218,11 @@ class RosPlatform:
         Raises:
             PlatformError: the map writes some elements of a state only, or messages do.
         """
-        wanted = wanted_of(states, self.facts.writes, self._gravity is not None)
-        refuse_untold(self._path, wanted, self._decoders, self._states)
-        for name in wanted:
-            sources = [i for i, topic in enumerate(self._in) if name in topic.states]
-            for i in sources:
-                topic = self._in[i]
+        for name in self._exchange.wanted(states):
+            sources = [topic for topic in self._in if name in topic.decoder.spec.states]
+            for topic in sources:
                 if name == ORIENTATION:
-                    self._decoders[i].need_orientation(name)
+                    topic.decoder.need_orientation(name)
                 topic.heard = False  # what came so far may have told less than is needed
                 if topic not in self._needed:
                     self._needed.append(topic)
@@ -339,22 +322,3 @@ class RosPlatform:
             "published": {out.topic: out.published for out in self._out},
             "notes": list(self._warnings),
         }
-
-
-def _made(spec: Any, build: Callable[[], Any]) -> tuple[Any, Any] | None:
-    """Return codec and message class; None where either is missing and the entry is optional."""
-    message = compat.message_class(spec.type)
-    if message is None:
-        if spec.optional:
-            return None
-        package = spec.type.split("/")[0]
-        raise PlatformError(
-            f"{spec.where or spec.topic}: the type {spec.type} is not installed; "
-            f"install the ROS package {package}"
-        )
-    try:
-        return build(), message
-    except MapStateError:
-        if spec.optional:
-            return None
-        raise

@@ -24,7 +24,7 @@ from unicon_core.resources import find_config
 from unicon_core.runtime import Runner
 from unicon_core.workflow import Program
 from unicon_msgs_map import Decoder, Encoder, MapStateError, load_map
-from unicon_msgs_map.spec import PublishSpec, SubscribeSpec
+from unicon_msgs_map.spec import PublishSpec, SubscribeSpec, TopicSpec
 from unicon_ros import compat
 from unicon_ros.bridge.bindings import (
     arrays_of,
@@ -119,32 +119,27 @@ class RosSession:
         return stages | {Stage.OBSERVE: self._observers(program)}
 
     def _inputs(self, program: Program) -> Block:
-        arrays, names = arrays_of(program), names_of(program)
-        variables = variables_of(program, self.frame_prefix)
+        bindings = arrays_of(program), names_of(program), variables_of(program, self.frame_prefix)
         written = given_by_blocks(program)
-        taken = set(program.platform.facts.writes)
-        for spec in self.map.subscribe:
-            message = self._message(spec, "subscribe")
-            if message is None:
-                continue
+        facts = program.platform.facts
+
+        def build(spec: SubscribeSpec) -> Decoder:
             for state in spec.states:
-                if state in taken:
+                if state in facts.writes:
                     raise UniconError(
                         f"{spec.where or spec.topic}: topic {spec.topic!r} would write state "
-                        f"{state!r}, which platform {program.platform.facts.name!r} writes; "
+                        f"{state!r}, which platform {facts.name!r} writes; "
                         "take the topic out of the map, or use platform 'ros'"
                     )
-            decoder = self._built(spec, partial(Decoder.build, spec, arrays, names, variables))
-            if decoder is None:
-                continue
+            return Decoder.build(spec, *bindings)
+
+        for spec in self.map.subscribe:
             contested = not written.isdisjoint(spec.states)
-            try:
-                topic = TopicIn(self.node, decoder, message, contested, self._group, self.warn)
-            except Exception as error:
-                raise self._refused(spec, error) from error
-            self.incoming.append(topic)
-            self.slack.always |= not topic.polled
-        states = {state for topic in self.incoming for state in topic.states}
+            topic = self._made(spec, "subscribe", build, partial(TopicIn, contested=contested))
+            if topic is not None:
+                self.incoming.append(topic)
+                self.slack.always |= not topic.polled
+        states = {state for topic in self.incoming for state in topic.decoder.spec.states}
         return Block(
             "ros inputs",
             _poll_all(self.incoming),
@@ -163,6 +158,10 @@ class RosSession:
             self._stamp = WallStamp(source)
             arrays["stamp_ns"] = self._stamp.out
             blocks.append(Block(self._stamp.name, self._stamp, reads=self._stamp.reads))
+
+        def build(spec: PublishSpec) -> Encoder:
+            return Encoder.build(spec, arrays, names, variables)
+
         phases: dict[int, int] = {}
         for spec in self.map.publish:
             if spec.topic == CLOCK and not platform.facts.simulated:
@@ -171,20 +170,13 @@ class RosSession:
             if taken and self.node.resolve_topic_name(spec.topic) in taken:
                 self._skip(spec, f"platform {platform.facts.name!r} has it already")
                 continue
-            message = self._message(spec, "publish")
-            if message is None:
-                continue
-            encoder = self._built(spec, partial(Encoder.build, spec, arrays, names, variables))
-            if encoder is None:
-                continue
             every = spec.every(program.period)
-            phase = phases[every] = phases.get(every, -1) + 1
-            try:
-                topic = TopicOut(self.node, encoder, message, every, phase, self._group, self.warn)
-            except Exception as error:
-                raise self._refused(spec, error) from error
-            self.outgoing.append(topic)
-            blocks.append(topic.block)
+            phase = phases.get(every, 0)
+            topic = self._made(spec, "publish", build, partial(TopicOut, every=every, phase=phase))
+            if topic is not None:
+                phases[every] = phase + 1
+                self.outgoing.append(topic)
+                blocks.append(topic.block)
         frames = RobotFrames(
             self.node, program, arrays["stamp_ns"], self._group, self.warn, self.frame_prefix
         )
@@ -219,7 +211,7 @@ class RosSession:
             topics.setdefault(topic.topic, {}).update(
                 received=topic.received,
                 dropped=topic.dropped,
-                rejected=topic.rejected,
+                rejected=topic.decoder.rejected,
                 stale=topic.stale,
             )
         for each in self._topics():
@@ -264,39 +256,43 @@ class RosSession:
         for topic in self._topics():
             topic.events.settle()
 
-    def _message(self, spec: PublishSpec | SubscribeSpec, direction: str) -> Any:
-        """Return the Python class of a topic's type; None where it is absent and optional."""
+    def _made(
+        self,
+        spec: TopicSpec,
+        direction: str,
+        build: Callable[[Any], Decoder | Encoder],
+        make: Callable[..., Any],
+    ) -> Any:
+        """Return the topic of an entry; None where it is left out."""
         message = compat.message_class(spec.type)
         if message is None:
-            package = spec.type.split("/")[0]
-            remedy = f"install the ROS package {package}"
+            remedy = f"install the ROS package {spec.type.split('/')[0]}"
             if not spec.optional:
                 raise UniconError(
                     f"{spec.where or spec.topic}: cannot {direction} topic {spec.topic!r}: the "
                     f"type {spec.type} is not installed; {remedy}, or say optional: true"
                 )
             self._skip(spec, f"type {spec.type} is not installed ({remedy})")
-        return message
-
-    def _built(self, spec: PublishSpec | SubscribeSpec, build: Callable[[], Any]) -> Any:
+            return None
         try:
-            return build()
+            codec = build(spec)
         except MapStateError as error:
             if not spec.optional:
                 raise
             self._skip(spec, str(error))
-        return None
+            return None
+        try:
+            return make(self.node, codec, message, group=self._group, warn=self.warn)
+        except Exception as error:
+            raise UniconError(
+                f"{spec.where or spec.topic}: topic {spec.topic!r} was refused by ROS "
+                f"({one_line(error)}); correct its name or qos"
+            ) from error
 
-    def _skip(self, spec: PublishSpec | SubscribeSpec, reason: str) -> None:
+    def _skip(self, spec: TopicSpec, reason: str) -> None:
         if spec.topic not in self.skipped:
             self.skipped.append(spec.topic)
             self.warn(f"topic {spec.topic} is left out: {reason}")
-
-    def _refused(self, spec: PublishSpec | SubscribeSpec, error: Exception) -> UniconError:
-        return UniconError(
-            f"{spec.where or spec.topic}: topic {spec.topic!r} was refused by ROS "
-            f"({one_line(error)}); correct its name or qos"
-        )
 
 
 def _poll_all(topics: list[TopicIn]) -> Callable[[], None]:

@@ -48,6 +48,7 @@ class TopicIn:
         warn: takes warnings.
 
     Attributes:
+        decoder: tells too what was refused, and why.
         topic: full name, after namespace and remaps.
         events: what its QoS events told.
         received: messages taken.
@@ -67,7 +68,7 @@ class TopicIn:
         warn: Callable[[str], None],
     ) -> None:
         spec = decoder.spec
-        self._node, self._warn, self._decoder = node, warn, decoder
+        self._node, self._warn, self.decoder = node, warn, decoder
         self._decode = decoder.decode
         self._contested = contested
         self._timeout_ns = 0 if spec.timeout is None else round(spec.timeout * 1e9)
@@ -105,28 +106,13 @@ class TopicIn:
             self._drain = min(DRAIN, spec.qos.depth + 1) if spec.qos.depth > 1 else 0
 
     @property
-    def states(self) -> tuple[str, ...]:
-        """States that the topic writes."""
-        return self._decoder.spec.states
-
-    @property
-    def rejected(self) -> int:
-        """Messages that the map refused."""
-        return self._decoder.rejected
-
-    @property
-    def last_error(self) -> str:
-        """Why the last refused message was refused; empty if none was."""
-        return self._decoder.last_error
-
-    @property
     def silence(self) -> str:
         """What its time-out means, as a message."""
         what = "zero" if self._zero_when_stale else "held"
         why = f" (the last: {self._why})" if self._why else ""
         return (
             f"topic {self.topic}: no {'accepted ' if self._why else ''}message for "
-            f"{self._timeout_ns * 1e-9:g} s, {', '.join(self.states)} {what}{why}"
+            f"{self._timeout_ns * 1e-9:g} s, {', '.join(self.decoder.spec.states)} {what}{why}"
         )
 
     def prefetch(self) -> bool:
@@ -188,12 +174,12 @@ class TopicIn:
 
     def _accepted_before(self) -> bytes | None:
         """The newest message was refused: apply one before it and return it, if there is any."""
-        self._refused(self._decoder.last_error)
+        self._refused(self.decoder.last_error)
         for _ in range(min(len(self._ahead), LOOK_BACK - 1)):
             raw = self._ahead.pop()
             if self._decode(raw):
                 return raw
-            self._refused(self._decoder.last_error)
+            self._refused(self.decoder.last_error)
         self._forget()
         if self.heard:
             self._silent()
@@ -239,7 +225,7 @@ class TopicIn:
             self.stale = True
             self._warn(self.silence)
         if self._zero_when_stale:
-            self._decoder.zero()
+            self.decoder.zero()
         elif self._contested:
             self._decode(self._latest)
 

@@ -13,8 +13,11 @@ from numpy.typing import NDArray
 
 from unicon_core.models.links import Link
 from unicon_core.models.quaternions import multiply, rotate
+from unicon_msgs_map import Encoder, PublishSpec, parse_map
 
-__all__ = ["LinkTransforms", "tf_map"]
+__all__ = ["TF_MESSAGE", "LinkTransforms", "static_transforms", "tf_entry"]
+
+TF_MESSAGE = "tf2_msgs/msg/TFMessage"
 
 
 class LinkTransforms:
@@ -60,14 +63,14 @@ class LinkTransforms:
             self.positions[row] = self._origin[row] + joint_pos[row] * direction
 
 
-def tf_map(
+def tf_entry(
     topic: str,
     links: Sequence[Link],
     names: Sequence[str],
-    rate: float | None,
+    rate: float | None = None,
     prefix: str = "",
-) -> str:
-    """Return the message map of a topic that carries all these links.
+) -> PublishSpec:
+    """Return the entry of a message map for a topic that carries all these links.
 
     The arrays that it reads are `stamp_ns`, `positions` and `quats`, one row for each link.
 
@@ -78,12 +81,11 @@ def tf_map(
         rate: in [Hz], None for every tick.
         prefix: stands before all names.
     """
-    durability = "transient_local" if topic == "/tf_static" else "volatile"
     lines = [
         "publish:",
         f"  - topic: {topic}",
-        "    type: tf2_msgs/msg/TFMessage",
-        f"    qos: {{reliability: reliable, durability: {durability}, depth: 1}}",
+        f"    type: {TF_MESSAGE}",
+        "    qos: {depth: 1}",
     ]
     if rate is not None:
         lines.append(f"    rate: {rate}")
@@ -97,4 +99,14 @@ def tf_map(
             f"{at}.transform.translation: positions[{3 * i}:{3 * i + 3}]",
             f"{at}.transform.rotation: quats[{4 * i}:{4 * i + 4}]",
         ]
-    return "\n".join(lines) + "\n"
+    return parse_map("\n".join(lines), name=topic).publish[0]
+
+
+def static_transforms(links: Sequence[Link], names: Sequence[str], prefix: str = "") -> bytes:
+    """Return the message of /tf_static that carries all these links; arguments as of `tf_entry`."""
+    arrays = {
+        "stamp_ns": np.zeros((), np.int64),
+        "positions": np.array([link.position for link in links]),
+        "quats": np.array([link.quat for link in links]),
+    }
+    return Encoder.build(tf_entry("/tf_static", links, names, prefix=prefix), arrays).encode()

@@ -28,9 +28,10 @@ def show(arguments: argparse.Namespace) -> int:
     from unicon_core.flow import compile_graph
     from unicon_core.runtime.phases import describe
     from unicon_core.show import parts_table, show_mermaid, show_svg, show_text
-    from unicon_core.workflow import load_workflow
+    from unicon_core.workflow import Program, load_document
 
-    program = load_workflow(arguments.workflow, arguments.overrides)
+    # Dry: nothing is opened or published only to be shown.
+    program = Program(load_document(arguments.workflow, arguments.overrides), dry=True)
     try:
         facts = (program.root, program.states, program.critical)
         if arguments.source:

@@ -14,7 +14,6 @@ from unicon_core.errors import StateError, UniconError
 from unicon_ros.cli.workflow_arguments import positive
 
 if TYPE_CHECKING:
-    from unicon_core.states import Layout
     from unicon_core.states.backends.shm import Segment
     from unicon_core.states.states import Array
 
@@ -27,7 +26,6 @@ RATE = 10.0
 """Looks of `--watch` in [Hz] where none are asked for."""
 
 HEAD = ("name", "process", "size", "group", "states", "bytes", "rate", "age")
-STATES_HEAD = ("state", "shape", "dtype", "unit", "frame", "value")
 
 
 def add(commands: Any) -> None:
@@ -198,6 +196,7 @@ def _age(age: float | None) -> str:
 
 
 def _show(name: str) -> int:
+    from unicon_core.show.state_table import SPEC_HEAD, spec_cells
     from unicon_core.states import States
     from unicon_core.states.backends.shm import Segment, ShmWatcher
 
@@ -212,20 +211,14 @@ def _show(name: str) -> int:
         age = (time.monotonic_ns() - watcher.stamp_ns) * 1e-9
         told = f"value {watcher.number}, {_age(age)} old" if taken else "no value yet"
         print(f"\ngroup {group}: {layout.nbytes} B, {told}")
-        cells = (summary(values[name]) if taken else "-" for name in layout.specs)
-        print("\n".join(aligned([STATES_HEAD, *_state_rows(layout, list(cells))])))
+        rows: list[tuple[str, ...]] = [(*SPEC_HEAD, "value")]
+        for state in layout.specs:
+            value = summary(values[state]) if taken else "-"
+            rows.append((*spec_cells(layout, state), value))
+        print("\n".join(aligned(rows)))
         watcher.close()
     segment.close()
     return 0
-
-
-def _state_rows(layout: Layout, values: list[str]) -> list[tuple[str, ...]]:
-    from unicon_core.show.state_table import shape_text
-
-    return [
-        (name, shape_text(layout.slots[name].shape), s.dtype, s.unit or "-", s.frame or "-", value)
-        for (name, s), value in zip(layout.specs.items(), values)
-    ]
 
 
 def summary(value: Array) -> str:

@@ -94,16 +94,16 @@ class Map:
             out.tick()
         for topic in self.into:
             topic.poll()
-            now = (topic.received, topic.rejected, topic.stale)
+            now = (topic.received, topic.decoder.rejected, topic.stale)
             if now != self._seen.get(topic.topic, (0, 0, False)):
                 self._seen[topic.topic] = now
                 say(
                     kind="took",
                     topic=topic.topic,
                     received=topic.received,
-                    rejected=topic.rejected,
+                    rejected=topic.decoder.rejected,
                     stale=topic.stale,
-                    error=topic.last_error,
+                    error=topic.decoder.last_error,
                     warnings=list(self.warnings),
                     states={name: array.tolist() for name, array in self.arrays.items()},
                 )

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
-from unicon_core.check.result import CheckResult
+from unicon_core.check.result import CheckResult, PolicyResult
 from unicon_core.check.subject import on_platform
 from unicon_core.check.twin.measures import Measures
-from unicon_core.check.twin.perturb import perturbations
-from unicon_core.check.twin.repair import Repair, repairs
+from unicon_core.check.twin.perturb import Change, perturbations
+from unicon_core.check.twin.repair import repairs
 from unicon_core.check.twin.session import TwinSession
 from unicon_core.errors import UniconError
 from unicon_core.models.find import Modelled
 from unicon_core.platforms.platform import Platform
-from unicon_core.policies import PolicyContract
 from unicon_core.workflow.document import WorkflowDocument
 
 __all__ = ["check_twin"]
@@ -56,55 +57,54 @@ def check_twin(
     try:
         session = TwinSession(on_platform(document, simulator, pose), settings.get("command"))
     except UniconError as error:
-        evidence, _, remedy = str(error).rpartition("; ")
-        result.find("twin.run", f"twin on platform {simulator!r}", evidence or remedy, remedy)
+        result.find_error("twin.run", f"twin on platform {simulator!r}", error)
         return
     try:
-        _Twin(session, float(settings.get("duration", 5.0)), result, document).check()
+        _Twin(session, float(settings.get("duration", 5.0)), result, document.path).check()
     finally:
         session.close()
 
 
+@dataclass
 class _Twin:
-    def __init__(
-        self, session: TwinSession, seconds: float, result: CheckResult, document: WorkflowDocument
-    ) -> None:
-        self.session, self.seconds, self.result = session, seconds, result
-        self.where = document.path
-        self.rows: list[list[str]] = []
-        self.contracts: dict[str, PolicyContract] = {}
+    session: TwinSession
+    seconds: float
+    result: CheckResult
+    where: Path
+    rows: list[list[str]] = field(default_factory=list)
+    policies: list[PolicyResult] = field(default_factory=list)
 
     def check(self) -> None:
         session, result = self.session, self.result
         given = session.run(self.seconds)
         self.add("as given", given)
         suspects = []
-        self.contracts = {
-            key: contract for key, contract in session.contracts.items() if key in session.called
-        }
-        for key in session.contracts.keys() - self.contracts.keys():
-            result.note("twin.run", f"policy {key!r}", "the flow never calls it in the twin")
-        for key, contract in self.contracts.items():
-            for broken in perturbations(contract, session.depths(contract.joints)):
-                name = broken.name if len(self.contracts) == 1 else f"{key}: {broken.name}"
+        for key, contract in session.contracts.items():
+            if key in session.called:
+                self.policies.append(PolicyResult(result, key, contract))
+            else:
+                result.note("twin.run", f"policy {key!r}", "the flow never calls it in the twin")
+        for policy in self.policies:
+            for broken in perturbations(policy.contract, session.depths(policy.contract.joints)):
+                alone = len(self.policies) == 1
+                name = broken.name if alone else f"{policy.key}: {broken.name}"
                 if broken.contract is None:
                     self.rows.append([name, f"not tried: {broken.reason}", *[""] * 4])
                     continue
-                measures = session.run(self.seconds, key, broken.contract)
+                measures = self.run(policy, broken, self.seconds)
                 self.add(name, measures)
                 if measures.score >= given.score - MARGIN:
-                    suspects.append((key, contract, broken, measures))
+                    suspects.append((policy, broken, measures))
         self.verdict(given)
         if given.stands and (not given.tracks or given.tracking >= POOR):
-            for key, contract, broken, measures in suspects:
+            for policy, broken, measures in suspects:
                 # Scales of 1 have been left out by nobody, and who only stands up does so anyhow.
-                result.find(
+                policy.find(
                     "twin.suspect",
-                    f"policy {key!r}, {broken.culprit}",
+                    broken.culprit,
                     f"with {broken.name} it does as well (score {measures.score:.2f}) as with the "
                     f"given contract ({given.score:.2f}): yours is suspect",
                     f"compare {broken.culprit} with the training side",
-                    contract.path,
                     error=given.tracks and not broken.unlikely,
                 )
         self.tables(given)
@@ -123,98 +123,91 @@ class _Twin:
 
     def verdict(self, given: Measures) -> None:
         """Findings of the given contract: a fall, or a command that is not followed."""
-        contracts = self.contracts
-        poor = bool(contracts) and given.tracks and given.tracking < POOR
+        poor = bool(self.policies) and given.tracks and given.tracking < POOR
         if given.stands and not poor:
             return
-        code = "twin.command" if given.stands else "twin.fall"
-        what = given.outcome()
+        code, what = "twin.fall", given.outcome()
         if given.fault:
             what += f" ({given.fault})"
         if given.stands:
+            code, moves = "twin.command", _velocity(given.velocity)
             what = (
-                f"it stays up, but moves at {_velocity(given.velocity)} where "
-                f"{_velocity(given.command)} is commanded"
+                f"it stays up, but moves at {moves} where {_velocity(given.command)} is commanded"
             )
         found = self.mend(given)
         if found is not None:
-            key, repair, mended, tried = found
-            contract = contracts[key]
+            policy, repair, mended, tried = found
             self.add(f"mended: {repair.name}", mended)
-            self.result.find(
+            policy.find(
                 code,
-                f"policy {key!r}, {repair.culprit}",
+                repair.culprit,
                 f"{what} (score {given.score:.2f}); with {repair.name} it {mended.outcome()} "
                 f"(score {mended.score:.2f}), the best of {tried} changes",
                 f"compare {repair.culprit} with the training side",
-                contract.path,
             )
-        elif not contracts:
+        elif not self.policies:
             self.result.find(code, "flow", what, "change the flow, or its gains", self.where)
         elif not given.stands or given.tracking < FOLLOWS:
-            key = next(iter(contracts))
-            self.result.find(
+            self.policies[0].find(
                 code,
-                f"policy {key!r}",
+                "",
                 f"{what} (score {given.score:.2f}), and none of the usual mistakes explains it",
                 "compare default pose, gains, action scale, terms and the model with the training "
                 "side",
-                contracts[key].path,
             )
         else:
-            self.result.note(code, f"policy {next(iter(contracts))!r}", what)
+            self.policies[0].note(code, "", what)
 
-    def mend(self, given: Measures) -> tuple[str, Repair, Measures, int] | None:
+    def mend(self, given: Measures) -> tuple[PolicyResult, Change, Measures, int] | None:
         """Return the change under which the policy does best, if it does clearly better.
 
         All are tried for two seconds and the best few for the whole time.
         """
         until = time.monotonic() + _PATIENCE
         session = self.session
-        tried: list[tuple[float, str, Repair]] = []
+        tried: list[tuple[float, PolicyResult, Change]] = []
         poses = session.poses()
-        for key, contract in self.contracts.items():
-            depths = session.depths(contract.joints)
+        for policy in self.policies:
+            depths = session.depths(policy.contract.joints)
             tried += [
-                (self.score(key, repair, 2.0).score, key, repair)
-                for repair in repairs(contract, session.program.robot, depths, poses)
+                (self.run(policy, repair, 2.0).score, policy, repair)
+                for repair in repairs(policy.contract, session.program.robot, depths, poses)
                 if time.monotonic() < until and (session.lifts or not repair.unlimited)
             ]
         tried.sort(key=lambda entry: -entry[0])  # stable: the likelier first
-        best: tuple[str, Repair, Measures] | None = None
-        for _, key, repair in tried[:10]:
-            measures = self.score(key, repair, self.seconds)
+        best: tuple[PolicyResult, Change, Measures] | None = None
+        for _, policy, repair in tried[:10]:
+            measures = self.run(policy, repair, self.seconds)
             if best is None or measures.score > best[2].score + 0.02:
-                best = key, repair, measures
+                best = policy, repair, measures
         if best is None or not best[2].stands or best[2].score < given.score + MENDED:
             return None
         if best[2].tracks and best[2].tracking < FOLLOWS:
             return None
         return (*best, len(tried))
 
-    def score(self, key: str, repair: Repair, seconds: float) -> Measures:
-        return self.session.run(seconds, key, repair.contract, unlimited=repair.unlimited)
+    def run(self, policy: PolicyResult, change: Change, seconds: float) -> Measures:
+        contract = change.contract
+        return self.session.run(seconds, policy.key, contract, unlimited=change.unlimited)
 
     def tables(self, given: Measures) -> None:
-        what = f"{self.seconds:g} s of the policy" if self.contracts else "the whole flow"
+        what = f"{self.seconds:g} s of the policy" if self.policies else "the whole flow"
         title = f"Twin on platform {self.session.program.platform.facts.name}, {what}"
         columns = ["contract", "outcome", "score", "tracking", "error", "rate [rad/s]"]
         lines = ["score = survival · (0.7 · tracking + 0.3 · smoothness), from 0 to 1"]
         lines.append("a walk does not validate the rate: half the rate walks as well")
-        contracts = self.contracts
-        self.result.table(title, columns, self.rows, lines if contracts else ())
-        rows = [
-            ["outcome", given.outcome() + (f": {given.fault}" if given.fault else "")],
+        self.result.table(title, columns, self.rows, lines if self.policies else ())
+        rows = [["outcome", given.outcome() + (f": {given.fault}" if given.fault else "")]]
+        if given.tracks and self.policies:
+            rows.append(["command", _velocity(given.command)])
+            rows.append(["velocity", _velocity(given.velocity)])
+        hits = [f"{name} {share:.0%}" for name, share in given.limit_hits.items()]
+        rows += [
             ["torque", f"{given.torque_use:.0%} of the limit at {given.torque_joint} (rms)"],
             ["saturated", f"{given.saturated:.2%} of all torques"],
             ["change of targets", f"{given.target_rate:.2f} rad/s (rms)"],
+            ["at position limits", ", ".join(hits[:4]) or "never"],
         ]
-        if given.tracks and contracts:
-            rows.insert(1, ["command", _velocity(given.command)])
-            rows.insert(2, ["velocity", _velocity(given.velocity)])
-        hits = list(given.limit_hits.items())[:4]
-        text = ", ".join(f"{name} {share:.0%}" for name, share in hits)
-        rows.append(["at position limits", text or "never"])
         self.result.table("Twin, as given", ["what", "value"], rows)
 
 

@@ -15,8 +15,7 @@ A policy that reads no velocity command is scored by survival · smoothness.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +29,9 @@ JUDGED = (
     "joint_pos", "joint_effort", "base_ang_vel", "base_lin_vel", "base_pos_w", "projected_gravity"
 )  # fmt: skip
 """States of a simulator by which a run is judged."""
+
+ROW = ("joint_pos", "joint_effort", "joint_pos_target", "velocity_command")
+"""States that are kept of every tick, beside the velocity of the base."""
 
 TRACKING_SIGMA = 0.25
 """Width of the tracking kernel in [m²/s²]."""
@@ -45,17 +47,18 @@ AT_LIMIT = 0.005
 """A joint within this distance of its limit in [rad] is at the limit."""
 
 Float = NDArray[np.float64]
+Three = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
 class Measures:
-    """One run.
+    """One run; the figures are those of one without ticks unless they are given.
 
     Attributes:
         asked_s: time asked for in [s].
+        fault: what stopped the run, or "".
         survived_s: until a fall, a fault or the end in [s].
         fell: whether the base tilted or sank too far.
-        fault: what stopped the run, or "".
         velocity_error: mean distance from the commanded velocity, [m/s] and [rad/s] together.
         velocity: mean velocity of the base vx, vy [m/s] and wz [rad/s].
         command: mean command.
@@ -69,20 +72,20 @@ class Measures:
     """
 
     asked_s: float
-    survived_s: float
-    fell: bool
     fault: str
-    velocity_error: float
-    velocity: tuple[float, float, float]
-    command: tuple[float, float, float]
-    target_rate: float
-    torque_use: float
-    torque_joint: str
-    saturated: float
-    limit_hits: dict[str, float]
-    tracking: float
-    smoothness: float
-    survival: float
+    survived_s: float = 0.0
+    fell: bool = False
+    velocity_error: float = 0.0
+    velocity: Three = (0.0, 0.0, 0.0)
+    command: Three = (0.0, 0.0, 0.0)
+    target_rate: float = 0.0
+    torque_use: float = 0.0
+    torque_joint: str = ""
+    saturated: float = 0.0
+    limit_hits: dict[str, float] = field(default_factory=dict)
+    tracking: float = 0.0
+    smoothness: float = 0.0
+    survival: float = 0.0
     tracks: bool = True
 
     @property
@@ -96,10 +99,6 @@ class Measures:
     def stands(self) -> bool:
         """Whether the run ended neither with a fall nor with a fault."""
         return not self.fell and not self.fault
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return all as plain values."""
-        return asdict(self) | {"score": self.score}
 
     def outcome(self) -> str:
         """Return in a few words how it ended."""
@@ -122,12 +121,12 @@ class Recorder:
 
     def __init__(self, states: States, robot: Robot, effort: Float, period: float) -> None:
         self._robot, self._period = robot, period
-        names = (*JUDGED, "joint_pos_target", "velocity_command")
+        names = {*JUDGED, *ROW}
         self._views = {name: states[name].reshape(-1, states.spec(name).size)[0] for name in names}
         self._effort = effort
         self._standing: float | None = None
         self.fell = False
-        self.rows: list[tuple[Float, Float, Float, Float, Float]] = []
+        self.rows: list[list[Float]] = []
 
     def __call__(self, walking: bool) -> bool:
         """Note the tick; True once the base has fallen.
@@ -142,15 +141,8 @@ class Recorder:
             self.rows.clear()
             self._standing = height
         velocity = np.array([*views["base_lin_vel"][:2], views["base_ang_vel"][2]])
-        self.rows.append(
-            (
-                views["joint_pos"].astype(np.float64),
-                views["joint_effort"].astype(np.float64),
-                views["joint_pos_target"].astype(np.float64),
-                velocity.astype(np.float64),
-                views["velocity_command"].astype(np.float64),
-            )
-        )
+        row = (*(views[name] for name in ROW), velocity)
+        self.rows.append([values.astype(np.float64) for values in row])
         tilted = float(views["projected_gravity"][2]) > -FALL_COSINE
         sunk = self._standing is not None and height < FALL_HEIGHT * self._standing
         self.fell = tilted or sunk
@@ -165,12 +157,9 @@ class Recorder:
             tracks: whether following the command counts.
         """
         if not self.rows:
-            zero = (0.0, 0.0, 0.0)
-            return Measures(
-                asked_s, 0.0, False, fault, 0.0, zero, zero, 0.0, 0.0, "", 0.0, {}, 0.0, 0.0, 0.0
-            )  # fmt: skip
+            return Measures(asked_s, fault)
         robot, period = self._robot, self._period
-        pos, effort, target, velocity, command = (np.stack(part) for part in zip(*self.rows))
+        pos, effort, target, command, velocity = (np.stack(part) for part in zip(*self.rows))
         survived = len(self.rows) * period
         error = velocity - command
         from_start = error[min(round(START / period), max(len(error) - 1, 0)) :]
@@ -182,7 +171,6 @@ class Recorder:
         hits = (pos <= robot.lower + AT_LIMIT) | (pos >= robot.upper - AT_LIMIT)
         shares = hits.mean(axis=0)
         saturated = np.abs(effort) >= 0.999 * self._effort
-        ended_early = self.fell or bool(fault)
         return Measures(
             asked_s=asked_s,
             survived_s=survived,
@@ -196,16 +184,14 @@ class Recorder:
             torque_joint=robot.joint_names[worst],
             saturated=float(saturated.mean()),
             limit_hits={
-                robot.joint_names[i]: float(shares[i])
-                for i in np.argsort(-shares)
-                if shares[i] > 0.0
+                robot.joint_names[i]: float(shares[i]) for i in np.argsort(-shares) if shares[i]
             },
             tracking=float(np.exp(-squared / TRACKING_SIGMA).mean()),
             smoothness=float(np.exp(-((rate / SMOOTH_RATE) ** 2))),
-            survival=min(1.0, survived / asked_s) if ended_early else 1.0,
+            survival=min(1.0, survived / asked_s) if self.fell or fault else 1.0,
             tracks=tracks,
         )
 
 
-def _three(values: Float) -> tuple[float, float, float]:
+def _three(values: Float) -> Three:
     return float(values[0]), float(values[1]), float(values[2])

@@ -7,19 +7,21 @@ contract that is as good when it is broken like that was probably not right befo
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.check.mirror import mirror_pairs
-from unicon_core.policies.contract import ActionSpec, ObservationTerm, PolicyContract
+from unicon_core.policies.contract import ObservationTerm, PolicyContract
 from unicon_core.robots import joint_index
 
 __all__ = [
-    "Perturbation",
+    "Change",
+    "exchanged",
     "other_order",
+    "per_joint",
     "permuted",
     "perturbations",
     "renamed",
@@ -28,15 +30,16 @@ __all__ = [
 
 
 @dataclass(frozen=True)
-class Perturbation:
-    """One broken contract.
+class Change:
+    """One changed contract, broken or mended.
 
     Attributes:
-        name: the mistake, as a phrase.
+        name: what was changed, as a phrase to follow "with".
         culprit: the part of the contract that it concerns.
-        contract: the broken contract, or None where the mistake changes nothing.
+        contract: the changed contract, or None where the change changes nothing.
         reason: why there is none.
-        unlikely: nobody makes it; that a policy bears it is worth a note.
+        unlikely: nobody makes this mistake; that a policy bears it is worth a note.
+        unlimited: whether limits of effort are lifted.
     """
 
     name: str
@@ -44,9 +47,10 @@ class Perturbation:
     contract: PolicyContract | None
     reason: str = ""
     unlikely: bool = False
+    unlimited: bool = False
 
 
-def perturbations(contract: PolicyContract, depths: Sequence[int]) -> list[Perturbation]:
+def perturbations(contract: PolicyContract, depths: Sequence[int]) -> list[Change]:
     """Return the broken contracts of a policy.
 
     Args:
@@ -62,12 +66,20 @@ def perturbations(contract: PolicyContract, depths: Sequence[int]) -> list[Pertu
     ]
 
 
-def with_terms(
-    contract: PolicyContract, change: Callable[[ObservationTerm], ObservationTerm]
-) -> PolicyContract:
-    """Return the contract with every observation term changed."""
-    terms = tuple(change(term) for term in contract.terms)
-    return replace(contract, observation=replace(contract.observation, terms=terms))
+def with_terms(contract: PolicyContract, terms: Iterable[ObservationTerm]) -> PolicyContract:
+    """Return the contract with other observation terms."""
+    return replace(contract, observation=replace(contract.observation, terms=tuple(terms)))
+
+
+def per_joint(term: ObservationTerm) -> bool:
+    """Return whether a term has one element for each joint, where it takes no elements by index."""
+    return term.state.startswith("joint_") or term.state == "action"
+
+
+def exchanged(joints: Sequence[str], pairs: Sequence[tuple[str, str]]) -> list[str]:
+    """Return joint names with those of each pair in each other's place."""
+    other = dict(pairs) | {b: a for a, b in pairs}
+    return [other.get(joint, joint) for joint in joints]
 
 
 def renamed(contract: PolicyContract, names: Sequence[str]) -> PolicyContract:
@@ -78,9 +90,8 @@ def renamed(contract: PolicyContract, names: Sequence[str]) -> PolicyContract:
         names: the new names of `contract.joints`, one by one.
     """
     renamed = dict(zip(contract.joints, names))
-    action: ActionSpec = replace(
-        contract.action, joints=tuple(renamed[name] for name in contract.action.joints)
-    )
+    moved = tuple(renamed[name] for name in contract.action.joints)
+    action = replace(contract.action, joints=moved)
     return replace(contract, joints=tuple(names), action=action)
 
 
@@ -96,10 +107,8 @@ def permuted(contract: PolicyContract, names: Sequence[str]) -> PolicyContract:
     moved = [name for name in names if name in action.joints]
     at = joint_index(moved, action.joints)
 
-    def per_joint(term: ObservationTerm) -> ObservationTerm:
-        if term.index is not None or not (
-            term.state.startswith("joint_") or term.state == "action"
-        ):
+    def reordered(term: ObservationTerm) -> ObservationTerm:
+        if term.index is not None or not per_joint(term):
             return term
         order = at if term.state == "action" else index
         scale = term.scale[order] if term.scale.size == len(order) > 1 else term.scale
@@ -113,7 +122,7 @@ def permuted(contract: PolicyContract, names: Sequence[str]) -> PolicyContract:
         action, joints=tuple(moved), scale=action.scale[at], offset=action.offset[at], clip=clip
     )
     return replace(
-        with_terms(contract, per_joint),
+        with_terms(contract, map(reordered, contract.terms)),
         joints=tuple(names),
         default_joint_pos=contract.default_joint_pos[index],
         stiffness=contract.stiffness[index],
@@ -122,50 +131,45 @@ def permuted(contract: PolicyContract, names: Sequence[str]) -> PolicyContract:
     )
 
 
-def _scales(contract: PolicyContract) -> Perturbation:
-    scaled = [term.name for term in contract.terms if (np.abs(term.scale) != 1.0).any()]
-    if scaled:
-        broken = with_terms(contract, lambda term: replace(term, scale=np.sign(term.scale)))
-        return Perturbation("observation scales left out", "observation scales", broken)
-    if not contract.terms:
-        why = "the network takes states one by one"
-        return Perturbation("observation scales left out", "observation scales", None, why)
-    broken = with_terms(contract, lambda term: replace(term, scale=2.0 * term.scale))
+def _scales(contract: PolicyContract) -> Change:
+    name, culprit, terms = "observation scales left out", "observation scales", contract.terms
+    if not terms:
+        return Change(name, culprit, None, "the network takes states one by one")
+    if any((np.abs(term.scale) != 1.0).any() for term in terms):
+        plain = (replace(term, scale=np.sign(term.scale)) for term in terms)
+        return Change(name, culprit, with_terms(contract, plain))
     name = "observation scales doubled (all are 1)"
-    return Perturbation(name, "observation scales", broken, unlikely=True)
+    doubled = (replace(term, scale=2.0 * term.scale) for term in terms)
+    return Change(name, culprit, with_terms(contract, doubled), unlikely=True)
 
 
-def _left_right(contract: PolicyContract) -> Perturbation:
+def _left_right(contract: PolicyContract) -> Change:
     pairs = mirror_pairs(contract.joints)
     name, culprit = "left and right joints exchanged", "joint order"
     if not pairs:
-        return Perturbation(name, culprit, None, "no joint names tell left from right")
-    other = dict(pairs) | {b: a for a, b in pairs}
-    names = [other.get(joint, joint) for joint in contract.joints]
-    return Perturbation(name, culprit, renamed(contract, names))
+        return Change(name, culprit, None, "no joint names tell left from right")
+    return Change(name, culprit, renamed(contract, exchanged(contract.joints, pairs)))
 
 
-def _gravity(contract: PolicyContract) -> Perturbation:
+def _gravity(contract: PolicyContract) -> Change:
     name, culprit = "gravity upside down", "sign of projected_gravity"
     if not any(term.state == "projected_gravity" for term in contract.terms):
-        return Perturbation(name, culprit, None, "no term reads projected_gravity")
-
-    def flip(term: ObservationTerm) -> ObservationTerm:
-        if term.state != "projected_gravity":
-            return term
-        return replace(term, scale=-term.scale)
-
-    return Perturbation(name, culprit, with_terms(contract, flip))
+        return Change(name, culprit, None, "no term reads projected_gravity")
+    flipped = (
+        replace(term, scale=-term.scale) if term.state == "projected_gravity" else term
+        for term in contract.terms
+    )
+    return Change(name, culprit, with_terms(contract, flipped))
 
 
-def _order(contract: PolicyContract, depths: Sequence[int]) -> Perturbation:
+def _order(contract: PolicyContract, depths: Sequence[int]) -> Change:
     name, culprit = "joint order of the other kind of simulator", "joint order"
     other = other_order(depths)
     names = [contract.joints[i] for i in other]
     if names == list(contract.joints):
         why = "breadth-first and depth-first are the same for these joints"
-        return Perturbation(name, culprit, None, why)
-    return Perturbation(name, culprit, renamed(contract, names))
+        return Change(name, culprit, None, why)
+    return Change(name, culprit, renamed(contract, names))
 
 
 def other_order(depths: Sequence[int]) -> NDArray[np.intp]:
@@ -184,17 +188,12 @@ def other_order(depths: Sequence[int]) -> NDArray[np.intp]:
     return order.astype(np.intp)
 
 
-def _gains(contract: PolicyContract, depths: Sequence[int]) -> Perturbation:
+def _gains(contract: PolicyContract, depths: Sequence[int]) -> Change:
     name, culprit = "gains in another order", "gains"
+    gains = np.stack((contract.stiffness, contract.damping))
     order = other_order(depths)
-    stiffness, damping = contract.stiffness[order], contract.damping[order]
-    if _same(stiffness, contract.stiffness) and _same(damping, contract.damping):
-        order = order[::-1]
-        stiffness, damping = contract.stiffness[order], contract.damping[order]
-    if _same(stiffness, contract.stiffness) and _same(damping, contract.damping):
-        return Perturbation(name, culprit, None, "all joints have the same gains")
-    return Perturbation(name, culprit, replace(contract, stiffness=stiffness, damping=damping))
-
-
-def _same(a: NDArray[np.float32], b: NDArray[np.float32]) -> bool:
-    return bool(np.allclose(a, b, rtol=1e-3))
+    for stiffness, damping in (gains[:, order], gains[:, order[::-1]]):
+        if not np.allclose((stiffness, damping), gains, rtol=1e-3):
+            broken = replace(contract, stiffness=stiffness, damping=damping)
+            return Change(name, culprit, broken)
+    return Change(name, culprit, None, "all joints have the same gains")

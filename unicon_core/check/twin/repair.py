@@ -3,36 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from itertools import combinations
 from typing import Any
 
 import numpy as np
 
 from unicon_core.check.mirror import mirror_pairs
-from unicon_core.check.twin.perturb import other_order, permuted, perturbations, renamed, with_terms
+from unicon_core.check.twin.perturb import (
+    Change,
+    exchanged,
+    other_order,
+    per_joint,
+    permuted,
+    perturbations,
+    renamed,
+    with_terms,
+)
 from unicon_core.policies.contract import ObservationTerm, PolicyContract
 from unicon_core.robots import Robot, joint_index
 
-__all__ = ["Repair", "repairs"]
+__all__ = ["repairs"]
 
 _SCALES = (0.05, 0.25, 0.5, 2.0, 4.0, 20.0)  # of legged_gym, holosoma and Unitree, and inverses
-
-
-@dataclass(frozen=True)
-class Repair:
-    """One mended contract.
-
-    Attributes:
-        name: what was changed, to follow "with".
-        culprit: the part of the contract that it concerns.
-        contract: the mended contract.
-        unlimited: whether limits of effort are lifted.
-    """
-
-    name: str
-    culprit: str
-    contract: PolicyContract
-    unlimited: bool = False
 
 
 def repairs(
@@ -40,7 +33,7 @@ def repairs(
     robot: Robot,
     depths: Sequence[int],
     poses: Mapping[str, Mapping[str, float]],
-) -> Iterator[Repair]:
+) -> Iterator[Change]:
     """Yield what a policy's contract might be if it were right, the likeliest first.
 
     Args:
@@ -49,17 +42,16 @@ def repairs(
         depths: of the policy's joints in the kinematic tree, shape (n,).
         poses: name to joint positions in [rad]: default poses to try.
     """
-    for broken in perturbations(contract, depths):  # most of them undo themselves
-        if broken.contract is not None:
-            yield Repair(broken.name, broken.culprit, broken.contract)
+    broken = perturbations(contract, depths)  # most of them undo themselves
+    yield from (change for change in broken if change.contract is not None)
     yield from _orders(contract, robot, depths)
     yield from _gains(contract, robot, depths)
     yield from _actions(contract, poses)
     yield from _terms(contract)
-    yield Repair("no limits of effort", "effort limits of the robot file", contract, True)
+    yield Change("no limits of effort", "effort limits of the robot file", contract, unlimited=True)
 
 
-def _orders(contract: PolicyContract, robot: Robot, depths: Sequence[int]) -> Iterator[Repair]:
+def _orders(contract: PolicyContract, robot: Robot, depths: Sequence[int]) -> Iterator[Change]:
     joints, culprit = contract.joints, "joint order"
     limb_by_limb = [name for name in robot.joint_names if name in joints]
     by_depth = dict(zip(joints, depths))
@@ -70,20 +62,15 @@ def _orders(contract: PolicyContract, robot: Robot, depths: Sequence[int]) -> It
         "the robot's joint order": limb_by_limb,
         "a breadth-first joint order": sorted(limb_by_limb, key=lambda name: by_depth[name]),
         "the reversed joint order": list(joints[::-1]),
-        "left and right joints exchanged": _exchanged(joints, mirror_pairs(joints)),
+        "left and right joints exchanged": exchanged(joints, mirror_pairs(joints)),
         "front and rear legs exchanged": _front_and_rear(joints),
     }
     for left, right in mirror_pairs(joints):
-        orders[f"{left} and {right} exchanged"] = _exchanged(joints, [(left, right)])
+        orders[f"{left} and {right} exchanged"] = exchanged(joints, [(left, right)])
     for name, order in orders.items():
         if len(order) == len(joints) and tuple(order) != joints:
-            yield Repair(f"{name} (names only)", culprit, renamed(contract, order))
-            yield Repair(name, culprit, permuted(contract, order))
-
-
-def _exchanged(joints: Sequence[str], pairs: Sequence[tuple[str, str]]) -> list[str]:
-    other = dict(pairs) | {b: a for a, b in pairs}
-    return [other.get(name, name) for name in joints]
+            yield Change(f"{name} (names only)", culprit, renamed(contract, order))
+            yield Change(name, culprit, permuted(contract, order))
 
 
 def _front_and_rear(joints: Sequence[str]) -> list[str]:
@@ -92,104 +79,76 @@ def _front_and_rear(joints: Sequence[str]) -> list[str]:
     return names if set(names) == set(joints) else []
 
 
-def _gains(contract: PolicyContract, robot: Robot, depths: Sequence[int]) -> Iterator[Repair]:
-    culprit = "gains"
-    order = other_order(depths)
-    for name, index in (
-        ("gains brought back from another order", np.argsort(order)),
-        ("gains in the reversed order", np.arange(len(order))[::-1]),
-    ):
-        stiffness, damping = contract.stiffness[index], contract.damping[index]
-        yield Repair(name, culprit, replace(contract, stiffness=stiffness, damping=damping))
-    yield Repair(
-        "stiffness and damping exchanged",
-        culprit,
-        replace(contract, stiffness=contract.damping, damping=contract.stiffness),
-    )
+def _gains(contract: PolicyContract, robot: Robot, depths: Sequence[int]) -> Iterator[Change]:
+    gains = np.stack((contract.stiffness, contract.damping))
     own = joint_index(contract.joints, robot.joint_names)
-    stiffness, damping = robot.joint_stiffness[own], robot.joint_damping[own]
-    if np.isfinite(stiffness).all() and np.isfinite(damping).all():
-        yield Repair(
-            "the robot file's gains",
-            culprit,
-            replace(contract, stiffness=stiffness, damping=damping),
-        )
+    tried = {
+        "gains brought back from another order": gains[:, np.argsort(other_order(depths))],
+        "gains in the reversed order": gains[:, ::-1],
+        "stiffness and damping exchanged": gains[::-1],
+        "the robot file's gains": np.stack((robot.joint_stiffness[own], robot.joint_damping[own])),
+    }
     for factor in (0.1, 0.25, 4.0, 10.0):
-        scaled = replace(contract, stiffness=contract.stiffness * np.float32(factor))
-        yield Repair(f"stiffness times {factor:g}", culprit, scaled)
-        both = replace(scaled, damping=contract.damping * np.float32(factor))
-        yield Repair(f"stiffness and damping times {factor:g}", culprit, both)
+        tried[f"stiffness times {factor:g}"] = gains * np.array([[factor], [1.0]], np.float32)
+        tried[f"stiffness and damping times {factor:g}"] = gains * np.float32(factor)
+    for name, (stiffness, damping) in tried.items():
+        if np.isfinite((stiffness, damping)).all():  # the robot file may not say them
+            changed = replace(contract, stiffness=stiffness, damping=damping)
+            yield Change(name, "gains", changed)
 
 
 def _actions(
     contract: PolicyContract, poses: Mapping[str, Mapping[str, float]]
-) -> Iterator[Repair]:
+) -> Iterator[Change]:
     action = contract.action
     for factor in (0.25, 0.5, 2.0, 4.0, -1.0):
-        scaled = replace(action, scale=action.scale * np.float32(factor))
-        yield Repair(
-            f"action.scale times {factor:g}", "action.scale", replace(contract, action=scaled)
-        )
+        scaled = replace(contract, action=replace(action, scale=action.scale * np.float32(factor)))
+        yield Change(f"action.scale times {factor:g}", "action.scale", scaled)
     for name, pose in poses.items():
         default = np.array([pose[joint] for joint in contract.joints], np.float32)
         offset = np.array([pose[joint] for joint in action.joints], np.float32)
         if np.isfinite(default).all():
             moved = replace(action, offset=offset)
             changed = replace(contract, default_joint_pos=default, action=moved)
-            yield Repair(name, "default_joint_pos", changed)
+            yield Change(name, "default_joint_pos", changed)
 
 
-def _terms(contract: PolicyContract) -> Iterator[Repair]:
-    culprit = "observation.terms"
-    terms = contract.terms
-    observation = contract.observation
+def _terms(contract: PolicyContract) -> Iterator[Change]:
+    """Yield other orders of the terms, each term changed, and other layouts of their histories."""
+    terms, observation = contract.terms, contract.observation
+
+    def changed(name: str, part: str, places: Mapping[int, ObservationTerm]) -> Change:
+        new = (places.get(i, term) for i, term in enumerate(terms))
+        return Change(name, f"observation.terms, {part}", with_terms(contract, new))
 
     def width(term: ObservationTerm) -> int:
         if term.index is not None:
             return len(term.index)
-        per_joint = term.state.startswith("joint_") or term.state == "action"
-        return len(contract.joints) if per_joint else 3
+        return len(contract.joints) if per_joint(term) else 3
 
-    alphabetical = tuple(sorted(terms, key=lambda term: term.name))
-    if alphabetical != terms:  # holosoma sorts its terms by name
-        changed = replace(contract, observation=replace(observation, terms=alphabetical))
-        yield Repair("terms in alphabetical order", f"{culprit}, their order", changed)
-    for i, first in enumerate(terms):
-        for j in range(i + 1, len(terms)):
-            if width(first) == width(terms[j]) and first.history == terms[j].history:
-                order = list(terms)
-                order[i], order[j] = order[j], order[i]
-                yield Repair(
-                    f"terms {first.name!r} and {terms[j].name!r} exchanged",
-                    f"{culprit}, order of {first.name!r} and {terms[j].name!r}",
-                    replace(contract, observation=replace(observation, terms=tuple(order))),
-                )
+    alphabetical = sorted(terms, key=lambda term: term.name)
+    if tuple(alphabetical) != terms:  # holosoma sorts its terms by name
+        yield changed("terms in alphabetical order", "their order", dict(enumerate(alphabetical)))
+    for (i, a), (j, b) in combinations(enumerate(terms), 2):
+        if width(a) == width(b) and a.history == b.history:
+            both = f"{a.name!r} and {b.name!r}"
+            yield changed(f"terms {both} exchanged", f"order of {both}", {i: b, j: a})
     for i, term in enumerate(terms):
+        name = repr(term.name)
         if term.state == "joint_pos":
             other = None if term.subtract is not None else "default_joint_pos"
-            yield Repair(
-                f"term {term.name!r} {'relative to the default pose' if other else 'absolute'}",
-                f"{culprit}, subtract of {term.name!r}",
-                _changed(contract, i, replace(term, subtract=other)),
-            )
-        yield Repair(
-            f"the other sign of term {term.name!r}",
-            f"{culprit}, sign of {term.name!r}",
-            _changed(contract, i, replace(term, scale=-term.scale)),
-        )
+            how = "relative to the default pose" if other else "absolute"
+            moved = replace(term, subtract=other)
+            yield changed(f"term {name} {how}", f"subtract of {name}", {i: moved})
+        flipped = replace(term, scale=-term.scale)
+        yield changed(f"the other sign of term {name}", f"sign of {name}", {i: flipped})
         for factor in _SCALES:
-            yield Repair(
-                f"the scale of term {term.name!r} times {factor:g}",
-                f"{culprit}, scale of {term.name!r}",
-                _changed(contract, i, replace(term, scale=term.scale * np.float32(factor))),
-            )
-    one = np.ones(1, np.float32)
+            scaled = replace(term, scale=term.scale * np.float32(factor))
+            what = f"the scale of term {name} times {factor:g}"
+            yield changed(what, f"scale of {name}", {i: scaled})
     usual = {"base_ang_vel": 0.25, "joint_vel": 0.05}
-
-    def usually(term: ObservationTerm) -> ObservationTerm:
-        return replace(term, scale=one * np.float32(usual.get(term.state, 1.0)))
-
-    yield Repair(
+    usually = (replace(t, scale=np.full(1, usual.get(t.state, 1.0), np.float32)) for t in terms)
+    yield Change(
         "the usual scales (angular velocity 0.25, joint velocity 0.05)",
         "observation scales",
         with_terms(contract, usually),
@@ -197,14 +156,8 @@ def _terms(contract: PolicyContract) -> Iterator[Repair]:
     if any(term.history > 1 for term in terms):
         newest: Any = "first" if observation.newest == "last" else "last"
         turned = replace(contract, observation=replace(observation, newest=newest))
-        yield Repair(f"the newest frame {newest}", "observation.newest", turned)
+        yield Change(f"the newest frame {newest}", "observation.newest", turned)
         layout: Any = "frame_major" if observation.layout == "term_major" else "term_major"
         if len({term.history for term in terms}) == 1:
             turned = replace(contract, observation=replace(observation, layout=layout))
-            yield Repair(f"histories {layout}", "observation.layout", turned)
-
-
-def _changed(contract: PolicyContract, place: int, term: ObservationTerm) -> PolicyContract:
-    terms = list(contract.terms)
-    terms[place] = term
-    return replace(contract, observation=replace(contract.observation, terms=tuple(terms)))
+            yield Change(f"histories {layout}", "observation.layout", turned)

@@ -159,9 +159,7 @@ class TwinSession:
                         break
         except Fault as error:
             fault = str(error)
-        finally:
-            self._restore()
-            self.called = frozenset(name for name, tick in counted.items() if tick.calls)
+        self.called = frozenset(name for name, tick in counted.items() if tick.calls)
         ticks = len(recorder.rows)
         asked = (ticks - begun + walked if counted else max(ticks, 1)) * program.period
         tracks = any(_reads_command(contract) for contract in self.contracts.values())
@@ -193,21 +191,13 @@ class TwinSession:
 
     def _exchange(self, key: str, contract: PolicyContract | None) -> dict[str, _Counted]:
         program = self.program
+        prefix = f"{key}_" if len(program.policies) > 1 else ""
         counted: dict[str, _Counted] = {}
         for used, block, policy in self._uses:
             running = policy
             if contract is not None and used == key:
-                running = Policy(
-                    contract,
-                    program.states,
-                    program.robot,
-                    prefix=f"{key}_" if len(program.policies) > 1 else "",
-                    network=policy.network,
-                )
+                states, network = program.states, policy.network
+                running = Policy(contract, states, program.robot, prefix=prefix, network=network)
             tick = counted.setdefault(used, _Counted(running))
             block.tick, block.reset, block.warm_up = tick, running.reset, None
         return counted
-
-    def _restore(self) -> None:
-        for _, block, policy in self._uses:
-            block.tick, block.reset, block.warm_up = policy, policy.reset, policy.warm_up

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from unicon_core.errors import ModelError, alternatives
 from unicon_core.models.load import load_model
 from unicon_core.models.loaded import LoadedModel, import_mujoco
-from unicon_core.models.posed import heights
+from unicon_core.models.posed import PosedModel
 from unicon_core.platforms.kit.scene import KEYFRAME, Scene
 from unicon_core.robots import Robot
 
@@ -70,7 +70,8 @@ def initial_positions(loaded: LoadedModel, robot: Robot, scene: Scene) -> Float:
     """
     mujoco = import_mujoco()
     model, base = loaded.model, loaded.base
-    data = mujoco.MjData(model)
+    posed = PosedModel(loaded)
+    data = posed.data
     pose, height = scene.initial_pose, scene.initial_height
     if isinstance(pose, str) and pose.startswith(KEYFRAME):
         keyframe = pose.removeprefix(KEYFRAME)
@@ -82,14 +83,11 @@ def initial_positions(loaded: LoadedModel, robot: Robot, scene: Scene) -> Float:
             )
         mujoco.mj_resetDataKeyframe(model, data, names.index(keyframe))
     elif not scene.posed_by_model:
-        data.qpos[loaded.addresses] = scene.joint_pos(robot)
+        posed.put(scene.joint_pos(robot))
     if base is not None:
         z = int(model.jnt_qposadr[base]) + 2
         if height is not None:
             data.qpos[z] = height
         elif not scene.posed_by_model:
-            mujoco.mj_kinematics(model, data)
-            mujoco.mj_comPos(model, data)
-            above = heights(model, data, int(model.jnt_bodyid[base]))
-            data.qpos[z] += _CLEARANCE - min(above.values(), default=_CLEARANCE)
+            data.qpos[z] += _CLEARANCE - min(posed.heights().values(), default=_CLEARANCE)
     return np.array(data.qpos)

@@ -18,7 +18,8 @@ from typing import Any
 
 from unicon_core.errors import PolicyError, alternatives
 from unicon_core.located_yaml import Located, Tagged, Where, read_yaml
-from unicon_core.policies.facts import Facts, term_state
+from unicon_core.policies.facts import Facts, dig, term_state
+from unicon_core.policies.importers.training import command_ranges
 
 __all__ = ["deploy_yaml_facts", "is_deploy_yaml"]
 
@@ -168,17 +169,15 @@ class _Deploy:
             # Unitree clips the target, we clip the action: bring the bounds to the other side.
             if not isinstance(clip, list) or len(clip) not in (size, 1):
                 raise self.fail((*where, "clip"), f"clip is {clip!r}; give [lowest, highest] each")
-            low, high = [], []
+            bounds = []
             for i in range(size):
                 pair = self.floats((*where, "clip"), clip[i if len(clip) == size else 0])
                 if len(pair) != 2 or scale[i] == 0:
                     raise self.fail(
                         (*where, "clip"), f"clip[{i}] is {pair}; give [lowest, highest]"
                     )
-                bounds = sorted((bound - offset[i]) / scale[i] for bound in pair)
-                low.append(bounds[0])
-                high.append(bounds[1])
-            self.say(("action", "clip"), [low, high], (*where, "clip"))
+                bounds.append(sorted((bound - offset[i]) / scale[i] for bound in pair))
+            self.say(("action", "clip"), _sides(bounds), (*where, "clip"))
         self.say(("action", "feedback"), "raw", where)
 
     def spread(self, where: Where, value: Any, size: int) -> list[float]:
@@ -204,8 +203,8 @@ class _Deploy:
                 )
             self.say(("inputs", "observation"), entries[0], (*where, entries[0]))
             where, group = (*where, entries[0]), group[entries[0]]
-        scale_first = bool(group.get("scale_first", False))
-        frame_major = bool(group.get("use_gym_history", False))
+            if not isinstance(group, Mapping):
+                raise self.fail(where, f"observations.{where[-1]} is {group!r}; no term")
         terms: list[dict[str, Any]] = []
         for name, value in group.items():
             if name in _FLAGS:
@@ -214,9 +213,9 @@ class _Deploy:
                 raise self.fail((*where, name), f"observations.{name} is {value!r}; no term")
             source: Where = (*where, name)
             self.facts.lines[("observation", "terms", len(terms))] = self.lines[source]
-            terms.append(self.term(source, name, value, scale_first))
+            terms.append(self.term(source, name, value, bool(group.get("scale_first"))))
         self.facts.values["observation"] = {
-            "layout": "frame_major" if frame_major else "term_major",
+            "layout": "frame_major" if group.get("use_gym_history") else "term_major",
             "newest": "last",
             "start": "first",
             "terms": terms,
@@ -227,14 +226,12 @@ class _Deploy:
     ) -> dict[str, Any]:
         term: dict[str, Any] = {"name": name, **term_state(name, absolute=True)}
         params = value.get("params")
-        params = params if isinstance(params, Mapping) else {}
-        joint_ids = params.get("asset_cfg", {})
-        joint_ids = joint_ids.get("joint_ids") if isinstance(joint_ids, Mapping) else None
+        joint_ids = dig(params, "asset_cfg", "joint_ids")
         if isinstance(joint_ids, list):
             term["index"] = joint_ids
         elif joint_ids is not None and not isinstance(joint_ids, Tagged):
             raise self.fail(where, f"{name}: joint_ids is {joint_ids!r}; give places, or null")
-        if name == "gait_phase" and "period" in params:
+        if name == "gait_phase" and isinstance(params, Mapping) and "period" in params:
             self.say(("phase",), {"period": params["period"], "offsets": [0.0]}, (*where, "params"))
         scale = value.get("scale")
         if scale is not None:
@@ -252,7 +249,7 @@ class _Deploy:
                 sides = [sorted(bound / s for bound in pair) for s in term["scale"] if s]
                 if len(sides) != len(term["scale"]):
                     raise self.fail((*where, "scale"), f"{name}: scale 0 with scale_first and clip")
-                term["clip"] = [[side[0] for side in sides], [side[1] for side in sides]]
+                term["clip"] = _sides(sides)
         history = value.get("history_length", 1)
         term["history"] = history if history else 1
         if not term_state(name):
@@ -263,16 +260,15 @@ class _Deploy:
         return term
 
     def ranges(self) -> None:
-        commands = self.document.get("commands")
-        ranges = commands.get("base_velocity", {}) if isinstance(commands, Mapping) else {}
-        ranges = ranges.get("ranges", {}) if isinstance(ranges, Mapping) else {}
-        result = {
-            name: list(pair)
-            for name, pair in (ranges.items() if isinstance(ranges, Mapping) else ())
-            if isinstance(pair, (list, tuple)) and len(pair) == 2
-        }
-        if result:
-            self.say(("command_ranges",), result, ("commands", "base_velocity", "ranges"))
+        where = ("commands", "base_velocity", "ranges")
+        ranges = command_ranges(dig(self.document, *where))
+        if ranges:
+            self.say(("command_ranges",), ranges, where)
+
+
+def _sides(pairs: list[list[float]]) -> list[list[float]]:
+    """[lowest, highest] of each -> [all the lowest, all the highest]."""
+    return [list(side) for side in zip(*pairs)]
 
 
 def _is_term(value: Any) -> bool:

@@ -14,8 +14,13 @@ from typing import Any
 
 from unicon_core.errors import PolicyError
 from unicon_core.located_yaml import Located, read_yaml
-from unicon_core.policies.facts import Facts, given_joints, term_state
-from unicon_core.policies.importers.regex import matching, values_by_pattern
+from unicon_core.policies.facts import Facts, dig, given_joints, term_state
+from unicon_core.policies.importers.training import (
+    command_ranges,
+    matching,
+    say_period,
+    values_by_pattern,
+)
 
 __all__ = ["env_yaml_facts", "is_env_yaml"]
 
@@ -46,16 +51,15 @@ def env_yaml_facts(path: Path, given: Mapping[str, Any]) -> Facts:
     document = located.value
     facts = Facts(path, "Isaac Lab env.yaml")
     joints = given_joints(path, given)
-    sim = document["sim"]
-    if isinstance(sim.get("dt"), (int, float)) and isinstance(document["decimation"], int):
-        facts.values["period"] = sim["dt"] * document["decimation"]
-        facts.keys[("period",)] = "sim.dt · decimation"
+    say_period(facts, document["sim"].get("dt"), document["decimation"], "sim.dt · decimation")
     if joints is not None:
         facts.values["joints"] = joints
         _robot(facts, document, joints)
     _action(facts, located, joints)
     _observation(facts, located)
-    _commands(facts, document)
+    ranges = command_ranges(dig(document, "commands", "base_velocity", "ranges"))
+    if ranges:
+        facts.values["command_ranges"] = ranges
     if joints is None:
         facts.notes.append(
             "env.yaml: pose, gains and scale stand there by name patterns; "
@@ -64,26 +68,20 @@ def env_yaml_facts(path: Path, given: Mapping[str, Any]) -> Facts:
     return facts
 
 
-def _dig(tree: Any, *keys: str) -> Any:
-    for key in keys:
-        tree = tree.get(key) if isinstance(tree, Mapping) else None
-    return tree
-
-
 def _robot(facts: Facts, document: Mapping[str, Any], joints: list[str]) -> None:
     pose = values_by_pattern(
-        _dig(document, "scene", "robot", "init_state", "joint_pos"), joints, default=0.0
+        dig(document, "scene", "robot", "init_state", "joint_pos"), joints, default=0.0
     )
     if pose is not None:
         facts.values["default_joint_pos"] = pose
-    actuators = _dig(document, "scene", "robot", "actuators")
+    actuators = dig(document, "scene", "robot", "actuators")
     for key in ("stiffness", "damping"):
         found: dict[str, float] = {}
         for actuator in (actuators or {}).values() if isinstance(actuators, Mapping) else ():
-            patterns = _dig(actuator, "joint_names_expr") or []
+            patterns = dig(actuator, "joint_names_expr") or []
             own = matching(patterns if isinstance(patterns, list) else [patterns], joints)
             for joint in own:
-                gain = values_by_pattern(_dig(actuator, key), [joint])
+                gain = values_by_pattern(dig(actuator, key), [joint])
                 found |= {} if gain is None else {joint: gain[0]}
         if all(joint in found for joint in joints):
             facts.values[key] = [found[joint] for joint in joints]
@@ -134,7 +132,7 @@ def _action(facts: Facts, located: Located, joints: list[str] | None) -> None:
 
 def _observation(facts: Facts, located: Located) -> None:
     observations = located.value["observations"]
-    name = next((g for g in _GROUPS if isinstance(_dig(observations, g), Mapping)), None)
+    name = next((g for g in _GROUPS if isinstance(dig(observations, g), Mapping)), None)
     if name is None:
         raise located.error(("observations",), "observations has no group policy or actor")
     group = observations[name]
@@ -164,13 +162,3 @@ def _observation(facts: Facts, located: Located) -> None:
         ]
         terms.append(term)
     facts.values["observation"] = {"layout": "term_major", "newest": "last", "terms": terms}
-
-
-def _commands(facts: Facts, document: Mapping[str, Any]) -> None:
-    ranges = _dig(document, "commands", "base_velocity", "ranges")
-    if isinstance(ranges, Mapping):
-        facts.values["command_ranges"] = {
-            name: list(pair)
-            for name, pair in ranges.items()
-            if isinstance(pair, (list, tuple)) and len(pair) == 2
-        }

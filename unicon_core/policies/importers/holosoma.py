@@ -11,11 +11,10 @@ from typing import Any
 
 from unicon_core.errors import PolicyError
 from unicon_core.policies.facts import Facts
+from unicon_core.policies.importers.training import RENAMED_RANGES
 from unicon_core.policies.networks.onnx_file import OnnxFile
 
 __all__ = ["holosoma_facts", "json_metadata"]
-
-_RANGES = {"ang_vel_yaw": "ang_vel_z"}
 
 
 def json_metadata(onnx: OnnxFile) -> dict[str, Any]:
@@ -63,6 +62,8 @@ def holosoma_facts(onnx: OnnxFile) -> Facts:
     ranges = metadata.get("command_ranges")
     if isinstance(ranges, dict):
         facts.values["command_ranges"] = {
-            _RANGES.get(name, name): pair for name, pair in ranges.items() if pair is not None
+            RENAMED_RANGES.get(name, name): pair
+            for name, pair in ranges.items()
+            if pair is not None
         }
     return facts

@@ -14,12 +14,10 @@ from typing import Any
 
 from unicon_core.errors import PolicyError
 from unicon_core.located_yaml import read_yaml
-from unicon_core.policies.facts import Facts, given_joints
-from unicon_core.policies.importers.regex import values_by_pattern
+from unicon_core.policies.facts import Facts, dig, given_joints
+from unicon_core.policies.importers.training import command_ranges, say_period, values_by_pattern
 
 __all__ = ["is_legged_gym", "legged_gym_facts"]
-
-_RANGES = {"ang_vel_yaw": "ang_vel_z"}
 
 
 def is_legged_gym(values: Any) -> bool:
@@ -46,29 +44,24 @@ def legged_gym_facts(path: Path, given: Mapping[str, Any]) -> Facts:
     document, lines = located.value, located.lines
     facts = Facts(path, "legged_gym configuration")
     control, init = document["control"], document["init_state"]
-    dt = document.get("sim", {}).get("dt") if isinstance(document.get("sim"), Mapping) else None
-    if isinstance(dt, (int, float)) and isinstance(control.get("decimation"), int):
-        facts.values["period"] = dt * control["decimation"]
-        facts.keys[("period",)] = "sim.dt · control.decimation"
+    dt = dig(document, "sim", "dt")
+    say_period(facts, dt, control.get("decimation"), "sim.dt · control.decimation")
     action: dict[str, Any] = {"feedback": "clipped"}
     if "action_scale" in control:
         action["scale"] = control["action_scale"]
         facts.keys[("action", "scale")] = "control.action_scale"
-    normalization = document.get("normalization")
-    if isinstance(normalization, Mapping):
-        bound = normalization.get("clip_actions")
-        if isinstance(bound, (int, float)):
-            action["clip"] = [-bound, bound]
-        scales = normalization.get("obs_scales")
-        if isinstance(scales, Mapping):
-            listed = ", ".join(f"{name} {value}" for name, value in scales.items())
-            facts.notes.append(f"{path.name}: scales for the terms to give: {listed}")
+    bound = dig(document, "normalization", "clip_actions")
+    if isinstance(bound, (int, float)):
+        action["clip"] = [-bound, bound]
+    scales = dig(document, "normalization", "obs_scales")
+    if isinstance(scales, Mapping):
+        listed = ", ".join(f"{name} {value}" for name, value in scales.items())
+        facts.notes.append(f"{path.name}: scales for the terms to give: {listed}")
     facts.values["action"] = action
     joints = given_joints(path, given)
     if joints is not None:
         facts.values["joints"] = joints
-        angles = init["default_joint_angles"]
-        pose = values_by_pattern(angles, joints)
+        pose = values_by_pattern(init["default_joint_angles"], joints)
         if pose is not None:
             facts.values["default_joint_pos"] = pose
         for key in ("stiffness", "damping"):
@@ -76,14 +69,9 @@ def legged_gym_facts(path: Path, given: Mapping[str, Any]) -> Facts:
             if gains is not None:
                 facts.values[key] = gains
                 facts.keys[(key,)] = f"control.{key}"
-    ranges = document.get("commands", {})
-    ranges = ranges.get("ranges") if isinstance(ranges, Mapping) else None
-    if isinstance(ranges, Mapping):
-        facts.values["command_ranges"] = {
-            _RANGES.get(name, name): list(pair)
-            for name, pair in ranges.items()
-            if isinstance(pair, (list, tuple)) and len(pair) == 2
-        }
+    ranges = command_ranges(dig(document, "commands", "ranges"))
+    if ranges:
+        facts.values["command_ranges"] = ranges
     facts.lines[("action", "scale")] = lines.get(("control", "action_scale"), 1)
     facts.values["observation"] = {"start": "zeros"}
     return facts

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from unicon_core.errors import PolicyError
 from unicon_core.policies.facts import Facts
 from unicon_core.policies.importers.exploy import exploy_facts
@@ -12,18 +14,22 @@ from unicon_core.policies.networks.onnx_file import OnnxFile
 __all__ = ["has_metadata", "metadata_facts"]
 
 
-def _kind(onnx: OnnxFile) -> str | None:
+# A key that tells the format -> its reader; the first one counts.
+_READERS: dict[str, Callable[[OnnxFile], Facts]] = {
+    "exploy_version": exploy_facts,
+    "dof_names": holosoma_facts,
+    "joint_names": mjlab_facts,
+}
+
+
+def _reader(onnx: OnnxFile) -> Callable[[OnnxFile], Facts] | None:
     keys = {key for key, _ in onnx.metadata}
-    if "exploy_version" in keys:
-        return "exploy"
-    if "dof_names" in keys:
-        return "holosoma"
-    return "mjlab" if "joint_names" in keys else None
+    return next((reader for key, reader in _READERS.items() if key in keys), None)
 
 
 def has_metadata(onnx: OnnxFile) -> bool:
     """Whether the metadata are of a known format."""
-    return _kind(onnx) is not None
+    return _reader(onnx) is not None
 
 
 def metadata_facts(onnx: OnnxFile) -> Facts:
@@ -32,14 +38,10 @@ def metadata_facts(onnx: OnnxFile) -> Facts:
     Raises:
         PolicyError: no known format, a key twice, or a value against the format.
     """
-    kind = _kind(onnx)
-    if kind == "exploy":
-        return exploy_facts(onnx)
-    if kind == "holosoma":
-        return holosoma_facts(onnx)
-    if kind == "mjlab":
-        return mjlab_facts(onnx)
-    raise PolicyError(
-        f"{onnx.path}: its metadata are of no known format (BeyondMimic, mjlab, holosoma, exploy); "
-        "write a policy.yaml beside it"
-    )
+    reader = _reader(onnx)
+    if reader is None:
+        raise PolicyError(
+            f"{onnx.path}: its metadata are of no known format (BeyondMimic, mjlab, holosoma, "
+            "exploy); write a policy.yaml beside it"
+        )
+    return reader(onnx)

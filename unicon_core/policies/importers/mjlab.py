@@ -104,10 +104,8 @@ def _observation(reader: _Metadata, motion: bool) -> None:
                 term["clip"] = pair
     if "observation_terms_scale" in metadata:
         for term, scale in zip(terms, reader.nested("observation_terms_scale", count)):
-            if scale is not None:
-                term["scale"] = scale if len(scale) > 1 else scale[0]
-            else:
-                term["scale"] = 1.0
+            factors = [1.0] if scale is None else scale
+            term["scale"] = factors if len(factors) > 1 else factors[0]
     else:
         facts.asks["observation.scale"] = ""
     facts.values["observation"] = {"layout": "term_major", "newest": "last", "terms": terms}

@@ -24,6 +24,15 @@ class Tensor:
         """Whether the first axis takes any length."""
         return bool(self.shape) and not isinstance(self.shape[0], int)
 
+    @property
+    def width(self) -> int | str:
+        """The last axis; 1 of a scalar."""
+        return self.shape[-1] if self.shape else 1
+
+    def takes(self, size: int) -> bool:
+        """Whether the last axis has this length, or is free."""
+        return not isinstance(self.width, int) or self.width == size
+
     def __str__(self) -> str:
         axes = " × ".join(str(axis) or "?" for axis in self.shape)
         return f"{self.name} ({axes or 'scalar'}, {self.dtype})"

@@ -8,14 +8,19 @@ file can so be judged before any session is built. Weights are skipped, not read
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections import defaultdict
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeAlias
 
 from unicon_core.errors import PolicyError
 from unicon_core.policies.networks.network import Tensor
 
 __all__ = ["OnnxFile", "read_onnx"]
+
+# What a field holds: a number, or the bytes of a text or message.
+_Value: TypeAlias = "memoryview | int"
 
 # onnx/onnx.proto3, TensorProto.DataType
 _ELEMENT_TYPES = {1: "float32", 6: "int32", 7: "int64", 9: "bool", 10: "float16", 11: "float64"}
@@ -81,60 +86,46 @@ def read_onnx(path: Path) -> OnnxFile:
 
 
 def _model(path: Path, data: memoryview) -> OnnxFile:
-    metadata: list[tuple[str, str]] = []
-    graph: memoryview | None = None
-    for number, value in _fields(data):
-        if number == 7 and isinstance(value, memoryview):
-            graph = value
-        elif number == 14:
-            metadata.append(_pair(value))
-    if graph is None:
-        raise ValueError("no graph")
-    inputs: list[Tensor] = []
-    outputs: list[Tensor] = []
-    initializers: set[str] = set()
-    external: dict[str, None] = {}
-    for number, value in _fields(graph):
-        if number == 5:
-            name, files = _initializer(value)
-            initializers.add(name)
-            external.update(dict.fromkeys(files))
-        elif number == 11:
-            inputs.append(_tensor(value))
-        elif number == 12:
-            outputs.append(_tensor(value))
+    model = _message(data)
+    graph = _message(_last(model, 7))
+    initializers = [_message(value) for value in graph[5]]
+    named = {_text(initializer, 8) for initializer in initializers}
+    about = [_pair(value) for initializer in initializers for value in initializer[13]]
+    outputs = tuple(_tensor(value) for value in graph[12])
     if not outputs:
         raise ValueError("no output")
     return OnnxFile(
         path,
-        tuple(metadata),
-        tuple(tensor for tensor in inputs if tensor.name not in initializers),
-        tuple(outputs),
-        tuple(external),
+        tuple(_pair(value) for value in model[14]),
+        tuple(tensor for tensor in map(_tensor, graph[11]) if tensor.name not in named),
+        outputs,
+        tuple(dict.fromkeys(name for key, name in about if key == "location")),
     )
 
 
-def _fields(data: memoryview | int) -> Iterator[tuple[int, memoryview | int]]:
-    """Yield field number and value; lengths are views, so that weights are never copied."""
+def _message(data: _Value) -> defaultdict[int, list[_Value]]:
+    """Return field number to values; lengths are views, so that weights are never copied."""
     if isinstance(data, int):
         raise ValueError("a number where a message was expected")
+    fields: defaultdict[int, list[_Value]] = defaultdict(list)
     position, end = 0, len(data)
     while position < end:
         tag, position = _varint(data, position)
         wire = tag & 7
         if wire == 0:
             value, position = _varint(data, position)
-            yield tag >> 3, value
+            fields[tag >> 3].append(value)
         elif wire in (1, 5):
             position += 8 if wire == 1 else 4
         elif wire == 2:
             size, position = _varint(data, position)
             if position + size > end:
                 raise ValueError("cut off")
-            yield tag >> 3, data[position : position + size]
+            fields[tag >> 3].append(data[position : position + size])
             position += size
         else:
             raise ValueError(f"wire type {wire}")
+    return fields
 
 
 def _varint(data: memoryview, position: int) -> tuple[int, int]:
@@ -150,60 +141,38 @@ def _varint(data: memoryview, position: int) -> tuple[int, int]:
             raise ValueError("varint")
 
 
-def _text(value: memoryview | int) -> str:
+def _last(message: Mapping[int, list[_Value]], number: int) -> _Value:
+    """Return the value of a field, of which the last one counts; empty where it is absent."""
+    values = message.get(number)
+    return values[-1] if values else memoryview(b"")
+
+
+def _text(message: Mapping[int, list[_Value]], number: int) -> str:
+    value = _last(message, number)
     if isinstance(value, int):
         raise ValueError("a number where a text was expected")
     return value.tobytes().decode("utf-8")
 
 
-def _pair(data: memoryview | int) -> tuple[str, str]:
-    key = text = ""
-    for number, value in _fields(data):
-        if number == 1:
-            key = _text(value)
-        elif number == 2:
-            text = _text(value)
-    return key, text
+def _pair(data: _Value) -> tuple[str, str]:
+    pair = _message(data)
+    return _text(pair, 1), _text(pair, 2)
 
 
-def _initializer(data: memoryview | int) -> tuple[str, list[str]]:
-    name, files = "", []
-    for number, value in _fields(data):
-        if number == 8:
-            name = _text(value)
-        elif number == 13:
-            key, text = _pair(value)
-            if key == "location":
-                files.append(text)
-    return name, files
+def _tensor(data: _Value) -> Tensor:
+    value = _message(data)
+    kind = _message(_last(_message(_last(value, 2)), 1))
+    element, axes = _last(kind, 1), _message(_last(kind, 2))[1]
+    dtype = "unknown"
+    if isinstance(element, int):
+        dtype = _ELEMENT_TYPES.get(element, f"type {element}")
+    return Tensor(_text(value, 1), dtype, tuple(map(_axis, axes)))
 
 
-def _tensor(data: memoryview | int) -> Tensor:
-    name, dtype = "", "unknown"
-    shape: list[int | str] = []
-    for number, value in _fields(data):
-        if number == 1:
-            name = _text(value)
-        elif number == 2:
-            for kind, tensor in _fields(value):
-                if kind != 1:
-                    continue
-                for field, content in _fields(tensor):
-                    if field == 1 and isinstance(content, int):
-                        dtype = _ELEMENT_TYPES.get(content, f"type {content}")
-                    elif field == 2:
-                        shape = [_axis(axis) for k, axis in _fields(content) if k == 1]
-    return Tensor(name, dtype, tuple(shape))
-
-
-def _axis(data: memoryview | int) -> int | str:
-    axis: int | str = ""
-    for number, value in _fields(data):
-        if number == 1 and isinstance(value, int):
-            axis = value
-        elif number == 2:
-            axis = _text(value)
-    return axis
+def _axis(data: _Value) -> int | str:
+    axis = _message(data)
+    size = _last(axis, 1)
+    return size if isinstance(size, int) else _text(axis, 2)
 
 
 def _short(text: str, limit: int = 60) -> str:

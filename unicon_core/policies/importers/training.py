@@ -1,4 +1,7 @@
-"""Values by joint-name pattern, as Isaac Lab writes them: a number, or {pattern: number}."""
+"""What the training configurations share: period, command ranges, values by joint-name pattern.
+
+A value by pattern stands as Isaac Lab writes it: a number, or {pattern: number}.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,36 @@ import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-__all__ = ["matching", "values_by_pattern"]
+from unicon_core.policies.facts import Facts
+
+__all__ = ["RENAMED_RANGES", "command_ranges", "matching", "say_period", "values_by_pattern"]
+
+# A command's name in legged_gym and holosoma -> its name in a contract.
+RENAMED_RANGES = {"ang_vel_yaw": "ang_vel_z"}
+
+
+def say_period(facts: Facts, dt: Any, decimation: Any, word: str) -> None:
+    """Note the control period, the simulation's step times the decimation, where both are there.
+
+    Args:
+        facts: changed in place.
+        dt: time of a step in [s].
+        decimation: steps for one action.
+        word: the source's own word for it.
+    """
+    if isinstance(dt, (int, float)) and isinstance(decimation, int):
+        facts.values["period"] = dt * decimation
+        facts.keys[("period",)] = word
+
+
+def command_ranges(ranges: Any) -> dict[str, list[Any]]:
+    """Return the name of a command to [lowest, highest]; what is not a pair is left out."""
+    items: Mapping[str, Any] = ranges if isinstance(ranges, Mapping) else {}
+    return {
+        RENAMED_RANGES.get(name, name): list(pair)
+        for name, pair in items.items()
+        if isinstance(pair, (list, tuple)) and len(pair) == 2
+    }
 
 
 def _matches(pattern: object, joint: str) -> bool:
