@@ -46,7 +46,8 @@ from unicon_core.states.groups import (
 from unicon_core.states.layout import Layout
 from unicon_core.states.states import States
 
-__all__ = ["FOLDER", "Segment", "ShmReader", "ShmWriter", "clean", "segment_path", "segments"]
+__all__ = ["FOLDER", "Segment", "ShmReader", "ShmWriter", "clean", "places", "segment_path"]
+__all__ += ["segments"]
 
 FOLDER = Path("/dev/shm")
 MAGIC = b"UNICONSH"
@@ -88,7 +89,7 @@ def segment_path(name: str) -> Path:
     return FOLDER / f"unicon-{os.getuid()}-{name}"
 
 
-def _offsets(groups: Groups, json_length: int) -> tuple[dict[str, int], int]:
+def places(groups: Groups, json_length: int) -> tuple[dict[str, int], int]:
     """Return where each group begins, and the size of the segment."""
     at, starts = _lines(JSON_AT + json_length), {}
     for name, layout in groups.items():
@@ -156,7 +157,7 @@ class Segment:
             StateError: a writer of that name lives, or there is no room.
         """
         path, text = segment_path(name), groups_json(groups).encode()
-        starts, size = _offsets(groups, len(text))
+        starts, size = places(groups, len(text))
         # Without a name until all of it is there: nobody ever reads half a header.
         flags = os.O_TMPFILE | os.O_RDWR | os.O_CLOEXEC
         try:
@@ -213,7 +214,7 @@ class Segment:
             access = mmap.ACCESS_READ if read_only else mmap.ACCESS_WRITE
             memory = memoryview(mmap.mmap(fd, status.st_size, access=access))
             groups, digest, pid = _read_head(path, memory)
-            starts, size = _offsets(groups, len(groups_json(groups)))
+            starts, size = places(groups, len(groups_json(groups)))
             if size != status.st_size:
                 raise StateError(f"store shm: {path} is not as long as it says; remove it")
         except BaseException:
