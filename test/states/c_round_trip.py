@@ -52,7 +52,7 @@ class Peer:
                 time.sleep(0.005)
 
     def step(self) -> int:
-        """Publish what is measured, and take the answer into the states; return the time in [ns]."""
+        """Publish, and take the answer into the states; return how long that took, [ns]."""
         begin = time.perf_counter_ns()
         self.writer.publish()
         if not (self.reader.wait(PATIENCE) and self.reader.take()):

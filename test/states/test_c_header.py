@@ -101,8 +101,9 @@ def test_what_people_write_into_descriptions_stays_a_comment(tmp_path, standard)
     # What a program would put into a segment is the very text that Python puts there.
     source = tmp_path / "tell.c"
     source.write_text(
-        '#include "states.h"\nint main(void)\n{\n    fwrite(UNICON_ALL->json, 1, '
-        "UNICON_ALL->json_length, stdout);\n    return UNICON_ALL->json[UNICON_ALL->json_length];\n}\n"
+        '#include "states.h"\nint main(void)\n{\n    const struct unicon_form *all = UNICON_ALL;\n'
+        "    fwrite(all->json, 1, all->json_length, stdout);\n"
+        "    return all->json[all->json_length];\n}\n"
     )
     program = tmp_path / "tell"
     assert c_peers.compile_c(source, tmp_path, standard, "-o", str(program)) == ""

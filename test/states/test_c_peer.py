@@ -352,6 +352,22 @@ def test_a_reader_in_c_that_is_killed_asleep_or_stopped_holds_nobody_up(hammer):
     made.close()
 
 
+def test_a_writer_in_c_clears_after_readers_that_were_killed_asleep(hammer):
+    writer = start(hammer, pause_us=1)
+    segment = Segment.attach(NAME)
+    at = segment.starts["measured"] + shm.SLEEPERS
+    place = segment.sleeper()
+    segment.memory[at : at + 3] = b"\1\1\1"  # the first is ours
+    end = time.monotonic() + PATIENCE
+    while segment.memory[at + 1] or segment.memory[at + 2]:
+        assert time.monotonic() < end
+        time.sleep(0.001)
+    assert (place, segment.memory[at]) == (0, 1)
+    kill(writer)
+    segment.close()
+    assert NAME in shm.clean()
+
+
 def test_64_readers_sleep_and_the_next_is_told(hammer):
     made = Segment.create(NAME, GROUPS)
     held = [Segment.attach(NAME) for _ in range(shm.MAX_SLEEPERS)]

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from ring_processes import start
 
 from unicon_core.errors import StateError
 from unicon_core.states import States, StateSpec
@@ -72,11 +73,8 @@ def test_absent_and_wrong_groups_are_named(segment):
 def test_what_a_dead_writer_left_is_taken_over_and_followed():
     states = States(SPECS)
     groups = {"measured": subset(states.layout, SPECS)}
-    pid = os.fork()
-    if pid == 0:  # dies without closing
-        ShmWriter(Segment.create(NAME, groups), "measured", states).publish()
-        os._exit(0)
-    os.waitpid(pid, 0)
+    dying = start(lambda: ShmWriter(Segment.create(NAME, groups), "measured", states).publish())
+    os.waitpid(dying, 0)  # it has not closed
     there = States(SPECS)
     reader = ShmReader(NAME, "measured", there)
     assert reader.take()  # its last value is whole
@@ -92,11 +90,11 @@ def test_what_a_dead_writer_left_is_taken_over_and_followed():
     reader.close()
 
 
-def test_clean_removes_the_dead_alone(segment):
-    pid = os.fork()
-    if pid == 0:
-        Segment.create(NAME + "-dead", segment[0].groups)
-        os._exit(0)
-    os.waitpid(pid, 0)
-    assert clean() == [NAME + "-dead"]
-    assert segment[0].alive()
+def test_clean_removes_the_dead_alone(folder):
+    groups = {"measured": subset(States(SPECS).layout, SPECS)}
+    living = Segment.create("living", groups)
+    os.waitpid(start(lambda: Segment.create("dead", groups)), 0)
+    assert clean() == ["dead"]
+    assert living.alive()
+    living.close()
+    assert not list(folder.iterdir())

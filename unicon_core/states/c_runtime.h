@@ -39,12 +39,14 @@
     UNICON_ASSERT(offsetof(type, field) == offset && sizeof(((type *)0)->field) == size)
 
 #define UNICON_FOLDER "/dev/shm"
+#define UNICON_PLACES ((int64_t)1 << 32) /* here the bytes begin that readers lock who sleep */
 
 enum {
     UNICON_VERSION = 1,
     UNICON_JSON_AT = 128, /* behind struct unicon_head */
     UNICON_SLOTS = 4,
     UNICON_SLEEPERS = 64, /* of a group: one byte for each reader that sleeps */
+    UNICON_MAX_SLEEPERS = 64,
     UNICON_RING = 128,    /* of a group: the slots */
     UNICON_BYTES = 64,    /* of a slot: the value, behind number and stamp */
     UNICON_TRIES = 1000
@@ -71,7 +73,9 @@ struct unicon_segment {
     uint64_t size;
     const struct unicon_form *form;
     ino_t inode;
-    int fd, owner;
+    int fd;
+    pid_t owner;      /* the process that removes it in the end, 0: another one */
+    uint64_t in_vain; /* wakes that nobody heard */
     char path[160];
     char problem[400]; /* after a function that returned -1: why, in one line */
 };
@@ -102,12 +106,13 @@ static inline int64_t unicon_now_ns(void)
     return (int64_t)now.tv_sec * 1000000000 + now.tv_nsec;
 }
 
-/* Lock one byte, of this open file and not of the process; false where another one has it. */
-static inline int unicon_lock(int fd, int64_t at)
+/* Lock one byte for this open file, not for the process (F_WRLCK), or let it go (F_UNLCK); false
+ * where another open file has it. */
+static inline int unicon_lock(int fd, int type, int64_t at)
 {
     struct flock wish;
     memset(&wish, 0, sizeof wish);
-    wish.l_type = F_WRLCK;
+    wish.l_type = (short)type;
     wish.l_whence = SEEK_SET;
     wish.l_start = at;
     wish.l_len = 1;
@@ -144,12 +149,16 @@ static inline int unicon_replaced(const struct unicon_segment *segment)
     return stat(segment->path, &status) == 0 && status.st_ino != segment->inode;
 }
 
-/* Let a segment go; its writer removes it. Safe to call twice. */
+/* Let a segment go; its writer removes it. Safe to call twice, and in a child of a fork, which
+ * should: a forked child that has it would keep the writer's lock after the writer has died. */
 static inline void unicon_close(struct unicon_segment *segment)
 {
     if (segment->memory != NULL) {
-        if (segment->owner && !unicon_replaced(segment))
-            unlink(segment->path);
+        if (segment->owner == getpid()) {
+            if (!unicon_replaced(segment))
+                unlink(segment->path);
+            unicon_lock(segment->fd, F_UNLCK, 0); /* a forked child may have it, too */
+        }
         munmap(segment->memory, segment->size);
     }
     if (segment->fd >= 0)
@@ -162,18 +171,25 @@ static inline void unicon_close(struct unicon_segment *segment)
 static inline int unicon_remove_dead(const char *path)
 {
     struct timespec nap = {0, 1000000};
-    struct stat named, open_one;
-    int tries, dead = 0, fd = open(path, O_RDWR | O_NOFOLLOW | O_CLOEXEC);
+    struct stat named, found;
+    char magic[8];
+    int tries, dead = 0, fd = open(path, O_RDWR | O_NOFOLLOW | O_NONBLOCK | O_CLOEXEC);
     if (fd < 0)
         return errno == ENOENT ? 1 : -1;
+    if (fstat(fd, &found) != 0 || found.st_uid != getuid()
+        || pread(fd, magic, sizeof magic, 0) != (ssize_t)sizeof magic
+        || memcmp(magic, "UNICONSH", sizeof magic) != 0) {
+        close(fd);
+        errno = EPERM;
+        return -1;
+    }
     /* Somebody else who removes it has the lock for a moment, too. */
     for (tries = 0; tries < 20 && !dead; tries++) {
         if (tries > 0)
             nanosleep(&nap, NULL);
-        dead = unicon_lock(fd, 0);
+        dead = unicon_lock(fd, F_WRLCK, 0);
     }
-    if (dead && stat(path, &named) == 0 && fstat(fd, &open_one) == 0
-        && named.st_ino == open_one.st_ino)
+    if (dead && stat(path, &named) == 0 && named.st_ino == found.st_ino)
         unlink(path);
     close(fd);
     return dead;
@@ -210,7 +226,7 @@ static inline int unicon_name(struct unicon_segment *segment)
             return unicon_fail(segment, "cannot be named", errno);
         removed = unicon_remove_dead(segment->path);
         if (removed < 0)
-            return unicon_fail(segment, "cannot be taken over", errno);
+            return unicon_fail(segment, "is not what a writer of yours left; remove it", errno);
         if (removed == 0)
             return unicon_fail(segment, "another process writes it just now; end that one", 0);
     }
@@ -250,7 +266,7 @@ static inline int unicon_create(struct unicon_segment *segment, const char *name
     memcpy(head.hash, form->hash, sizeof head.hash);
     memcpy(segment->memory, &head, sizeof head);
     memcpy(segment->memory + UNICON_JSON_AT, form->json, form->json_length);
-    if (fstat(segment->fd, &status) != 0 || !unicon_lock(segment->fd, 0)) {
+    if (fstat(segment->fd, &status) != 0 || !unicon_lock(segment->fd, F_WRLCK, 0)) {
         unicon_fail(segment, "cannot be locked", errno);
         unicon_close(segment);
         return -1;
@@ -260,7 +276,7 @@ static inline int unicon_create(struct unicon_segment *segment, const char *name
         unicon_close(segment);
         return -1;
     }
-    segment->owner = 1;
+    segment->owner = getpid();
     return 0;
 }
 
@@ -276,7 +292,7 @@ static inline int unicon_map(struct unicon_segment *segment, const char *name,
     memset(&head, 0, sizeof head);
     if (unicon_begin(segment, name) != 0)
         return -1;
-    segment->fd = open(segment->path, O_RDWR | O_NOFOLLOW | O_CLOEXEC);
+    segment->fd = open(segment->path, O_RDWR | O_NOFOLLOW | O_NONBLOCK | O_CLOEXEC);
     if (segment->fd < 0 || fstat(segment->fd, &status) != 0) {
         unicon_fail(segment, "cannot be read; is its writer running?", errno);
         unicon_close(segment);
@@ -284,7 +300,7 @@ static inline int unicon_map(struct unicon_segment *segment, const char *name,
     }
     if (status.st_uid != getuid())
         wrong = "belongs to another user; remove it";
-    else if (status.st_size < UNICON_JSON_AT)
+    else if (!S_ISREG(status.st_mode) || status.st_size < UNICON_JSON_AT)
         wrong = "is not a segment; remove it";
     else
         memory = mmap(NULL, (size_t)status.st_size, PROT_READ | PROT_WRITE, MAP_SHARED,
@@ -320,6 +336,17 @@ static inline int unicon_map(struct unicon_segment *segment, const char *name,
     return 0;
 }
 
+/* Take the places of readers that were killed asleep back, for whom each publishing would wake. */
+static inline void unicon_clear_dead(struct unicon_segment *segment, unsigned char *flags)
+{
+    int place;
+    for (place = 0; place < UNICON_MAX_SLEEPERS; place++)
+        if (flags[place] != 0 && unicon_lock(segment->fd, F_WRLCK, UNICON_PLACES + place)) {
+            flags[place] = 0;
+            unicon_lock(segment->fd, F_UNLCK, UNICON_PLACES + place);
+        }
+}
+
 /* Publish a value; nobody who reads can make it wait. 0, or -1: the group is not in the segment. */
 static inline int unicon_publish(struct unicon_segment *segment, int group, const void *value,
                                  uint64_t nbytes)
@@ -346,8 +373,9 @@ static inline int unicon_publish(struct unicon_segment *segment, int group, cons
     sleepers = (uint64_t *)(void *)(ring + UNICON_SLEEPERS);
     for (i = 0; i < 8; i++)
         asleep |= __atomic_load_n(&sleepers[i], __ATOMIC_RELAXED);
-    if (asleep != 0)
-        syscall(SYS_futex, latest, 1 /* FUTEX_WAKE */, INT_MAX, NULL, NULL, 0);
+    if (asleep != 0 && syscall(SYS_futex, latest, 1 /* FUTEX_WAKE */, INT_MAX, NULL, NULL, 0) == 0
+        && ++segment->in_vain % 1000 == 0)
+        unicon_clear_dead(segment, ring + UNICON_SLEEPERS);
     return 0;
 }
 
@@ -381,7 +409,8 @@ static inline int unicon_take(struct unicon_reader *reader, int group, void *val
         if (__atomic_load_n((uint64_t *)(void *)slot, __ATOMIC_RELAXED) != number)
             continue;
         memcpy(value, reader->scratch, reader->nbytes);
-        reader->skipped += number - reader->number - 1;
+        if (reader->number != 0)
+            reader->skipped += number - reader->number - 1;
         reader->number = number;
         reader->stamp_ns = stamp_ns;
         return 1;
@@ -407,9 +436,9 @@ static inline int unicon_wait(struct unicon_reader *reader, double timeout)
         return 1;
     if (reader->place < 0) {
         int place = 0;
-        while (place < 64 && !unicon_lock(reader->segment.fd, ((int64_t)1 << 32) + place))
+        while (place < UNICON_MAX_SLEEPERS && !unicon_lock(reader->segment.fd, F_WRLCK, UNICON_PLACES + place))
             place++;
-        if (place == 64)
+        if (place == UNICON_MAX_SLEEPERS)
             return unicon_fail(&reader->segment, "64 readers sleep already; poll it", 0);
         reader->place = place;
     }
@@ -483,5 +512,5 @@ static inline int unicon_alive(struct unicon_reader *reader)
     next.stamp_ns = reader->stamp_ns;
     unicon_detach(reader);
     *reader = next;
-    return 1;
+    return unicon_writer_lives(reader->segment.fd);
 }
