@@ -2,7 +2,7 @@
 
 `unicon states --header go2_walk.h go2_walk` writes it: each group as a struct whose offsets the
 compiler proves, what makes and finds a segment (hash, JSON, places), and the functions that publish
-and take, which stand in `c_runtime.h`. `docs/states.md` tells how to use it.
+and take, which stand in the folder `c`. `docs/states.md` tells how to use it.
 """
 
 from __future__ import annotations
@@ -75,7 +75,8 @@ def c_header(groups: Groups, source: str) -> str:
     """
     if not groups:
         raise StateError(f"{source} has no states that a header could tell of; declare one")
-    runtime = Path(__file__).with_name("c_runtime.h").read_text(encoding="utf-8")
+    here = Path(__file__).with_name("c")
+    runtime = [(here / name).read_text(encoding="utf-8") for name in ("segment.h", "ring.h")]
     numbers = [f"    {_number(name)} = {i}," for i, name in enumerate(groups)]
     parts = [
         f"/* Written by `unicon states --header`; groups of states of {_comment(source)}.",
@@ -85,7 +86,7 @@ def c_header(groups: Groups, source: str) -> str:
         "",
         f"#define UNICON_GROUPS {len(groups)}",
         "",
-        runtime,
+        *runtime,
         "/* The groups. */",
         "enum {",
         *numbers,
