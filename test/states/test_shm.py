@@ -98,3 +98,34 @@ def test_clean_removes_the_dead_alone(folder):
     assert living.alive()
     living.close()
     assert not list(folder.iterdir())
+
+
+def test_what_was_taken_is_restored_until_a_new_writer_publishes():
+    states, there = States(SPECS), States(SPECS)
+    made = Segment.create(NAME, {"measured": states.layout})
+    there.joint_pos = 1.0
+    reader = ShmReader(NAME, "measured", there)
+    reader.restore()  # nothing was taken yet: nothing changes
+    assert there.joint_pos[0] == 1.0
+    states.joint_pos = 2.0
+    ShmWriter(made, "measured", states).publish()
+    assert reader.take()
+    made.close()
+    made = Segment.create(NAME, {"measured": states.layout})
+    assert reader.alive()
+    there.joint_pos = 3.0
+    reader.restore()
+    assert there.joint_pos[0] == 2.0
+    made.close()
+    reader.close()
+
+
+def test_who_comes_late_has_skipped_nothing(segment):
+    made, states = segment
+    writer = ShmWriter(made, "measured", states)
+    for _ in range(7):
+        writer.publish()
+    reader = ShmReader(NAME, "measured", States(SPECS))
+    assert reader.take()
+    assert (reader.number, reader.skipped) == (7, 0)
+    reader.close()

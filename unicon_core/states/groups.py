@@ -126,7 +126,7 @@ class Copies:
                 last[2] += slot.nbytes
             else:
                 pieces.append([here.offset, slot.offset, slot.nbytes])
-        buffer = states.buffer.data.cast("B")
+        buffer = states.buffer.data
         self.pairs = tuple(
             (memory[there : there + length], buffer[here : here + length])
             for here, there, length in pieces

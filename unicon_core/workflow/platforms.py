@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 from unicon_core.errors import MissingDependencyError, PlatformError, UniconError, alternatives
+from unicon_core.platforms.child.platform import ChildPlatform
 from unicon_core.platforms.kit.disturbances import disturb
 from unicon_core.platforms.kit.scene import SCENE_KEYS
 from unicon_core.platforms.platform import SIMULATED, Binding, Facts, Platform
@@ -59,7 +60,12 @@ def build_platform(
     try:
         if dry and not facts.simulated:
             return _stand_in(facts, context, arguments)
-        built = factory(context.states, context.robot, context.period, **arguments)
+        child = read_platform(document).child
+        if child is None or dry:
+            built = factory(context.states, context.robot, context.period, **arguments)
+        else:
+            robot, period = context.robot, context.period
+            built = ChildPlatform(factory, facts, context.states, robot, period, arguments, **child)
     except (TypeError, ValueError) as error:
         raise document.error(
             f"platform {name!r}: {error}; correct platforms.{name}", "platforms", name

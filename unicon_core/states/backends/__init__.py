@@ -45,6 +45,10 @@ class Reader(Protocol):
         """Copy the newest value into the states; False where it has been taken before."""
         ...
 
+    def restore(self) -> None:
+        """Copy the value that was taken last into the states once more."""
+        ...
+
     def wait(self, timeout: float) -> bool:
         """Return True when a value is there that has not been taken, False after `timeout` [s]."""
         ...

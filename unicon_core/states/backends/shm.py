@@ -52,7 +52,7 @@ from unicon_core.states.layout import Layout
 from unicon_core.states.states import States
 
 __all__ = ["FOLDER", "Found", "Segment", "ShmReader", "ShmWatcher", "ShmWriter", "clean"]
-__all__ += ["places", "segment_path", "segments"]
+__all__ += ["places", "remove_dead", "segment_path", "segments"]
 
 FOLDER = Path("/dev/shm")
 MAGIC = b"UNICONSH"
@@ -205,7 +205,7 @@ class Segment:
             _lock(fd, fcntl.F_WRLCK, _WRITER_LOCK)
             inode = os.fstat(fd).st_ino
             try:
-                _name(fd, path)
+                _give_name(fd, name)
             except BaseException:  # a signal may raise just after it has got its name
                 _unname(path, inode)
                 raise
@@ -294,12 +294,16 @@ class Segment:
                 flags[place] = 0
                 _lock(self._fd, fcntl.F_UNLCK, _SLEEPER_LOCKS + place)
 
+    def unlink(self) -> None:
+        """Take its name away: whoever has it keeps it, and nothing is left when they have ended."""
+        _unname(segment_path(self.name), self.inode)
+
     def close(self) -> None:
         """Let it go; its writer removes it. Safe to call twice."""
         if self._fd < 0:
             return
         if self.owner:
-            _unname(segment_path(self.name), self.inode)
+            self.unlink()
         # Python's mmap has a descriptor of its own, which would keep the locks of this one.
         with suppress(OSError):
             wish = struct.pack("hhqqi4x", fcntl.F_UNLCK, os.SEEK_SET, 0, 0, 0)
@@ -339,12 +343,13 @@ def _unname(path: Path, inode: int) -> None:
             os.unlink(path)
 
 
-def _name(fd: int, path: Path) -> None:
+def _give_name(fd: int, name: str) -> None:
     """Give a new segment its name, and take that of a writer that died.
 
     Raises:
         StateError: a writer that lives has it.
     """
+    path = segment_path(name)
     for _ in range(_TRIES):
         # Given a folder, Python follows the link: linkat(2) with AT_SYMLINK_FOLLOW.
         folder = os.open("/proc/self/fd", os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
@@ -355,7 +360,7 @@ def _name(fd: int, path: Path) -> None:
             pass
         finally:
             os.close(folder)
-        if not _remove_dead(path):
+        if not remove_dead(name):
             pid = _living_writer(path)
             if pid:
                 raise StateError(
@@ -369,12 +374,13 @@ def _name(fd: int, path: Path) -> None:
     )
 
 
-def _remove_dead(path: Path) -> bool:
-    """Remove a segment whose writer has died; False where it lives. Two may try at once.
+def remove_dead(name: str) -> bool:
+    """Remove a segment if its writer has died; False where it lives. Two may try at once.
 
     Raises:
         StateError: it is not a segment, or not ours.
     """
+    path = segment_path(name)
     try:
         fd = _open(path, os.O_RDWR)
     except FileNotFoundError:
@@ -486,6 +492,7 @@ class ShmWatcher:
         name: of the segment.
         group: name of the group.
         states: into which values are copied; must have the group's states.
+        layout: what the group must be; None for whatever it is.
 
     Attributes:
         number: see `Reader`; so are `stamp_ns` and `skipped`.
@@ -497,9 +504,11 @@ class ShmWatcher:
 
     _read_only = True
 
-    def __init__(self, name: str, group: str, states: States) -> None:
+    def __init__(self, name: str, group: str, states: States, layout: Layout | None = None) -> None:
+        self._wanted = layout
         self._name, self._group, self._states = name, group, states
         self.number = self.stamp_ns = self.skipped = self.starved = 0
+        self._copies: tuple[tuple[memoryview, memoryview], ...] = ()
         self._fence = barrier()
         segment = Segment.attach(name, read_only=self._read_only)
         try:
@@ -515,11 +524,16 @@ class ShmWatcher:
                 f"{', '.join(segment.groups)}"
             )
         layout = segment.groups[self._group]
+        what = difference(self._wanted or layout, layout)
+        if what:
+            raise StateError(f"segment {self._name!r}, group {self._group!r}: {what}")
         start, nbytes, memory = segment.starts[self._group], layout.nbytes, segment.memory
-        scratch = memoryview(bytearray(nbytes))
-        self._copies = Copies(self._states, layout, scratch).pairs
-        self._scratch = scratch
-        self._segment = segment
+        if not self._copies:  # a new writer's first value may be awaited: what was taken stays
+            self._scratch = memoryview(bytearray(nbytes))
+            copies = Copies(self._states, layout, self._scratch)
+            copies.pack()  # so that `restore` leaves the states as they are until one is taken
+            self._copies = copies.pairs
+        self._wanted, self._segment = layout, segment
         self._latest = memory[start : start + 8].cast("Q")
         slots = []
         for place in range(SLOTS):
@@ -555,6 +569,11 @@ class ShmWatcher:
         self.starved += 1
         return False
 
+    def restore(self) -> None:
+        """Copy the value that was taken last into the states once more."""
+        for packed, state in self._copies:
+            state[:] = packed
+
     def alive(self) -> bool:
         """Return whether the writer lives; where it has died, a new one of the name is taken up.
 
@@ -569,15 +588,18 @@ class ShmWatcher:
             segment = Segment.attach(self._name, read_only=self._read_only)
         except StateError:
             return False  # it has gone again, or is somebody else's
-        mine = self._segment.groups[self._group]
-        theirs = segment.groups.get(self._group)
-        if theirs is None or theirs != mine:
+        old = self._segment
+        try:
+            self._attach(segment)
+        except BaseException:
             segment.close()
-            what = "has no such group" if theirs is None else difference(mine, theirs)
-            raise StateError(f"segment {self._name!r}, group {self._group!r}: {what}")
-        self._segment.close()
-        self._attach(segment)
+            raise
+        old.close()
         return segment.alive()
+
+    def unlink(self) -> None:
+        """Take the segment's name away, as `Segment.unlink`."""
+        self._segment.unlink()
 
     def close(self) -> None:
         """Let go."""
@@ -667,6 +689,6 @@ def clean() -> list[str]:
     removed = []
     for found in segments():
         with suppress(StateError):  # it is not a segment, whatever its name says
-            if not found.alive and _remove_dead(segment_path(found.name)):
+            if not found.alive and remove_dead(found.name):
                 removed.append(found.name)
     return removed

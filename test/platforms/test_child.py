@@ -1,0 +1,98 @@
+"""A platform in a process of its own does what it does in this one."""
+
+from __future__ import annotations
+
+import os
+import time
+
+import numpy as np
+import pytest
+
+from unicon_core.errors import Fault, PlatformError, WorkflowError
+from unicon_core.platforms.platform import Pushable, Resettable, WaitsForData
+from unicon_core.runtime.runner import Runner, RunOptions
+from unicon_core.states.backends.shm import segments
+from unicon_core.workflow import load_workflow
+
+
+def left() -> list[str]:
+    return [found.name for found in segments() if f"-{os.getpid()}-" in found.name]
+
+
+def commands(platform: str, *more: str) -> str:
+    program = load_workflow("go2_walk", [f"platform={platform}", *more])
+    options = RunOptions(duration=4.0, speed="max", warn=lambda _: None)
+    return Runner(program, options).run().sha256_commands
+
+
+def test_the_commands_are_the_same_to_the_bit():
+    pytest.importorskip("mujoco", reason="mujoco is not installed: pip install 'unicon_ros[sim]'")
+    disturbed = "scene={noise: {joint_vel: 0.1}, push: {every: 1.0, velocity: 0.3}, delay: 1}"
+    for more in ((), (disturbed,)):
+        assert commands("{child: mujoco, silence: 10}", *more) == commands("mujoco", *more)
+    assert left() == []
+
+
+def test_it_can_do_what_the_platform_can():
+    program = load_workflow("go2_stand", ["platform={child: mujoco, silence: 10}"])
+    platform = program.platform
+    try:
+        assert (platform.facts.name, platform.facts.simulated) == ("mujoco", True)
+        assert isinstance(platform, Resettable)
+        assert isinstance(platform, Pushable)
+        assert not isinstance(platform, WaitsForData)
+        assert platform.info()["process"] == platform.process.pid
+        assert platform.model_path.is_file()
+        platform.recv()
+        first = program.states.joint_pos.copy()
+        for _ in range(20):
+            platform.send()
+            platform.recv()
+        assert program.states.stamp_ns == 20 * 20_000_000
+        assert not np.array_equal(first, program.states.joint_pos)
+        platform.reset()
+        platform.recv()
+        assert program.states.stamp_ns == 0
+        np.testing.assert_array_equal(first, program.states.joint_pos)
+        program.states.joint_pos[:] = 7.0  # a second look in one tick brings the robot's again
+        platform.recv()
+        np.testing.assert_array_equal(first, program.states.joint_pos)
+    finally:
+        program.close()
+        program.close()
+    assert platform.process.returncode == 0
+    assert left() == []
+
+
+def test_a_command_that_is_not_finite_never_leaves():
+    program = load_workflow("go2_stand", ["platform={child: fake, silence: 10}"])
+    program.platform.recv()
+    program.states.joint_pos_target[3] = np.nan
+    with pytest.raises(Fault, match=r"joint_pos_target of joint .* is nan"):
+        program.platform.send()
+    program.close()
+
+
+def test_errors_of_the_build_are_those_of_the_platform():
+    with pytest.raises(WorkflowError, match=r"scene\.initial_pose|initial_pose is 'sleeping'"):
+        load_workflow("go2_stand", ["platform={child: mujoco}", "scene.initial_pose=sleeping"])
+    with pytest.raises(PlatformError, match="time_constant is -1"):
+        load_workflow(
+            "go2_stand", ["platform={child: fake}", "platforms={fake: {time_constant: -1}}"]
+        )
+    assert left() == []
+
+
+def test_a_child_that_dies_is_a_fault_that_names_it():
+    program = load_workflow("go2_stand", ["platform={child: fake, silence: 10}"])
+    platform = program.platform
+    platform.recv()
+    platform.process.kill()
+    platform.process.wait()
+    platform.send()
+    begin = time.monotonic()
+    with pytest.raises(Fault, match=rf"'fake': its process {platform.process.pid} was killed by"):
+        platform.recv()
+    assert time.monotonic() - begin < 5.0  # not the 10 s of its silence
+    program.close()
+    assert left() == []

@@ -1,0 +1,1 @@
+"""Platforms in a process of their own, for `platform: {child: NAME}`."""

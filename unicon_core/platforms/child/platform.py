@@ -1,0 +1,351 @@
+"""A platform in a process of its own: a vendor's SDK keeps its threads, its DDS and its crashes.
+
+    platform: {child: mujoco}
+    platform: {child: my_robot, silence: 0.05, watchdog: 0.2}
+
+The parent publishes the command states at `send` and takes the measured ones at `recv`, both
+through shared memory (`states/backends/shm.py`). A simulator is ticked in step: `recv` waits for
+the answer to the last command, so that a run is the same to the bit. A robot's process runs freely,
+and `recv` takes the newest.
+
+Either side may die or hang at any moment. The parent then faults within `silence`, and the child
+damps and ends within `watchdog` of the last command, at once where the parent has died.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import pickle
+import select
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core import errors
+from unicon_core.errors import Fault, PlatformError, UniconError
+from unicon_core.platforms.kit.command import FiniteCheck
+from unicon_core.platforms.platform import Facts
+from unicon_core.robots import Robot
+from unicon_core.signals import signal_name
+from unicon_core.states import States
+from unicon_core.states.backends.shm import Segment, ShmReader, ShmWriter, remove_dead
+from unicon_core.states.groups import subset
+
+__all__ = ["COMMAND", "MEASURED", "SILENCE", "ChildPlatform"]
+
+COMMAND, MEASURED = "command", "measured"
+"""Names of the two groups, each in a segment of its writer's."""
+
+SILENCE = 0.02
+"""Default of `silence` in [s]; two ticks where those are longer."""
+
+WATCHDOG = {True: 2.0, False: 0.1}
+"""Default of `watchdog` in [s], of a simulator (a pause of the parent harms nobody) and a robot;
+three ticks where those are longer."""
+
+START = 60.0
+"""Longest time to start in [s]: drivers connect, simulators read their models."""
+
+DAMPING = 5.0
+"""How long a child that still answers may take to damp and close, in [s]."""
+
+HUNG = 0.5
+"""The same for one that does not answer any more; then it is killed."""
+
+_LOOK = 0.005
+"""How often a child that is waited for is looked at, in [s]: a death is noticed within it."""
+
+
+class ChildPlatform:
+    """The parent's side; facts and abilities are those of the child's platform.
+
+    Args:
+        factory: of the platform that runs in the child; importable by its name there.
+        facts: as it declares them.
+        states: of the parent.
+        robot: the robot.
+        period: of a tick in [s].
+        arguments: further arguments of the factory, which can be pickled.
+        silence: the longest wait for the child in [s]; at least two ticks are waited.
+        watchdog: the child damps when no command came for that long in [s].
+
+    Attributes:
+        process: the child.
+
+    Raises:
+        UniconError: what the child's platform raised when it was built, as if it were here.
+        PlatformError: the child did not start.
+    """
+
+    def __init__(
+        self,
+        factory: Callable[..., Any],
+        facts: Facts,
+        states: States,
+        robot: Robot,
+        period: float,
+        arguments: Mapping[str, Any],
+        *,
+        silence: float = SILENCE,
+        watchdog: float | None = None,
+    ) -> None:
+        self.facts = facts
+        self._silence = max(silence, 2.0 * period)
+        self._watchdog = max(
+            WATCHDOG[facts.simulated] if watchdog is None else watchdog, 3.0 * period
+        )
+        self._due, self._closed, self._hung, self._rest = 0, False, False, b""
+        name = f"{facts.name or 'platform'}-{os.getpid()}-{id(self) & 0xFFFF:x}"
+        self._child_segment = f"{name}-child"
+        commands = subset(states.layout, facts.reads)
+        self._segment = Segment.create(name, {COMMAND: commands})
+        self._reader: ShmReader | None = None
+        try:
+            self._commands = ShmWriter(self._segment, COMMAND, states)
+            self._start(
+                {
+                    "factory": _place(factory),
+                    "layout": states.layout.to_json(),
+                    "robot": robot,
+                    "period": period,
+                    "arguments": dict(arguments),
+                    "parent": name,
+                    "segment": self._child_segment,
+                    "watchdog": self._watchdog,
+                }
+            )
+            told = self._answer(START)
+            self.facts = told["facts"]
+            self._info: Mapping[str, Any] = told["info"]
+            self._reader = ShmReader(self._child_segment, MEASURED, states)
+            # Nobody else is to find them, and whoever is killed leaves nothing.
+            self._segment.unlink()
+            self._reader.unlink()
+        except BaseException:
+            self.close()
+            raise
+        if told["model_path"] is not None:
+            self.model_path: Path = told["model_path"]
+        self._finite = FiniteCheck(
+            {state: states[state] for state in self.facts.reads}, robot.joint_names
+        )
+        self._due = 1
+        for ability in told["abilities"]:  # the protocols look for methods
+            setattr(self, ability, getattr(self, f"_{ability}"))
+        if not facts.simulated:
+            self.recv = self._newest  # type: ignore[method-assign]
+            self.wait = self._reader.wait
+
+    # -- in a tick --------------------------------------------------------------------------------
+
+    def recv(self) -> bool | None:
+        """Take the simulator's answer to the last command; wait for it where it is not there yet.
+
+        Raises:
+            Fault: the child has died, hangs, or tells of a fault.
+        """
+        reader = self._reader
+        assert reader is not None
+        if reader.number == self._due:  # a second look in one tick
+            reader.restore()
+            return None
+        if reader.take():
+            return None
+        return self._wait()
+
+    def _newest(self) -> bool | None:
+        """Take the robot's newest data; `recv` of what runs freely."""
+        reader = self._reader
+        assert reader is not None
+        if reader.take() or time.monotonic_ns() - reader.stamp_ns < self._silence * 1e9:
+            return None
+        return self._wait(0.0)
+
+    def _wait(self, patience: float | None = None) -> bool | None:
+        reader = self._reader
+        assert reader is not None
+        end = time.monotonic() + (self._silence if patience is None else patience)
+        while True:
+            if reader.wait(min(max(end - time.monotonic(), 0.0), _LOOK)):
+                reader.take()
+                return None
+            gone = self.process.poll() is not None
+            told = self._words()
+            if gone or told:
+                return self._ended(told)
+            if time.monotonic() >= end:
+                self._hung = True
+                raise Fault(
+                    f"platform {self.facts.name!r}: its process {self.process.pid} has not "
+                    f"answered for {self._silence:g} s: it hangs or was stopped (platform.silence)"
+                )
+
+    def _ended(self, told: Mapping[str, Any]) -> bool:
+        """Return True where the child is done; its last words are a fault otherwise."""
+        if told.get("done"):
+            return True
+        status = self.process.returncode or 0
+        how = (
+            f"was killed by {signal_name(-status)}" if status < 0 else f"ended with status {status}"
+        )
+        raise Fault(
+            told.get("fault")
+            or f"platform {self.facts.name!r}: its process {self.process.pid} {how}"
+        )
+
+    def send(self) -> bool | None:
+        """Publish the command states.
+
+        Raises:
+            Fault: a command is not finite.
+        """
+        self._finite()
+        self._commands.publish()
+        self._due += 1
+        return None
+
+    # -- what the platform can do besides ---------------------------------------------------------
+
+    def _reset(self) -> None:
+        self._ask("reset")
+        self._due += 1
+
+    def _push(self, velocity: NDArray[np.float64]) -> None:
+        self._tell("push", np.asarray(velocity, np.float64).tolist())
+
+    def _require(self, states: Mapping[str, str]) -> None:
+        self._ask("require", dict(states))
+
+    def info(self) -> Mapping[str, Any]:
+        """Return what the child's platform told when it was built, and the process."""
+        return {**self._info, "process": self.process.pid}
+
+    # -- the process ------------------------------------------------------------------------------
+
+    def _start(self, payload: Mapping[str, Any]) -> None:
+        try:
+            given = pickle.dumps(payload)
+        except (AttributeError, TypeError, pickle.PicklingError) as error:
+            raise PlatformError(
+                f"platform {self.facts.name!r} cannot run in a child: {error}; leave out child"
+            ) from error
+        environment = dict(os.environ)
+        environment["PYTHONPATH"] = os.pathsep.join(path for path in sys.path if path)
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "unicon_core.platforms.child.process"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            bufsize=0,
+            env=environment,
+            start_new_session=True,  # Ctrl-C and Ctrl-Z are the parent's: it damps in order
+        )
+        assert self.process.stdin is not None
+        with suppress(BrokenPipeError):  # its first words tell why
+            self.process.stdin.write(len(given).to_bytes(8, "little") + given)
+
+    def _answer(self, patience: float) -> dict[str, Any]:
+        """Return what the child answers.
+
+        Raises:
+            UniconError: the error that it tells of.
+        """
+        end = time.monotonic() + patience
+        told = self._words()
+        while not told:
+            if time.monotonic() > end or self.process.poll() is not None:
+                told = self._words()
+                break
+            assert self.process.stdout is not None
+            select.select([self.process.stdout], [], [], 0.1)
+            told = self._words()
+        if not told:
+            gone = self.process.poll() is not None
+            how = "ended at once" if gone else f"did not answer within {patience:g} s"
+            raise PlatformError(
+                f"platform {self.facts.name!r}: its process {how}; see what it wrote above, or "
+                "leave out child"
+            )
+        if "error" in told:
+            kind = getattr(errors, told["kind"], PlatformError)
+            raise (kind if issubclass(kind, UniconError) else PlatformError)(told["error"])
+        if "fault" in told:
+            raise Fault(told["fault"])
+        return told
+
+    def _words(self) -> dict[str, Any]:
+        """Return what the child has written since the last look, {} for nothing whole."""
+        assert self.process.stdout is not None
+        while select.select([self.process.stdout], [], [], 0.0)[0]:
+            read = os.read(self.process.stdout.fileno(), 1 << 16)
+            if not read:
+                break
+            self._rest += read
+        size = int.from_bytes(self._rest[:8], "little")
+        if len(self._rest) < 8 + size or not size:
+            return {}
+        words, self._rest = self._rest[8 : 8 + size], self._rest[8 + size :]
+        told: dict[str, Any] = pickle.loads(words)  # of our own child, through our own pipe
+        return told
+
+    def _tell(self, what: str, value: object = None) -> None:
+        assert self.process.stdin is not None
+        with suppress(BrokenPipeError):  # `recv` tells of a child that has died
+            self.process.stdin.write(json.dumps([what, value]).encode() + b"\n")
+
+    def _ask(self, what: str, value: object = None) -> None:
+        self._tell(what, value)
+        self._answer(DAMPING)
+
+    def close(self) -> None:
+        """Let the child damp and end; kill it where it hangs. Safe to call twice.
+
+        Raises:
+            PlatformError: the child could not damp.
+        """
+        if self._closed:
+            return
+        self._closed = True
+        process: subprocess.Popen[bytes] | None = getattr(self, "process", None)
+        told: dict[str, Any] = {}
+        if process is not None:
+            assert process.stdin is not None
+            with suppress(OSError):
+                process.stdin.close()  # which asks it to close
+            try:
+                process.wait(HUNG if self._hung else DAMPING)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+                told = {"closing": "it did not end, and was killed"}
+            told = self._words() or told
+            assert process.stdout is not None
+            process.stdout.close()
+        if self._reader is not None:
+            self._reader.close()
+        self._segment.close()
+        remove_dead(self._child_segment)
+        if "closing" in told and not self._hung:
+            raise PlatformError(f"platform {self.facts.name!r}: {told['closing']}")
+
+
+def _place(factory: Callable[..., Any]) -> str:
+    """Return `module:name` of a factory, by which the child imports it.
+
+    Raises:
+        PlatformError: it has none.
+    """
+    module, name = getattr(factory, "__module__", None), getattr(factory, "__qualname__", "")
+    if module in (None, "__main__") or not name.replace(".", "_").isidentifier():
+        raise PlatformError(
+            f"platform {name or factory!r} cannot run in a child, which could not import it; put "
+            "its factory into a module, or leave out child"
+        )
+    return f"{module}:{name}"
