@@ -141,3 +141,16 @@ def test_the_command_writes_the_header_of_a_workflow(tmp_path, capsys):
     assert "unicon states --header FILE.h WORKFLOW" in capsys.readouterr().err
     assert main(["states", "--header", str(out), "absent"]) == 1
     assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_the_program_of_the_document_compiles(tmp_path):
+    text = (c_peers.ROOT / "docs" / "states.md").read_text(encoding="utf-8")
+    [program] = re.findall(r"```c\n(.*?)```", text, re.DOTALL)
+    source = tmp_path / "document.c"
+    source.write_text(program)
+    write_header(tmp_path / "states.h", groups_of(Layout(standard_states(["a", "b"]))), "a test")
+    assert c_peers.compile_c(source, tmp_path, "c99", "-fsyntax-only") == ""
+    named = set(re.findall(r"`(unicon_\w+)\(", text)) | set(re.findall(r"UNICON_\w+", text))
+    header = (tmp_path / "states.h").read_text()
+    for name in named:
+        assert re.search(rf"\b{name.replace('GROUP', 'measured')}\b", header), name
