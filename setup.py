@@ -35,6 +35,7 @@ EXTRAS = {
         f"ros-rclpy[fastrtps]==7.1.6; {ROS_WHEELS}",
         f"ros-jazzy-common-interfaces==5.3.6; {ROS_WHEELS}",
     ],
+    "zmq": ["pyzmq"],
     "plots": ["matplotlib"],
     # setuptools 80 turns `colcon build --symlink-install` into a silent copy.
     "test": [

@@ -10,9 +10,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any
 
 import yaml
 
@@ -42,9 +41,12 @@ _CORE = "tag:yaml.org,2002:"
 _INT = re.compile(r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+")
 _FLOAT = re.compile(r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?")
 _INFINITE = re.compile(r"[-+]?\.(?:inf|Inf|INF)")
-_NAN = (".nan", ".NaN", ".NAN")
-_NULL = ("", "~", "null", "Null", "NULL")
-_TRUE, _FALSE = ("true", "True", "TRUE"), ("false", "False", "FALSE")
+_WORDS: dict[str, Any] = {
+    **dict.fromkeys(("", "~", "null", "Null", "NULL")),
+    **dict.fromkeys(("true", "True", "TRUE"), True),
+    **dict.fromkeys(("false", "False", "FALSE"), False),
+    **dict.fromkeys((".nan", ".NaN", ".NAN"), math.nan),
+}
 _LONGEST_NUMBER = 400
 _REREAD = 64 * 1024
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\ud800-\udfff]")
@@ -82,9 +84,6 @@ class Node:
     kind: str
     tag: str = ""
     size: int = 1
-
-
-Events: TypeAlias = Callable[[], Any]
 
 
 def compose(text: str) -> Node | None:
@@ -150,7 +149,7 @@ class _Composer:
         self.count = 0
 
     def document(self) -> Node | None:
-        next_event: Events = self.loader.get_event
+        next_event = self.loader.get_event
         next_event()  # of the stream
         if isinstance(self.loader.peek_event(), yaml.StreamEndEvent):
             return None
@@ -254,12 +253,8 @@ def plain(text: str, line: int) -> Any:
     Raises:
         YamlError: a number that 64 bits do not hold.
     """
-    if text in _NULL:
-        return None
-    if text in _TRUE:
-        return True
-    if text in _FALSE:
-        return False
+    if text in _WORDS:
+        return _WORDS[text]
     first = text[0]
     if first not in "+-.0123456789":
         return text
@@ -274,7 +269,7 @@ def plain(text: str, line: int) -> Any:
         return number
     if _INFINITE.fullmatch(text):
         return -math.inf if first == "-" else math.inf
-    return math.nan if text in _NAN else text
+    return text
 
 
 def _integer(text: str, line: int) -> int:

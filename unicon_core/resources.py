@@ -91,17 +91,14 @@ def find_config(
         for base in (relative_to, Path.cwd(), *config_roots()):
             if base is not None and os.path.isfile(base / given):
                 return (base / given).resolve()
-        raise error(f"no file {text}; give an existing path, or a name: {_known(kind, suffix)}")
+        names = ", ".join(list_config(kind, suffix)) or "none is known"
+        raise error(f"no file {text}; give an existing path, or a name: {names}")
     for root in config_roots():
         path = root / kind / f"{text}{suffix}"
         if os.path.isfile(path):
             return path
     known = alternatives(text, list_config(kind, suffix))
     raise error(f"unknown {kind.rstrip('s')} {text!r}; {known}; or give a path to a {suffix} file")
-
-
-def _known(kind: str, suffix: str) -> str:
-    return ", ".join(list_config(kind, suffix)) or "none is known"
 
 
 def assets_root() -> Path | None:

@@ -10,8 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
-
 from unicon_core.errors import WorkflowError
 from unicon_core.flow import Block
 from unicon_core.robots import Robot, load_robot
@@ -67,13 +65,3 @@ class Bench:
         self.states.joint_pos_target = self.robot.default_joint_pos
         self.states.joint_stiffness = self.robot.joint_stiffness
         self.states.joint_damping = self.robot.joint_damping
-
-    def randomize(self, rng: np.random.Generator) -> None:
-        """Fill every float state with random values, the orientation with a unit quaternion."""
-        for name in self.states:
-            view = self.states[name]
-            if view.dtype == np.float32:
-                view[...] = rng.uniform(-2, 2, view.shape)
-        self.states.base_quat /= np.linalg.norm(self.states.base_quat, axis=-1, keepdims=True)
-        self.states.joint_stiffness = np.abs(self.states.joint_stiffness) * 20
-        self.states.joint_damping = np.abs(self.states.joint_damping)

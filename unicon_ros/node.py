@@ -26,7 +26,7 @@ from unicon_core.check import refuse_errors
 from unicon_core.errors import UniconError
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.signals import SIGNALS
-from unicon_core.workflow import Hook, load_workflow
+from unicon_core.workflow import Hook, Program, load_document
 from unicon_ros import compat
 from unicon_ros.bridge import RosSession
 from unicon_ros.bridge.controls import SERVICES
@@ -94,16 +94,16 @@ class UniconNode(LifecycleNode):
         with SIGNALS, SIGNALS.guard(self._end, self._damp_now):
             self._ending |= bool(SIGNALS.asked)
             try:
-                if self.settings.autostart and not self._autostart():
+                if self.settings["autostart"] and not self._autostart():
                     if not self.estop.latched:
                         return 1
                     self.fault = self.diagnostics.fault = FAULT  # pressed during the build
-                    if self.settings.exit_on_fault:
+                    if self.settings["exit_on_fault"]:
                         return 3
                 while not self._ending and self.context.ok():
                     if self._wanted:
                         self._run()
-                        if self.fault and self.settings.exit_on_fault:
+                        if self.fault and self.settings["exit_on_fault"]:
                             return 3
                     else:
                         self._serve(executor)
@@ -252,24 +252,24 @@ class UniconNode(LifecycleNode):
     def _build_or_raise(self) -> None:
         settings = self.settings
         warn = self.log.warning
-        document = settings.document()
-        map_name = settings.map or document.get("map", str)
+        document = load_document(settings["workflow"], settings.overrides)
+        map_name = settings["map"] or document.get("map", str)
         session = self.session = RosSession(
             map_name,
             warn=warn,
-            frame_prefix=settings.frame_prefix,
+            frame_prefix=settings["frame_prefix"],
             node=self,
             executor=self._executor,
             estop=self.estop,
         )
         hooks: list[Hook] = [session.hook, self.tuning.hook]
-        if settings.record:
+        if settings["record"]:
             from unicon_ros.recorder import Recording
 
             patient = settings.speed == "max"
-            recording = Recording(settings.record, map_name, session, warn, patient)
+            recording = Recording(settings["record"], map_name, session, warn, patient)
             hooks.append(recording.hook)
-        program = load_workflow(settings.workflow, settings.overrides, hooks=hooks)
+        program = Program(document, hooks=hooks)
         try:
             for line in refuse_errors(program, settings.force):
                 warn(line)

@@ -14,59 +14,55 @@ from rcl_interfaces.msg import (
 )
 
 from unicon_core.errors import UniconError
-from unicon_core.workflow.document import WorkflowDocument, load_document
 from unicon_ros.bridge.tuning import NO_LIMIT, Tuning, too_little_damping
 
 __all__ = ["Parameters"]
 
-AT_CONFIGURE = "takes effect when the node is configured or started anew"
-
-DECLARED: tuple[tuple[str, Any, str], ...] = (
-    ("workflow", "", f"name in config/workflows/ or path of the workflow; {AT_CONFIGURE}"),
-    (
-        "map",
-        "",
-        f"name in config/maps/ or path of the message map; empty: the workflow's; {AT_CONFIGURE}",
-    ),
-    ("robot", "", f"robot file in place of the workflow's; {AT_CONFIGURE}"),
-    ("platform", "", f"platform in place of the workflow's; {AT_CONFIGURE}"),
-    ("overrides", [""], f"path=value texts as of `unicon run --set`; {AT_CONFIGURE}"),
-    ("force", [""], f"codes of errors of `unicon check` to go on with; {AT_CONFIGURE}"),
-    (
-        "frame_prefix",
-        "",
-        f"stands before the names of all frames, such as robot1/; {AT_CONFIGURE}",
-    ),
-    ("record", "", f"file (.mcap) to record to; empty: no recording; {AT_CONFIGURE}"),
-    ("speed", "real", f"real: by the wall clock; max: as fast as it can; {AT_CONFIGURE}"),
+AT_CONFIGURE: tuple[tuple[str, Any, str], ...] = (
+    ("workflow", "", "name in config/workflows/ or path of the workflow"),
+    ("map", "", "name in config/maps/ or path of the message map; empty: the workflow's"),
+    ("robot", "", "robot file in place of the workflow's"),
+    ("platform", "", "platform in place of the workflow's"),
+    ("overrides", [""], "path=value texts as of `unicon run --set`"),
+    ("force", [""], "codes of errors of `unicon check` to go on with"),
+    ("frame_prefix", "", "stands before the names of all frames, such as robot1/"),
+    ("record", "", "file (.mcap) to record to; empty: no recording"),
+    ("speed", "real", "real: by the wall clock; max: as fast as it can"),
+    ("rate", 0.0, "ticks per second in [Hz], 0: the workflow's own"),
+)
+AT_ONCE: tuple[tuple[str, Any, str], ...] = (
     ("autostart", True, "configure and activate at start"),
     ("exit_on_fault", False, "end the process with status 3 after a fault"),
+    ("stiffness_scale", 1.0, "factor of all joint stiffnesses, at once"),
+    ("damping_scale", 1.0, "factor of all joint dampings, at once; at least 0.5 √stiffness_scale"),
+    ("max_vx", NO_LIMIT, "largest |forward command| in [m/s], at once"),
+    ("max_vy", NO_LIMIT, "largest |sideward command| in [m/s], at once"),
+    ("max_wz", NO_LIMIT, "largest |turning command| in [rad/s], at once"),
 )
-RANGED: tuple[tuple[str, float, tuple[float, float], str], ...] = (
-    (
-        "rate",
-        0.0,
-        (0.0, 10_000.0),
-        f"ticks per second in [Hz], 0: the workflow's own; {AT_CONFIGURE}",
+DECLARED = (
+    *(
+        (name, value, f"{what}; takes effect when the node is configured or started anew")
+        for name, value, what in AT_CONFIGURE
     ),
-    ("stiffness_scale", 1.0, (0.0, 2.0), "factor of all joint stiffnesses, at once"),
-    (
-        "damping_scale",
-        1.0,
-        (0.1, 5.0),
-        "factor of all joint dampings, at once; at least 0.5 √stiffness_scale",
-    ),
-    ("max_vx", NO_LIMIT, (0.0, NO_LIMIT), "largest |forward command| in [m/s], at once"),
-    ("max_vy", NO_LIMIT, (0.0, NO_LIMIT), "largest |sideward command| in [m/s], at once"),
-    ("max_wz", NO_LIMIT, (0.0, NO_LIMIT), "largest |turning command| in [rad/s], at once"),
+    *AT_ONCE,
 )
+"""Name, value and description of each."""
+
+RANGES = {
+    "rate": (0.0, 10_000.0),
+    "stiffness_scale": (0.0, 2.0),
+    "damping_scale": (0.1, 5.0),
+    "max_vx": (0.0, NO_LIMIT),
+    "max_vy": (0.0, NO_LIMIT),
+    "max_wz": (0.0, NO_LIMIT),
+}
 SCALES = ("stiffness_scale", "damping_scale")
 LIMITS = ("max_vx", "max_vy", "max_wz")
 WORDS = {"speed": ("real", "max")}
 
 
 class Parameters:
-    """Declares the parameters on a node and reads them.
+    """Declares the parameters on a node and reads them: `parameters["record"]`.
 
     Args:
         node: rclpy node.
@@ -84,79 +80,38 @@ class Parameters:
                 descriptor.type = ParameterType.PARAMETER_STRING_ARRAY
             if name in WORDS:
                 descriptor.additional_constraints = f"one of {', '.join(WORDS[name])}"
+            if name in RANGES:
+                lowest, highest = RANGES[name]
+                span = FloatingPointRange(from_value=lowest, to_value=highest, step=0.0)
+                descriptor.floating_point_range = [span]
             node.declare_parameter(name, value, descriptor)
-        for name, number, (lowest, highest), description in RANGED:
-            span = FloatingPointRange(from_value=lowest, to_value=highest, step=0.0)
-            descriptor = ParameterDescriptor(
-                name=name, description=description, floating_point_range=[span]
-            )
-            node.declare_parameter(name, number, descriptor)
-        given = {name: self._value(name) for name, *_ in RANGED}
+        given = {name: self[name] for name in RANGES}
         refusal = self._refusal(given)
         if refusal:
             raise UniconError(refusal)
         self._apply(given)
         node.add_on_set_parameters_callback(self._set)
 
-    def _value(self, name: str) -> Any:
+    def __getitem__(self, name: str) -> Any:
         return self._node.get_parameter(name).value
-
-    @property
-    def workflow(self) -> str:
-        """Name or path of the workflow."""
-        return str(self._value("workflow"))
-
-    @property
-    def map(self) -> str:
-        """Name or path of the message map; empty: the workflow's own."""
-        return str(self._value("map"))
-
-    @property
-    def force(self) -> list[str]:
-        """Codes of the check's errors to go on with."""
-        return [code for code in self._value("force") if code]
-
-    @property
-    def frame_prefix(self) -> str:
-        """What stands before the names of all frames."""
-        return str(self._value("frame_prefix"))
-
-    @property
-    def record(self) -> str:
-        """File to record to, or empty."""
-        return str(self._value("record"))
 
     @property
     def speed(self) -> Literal["real", "max"]:
         """How ticks are paced."""
-        return "max" if self._value("speed") == "max" else "real"
+        return "max" if self["speed"] == "max" else "real"
 
     @property
-    def autostart(self) -> bool:
-        """Whether to configure and activate at start."""
-        return bool(self._value("autostart"))
-
-    @property
-    def exit_on_fault(self) -> bool:
-        """Whether a fault ends the process."""
-        return bool(self._value("exit_on_fault"))
+    def force(self) -> list[str]:
+        """Codes of the check's errors to go on with."""
+        return [code for code in self["force"] if code]
 
     @property
     def overrides(self) -> list[str]:
         """What differs from the workflow file, as `path=value`."""
-        found = [f"{name}={self._value(name)}" for name in ("robot", "platform")]
-        found = [text for text in found if not text.endswith("=")]
-        if self._value("rate") > 0.0:
-            found.append(f"rate={self._value('rate')}")
-        return found + [text for text in self._value("overrides") if text]
-
-    def document(self) -> WorkflowDocument:
-        """Read the workflow's file with the overrides.
-
-        Raises:
-            UniconError: it is unknown or wrong.
-        """
-        return load_document(self.workflow, self.overrides)
+        found = [f"{name}={self[name]}" for name in ("robot", "platform") if self[name]]
+        if self["rate"] > 0.0:
+            found.append(f"rate={self['rate']}")
+        return found + [text for text in self["overrides"] if text]
 
     def _set(self, parameters: Sequence[Any]) -> SetParametersResult:
         for parameter in parameters:
@@ -173,7 +128,7 @@ class Parameters:
 
     def _refusal(self, values: dict[str, Any]) -> str:
         """Return why these numbers cannot be set together with the present ones, or ""."""
-        for name, *_ in RANGED:
+        for name in RANGES:
             if not math.isfinite(values.get(name, 0.0)):
                 return f"{name} is {values[name]}; give a finite number"
         if values.keys().isdisjoint(SCALES):

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Picture"]
 
+CAPACITY = 200_000  # ticks, the first ones
 _KEPT = ("base_pos_w", "base_lin_vel", "base_ang_vel", "velocity_command", "joint_pos")
 
 
@@ -24,13 +25,12 @@ class Picture:
 
     Args:
         path: of the PNG.
-        capacity: ticks that are kept, the first ones.
 
     Raises:
         MissingDependencyError: matplotlib is not installed.
     """
 
-    def __init__(self, path: str | Path, capacity: int = 200_000) -> None:
+    def __init__(self, path: str | Path) -> None:
         try:
             import matplotlib  # noqa: F401 - said before the run, not after it
         except ModuleNotFoundError as error:
@@ -38,7 +38,6 @@ class Picture:
                 "--picture", "matplotlib", "pip install matplotlib"
             ) from error
         self.path = Path(path)
-        self._capacity = capacity
         self._rows: NDArray[np.float32] = np.zeros((0, 0), np.float32)
         self._count = 0
         self._columns: dict[str, slice] = {}
@@ -53,14 +52,14 @@ class Picture:
         for name, view in zip(_KEPT, views):
             self._columns[name] = slice(start, start + view.size)
             start += view.size
-        self._rows = np.zeros((min(self._capacity, 4096), start), np.float32)
+        self._rows = np.zeros((4096, start), np.float32)
         self._joints = program.robot.joint_names
         self._period = program.period
         places = [(self._columns[name], view) for name, view in zip(_KEPT, views)]
 
         def keep() -> None:
             if self._count == len(self._rows):
-                if self._count >= self._capacity:
+                if self._count >= CAPACITY:
                     return
                 self._rows = np.concatenate([self._rows, np.zeros_like(self._rows)])
             row = self._rows[self._count]

@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable
-from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -30,8 +29,8 @@ if TYPE_CHECKING:
 __all__ = ["Recorder", "Recording"]
 
 
-class Recorder:
-    """An MCAP file that is being written.
+class Recorder(Background):
+    """An MCAP file that is being written; what goes wrong at its beginning is told in a line.
 
     Args:
         path: of the file, must not exist; folders are made.
@@ -49,8 +48,7 @@ class Recorder:
         self.path = Path(path)
         if os.path.lexists(self.path):  # a link that points nowhere too
             raise UniconError(f"recording {path} exists; move it away or give another name")
-        self._file = self._create(warn)
-        self._background = Background(self._file, warn, patient)
+        super().__init__(self._create(warn), warn, patient)
 
     def _create(self, warn: Callable[[str], None]) -> McapFile:
         rest = self.path.with_name(f"{self.path.name}.partial")
@@ -94,27 +92,13 @@ class Recorder:
         number = self._file.channels + 1
         name = f"/{topic.lstrip('/')}"
         try:
-            return self._background.channel(
-                Channel(number, name, kind, known.text, known.encoding, known.rihs)
-            )
+            return self.add(Channel(number, name, kind, known.text, known.encoding, known.rihs))
         except OSError as error:
             raise self._cannot(error) from error
-
-    def start(self) -> None:
-        """Begin to write, in a thread."""
-        self._background.start()
 
     def discard(self) -> None:
         """Delete the file, where `start` was not called."""
         self._file.discard()
-
-    def counts(self) -> dict[str, Any]:
-        """Return messages in the file, those dropped, bytes, and the error or ""."""
-        return asdict(self._background.counts())
-
-    def close(self) -> None:
-        """Finish the file and give it its name, within 5 s; safe to call twice, never raises."""
-        self._background.close()
 
 
 class Recording:
@@ -190,7 +174,9 @@ def _blocks(
     leaving = {id(out.spec): out for out in session.outgoing} if session is not None else {}
     due: list[tuple[int, Callable[[], bytes], Callable[[int, bytes], None]]] = []
     reads: set[str] = set()
-    mapping = session.map if session is not None else load_map(_map_path(map_name))
+    mapping = (
+        session.map if session is not None else load_map(find_config("maps", map_name or "default"))
+    )
     for spec in mapping.publish:
         if id(spec) in leaving:
             write = recorder.channel(spec.topic, spec.type)
@@ -219,7 +205,3 @@ def _blocks(
 
 def _stamped(write: Callable[[int, bytes], None], now: Callable[[], int], raw: bytes) -> None:
     write(now(), raw)
-
-
-def _map_path(name: str | None) -> Path:
-    return find_config("maps", name or "default")

@@ -20,7 +20,7 @@ pytest.importorskip("rclpy")
 pytestmark = pytest.mark.ros
 
 
-def test_plain_and_our_own_pipelines_close_the_loop() -> None:
+def test_plain_and_our_own_pipelines_close_the_loop(monkeypatch: pytest.MonkeyPatch) -> None:
     from unicon_ros.bench import latency
 
     chosen = (
@@ -30,7 +30,9 @@ def test_plain_and_our_own_pipelines_close_the_loop() -> None:
         "plain, a mirror alone",
         "unicon, local, observed by us",
     )
-    result = latency.run(1, seconds=0.6, only=lambda variant: variant.name in chosen)
+    variants = tuple(variant for variant in latency.VARIANTS if variant.name in chosen)
+    monkeypatch.setattr(latency, "VARIANTS", variants)
+    result = latency.run(1, seconds=0.6)
     for name in chosen[:2]:
         for row in ("recv", "send", "state_to_command", "end_to_end"):
             case = result.cases[f"{name}: {row}"]

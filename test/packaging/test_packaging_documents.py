@@ -123,12 +123,12 @@ def test_every_service_is_in_the_table() -> None:
 
 def test_every_parameter_of_the_node_is_in_the_table() -> None:
     pytest.importorskip("rcl_interfaces", reason="no ROS: pip install -e '.[ros]'")
-    from unicon_ros.parameters import DECLARED, RANGED
+    from unicon_ros.parameters import DECLARED
 
     _, table = text_of("docs/ros.md").split("| parameter | default | means |")
     rows = re.findall(r"^\| (`.*?`) \|", table, re.MULTILINE)
     told = {name for row in rows for name in re.findall(r"`(\w+)`", row)}
-    assert told == {"use_sim_time", *(name for name, *_ in (*DECLARED, *RANGED))}
+    assert told == {"use_sim_time", *(name for name, *_ in DECLARED)}
 
 
 def test_the_readme_is_short_and_its_two_walks_are_one(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import gc
+import math
 import os
 import sys
 from pathlib import Path
@@ -50,6 +51,8 @@ class Libc:
         ({"trigger": "timer"}, "pacing: trigger 'timer'; give deadline or state"),
         ({"overrun": "drop"}, "pacing: overrun 'drop'; give skip or catch_up"),
         ({"spin_us": -1}, "pacing: spin_us is -1; give a number of µs >= 0"),
+        ({"spin_us": math.nan}, "pacing: spin_us is nan; give a number of µs >= 0"),
+        ({"dry_run_us": math.inf}, "pacing: dry_run_us is inf; give a number of µs >= 0"),
         ({"dry_run_us": "long"}, "pacing: dry_run_us is 'long'; give a number of µs >= 0"),
         ({"priority": 0}, "pacing: priority is 0; give a SCHED_FIFO priority from 1 to 99"),
         ({"priority": "hi"}, "pacing: priority is 'hi'; give a SCHED_FIFO priority from 1 to 99"),

@@ -137,10 +137,37 @@ def test_the_command_writes_the_header_of_a_workflow(tmp_path, capsys):
     assert capsys.readouterr().out == f"{out}\n"
     groups = groups_of(load_workflow(str(workflow)).states.layout)
     assert out.read_text() == c_header(groups, str(workflow))
-    assert main(["states", "--header", str(out)]) == 1
-    assert "unicon states --header FILE.h WORKFLOW" in capsys.readouterr().err
-    assert main(["states", "--header", str(out), "absent"]) == 1
-    assert capsys.readouterr().err.count("\n") == 1
+    for wrong in (
+        ["--header", str(out)],
+        ["--set", "rate=5"],
+        ["--header", str(out), str(workflow), "--clean"],
+    ):
+        assert main(["states", *wrong]) == 1
+        assert "unicon states --header FILE.h WORKFLOW" in capsys.readouterr().err
+    for wrong in (["absent"], [str(workflow), "--part", "legs"]):
+        assert main(["states", "--header", str(out), *wrong]) == 1
+        assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_each_part_of_a_workflow_has_its_own_header(tmp_path, capsys):
+    from unicon_ros.cli.main import main
+
+    workflow, out = tmp_path / "w.yaml", tmp_path / "w.h"
+    workflow.write_text(
+        "robot: go2\nplatform: fake\nrate: 50\nstore: shm\n"
+        "parts: {robot: {publishes: [joint_pos]}, desk: {publishes: [velocity_command]}}\n"
+        "commands: [{velocity_command: {constant: [0, 0, 0]}, on: desk}]\n"
+        "flow: {loop: {do: {pose: {to: stand}}, until: {elapsed: 1}}}\n"
+    )
+    command = ["states", "--header", str(out), str(workflow)]
+    assert main([*command, "--part", "desk"]) == 0
+    assert re.findall(r"UNICON_PLACE\(struct unicon_(\w+), (\w+)", out.read_text()) == [
+        ("measured", "velocity_command")
+    ]
+    capsys.readouterr()
+    for wrong in ([], ["--part", "absent"]):
+        assert main([*command, *wrong]) == 1
+        assert capsys.readouterr().err.endswith("give --part robot or --part desk\n")
 
 
 def test_the_program_of_the_document_compiles(tmp_path):

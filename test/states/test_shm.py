@@ -61,7 +61,7 @@ def test_one_writer_has_a_name(segment):
 
 def test_absent_and_wrong_groups_are_named(segment):
     _, states = segment
-    with pytest.raises(StateError, match=f"no segment 'nowhere'.*there are: .*{NAME}"):
+    with pytest.raises(StateError, match=f"no segment 'nowhere'.*known: .*{NAME}"):
         ShmReader("nowhere", "measured", states)
     with pytest.raises(StateError, match="no group 'commands'; there are measured"):
         ShmReader(NAME, "commands", states)

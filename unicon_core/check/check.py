@@ -13,6 +13,7 @@ from unicon_core.check.gains import check_gains, check_limits
 from unicon_core.check.graph import check_blocks
 from unicon_core.check.joints import check_joints
 from unicon_core.check.observation import check_frames, check_observation
+from unicon_core.check.parts import check_parts
 from unicon_core.check.pose import check_pose
 from unicon_core.check.result import CheckResult
 from unicon_core.check.safety import check_safety
@@ -118,6 +119,7 @@ def static_checks(subject: Subject, result: CheckResult) -> None:
     check_pose(subject, result)
     check_start(subject, result)
     check_safety(subject, result)
+    check_parts(subject, result)
     check_robot(subject, result)
     if not subject.live:  # they read the platform, hash files, or repeat what the build has done
         check_frames(subject, result)

@@ -44,7 +44,8 @@ def refuse_errors(program: Program, force: Iterable[str] = ()) -> list[str]:
     document = program.document
     result = CheckResult(program.name)
     check_section(document, result)
-    static_checks(Subject(document, program, *declared_platform(document), live=True), result)
+    facts = declared_platform(document) if program.has_platform else (program.platform.facts, True)
+    static_checks(Subject(document, program, *facts, live=True), result)
     errors = [found for found in result.findings if found.code not in forced]
     if errors:
         codes = " ".join(

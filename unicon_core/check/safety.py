@@ -21,8 +21,11 @@ GIVEN = ("tick", "velocity_command")
 
 
 def limits_targets(subject: Subject) -> bool:
-    """Whether the targets that are sent are held within the limits of the joints."""
-    return any(
+    """Whether the targets that are sent are held within the limits of the joints.
+
+    A part without the platform sends nothing: the first part's blocks do.
+    """
+    return not subject.program.has_platform or any(
         isinstance(block.tick, JointLimits) and set(block.amends) & _sent(subject)
         for block in _safety(subject)
     )
@@ -32,7 +35,7 @@ def check_safety(subject: Subject, result: CheckResult) -> None:
     """A workflow without safety blocks, and blocks that are there and see nothing, or seldom."""
     where, sent = subject.document.where("safety"), _sent(subject)
     blocks = _safety(subject)
-    if not any(sent & {*block.reads, *block.amends} for block in blocks):
+    if sent and not any(sent & {*block.reads, *block.amends} for block in blocks):
         what = "safety: none" if not blocks else f"safety: {listed([b.name for b in blocks])}"
         result.note(
             "safety.none",

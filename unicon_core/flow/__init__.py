@@ -1,9 +1,9 @@
 """Flow: blocks composed by zip, chain and loop, checked and compiled, for workflow authors."""
 
-from unicon_core.flow.block import Access, Amends, Block, Bundle, Reads, Tick, Writes, as_block
-from unicon_core.flow.checks import Finding, check_graph, raise_first
+from unicon_core.flow.block import Amends, Block, Bundle, Reads, Tick, Writes, as_block
+from unicon_core.flow.checks import check_graph
 from unicon_core.flow.compiler import CompiledGraph, compile_graph
-from unicon_core.flow.critical_path import CriticalPath, critical_path
+from unicon_core.flow.critical_path import critical_path
 from unicon_core.flow.fuse import fuse
 from unicon_core.flow.linear import LinearMap
 from unicon_core.flow.nodes import (
@@ -23,17 +23,14 @@ from unicon_core.flow.nodes import (
 from unicon_core.flow.stage import Stage
 
 __all__ = [
-    "Access",
     "Amends",
     "Blender",
     "Block",
     "Bundle",
     "Chain",
     "CompiledGraph",
-    "CriticalPath",
     "Deferred",
     "Every",
-    "Finding",
     "LinearMap",
     "Loop",
     "Node",
@@ -52,5 +49,4 @@ __all__ = [
     "compile_graph",
     "critical_path",
     "fuse",
-    "raise_first",
 ]

@@ -61,6 +61,7 @@ class Block:
         close: called once at the end, in reverse order of building, or None.
         stage: its place in the tick; the program sets it where the block does not say.
         where: `file:line` of its declaration, for messages.
+        part: of a divided workflow, to which it belongs; "" for the first one.
         endless: True where the block can never be done; what it returns is not even looked at.
         expects: what it needs states to be: name to `shape`, `dtype`, `unit` or `frame`.
         linear: what it does where that is a copy or a linear index map, or None; neighbours are
@@ -81,6 +82,7 @@ class Block:
     warm_up: Tick | None = None
     stage: Stage | None = None
     where: str = ""
+    part: str = ""
     endless: bool = False
     expects: dict[str, dict[str, Any]] = field(default_factory=dict)
     linear: LinearMap | None = None

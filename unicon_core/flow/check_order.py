@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 
 from unicon_core.flow.block import Block
 from unicon_core.flow.finding import Finding
@@ -30,9 +29,8 @@ def reads_before_writes(root: Node, given: States) -> list[Finding]:
 
     What is put off is not looked at: an observer may watch states that this robot does not have.
     """
-    return list(
-        {(f.culprit, f.evidence): f for f in _Reads(root).walk(root, given, given)}.values()
-    )
+    found = _Reads(root).walk(root, given, given)
+    return list({(f.culprit, f.evidence): f for f in found}.values())
 
 
 class _Reads:
@@ -43,10 +41,8 @@ class _Reads:
     """
 
     def __init__(self, root: Node) -> None:
-        self.writers: dict[str, Block] = {}
-        for block in blocks_of(root):
-            for name in block.writes:
-                self.writers.setdefault(name, block)
+        blocks = reversed(blocks_of(root))  # of several writers the first counts
+        self.writers = {name: block for block in blocks for name in block.writes}
 
     def walk(self, node: Node, before: States, ever: States) -> Iterator[Finding]:
         if isinstance(node, Block):
@@ -88,7 +84,7 @@ class _Reads:
                 else:
                     evidence = f"{word} {name!r} before {writer.name!r} has written it"
                     remedy = f"put it behind {writer.name!r}"
-                yield Finding(f"block {block.name!r}", evidence, remedy, block.where)
+                yield Finding.of(block, evidence, remedy)
 
 
 def behind_send(root: Node) -> list[Finding]:
@@ -96,56 +92,41 @@ def behind_send(root: Node) -> list[Finding]:
     sends = [block for block in blocks_of(root) if block.stage is Stage.SEND]
     if not sends:
         return []
-    sent = _Sent(sends[0].name, frozenset(name for block in sends for name in block.reads))
-    sent.walk(root, False)
-    return list(dict.fromkeys(sent.findings))
+    send, commands = sends[0].name, {name for block in sends for name in block.reads}
+    findings: list[Finding] = []
 
+    def late(block: Block) -> None:
+        remedy = f"put it before {send!r}, not into 'deferred'"
+        if block.stage is Stage.SAFETY:
+            evidence = f"runs behind {send!r}: the motors have the command by then"
+            findings.append(Finding(f"safety block {block.name!r}", evidence, remedy, block.where))
+            return
+        for name in (*block.writes, *block.amends):
+            if name in commands:
+                evidence = f"writes {name!r} behind {send!r}: it would leave a tick late"
+                findings.append(Finding.of(block, evidence, remedy))
 
-@dataclass
-class _Sent:
-    send: str
-    commands: States
-    findings: list[Finding] = field(default_factory=list)
-
-    def walk(self, node: Node, sent: bool) -> bool:
+    def walk(node: Node, sent: bool) -> bool:
         """Look at a node that runs when the command is `sent` or not; return what it is then."""
         if isinstance(node, Block):
             if sent:
-                self.late(node)
+                late(node)
             return sent or node.stage is Stage.SEND
         if isinstance(node, Deferred):
-            self.walk(node.child, True)  # in the tick that it was put off in, at least
+            walk(node.child, True)  # in the tick that it was put off in, at least
             return sent
         if isinstance(node, (Chain, Switch)):
             if isinstance(node, Switch):
-                self.walk(node.selector, sent)
-            after = [self.walk(child, sent) for child in node.children]
+                walk(node.selector, sent)
+            after = [walk(child, sent) for child in node.children]
             return all(after)
         before = sent
         for child in children_of(node):
-            sent = self.walk(child, sent)
+            sent = walk(child, sent)
         return before if isinstance(node, When) else sent
 
-    def late(self, block: Block) -> None:
-        if block.stage is Stage.SAFETY:
-            self.findings.append(
-                Finding(
-                    f"safety block {block.name!r}",
-                    f"runs behind {self.send!r}: the motors have the command by then",
-                    f"put it before {self.send!r}, not into 'deferred'",
-                    block.where,
-                )
-            )
-        for name in (*block.writes, *block.amends):
-            if name in self.commands and block.stage is not Stage.SAFETY:
-                self.findings.append(
-                    Finding(
-                        f"block {block.name!r}",
-                        f"writes {name!r} behind {self.send!r}: it would leave a tick late",
-                        f"put it before {self.send!r}, not into 'deferred'",
-                        block.where,
-                    )
-                )
+    walk(root, False)
+    return list(dict.fromkeys(findings))
 
 
 def _writes(node: Node) -> States:

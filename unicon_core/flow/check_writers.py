@@ -31,12 +31,11 @@ def two_writers(root: Node) -> list[Finding]:
                     if first.block is second.block or (first.conditional and second.conditional):
                         continue
                     key = (name, first.block.name, second.block.name)
-                    found[key] = Finding(
-                        f"block {second.block.name!r}",
+                    found[key] = Finding.of(
+                        second.block,
                         f"writes {name!r} in the same tick as {first.block.name!r}",
                         "a state has one writer: remove one, declare the second as one that "
                         "amends, or let a chain or switch choose",
-                        second.block.where,
                     )
 
     def walk(node: Node, conditional: bool) -> dict[str, list[_Writer]]:

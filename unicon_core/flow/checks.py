@@ -74,12 +74,8 @@ def _unknown(root: Node, states: States) -> Iterator[Finding]:
         ):
             for name in names:
                 if name not in states:
-                    yield Finding(
-                        f"block {block.name!r}",
-                        f"{word} {name!r}, which is no state",
-                        f"{alternatives(name, states)}; or declare it under 'states:'",
-                        block.where,
-                    )
+                    remedy = f"{alternatives(name, states)}; or declare it under 'states:'"
+                    yield Finding.of(block, f"{word} {name!r}, which is no state", remedy)
 
 
 def _mismatches(root: Node, states: States) -> Iterator[Finding]:
@@ -89,11 +85,10 @@ def _mismatches(root: Node, states: States) -> Iterator[Finding]:
             for key, value in wanted.items():
                 has = getattr(spec, key)
                 if has != value:
-                    yield Finding(
-                        f"block {block.name!r}",
+                    yield Finding.of(
+                        block,
                         f"expects {name!r} with {key} {_said(value)}, and it has {_said(has)}",
                         f"declare the state with {key}: {_said(value)}, or map another one to it",
-                        block.where,
                     )
         if block.linear is not None:
             yield from _copied(block, block.linear, states)
@@ -112,12 +107,8 @@ def _copied(block: Block, linear: LinearMap, states: States) -> Iterator[Finding
         has, wants = getattr(source, key), getattr(target, key)
         if has == wants or not has or not wants or (key == "unit" and linear.scale is not None):
             continue
-        yield Finding(
-            f"block {block.name!r}",
-            f"copies {names[0]!r} ({key} {has}) into {names[1]!r} ({key} {wants})",
-            remedy,
-            block.where,
-        )
+        copies = f"copies {names[0]!r} ({key} {has}) into {names[1]!r} ({key} {wants})"
+        yield Finding.of(block, copies, remedy)
 
 
 def _said(value: object) -> str:

@@ -114,19 +114,10 @@ class _Compiler:
             ("warm_up", warm_up),
             ("reset", reset),
         ]
-        source, (step, deferred, warming, reset_all) = scope.build(
-            "step", "deferred", "warm_up", "reset"
-        )
-        return CompiledGraph(
-            step,
-            deferred,
-            warming,
-            reset_all,
-            source,
-            tuple(self.blocks),
-            frozenset(self.deferred_blocks),
-            stamps,
-        )
+        source, functions = scope.build("step", "deferred", "warm_up", "reset")
+        step, deferred, warm, renew = functions
+        blocks, later = tuple(self.blocks), frozenset(self.deferred_blocks)
+        return CompiledGraph(step, deferred, warm, renew, source, blocks, later, stamps)
 
     def call(self, block: Block) -> str:
         if not block.inline:
@@ -172,16 +163,15 @@ class _Compiler:
         return self.defer(node, conditional)
 
     def block(self, block: Block, on_done: Lines) -> Lines:
+        stamp = [f"T[{2 + self.column(block)}] = now()"] if self.trace else []
         if block.endless:
-            stamp = [f"T[{2 + self.column(block)}] = now()"] if self.trace else []
             return [*self.call(block).splitlines(), *stamp]
         after = [*self.reset(block), *on_done]
         call = self.call(block)
-        if not self.trace:
-            return [f"if {call}:", *indent(after)] if after else [call]
-        column = 2 + self.column(block)
-        lines = [f"r = {call}" if after else call, f"T[{column}] = now()"]
-        return [*lines, "if r:", *indent(after)] if after else lines
+        if not after:
+            return [call, *stamp]
+        asked = [f"r = {call}", *stamp, "if r:"] if stamp else [f"if {call}:"]
+        return [*asked, *indent(after)]
 
     def column(self, block: Block) -> int:
         key = (id(block), self.in_tail)
@@ -261,37 +251,36 @@ class _Compiler:
 
     def switch(self, node: Switch, on_done: Lines) -> Lines:
         current = self.scope.counter("case", node, -1)
+        blender = node.blender if node.blend else None
         blend = self.scope.counter("blend", node) if node.blend else ""
         index = self.scope.bind("index", node.index)
         new, ended = self.scope.temporary("s"), self.scope.temporary("d")
         capture = []
-        if node.blender is not None and blend:
+        if blender:
             capture = [
-                f"{self.scope.bind('capture', node.blender.capture)}()",
-                f"{blend} = {node.blend + 1}",
+                f"if {current} >= 0:",
+                f"    {self.scope.bind('capture', blender.capture)}()",
+                f"    {blend} = {node.blend + 1}",
             ]
         lines = [
             f"{new} = {index}({self.call(node.selector)})",
             f"if {new} != {current}:",
-            *indent(self.reset_case(node, current)),
-            f"    if {current} >= 0:" if capture else "",
-            *indent(capture, 2),
-            f"    {current} = {new}",
+            *indent([*self.reset_case(node, current), *capture, f"{current} = {new}"]),
             f"{ended} = False",
         ]
-        if node.blender is not None and blend:
-            lines += [f"if {blend}:", f"    {self.scope.bind('resume', node.blender.resume)}()"]
+        if blender:
+            lines += [f"if {blend}:", f"    {self.scope.bind('resume', blender.resume)}()"]
         for i, child in enumerate(node.children):
             body = self.node(child, [f"{ended} = True"], conditional=True, idempotent=True)
             lines += [f"{'if' if i == 0 else 'elif'} {new} == {i}:", *indent(body)]
-        if node.blender is not None and blend:
+        if blender:
             weight = f"({node.blend + 1} - {blend}) / {node.blend + 1}"
-            mix = self.scope.bind("mix", node.blender.mix)
-            lines += [f"if {blend}:", f"    {blend} -= 1", f"    if {blend}:"]
-            lines += [f"        {mix}({weight})"]
+            mix = self.scope.bind("mix", blender.mix)
+            lines += [f"if {blend}:", f"    {blend} -= 1"]
+            lines += [f"    if {blend}:", f"        {mix}({weight})"]
         fresh = [f"{current} = -1", *([f"{blend} = 0"] if blend else [])]
         after = [*fresh, *self.reset(node.selector), *on_done]
-        return [line for line in lines if line] + [f"if {ended}:", *indent(after)]
+        return [*lines, f"if {ended}:", *indent(after)]
 
     def reset_case(self, node: Switch, current: str) -> Lines:
         lines: Lines = []
@@ -359,9 +348,8 @@ class _Compiler:
         if isinstance(node, Deferred):
             return []
         if isinstance(node, Block):
-            return (
-                [f"{self.scope.bind('warm_up', node.warm_up, node.name)}()"] if node.warm_up else []
-            )
+            warm_up = node.warm_up
+            return [f"{self.scope.bind('warm_up', warm_up, node.name)}()"] if warm_up else []
         if isinstance(node, Switch) or (isinstance(node, Chain) and len(node.children) > 1):
             kind, initial = ("chain", 0) if isinstance(node, Chain) else ("case", -1)
             index = self.scope.counter(kind, node, initial)

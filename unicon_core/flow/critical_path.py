@@ -24,14 +24,10 @@ class CriticalPath:
     Attributes:
         root: the tree, with what could be put off in a `Deferred(…, ends=True)`.
         critical: blocks that the command depends on, `send` and blocks of fixed stages included.
-        deferred: blocks that were put off.
-        kept: blocks off the path that stay before `send`, each with the reason.
     """
 
     root: Node
     critical: frozenset[Block]
-    deferred: tuple[Block, ...]
-    kept: dict[Block, str]
 
 
 class _Part:
@@ -58,10 +54,9 @@ class _Touched:
         self.reads = {name for block in blocks for name in (*block.reads, *block.amends)}
         self.writes = {name for block in blocks for name in (*block.writes, *block.amends)}
 
-    def conflict(self, other: _Touched) -> str:
-        """Return a state that forbids to swap the two, or nothing."""
-        shared = self.writes & (other.reads | other.writes) | other.writes & self.reads
-        return min(shared, default="")
+    def conflicts(self, other: _Touched) -> bool:
+        """Return whether a state forbids to swap the two."""
+        return bool(self.writes & (other.reads | other.writes) | other.writes & self.reads)
 
 
 def critical_path(root: Node) -> CriticalPath:
@@ -75,23 +70,16 @@ def critical_path(root: Node) -> CriticalPath:
     parts = [_Part(node) for node in _parts(root)]
     sends = [i for i, part in enumerate(parts) if Stage.SEND in part.stages and not part.explicit]
     if not sends:
-        return CriticalPath(root, frozenset(), (), {})
+        return CriticalPath(root, frozenset())
     needed = _needed(parts[: sends[-1] + 1])
-    critical = {block for i in needed for block in _critical_blocks(parts[i])}
+    critical = frozenset(
+        block for i in needed for block in parts[i].blocks if block not in parts[i].put_off
+    )
     moved: list[_Part] = []
-    kept: dict[Block, str] = {}
     for i in reversed(range(sends[-1])):  # from the back: those behind are known to move or stay
-        part = parts[i]
-        if i in needed or part.explicit:
-            continue
-        reason = _reason(part, parts, i, moved)
-        if reason:
-            kept |= dict.fromkeys(part.blocks, reason)
-        else:
-            moved.insert(0, part)
-    move = {id(part.node) for part in moved}
-    blocks = tuple(block for part in moved for block in part.blocks)
-    return CriticalPath(_put_off(root, move), frozenset(critical), blocks, kept)
+        if i not in needed and not parts[i].explicit and _may_move(parts, i, moved):
+            moved.append(parts[i])
+    return CriticalPath(_put_off(root, {id(part.node) for part in moved}), critical)
 
 
 def _parts(node: Node) -> Iterator[Node]:
@@ -125,10 +113,6 @@ def _needed(parts: list[_Part]) -> set[int]:
         needed |= more
 
 
-def _critical_blocks(part: _Part) -> list[Block]:
-    return [block for block in part.blocks if block not in part.put_off]
-
-
 def _deferred_blocks(node: Node) -> Iterator[Block]:
     if isinstance(node, Deferred):
         yield from blocks_of(node)
@@ -137,37 +121,29 @@ def _deferred_blocks(node: Node) -> Iterator[Block]:
             yield from _deferred_blocks(child)
 
 
-def _reason(part: _Part, parts: list[_Part], at: int, moved: list[_Part]) -> str:
-    """Return why a part cannot be put off, or nothing."""
-    for block in part.blocks:
-        if not (block.reads or block.writes or block.amends):
-            return f"{block.name} declares no states"
-    if not part.now.reads:
-        return "it reads no state"
-    if part.put_off:
-        return "a part of it is put off already"
+def _may_move(parts: list[_Part], at: int, moved: list[_Part]) -> bool:
+    """Return whether a part can be put off, by what `critical_path` says."""
+    part = parts[at]
+    declared = all(block.reads or block.writes or block.amends for block in part.blocks)
+    if not declared or not part.now.reads or part.put_off:
+        return False
     for i, other in enumerate(parts):
         if i == at:
             continue
-        if set(part.blocks) & set(other.blocks):
-            return "it stands in the graph twice"
-        state = ""
-        if i > at and other not in moved:
-            state = part.now.conflict(other.now)
-        elif i < at:  # in `deferred` the order of the tree holds again
-            state = part.now.conflict(other.late)
-        if state:
-            return f"{other.blocks[0].name} shares {state} with it"
-    return ""
+        if set(part.blocks) & set(other.blocks):  # it stands in the graph twice
+            return False
+        if i > at and other not in moved and part.now.conflicts(other.now):
+            return False
+        if i < at and part.now.conflicts(other.late):  # in `deferred` the tree's order holds again
+            return False
+    return True
 
 
 def _put_off(node: Node, move: set[int]) -> Node:
     if id(node) in move:
         return Deferred(node, ends=True, where=node.where)
-    if isinstance(node, (Zip, Loop)):
-        old = children_of(node)
-        until = node.until if isinstance(node, Loop) else None
-        new = tuple(child if child is until else _put_off(child, move) for child in old)
-        if any(a is not b for a, b in zip(old, new)):
-            return with_children(node, new)
-    return node
+    if not isinstance(node, (Zip, Loop)):
+        return node
+    until = node.until if isinstance(node, Loop) else None
+    new = [child if child is until else _put_off(child, move) for child in children_of(node)]
+    return with_children(node, new)

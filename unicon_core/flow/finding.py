@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from unicon_core.flow.block import Block
+
 __all__ = ["Finding"]
 
 
@@ -22,6 +24,11 @@ class Finding:
     evidence: str
     remedy: str
     where: str = ""
+
+    @classmethod
+    def of(cls, block: Block, evidence: str, remedy: str) -> Finding:
+        """Return what is wrong with a block."""
+        return cls(f"block {block.name!r}", evidence, remedy, block.where)
 
     @property
     def text(self) -> str:

@@ -6,12 +6,12 @@ copy 80 ns. What is fused stays in its order wherever one map reads or writes wh
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from unicon_core.flow.block import Block
 from unicon_core.flow.linear import LinearMap
@@ -50,31 +50,27 @@ class _Fuser:
         return self.known[id(node)]
 
     def rewrite(self, node: Node) -> Node:
-        old = children_of(node)
-        if isinstance(node, Zip):
-            flat = [self.node(part) for child in old for part in _spliced(child)]
-            new = tuple(self.neighbours(flat))
-        else:
-            new = tuple(self.node(child) for child in old)
-        return node if _same(old, new) else with_children(node, new)
+        if not isinstance(node, Zip):
+            return with_children(node, [self.node(child) for child in children_of(node)])
+        flat = [self.node(part) for child in node.children for part in _spliced(child)]
+        return with_children(node, list(self.neighbours(flat)))
 
     def neighbours(self, children: Sequence[Node]) -> Iterator[Node]:
-        group = _Group(self.states)
+        group: list[_Piece] = []
         for child in children:
             piece = self.piece(child)
-            if piece is None or not group.takes(piece):
-                yield from group.flush()
+            if piece is None or any(map(piece.clashes, group)):
+                yield from self.together(group)
+                group = []
             if piece is None:
                 yield child
             else:
-                group.add(piece)
-        yield from group.flush()
+                group.append(piece)
+        yield from self.together(group)
 
     def piece(self, node: Node) -> _Piece | None:
         """Return the places of a map in the packed buffer; None where it must stay alone."""
-        if not isinstance(node, Block) or node.linear is None or node.reset:
-            return None
-        if node.stage in FIXED:
+        if not isinstance(node, Block) or node.linear is None or node.reset or node.stage in FIXED:
             return None
         linear = node.linear
         packed = self.states.buffer_of(linear.target.dtype)
@@ -88,46 +84,9 @@ class _Fuser:
         read, write = read.ravel(), write.ravel()
         if len(np.unique(write)) < len(write) or np.intersect1d(read, write).size:
             return None
-        piece = _Piece(node, linear, packed.dtype, read, write)
-        for name, value in (("scale", linear.scale), ("offset", linear.offset)):
-            if value is not None:
-                full = np.broadcast_to(value, linear.target.shape).ravel()
-                setattr(piece, name, full.astype(packed.dtype))
-        return piece
+        return _Piece(node, linear, packed.dtype, read, write)
 
-
-@dataclass
-class _Piece:
-    block: Block
-    linear: LinearMap
-    dtype: np.dtype[Any]
-    read: Indices
-    write: Indices
-    scale: Array | None = None
-    offset: Array | None = None
-
-
-@dataclass
-class _Group:
-    """Maps that may be done at once: none reads or writes what another one of them writes."""
-
-    states: States
-    pieces: list[_Piece] = field(default_factory=list)
-
-    def takes(self, piece: _Piece) -> bool:
-        return not any(
-            np.intersect1d(piece.read, other.write).size
-            or np.intersect1d(piece.write, other.write).size
-            or np.intersect1d(piece.write, other.read).size
-            for other in self.pieces
-            if other.dtype == piece.dtype
-        )
-
-    def add(self, piece: _Piece) -> None:
-        self.pieces.append(piece)
-
-    def flush(self) -> Iterator[Node]:
-        pieces, self.pieces = self.pieces, []
+    def together(self, pieces: list[_Piece]) -> Iterator[Block]:
         if len(pieces) == 1:
             yield pieces[0].block
         elif pieces:
@@ -155,6 +114,28 @@ class _Group:
 
 
 @dataclass
+class _Piece:
+    block: Block
+    linear: LinearMap
+    dtype: np.dtype[Any]
+    read: Indices
+    write: Indices
+
+    def clashes(self, other: _Piece) -> bool:
+        """Return whether one reads or writes what the other writes: they are not done at once."""
+        return self.dtype == other.dtype and bool(
+            np.intersect1d(self.read, other.write).size
+            or np.intersect1d(self.write, other.write).size
+            or np.intersect1d(self.write, other.read).size
+        )
+
+    def each(self, value: ArrayLike | None, default: float) -> Array:
+        """Return a factor or summand for each element that is written."""
+        full = np.broadcast_to(default if value is None else value, self.linear.target.shape)
+        return full.ravel().astype(self.dtype)
+
+
+@dataclass
 class _Code:
     """The statements of one fused block and the arrays that they name."""
 
@@ -168,16 +149,12 @@ class _Code:
 
     def one_dtype(self, pieces: list[_Piece], packed: Array) -> None:
         order = np.argsort(np.concatenate([piece.write for piece in pieces]))
-        write = np.concatenate([piece.write for piece in pieces])[order]
-        read = np.concatenate([piece.read for piece in pieces])[order]
-        scale = _joined([(p.scale, len(p.write)) for p in pieces], 1.0, packed.dtype)
-        # x + (-0.0) is x for every x; adding 0.0 would turn -0.0 into 0.0
-        offset = _joined([(p.offset, len(p.write)) for p in pieces], -0.0, packed.dtype)
-        linear = np.concatenate([np.full(len(p.write), not p.linear.is_copy) for p in pieces])
-        scale = None if scale is None else scale[order]
-        offset = None if offset is None else offset[order]
-        linear = linear[order]
 
+        def joined(arrays: Iterable[Array]) -> Array:
+            return np.concatenate(list(arrays))[order]
+
+        write, read = joined(p.write for p in pieces), joined(p.read for p in pieces)
+        linear = joined(np.full(len(p.write), not p.linear.is_copy) for p in pieces)
         parts = np.flatnonzero((np.diff(write) != 1) | (np.diff(read) != 1) | np.diff(linear)) + 1
         runs = np.split(np.arange(len(write)), parts)
         copies = [run for run in runs if not linear[run[0]]]
@@ -186,14 +163,17 @@ class _Code:
         for run in copies:
             self.copy(packed, write[run[0]], read[run[0]], len(run))
         rest = np.setdiff1d(np.arange(len(write)), np.concatenate([*copies, []]))
-        if rest.size:
-            self.gather(
-                packed,
-                write[rest],
-                read[rest],
-                None if scale is None else scale[rest],
-                None if offset is None else offset[rest],
-            )
+        if not rest.size:
+            return
+        then: list[tuple[str, np.ufunc, Array]] = []
+        if any(p.linear.scale is not None for p in pieces):
+            scale = joined(p.each(p.linear.scale, 1.0) for p in pieces)
+            then.append(("multiply", np.multiply, scale[rest]))
+        if any(p.linear.offset is not None for p in pieces):
+            # x + (-0.0) is x for every x; adding 0.0 would turn -0.0 into 0.0
+            offset = joined(p.each(p.linear.offset, -0.0) for p in pieces)
+            then.append(("add", np.add, offset[rest]))
+        self.gather(packed, write[rest], read[rest], then)
 
     def copy(self, packed: Array, write: int, read: int, length: int) -> None:
         target: Any = packed[write : write + length].view(np.uint8)
@@ -207,8 +187,7 @@ class _Code:
         packed: Array,
         write: Indices,
         read: Indices,
-        scale: Array | None,
-        offset: Array | None,
+        then: Iterable[tuple[str, np.ufunc, Array]],
     ) -> None:
         together = write[-1] - write[0] + 1 == len(write)
         result = (
@@ -217,21 +196,12 @@ class _Code:
         out = self.name("result", result)
         take, index = self.name("take", packed.take), self.name("index", read)
         self.lines.append(f"{take}({index}, 0, {out}, {self.name('mode', 'clip')})")
-        for word, operator, value in (("multiply", np.multiply, scale), ("add", np.add, offset)):
-            if value is not None:
-                call = self.name(word, operator)
-                self.lines.append(f"{call}({out}, {self.name(word + '_by', value)}, {out})")
+        for word, operator, value in then:
+            call = self.name(word, operator)
+            self.lines.append(f"{call}({out}, {self.name(word + '_by', value)}, {out})")
         if not together:
             everything, places = self.name("packed", packed), self.name("places", write)
             self.lines.append(f"{everything}[{places}] = {out}")
-
-
-def _joined(parts: list[tuple[Array | None, int]], default: float, dtype: Any) -> Array | None:
-    if all(value is None for value, _ in parts):
-        return None
-    return np.concatenate(
-        [np.full(n, default, dtype) if value is None else value for value, n in parts]
-    )
 
 
 def _places(view: Array, packed: Array) -> Indices | None:
@@ -255,10 +225,3 @@ def _spliced(node: Node) -> tuple[Node, ...]:
         if all(isinstance(p, Block) and p.endless and p.reset is None for p in parts):
             return parts
     return (node,)
-
-
-_T = TypeVar("_T")
-
-
-def _same(old: Sequence[_T], new: Sequence[_T]) -> bool:
-    return len(old) == len(new) and all(a is b for a, b in zip(old, new))

@@ -30,30 +30,32 @@ __all__ = [
     "as_node",
     "blocks_of",
     "children_of",
+    "chooser_of",
     "with_children",
 ]
 
 
-class Zip:
+class _Several:
+    def __init__(self, *children: Node | Tick, where: str = "") -> None:
+        if not children:
+            word = type(self).__name__.lower()
+            raise WorkflowError(f"{word}: no blocks; give at least one", where or None)
+        self.children: tuple[Node, ...] = tuple(as_node(child, where=where) for child in children)
+        self.where = where
+
+
+class Zip(_Several):
     """Each tick steps all children in order; done when one of them is done.
 
     zip(T_g, T_h) = ((g_1, h_1), …, (g_n, h_n)).
     """
 
-    def __init__(self, *children: Node | Tick, where: str = "") -> None:
-        self.children = _nodes("zip", children, where)
-        self.where = where
 
-
-class Chain:
+class Chain(_Several):
     """Steps the first child until it is done, from the next tick on the second, and so on.
 
     chain(T_g, T_h) = (g_1, …, g_m, h_1, …, h_n). Done with its last child.
     """
-
-    def __init__(self, *children: Node | Tick, where: str = "") -> None:
-        self.children = _nodes("chain", children, where)
-        self.where = where
 
 
 class Loop:
@@ -177,7 +179,6 @@ class Blender:
     """
 
     def __init__(self, arrays: Mapping[str, object]) -> None:
-        self.names = tuple(arrays)
         self._live = [np.asarray(array) for array in arrays.values()]
         self._held = [array.copy() for array in self._live]
         self._own = [array.copy() for array in self._live]
@@ -211,7 +212,7 @@ Node: TypeAlias = Block | Zip | Chain | Loop | Every | When | Switch | Deferred
 
 def as_node(candidate: object, *, where: str = "") -> Node:
     """Return a flow node as it is, anything callable as a Block."""
-    if isinstance(candidate, (Block, Zip, Chain, Loop, Every, When, Switch, Deferred)):
+    if isinstance(candidate, Node):
         return candidate
     return as_block(candidate, where=where)
 
@@ -232,7 +233,12 @@ def children_of(node: Node) -> tuple[Node, ...]:
 
 
 def with_children(node: Node, children: Sequence[Node]) -> Node:
-    """Return a node of the same kind and options with other children, in `children_of` order."""
+    """Return a node of the same kind and options with other children, in `children_of` order.
+
+    Where they are the same objects the node itself is returned.
+    """
+    if children_of(node) == tuple(children):
+        return node
     new: Node = copy(node)
     if isinstance(new, (Zip, Chain)):
         new.children = tuple(children)
@@ -249,6 +255,15 @@ def with_children(node: Node, children: Sequence[Node]) -> Node:
     return new
 
 
+def chooser_of(node: Node) -> Block | None:
+    """Return the predicate or selector that says which way a node goes, if it has one."""
+    if isinstance(node, When):
+        return node.predicate
+    if isinstance(node, Loop):
+        return node.until
+    return node.selector if isinstance(node, Switch) else None
+
+
 def _predicate(node: Node) -> Block:
     assert isinstance(node, Block)
     return node
@@ -259,9 +274,3 @@ def blocks_of(node: Node) -> list[Block]:
     if isinstance(node, Block):
         return [node]
     return list(dict.fromkeys(block for child in children_of(node) for block in blocks_of(child)))
-
-
-def _nodes(kind: str, children: tuple[object, ...], where: str) -> tuple[Node, ...]:
-    if not children:
-        raise WorkflowError(f"{kind}: no blocks; give at least one", where or None)
-    return tuple(as_node(child, where=where) for child in children)

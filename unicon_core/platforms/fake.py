@@ -18,7 +18,6 @@ from unicon_core.platforms.kit.start import start_of
 from unicon_core.platforms.platform import SIMULATED, Facts
 from unicon_core.robots import Robot
 from unicon_core.states import States
-from unicon_core.states.standard import COMMAND_STATES
 
 __all__ = ["FakePlatform", "FakeRobot", "make", "make_robot"]
 
@@ -77,9 +76,7 @@ class FakePlatform:
         self._initial = start_of(robot, scene).joint_pos if by_model else scene.joint_pos(robot)
         self._lower = np.nan_to_num(robot.lower, nan=-np.inf)
         self._upper = np.nan_to_num(robot.upper, nan=np.inf)
-        self._command = Command(
-            {name: states[name] for name in COMMAND_STATES}, robot.joint_names, dtype=np.float32
-        )
+        self._command = Command(states, robot.joint_names, dtype=np.float32)
         self._servo = Servo(self._command.rows, robot.effort_limit)
         shape = states["joint_pos_target"].shape
         self._pos, self._vel = (np.zeros(shape, np.float32) for _ in range(2))

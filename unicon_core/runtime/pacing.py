@@ -63,31 +63,15 @@ class Pacing:
         for key, choices in (("trigger", ("deadline", "state")), ("overrun", ("skip", "catch_up"))):
             if values.get(key, choices[0]) not in choices:
                 raise UniconError(f"pacing: {key} {values[key]!r}; give {' or '.join(choices)}")
-        for key in ("spin_us", "dry_run_us"):
-            value = values.get(key, 0.0)
-            if isinstance(value, bool) or not isinstance(value, (int, float)) or value < 0:
-                raise UniconError(f"pacing: {key} is {value!r}; give a number of µs >= 0")
-        hang = values.get("hang")
-        if hang is not None and (
-            isinstance(hang, bool)
-            or not isinstance(hang, (int, float))
-            or not SHORTEST_HANG <= hang <= LONGEST_HANG
-        ):
-            raise UniconError(
-                f"pacing: hang is {hang!r}; give [s] from {SHORTEST_HANG:g} to {LONGEST_HANG:g}"
-            )
-        for key, lowest, highest, what in (
-            ("priority", 1, 99, "a SCHED_FIFO priority from 1 to 99"),
-            ("cpu", 0, 1 << 16, "the number of a core"),
-        ):
-            value = values.get(key)
-            whole = isinstance(value, int) and not isinstance(value, bool)
-            if value is not None and not (whole and lowest <= value <= highest):
-                raise UniconError(f"pacing: {key} is {value!r}; give {what}")
-        if not isinstance(values.get("lock_memory", False), bool):
-            raise UniconError(
-                f"pacing: lock_memory is {values['lock_memory']!r}; give true or false"
-            )
+        for key, (kind, lowest, highest, wanted) in _RANGES.items():
+            default = known[key].default
+            value = values.get(key, default)
+            number = isinstance(value, (int, kind)) and not isinstance(value, bool)
+            if value is not default and not (number and lowest <= value <= highest):
+                raise UniconError(f"pacing: {key} is {value!r}; give {wanted}")
+        locked = values.get("lock_memory", False)
+        if not isinstance(locked, bool):
+            raise UniconError(f"pacing: lock_memory is {locked!r}; give true or false")
         return cls(**values)
 
     def hang_ns(self, period_ns: int, simulated: bool) -> int:
@@ -106,6 +90,15 @@ older than a quarter of a second no longer does what the policy thinks."""
 
 SHORTEST_HANG, LONGEST_HANG = 0.01, 60.0
 """Bounds of `hang` in [s]; the upper one is for a debugger."""
+
+_RANGES: dict[str, tuple[type, float, float, str]] = {
+    "spin_us": (float, 0.0, sys.float_info.max, "a number of µs >= 0"),
+    "dry_run_us": (float, 0.0, sys.float_info.max, "a number of µs >= 0"),
+    "hang": (float, SHORTEST_HANG, LONGEST_HANG, f"[s] from {SHORTEST_HANG:g} to {LONGEST_HANG:g}"),
+    "priority": (int, 1, 99, "a SCHED_FIFO priority from 1 to 99"),
+    "cpu": (int, 0, 1 << 16, "the number of a core"),
+}
+"""Type, lowest, highest and what to give."""
 
 
 class WallClock:

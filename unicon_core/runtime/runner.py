@@ -372,21 +372,18 @@ def run(program: Program, *attached: Attached, force: Sequence[str] = (), **opti
 
 def _refuse_pace(program: Program, options: RunOptions) -> None:
     platform, pacing = program.platform, program.pacing
+    wrong = ""
     if pacing.trigger == "state" and not isinstance(platform, WaitsForData):
-        raise PlatformError(
-            f"platform {platform.facts.name!r} cannot tell when its data arrive; "
-            "set pacing.trigger: deadline"
+        wrong = "cannot tell when its data arrive; set pacing.trigger: deadline"
+    elif options.speed == "max" and not platform.facts.simulated:
+        wrong = "is a robot, which takes its time; leave out speed max, or use a simulator"
+    elif pacing.overrun == "catch_up" and not platform.facts.simulated:
+        wrong = (
+            "is a robot, to which catch_up would send old commands in one go; set pacing.overrun: "
+            "skip"
         )
-    if options.speed == "max" and not platform.facts.simulated:
-        raise PlatformError(
-            f"platform {platform.facts.name!r} is a robot, which takes its time; "
-            "leave out speed max, or use a simulator"
-        )
-    if pacing.overrun == "catch_up" and not platform.facts.simulated:
-        raise PlatformError(
-            f"platform {platform.facts.name!r} is a robot, to which catch_up would send old "
-            "commands in one go; set pacing.overrun: skip"
-        )
+    if wrong:
+        raise PlatformError(f"platform {platform.facts.name!r} {wrong}")
 
 
 def _reason(error: BaseException) -> str:

@@ -51,7 +51,6 @@ class TickStatistics:
         self.rows = np.zeros((capacity, 4 + len(names)), dtype=np.int64)
         self.count = 0
         self.overruns = 0
-        self.late_ns = 0
 
     def add(self, due_ns: int, end_ns: int, stamps: NDArray[np.int64]) -> None:
         """Keep one tick: when it was due, when it ended, and its time stamps."""
@@ -130,10 +129,6 @@ class TickStatistics:
                     np.maximum(last, ends[:, i], out=last)
         return starts, ends
 
-    def names_after_send(self, label: str) -> bool:
-        """Return True where the block of a label runs after `send`."""
-        return self.labels.index(label) in self.deferred
-
     def table(self, period_us: float) -> str:
         """Return block × p50/p99/max and share of the period, as text."""
         width = max((len(label) for label in self.labels), default=5)
@@ -144,7 +139,8 @@ class TickStatistics:
         lines.append(f"{'tick':<{width}}  {_row(self.tick_us(), period_us)}")
         if self.overruns:
             for label, count in self.overrun_blocks(period_us).items():
-                slack = "its slack in" if self.names_after_send(label) else "the period in"
+                after_send = self.labels.index(label) in self.deferred
+                slack = "its slack in" if after_send else "the period in"
                 lines.append(f"{label} overran {slack} {count} of {self.count} ticks")
         return "\n".join(lines)
 
@@ -160,18 +156,17 @@ class TickStatistics:
             {"ph": "M", "pid": 1, "tid": 1, "name": "process_name", "args": {"name": process}},
             {"ph": "M", "pid": 1, "tid": 1, "name": "thread_name", "args": {"name": "tick"}},
         ]
-        for tick, row in enumerate(rows):
-            span = {"ph": "X", "pid": 1, "tid": 1}
-            begin = (int(row[2]) - origin) * 1e-3
+
+        def span(name: str, start: int, end: int, **further: Any) -> dict[str, Any]:
+            times = {"ts": (start - origin) * 1e-3, "dur": (end - start) * 1e-3}
+            return {"ph": "X", "pid": 1, "tid": 1, "name": name, **times, **further}
+
+        for tick, (due, end, begin) in enumerate(rows[:, :3].tolist()):
             number = self.count - len(rows) + tick
-            length = (int(row[1]) - int(row[2])) * 1e-3
-            late = (int(row[2]) - int(row[0])) * 1e-3
-            args = {"number": number, "late_us": round(late, 3)}
-            events.append({**span, "name": "tick", "ts": begin, "dur": length, "args": args})
+            late = round((begin - due) * 1e-3, 3)
+            events.append(span("tick", begin, end, args={"number": number, "late_us": late}))
             for i, name in enumerate(self.names):
                 if ends[tick, i]:
-                    begin = (int(starts[tick, i]) - origin) * 1e-3
-                    length = (int(ends[tick, i]) - int(starts[tick, i])) * 1e-3
-                    events.append({**span, "name": name, "ts": begin, "dur": length})
+                    events.append(span(name, int(starts[tick, i]), int(ends[tick, i])))
         text = json.dumps({"traceEvents": events, "displayTimeUnit": "ns"})
         Path(path).write_text(text, encoding="utf-8")

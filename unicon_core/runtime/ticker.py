@@ -231,9 +231,7 @@ class Ticker:
             platform.recv()
             if len(times) == 4 and min(np.diff(times)) > 0.6 * period:
                 break
-        if len(times) < 2:
-            return None
-        return Arrivals(times)
+        return Arrivals(times) if len(times) >= 2 else None
 
     def _warm_up(self, clock: WallClock) -> WarmUp:
         able = any(block.warm_up is not None for block in self.graph.blocks)

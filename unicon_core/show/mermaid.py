@@ -24,7 +24,9 @@ def show_mermaid(root: Node, states: States, critical: Collection[Block] = ()) -
     for (source, reader), names in data_flow(root).items():
         known = [name for name in names if name in states]
         if known:
-            link = f"{chart.places[source]} -. {_quoted(shortened(known, 3))} .-> "
+            # A thick line crosses the border between two parts.
+            start, end = ("-.", ".->") if source.part == reader.part else ("==", "==>")
+            link = f"{chart.places[source]} {start} {_quoted(shortened(known, 3))} {end} "
             chart.lines.append(link + chart.places[reader])
     marked = [chart.places[block] for block in chart.places if is_critical(block, critical)]
     style = ["classDef critical stroke:#c2410c,stroke-width:3px;"]

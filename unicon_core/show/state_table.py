@@ -9,9 +9,14 @@ from unicon_core.flow import Node, blocks_of
 from unicon_core.show.tree import shortened
 from unicon_core.states import States
 
-__all__ = ["HEAD", "StateRow", "state_rows", "state_table"]
+__all__ = ["HEAD", "StateRow", "shape_text", "state_rows", "state_table"]
 
 HEAD = ("state", "shape", "dtype", "unit", "frame", "writer", "readers", "description")
+
+
+def shape_text(shape: tuple[int, ...]) -> str:
+    """Return a shape as tables show it, such as `4×12`."""
+    return "×".join(map(str, shape)) or "scalar"
 
 
 @dataclass(frozen=True)
@@ -30,11 +35,10 @@ class StateRow:
 
     def cells(self) -> tuple[str, ...]:
         """Return the row as texts, in the order of HEAD."""
-        shape = "×".join(map(str, self.shape)) or "scalar"
         writers = [*self.writers, *(f"{name} (amends)" for name in self.amenders)]
         return (
             self.name,
-            shape,
+            shape_text(self.shape),
             self.dtype,
             self.unit or "-",
             self.frame or "-",

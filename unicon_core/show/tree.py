@@ -25,7 +25,7 @@ LEGEND = "critical path: the command of this tick depends on it"
 def title(node: Node) -> str:
     """Return the word for a node, with what stands in its own line: predicates, numbers."""
     if isinstance(node, Block):
-        return node.name
+        return f"{node.name} (on {node.part})" if node.part else node.name
     if isinstance(node, Zip):
         return "zip"
     if isinstance(node, Chain):

@@ -3,8 +3,8 @@
     store: shm                                  # processes of one machine
     store: {zmq: tcp://192.168.123.18:5600}     # machines; the first part binds the address
 
-Blocks know nothing of it: a `Publisher` sends groups of local states at its place in the tick, and an
-`Incoming` brings another part's states into local ones at the tick's beginning.
+Blocks know nothing of it: a `Publisher` sends groups of local states at its place in the tick, and
+an `Incoming` brings another part's states into local ones at the tick's beginning.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from typing import Any, Literal
 
 import numpy as np
 
-from unicon_core.errors import Fault, StateError, UniconError
+from unicon_core.errors import Fault, StateError
 from unicon_core.states.backends import Reader, Writer
 from unicon_core.states.groups import Groups
 from unicon_core.states.states import States
 
 __all__ = ["Incoming", "Publisher", "Silent", "Store", "open_reader", "open_writers"]
 
-AGAIN_NS = 50_000_000
-"""How often a part that is not there is looked for, in [ns]."""
+AGAIN_NS, REFUSED_NS = 50_000_000, 1_000_000_000
+"""How often a part that is not there is looked for, and one that does not fit, in [ns]."""
 
 
 @dataclass(frozen=True)
@@ -99,8 +99,8 @@ def open_writers(store: Store, part: str, groups: Groups, states: States) -> dic
 
 def open_reader(
     store: Store, part: str, here: str, groups: Groups, name: str, states: States, late: float
-) -> Reader:
-    """Return what takes one group of another part.
+) -> Reader | None:
+    """Return what takes one group of another part, None while nobody publishes it.
 
     Args:
         store: how states travel.
@@ -112,11 +112,13 @@ def open_reader(
         late: values on the way for that much longer than others are refused, [s].
 
     Raises:
-        StateError: nobody publishes it, or its states are others than here.
+        StateError: its states are others than here.
     """
     if store.backend == "shm":
-        from unicon_core.states.backends.shm import ShmReader
+        from unicon_core.states.backends.shm import ShmReader, segment_path
 
+        if not segment_path(store.segment(part)).exists():  # asked in a tick: in microseconds
+            return None
         return ShmReader(store.segment(part), name, states, groups[name])
     from unicon_core.states.backends.zmq import ZmqReader
 
@@ -154,10 +156,15 @@ class Incoming:
     Args:
         part: which publishes.
         groups: those of its groups that are wanted.
-        open_reader: opens one of them by name; raises a StateError while nobody publishes it.
+        open_reader: opens one of them by name; None while nobody publishes it.
         states: of this part.
         silent: what to do when it is silent.
         tell: takes one line when it falls silent and when it is heard again.
+
+    Attributes:
+        heard: it is, just now; None before the first look.
+        refused: why what is there is not taken, or "".
+        quiet: tells nothing: somebody waits for it.
     """
 
     endless = True
@@ -166,7 +173,7 @@ class Incoming:
         self,
         part: str,
         groups: Groups,
-        open_reader: Callable[[str], Reader],
+        open_reader: Callable[[str], Reader | None],
         states: States,
         silent: Silent,
         tell: Callable[[str], None],
@@ -178,9 +185,10 @@ class Incoming:
         self._open, self._tell = open_reader, tell
         self._readers: dict[str, Reader | None] = dict.fromkeys(groups)
         self._after_ns = round(silent.after * 1e9)
-        self._tried_ns = {name: -AGAIN_NS for name in groups}
-        self._told = ""
+        self._tried_ns = dict.fromkeys(groups, -REFUSED_NS)
+        self.refused = ""
         self.heard: bool | None = None
+        self.quiet = False
         self._ever, self._neutral_always = False, silent.then != "hold"
         self._neutral = [
             (states[name], neutral_value(states, name, silent.values)) for name in self.writes
@@ -199,14 +207,15 @@ class Incoming:
                 reader = self._find(name, now)
             if reader is None:
                 fresh = False
-            elif not reader.take():
+                continue
+            if not reader.take():
                 # As if it had been written in this tick: who amends it finds it as it came.
                 reader.restore()
-                if now - reader.stamp_ns > self._after_ns:
-                    fresh = False
-                    if now - self._tried_ns[name] > AGAIN_NS:
-                        self._tried_ns[name] = now
-                        self._follow(reader)
+            if now - reader.stamp_ns > self._after_ns:  # the newest may be old
+                fresh = False
+                if now - self._tried_ns[name] > AGAIN_NS:
+                    self._tried_ns[name] = now
+                    self._follow(reader)
         if fresh is not self.heard:
             self._turn(fresh)
         if not fresh and (self._neutral_always or not self._ever):
@@ -214,7 +223,7 @@ class Incoming:
                 view[...] = value
 
     def _find(self, name: str, now: int) -> Reader | None:
-        if now - self._tried_ns[name] < AGAIN_NS:
+        if now - self._tried_ns[name] < (REFUSED_NS if self.refused else AGAIN_NS):
             return None
         self._tried_ns[name] = now
         try:
@@ -222,7 +231,7 @@ class Incoming:
         except StateError as error:
             self._refuse(error)
             return None
-        return reader if reader.take() else None
+        return reader if reader is not None and reader.take() else None
 
     def _follow(self, reader: Reader) -> None:
         """Take a new writer up where the old one has died; tell of one that does not fit."""
@@ -231,25 +240,25 @@ class Incoming:
         except StateError as error:
             self._refuse(error)
 
-    def _refuse(self, error: UniconError) -> None:
-        text = str(error)
-        if "no segment" not in text and text != self._told:
-            self._told = text
-            self._tell(f"part {self.part!r} is not heard: {text}")
+    def _refuse(self, error: StateError) -> None:
+        if not self.refused:  # told once, until it is heard again
+            self.refused = str(error)
+            self._tell(f"part {self.part!r} is not heard: {self.refused}")
 
     def _turn(self, fresh: bool) -> None:
         before, self.heard = self.heard, fresh
         self._ever = self._ever or fresh
         if fresh:
-            if before is False:
+            self.refused = ""
+            if before is False and not self.quiet:
                 self._tell(f"part {self.part!r} is heard")
             return
         after = f"{self.silent.after:g} s"
-        if before is None:
+        if before is None and not self.quiet:
             self._tell(f"part {self.part!r} is not heard yet: its states are neutral")
-        elif self.silent.then == "fault":
+        elif before and self.silent.then == "fault":
             raise Fault(f"part {self.part!r} has been silent for {after}")
-        else:
+        elif before:
             now = "are neutral" if self._neutral_always else "stay as they were"
             self._tell(f"part {self.part!r} has been silent for {after}: its states {now}")
 

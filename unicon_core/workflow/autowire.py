@@ -9,20 +9,20 @@ YAML file.
 from __future__ import annotations
 
 import inspect
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, get_args, get_origin, get_type_hints
+from typing import Any, get_type_hints
 
 from unicon_core.errors import StateError, UniconError, WorkflowError, alternatives
-from unicon_core.flow.block import Access, Block, Bundle, as_block
+from unicon_core.flow.block import Block, Bundle, as_block
 from unicon_core.platforms.platform import Platform
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.workflow.option_types import wrong_option
-from unicon_core.workflow.registry import Factory
+from unicon_core.workflow.registry import Factory, states_in
 
-__all__ = ["BuildContext", "autowire", "option_names", "state_names"]
+__all__ = ["BuildContext", "autowire", "option_names", "refuse_options", "state_names"]
 
 
 @dataclass
@@ -36,6 +36,8 @@ class BuildContext:
         policies: name to loaded contract.
         relative_to: folder of the workflow file, for relative paths; None if there is none.
         platform: of the workflow, once it is built.
+
+    A parameter `context` gets all of it, one of the names in `PARTS` that attribute.
     """
 
     states: States
@@ -45,15 +47,9 @@ class BuildContext:
     relative_to: Path | None = None
     platform: Platform | None = None
 
-    def special(self) -> dict[str, Any]:
-        """Return the parameter names that mean parts of the context."""
-        return {
-            "states": self.states,
-            "robot": self.robot,
-            "period": self.period,
-            "relative_to": self.relative_to,
-            "context": self,
-        }
+
+PARTS = ("states", "robot", "period", "relative_to")
+"""Parts of the context that a parameter of that name gets."""
 
 
 def autowire(
@@ -78,59 +74,73 @@ def autowire(
         WorkflowError: an unknown or missing option, or a state that does not exist.
     """
     rename = rename or {}
+
+    def wrong(text: str, *_: str) -> WorkflowError:
+        return WorkflowError(f"block {name!r}{text}", where)
+
     used: dict[str, list[str]] = {"reads": [], "writes": [], "amends": []}
-    arguments = _states_of(factory, name, context, rename, where, used)
+    arguments = _states_of(factory, context, rename, wrong, used)
     named = state_names(factory)
     for parameter in rename:
         if parameter not in named:
-            raise WorkflowError(
-                f"block {name!r} has no state parameter {parameter!r}; "
-                f"{alternatives(parameter, named)}",
-                where,
-            )
-    parameters = inspect.signature(factory).parameters
-    special = context.special()
+            known = alternatives(parameter, named)
+            raise wrong(f" has no state parameter {parameter!r}; {known}")
+    refuse_options(factory, options, wrong)
+    arguments |= options
     free = option_names(factory)
-    open_ended = any(p.kind is p.VAR_KEYWORD for p in parameters.values())
-    for option, value in options.items():
-        if option not in free and not open_ended:
-            raise WorkflowError(
-                f"block {name!r} has no option {option!r}; {alternatives(option, free)}", where
-            )
-        arguments[option] = value
-    wrong = wrong_option(factory, options)
-    if wrong:
-        raise WorkflowError(f"block {name!r}: {wrong}", where)
-    for parameter, declared in parameters.items():
+    for parameter, declared in inspect.signature(factory).parameters.items():
         if parameter in arguments:
             continue
-        if parameter in special:
-            arguments[parameter] = special[parameter]
+        if parameter in PARTS:
+            arguments[parameter] = getattr(context, parameter)
+        elif parameter == "context":
+            arguments[parameter] = context
         elif declared.default is declared.empty and parameter in free:
-            raise WorkflowError(
-                f"block {name!r} needs the option {parameter!r}; give it as {parameter}: VALUE",
-                where,
-            )
+            raise wrong(f" needs the option {parameter!r}; give it as {parameter}: VALUE")
     try:
         built = factory(**arguments)
     except (StateError, WorkflowError) as error:
-        raise WorkflowError(f"block {name!r}: {error}", where) from error
+        raise wrong(f": {error}") from error
     except UniconError:
         raise
     except (TypeError, ValueError) as error:
-        raise WorkflowError(f"block {name!r}: {error}; correct its options", where) from error
+        raise wrong(f": {error}; correct its options") from error
     block = as_block(built, name=name, where=where)
-    block.reads = tuple(dict.fromkeys([*used["reads"], *block.reads]))
-    block.writes = tuple(dict.fromkeys([*used["writes"], *block.writes]))
-    block.amends = tuple(dict.fromkeys([*used["amends"], *block.amends]))
+    for mode, labels in used.items():
+        setattr(block, mode, tuple(dict.fromkeys([*labels, *getattr(block, mode)])))
     block.stage = block.stage or getattr(factory, "stage", None)
     return block
+
+
+def refuse_options(
+    factory: Factory, options: Mapping[str, Any], wrong: Callable[..., WorkflowError]
+) -> None:
+    """Refuse options that a factory does not have, or not with such a value.
+
+    Args:
+        factory: of a block or a platform.
+        options: of the workflow.
+        wrong: makes the error of what follows the block's or platform's name, and of the option
+            that is not there.
+
+    Raises:
+        WorkflowError: made by `wrong`.
+    """
+    free = option_names(factory)
+    parameters = inspect.signature(factory).parameters.values()
+    if not any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters):
+        for option in options:
+            if option not in free:
+                raise wrong(f" has no option {option!r}; {alternatives(option, free)}", option)
+    mistyped = wrong_option(factory, options)
+    if mistyped:
+        raise wrong(f": {mistyped}")
 
 
 def option_names(factory: Factory) -> list[str]:
     """Return the names of a factory's options, without states and context."""
     access, bundles = _annotated(factory)
-    taken = {*access, *bundles, *_SPECIAL}
+    taken = {*access, *bundles, *PARTS, "context", "scene"}
     return sorted(
         name
         for name, parameter in inspect.signature(factory).parameters.items()
@@ -147,15 +157,11 @@ def state_names(factory: Factory) -> dict[str, str]:
     return access
 
 
-_SPECIAL = ("states", "robot", "period", "relative_to", "context", "scene")
-
-
 def _states_of(
     factory: Factory,
-    name: str,
     context: BuildContext,
     rename: Mapping[str, str],
-    where: str,
+    wrong: Callable[..., WorkflowError],
     used: Mapping[str, list[str]],
 ) -> dict[str, Any]:
     """Return the arguments that are states or bundles of them; add the labels to `used`."""
@@ -164,10 +170,9 @@ def _states_of(
     for parameter, mode in access.items():
         label = rename.get(parameter, parameter)
         if label not in context.states:
-            raise WorkflowError(
-                f"block {name!r}: no state {label!r}; {alternatives(label, context.states)}; "
-                f"declare it under 'states:' or map it with 'states: {{{parameter}: LABEL}}'",
-                where,
+            raise wrong(
+                f": no state {label!r}; {alternatives(label, context.states)}; "
+                f"declare it under 'states:' or map it with 'states: {{{parameter}: LABEL}}'"
             )
         view = context.states[label]
         if mode == "reads":
@@ -178,28 +183,15 @@ def _states_of(
     for parameter, bundle in bundles.items():
         others = option_names(bundle)
         if others:
-            raise WorkflowError(
-                f"block {name!r}: {bundle.__name__}.{others[0]} is no state; annotate it Reads, "
-                "Writes or Amends, or make it a parameter of the block",
-                where,
+            raise wrong(
+                f": {bundle.__name__}.{others[0]} is no state; annotate it Reads, "
+                "Writes or Amends, or make it a parameter of the block"
             )
-        arguments[parameter] = bundle(**_states_of(bundle, name, context, rename, where, used))
+        arguments[parameter] = bundle(**_states_of(bundle, context, rename, wrong, used))
     return arguments
 
 
 def _annotated(factory: Factory) -> tuple[dict[str, str], dict[str, type[Bundle]]]:
-    """Return the parameters that are states, with their mode, and those that are bundles."""
     target = factory.__init__ if inspect.isclass(factory) else factory
     hints = get_type_hints(target, include_extras=True)
-    access: dict[str, str] = {}
-    bundles: dict[str, type[Bundle]] = {}
-    for name in inspect.signature(factory).parameters:
-        hint = hints.get(name)
-        origin = get_origin(hint)
-        if origin is None and inspect.isclass(hint) and issubclass(hint, Bundle):
-            bundles[name] = hint
-        if origin is Annotated:
-            for mark in get_args(hint)[1:]:
-                if isinstance(mark, Access):
-                    access[name] = mark.mode
-    return access, bundles
+    return states_in({name: hints.get(name) for name in inspect.signature(factory).parameters})

@@ -5,22 +5,13 @@ from __future__ import annotations
 import inspect
 import os
 from collections.abc import Iterable, Mapping, Sequence
+from copy import copy
 from typing import TYPE_CHECKING, Any
 
 from unicon_core.blocks.stops import Finite
 from unicon_core.errors import RobotError, UniconError, WorkflowError, alternatives
-from unicon_core.flow import (
-    Blender,
-    Block,
-    Every,
-    Loop,
-    Node,
-    Switch,
-    When,
-    blocks_of,
-    children_of,
-)
-from unicon_core.flow.nodes import with_children
+from unicon_core.flow import Blender, Block, Every, Node, Switch, blocks_of, children_of
+from unicon_core.flow.nodes import chooser_of, with_children
 from unicon_core.flow.stage import Stage
 from unicon_core.policies.action_map import lacking_joints
 from unicon_core.policies.controller import controller_contract
@@ -87,12 +78,15 @@ class Builder:
             WorkflowError: a block cannot be built; with its place.
         """
         if isinstance(node, Use):
-            return self._block(node)
+            made = self._block(node)
+            for each in blocks_of(made):
+                each.part = node.part
+            return made
         if isinstance(node, Block):
             if node not in self._program.blocks:
                 self._program.blocks.append(node)
             return node
-        chooser = _chooser(node)
+        chooser = chooser_of(node)
         children = []
         for child in children_of(node):
             new = self.built(child)
@@ -102,7 +96,7 @@ class Builder:
                     child.where or None,
                 )
             children.append(new)
-        made = with_children(node, children)
+        made = with_children(copy(node), children)  # a node of its own for each place
         if isinstance(made, Switch) and isinstance(made.blend, float):
             states = self._program.states
             made.blender = Blender({name: states[name] for name in COMMAND_STATES})
@@ -143,15 +137,6 @@ class Builder:
                 block.where,
             )
         return Every(n, block, where=block.where) if n > 1 else block
-
-
-def _chooser(node: Node) -> Block | None:
-    """Return the block that says which way a node goes."""
-    if isinstance(node, When):
-        return node.predicate
-    if isinstance(node, Loop):
-        return node.until
-    return node.selector if isinstance(node, Switch) else None
 
 
 def finite_first(document: WorkflowDocument, safety: Sequence[Node]) -> None:

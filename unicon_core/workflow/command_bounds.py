@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import WorkflowError
-from unicon_core.flow import Block, Deferred, Loop, Node, Switch, When, Zip
-from unicon_core.flow.nodes import blocks_of, children_of, with_children
+from unicon_core.flow import Block, Deferred, Node, Zip
+from unicon_core.flow.nodes import blocks_of, children_of, chooser_of, with_children
 from unicon_core.policies.controller import ControllerContract
 from unicon_core.robots import Robot
 
@@ -203,24 +203,14 @@ def bounded_flow(flow: Node, make: Callable[[], Block]) -> Node:
         return Zip(flow, make(), where=flow.where) if gives else flow
     if isinstance(flow, Deferred):
         return flow
-    chooses = (
-        flow.predicate
-        if isinstance(flow, When)
-        else flow.until
-        if isinstance(flow, Loop)
-        else flow.selector
-        if isinstance(flow, Switch)
-        else None
-    )
+    chooses = chooser_of(flow)
     if chooses is not None and COMMAND in (*chooses.writes, *chooses.amends):
         raise WorkflowError(
             f"block {chooses.name!r} chooses what runs and writes {COMMAND!r} beside it; let a "
             "block of its own write it",
             chooses.where or None,
         )
-    old = children_of(flow)
-    new = tuple(bounded_flow(child, make) for child in old)
-    return with_children(flow, new) if any(a is not b for a, b in zip(old, new)) else flow
+    return with_children(flow, [bounded_flow(child, make) for child in children_of(flow)])
 
 
 def reads_command(nodes: list[Node]) -> bool:

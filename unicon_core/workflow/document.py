@@ -24,6 +24,8 @@ KEYS = {
     "description": "one line",
     "robot": "robot file: name or path",
     "platform": "platform's name: the one word that changes from simulation to the robot",
+    "store": "where else states go: local, shm, or {zmq: ADDRESS}",
+    "parts": "name to {publishes, silent}: the workflow runs in several processes",
     "scene": "how a simulation begins and what disturbs it, the same on every simulator",
     "platforms": "options by platform name",
     "rate": "ticks per second [Hz]; the policy's period unless given",
@@ -68,9 +70,7 @@ class WorkflowDocument:
     def where(self, *path: str | int) -> str:
         """Return `file:line` of a value."""
         dotted = ".".join(map(str, path))
-        if any(
-            dotted == set_path or dotted.startswith(set_path + ".") for set_path in self.overridden
-        ):
+        if any(f"{dotted}.".startswith(f"{set_path}.") for set_path in self.overridden):
             return f"--set {dotted}"
         return self.located.where(path)
 

@@ -31,7 +31,6 @@ LARGEST_NUMBER = 2**63
 
 _CALLS = ("abs", "min", "max", "any", "all")
 _ALLOWED = (
-    ast.Expression,
     ast.BoolOp,
     ast.And,
     ast.Or,

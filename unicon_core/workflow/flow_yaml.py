@@ -8,6 +8,7 @@
 
 A word is a block without options; a mapping with one key is a block with its options, or one of
 zip, chain, loop, every, when, switch, deferred. A value that is no mapping is the first option.
+`on: NAME` beside it gives a block to a part of a divided workflow.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from unicon_core.errors import WorkflowError, alternatives
 from unicon_core.flow import Block, Chain, Deferred, Every, Loop, Node, Switch, When, Zip, as_node
 from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.registry import known
-from unicon_core.workflow.uses import EXPRESSION, Use
+from unicon_core.workflow.uses import EXPRESSION, Use, on
 
 __all__ = ["FLOW_WORDS", "FlowReader"]
 
@@ -26,8 +27,6 @@ FLOW_WORDS = ("zip", "chain", "loop", "every", "when", "switch", "deferred")
 
 MAX_NODES = 1000
 """Blocks and flow words of one workflow: each takes time to build, and aliases can repeat it."""
-
-NODES = (Zip, Chain, Loop, Every, When, Switch, Deferred)
 
 Where: TypeAlias = tuple[str | int, ...]
 
@@ -56,8 +55,10 @@ class FlowReader:
             raise self._error(path, "a list stands alone; write chain: [...] or zip: [...]")
         if isinstance(value, str):
             return Use(value, where=self._document.where(*path))
-        if callable(value) or isinstance(value, NODES):
+        if callable(value) or isinstance(value, Node):
             return as_node(value, where=self._document.where(*path))
+        if isinstance(value, dict) and len(value) == 2 and "on" in value:
+            return self._on(value, path)
         if not isinstance(value, dict) or len(value) != 1:
             keys = ", ".join(map(str, value)) if isinstance(value, dict) else repr(value)
             raise self._error(
@@ -69,13 +70,20 @@ class FlowReader:
             if not isinstance(body, list) or not body:
                 raise self._error(path, f"{word}: needs a list of blocks")
             children = [self.node(item, (*path, i)) for i, item in enumerate(body)]
-            where = self._document.where(*path)
-            return Zip(*children, where=where) if word == "zip" else Chain(*children, where=where)
+            several = Zip if word == "zip" else Chain
+            return several(*children, where=self._document.where(*path))
         if word == "deferred":
             return Deferred(self.node(body, path), where=self._document.where(*path))
         if word in FLOW_WORDS:
             return self._control(word, body, path)
         return self._use(str(word), body, path)
+
+    def _on(self, value: dict[str, Any], path: Where) -> Node:
+        """Return the node beside `on: NAME`, all of whose blocks belong to that part."""
+        part = value["on"]
+        if not isinstance(part, str):
+            raise self._error((*path, "on"), f"on: {part!r} is not a part; write on: NAME")
+        return on(part, self.node({k: v for k, v in value.items() if k != "on"}, path))
 
     def _use(self, name: str, body: Any, path: Where) -> Use:
         where = self._document.where(*path)

@@ -25,7 +25,7 @@ class Gate:
 
     def __init__(self) -> None:
         self.until_ns = NEVER_NS
-        self.hung: Callable[[], str] = _late
+        self.hung: Callable[[], str] = lambda: "a command came too late and was not sent"
         self.closed = False
 
     def before(self, send: Callable[[], bool | None]) -> Callable[[], bool | None]:
@@ -46,7 +46,3 @@ class Gate:
     def close(self) -> None:
         """Let nothing pass any more."""
         self.closed = True
-
-
-def _late() -> str:
-    return "a command came too late and was not sent"

@@ -13,14 +13,15 @@ import numpy as np
 
 __all__ = ["wrong_option"]
 
-_WORDS: dict[Any, str] = {
-    bool: "true or false",
-    int: "a whole number",
-    float: "a number",
-    str: "a text",
-    Path: "a path",
-    type(None): "null",
+_PLAIN: dict[Any, tuple[tuple[type, ...], str]] = {
+    bool: ((bool,), "true or false"),
+    int: ((int,), "a whole number"),
+    float: ((int, float), "a number"),
+    str: ((str, Path), "a text"),
+    Path: ((str, Path), "a path"),
+    type(None): ((type(None),), "null"),
 }
+"""Annotation to the types that a value may have, and to what is asked for."""
 
 
 def wrong_option(factory: Callable[..., Any], options: Mapping[str, Any]) -> str | None:
@@ -55,22 +56,16 @@ def _fits(value: Any, hint: Any) -> bool:
         return any(_fits(value, each) for each in inner)
     if origin is Literal:
         return any(type(value) is type(each) for each in inner)
-    if hint is type(None) or hint is None:
-        return value is None
-    if hint is bool:
-        return isinstance(value, bool)
-    if hint is int:
-        return isinstance(value, int) and not isinstance(value, bool)
-    if hint is float:
-        number = isinstance(value, (int, float)) and not isinstance(value, bool)
-        return number and not math.isnan(value)
-    if hint in (str, Path):
-        return isinstance(value, (str, Path))
-    if origin is not None and isinstance(origin, type) and issubclass(origin, Mapping):
+    if hint in _PLAIN:
+        if isinstance(value, bool):
+            return hint is bool
+        nan = isinstance(value, float) and math.isnan(value)
+        return isinstance(value, _PLAIN[hint][0]) and not nan
+    if isinstance(origin, type) and issubclass(origin, Mapping):
         return isinstance(value, Mapping) and all(
             _fits(k, inner[0]) and _fits(v, inner[1]) for k, v in value.items()
         )
-    if origin is not None and isinstance(origin, type) and issubclass(origin, Sequence):
+    if isinstance(origin, type) and issubclass(origin, Sequence):
         listed = isinstance(value, Sequence) and not isinstance(value, str)
         return listed and all(_fits(each, inner[0]) for each in value)
     return True
@@ -86,7 +81,7 @@ def _wanted(hint: Any) -> str:
         return f"a mapping of {_wanted(inner[0])} to {_wanted(inner[1])}"
     if isinstance(origin, type) and issubclass(origin, Sequence):
         return f"a list, each {_wanted(inner[0])}"
-    return _WORDS.get(hint, "another value")
+    return _PLAIN[hint][1] if hint in _PLAIN else "another value"
 
 
 def _short(value: Any) -> str:

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from unicon_core.errors import MissingDependencyError, PlatformError, UniconError, alternatives
+from unicon_core.errors import (
+    MissingDependencyError,
+    PlatformError,
+    UniconError,
+    WorkflowError,
+    alternatives,
+)
 from unicon_core.platforms.child.platform import ChildPlatform
 from unicon_core.platforms.kit.disturbances import disturb
 from unicon_core.platforms.kit.scene import SCENE_KEYS
 from unicon_core.platforms.platform import SIMULATED, Binding, Facts, Platform
-from unicon_core.workflow.autowire import BuildContext, option_names
+from unicon_core.workflow.autowire import BuildContext, option_names, refuse_options
 from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.hardware import (
     UNDECLARED,
@@ -21,7 +26,6 @@ from unicon_core.workflow.hardware import (
     refuse_incomplete,
     refuse_protocol,
 )
-from unicon_core.workflow.option_types import wrong_option
 from unicon_core.workflow.platform_use import read_platform
 from unicon_core.workflow.registry import Factory, find_factory, known
 from unicon_core.workflow.scene import read_scene
@@ -138,30 +142,19 @@ def platform_options(document: WorkflowDocument, name: str, factory: Factory) ->
 
 def _checked_options(document: WorkflowDocument, name: str, factory: Factory) -> dict[str, Any]:
     options = document.get("platforms", dict, {}).get(name) or {}
+
+    def wrong(text: str, *path: str) -> WorkflowError:
+        return document.error(text, "platforms", name, *path)
+
     if not isinstance(options, dict):
-        raise document.error(
-            f"platforms.{name}: {options!r} is not a mapping of options", "platforms", name
-        )
+        raise wrong(f"platforms.{name}: {options!r} is not a mapping of options")
     free = option_names(factory)
-    parameters: Mapping[str, inspect.Parameter] = inspect.signature(factory).parameters
-    open_ended = any(each.kind is each.VAR_KEYWORD for each in parameters.values())
     for option in options:
         if option in SCENE_KEYS and option not in free:
-            raise document.error(
+            raise wrong(
                 f"platforms.{name}.{option} is meant for every simulator; write scene: "
                 f"{{{option}: …}}",
-                "platforms",
-                name,
                 option,
             )
-        if option not in free and not open_ended:
-            raise document.error(
-                f"platform {name!r} has no option {option!r}; {alternatives(option, free)}",
-                "platforms",
-                name,
-                option,
-            )
-    wrong = wrong_option(factory, options)
-    if wrong:
-        raise document.error(f"platform {name!r}: {wrong}", "platforms", name)
+    refuse_options(factory, options, lambda text, *path: wrong(f"platform {name!r}{text}", *path))
     return dict(options)

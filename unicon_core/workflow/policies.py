@@ -30,28 +30,7 @@ def load_policies(document: WorkflowDocument, robot: Robot) -> dict[str, PolicyC
     """
     contracts = {}
     for name, entry in document.get("policies", dict, {}).items():
-        values = {"path": entry} if isinstance(entry, str) else entry
-        if not isinstance(values, dict) or not isinstance(values.get("path"), str):
-            raise document.error(
-                f"policy {name!r}: needs a path, or a mapping {{path: …, given: …}}",
-                "policies",
-                name,
-            )
-        if not isinstance(values.get("given") or {}, dict):
-            raise document.error(
-                f"policy {name!r}: given is {values['given']!r}; write a mapping of facts",
-                "policies",
-                name,
-                "given",
-            )
-        for key in values:
-            if key not in ("path", "given"):
-                raise document.error(
-                    f"policy {name!r}: unknown key {key!r}; known: path, given",
-                    "policies",
-                    name,
-                    key,
-                )
+        values = _checked_entry(document, name, entry)
         beside = document.path.parent / values["path"]
         path: str | Path = values["path"]
         if "/" in values["path"] and os.path.exists(beside):
@@ -66,6 +45,23 @@ def load_policies(document: WorkflowDocument, robot: Robot) -> dict[str, PolicyC
             raise PolicyError(f"policy {name!r}: {lacking}")
         contracts[str(name)] = contract
     return contracts
+
+
+def _checked_entry(document: WorkflowDocument, name: str, entry: Any) -> dict[str, Any]:
+    """Return path and given of a policy."""
+
+    def wrong(what: str, *path: str) -> WorkflowError:
+        return document.error(f"policy {name!r}: {what}", "policies", name, *path)
+
+    values = {"path": entry} if isinstance(entry, str) else entry
+    if not isinstance(values, dict) or not isinstance(values.get("path"), str):
+        raise wrong("needs a path, or a mapping {path: …, given: …}")
+    if not isinstance(values.get("given") or {}, dict):
+        raise wrong(f"given is {values['given']!r}; write a mapping of facts", "given")
+    for key in values:
+        if key not in ("path", "given"):
+            raise wrong(f"unknown key {key!r}; known: path, given", key)
+    return values
 
 
 def used_policy(use: Use, policies: Mapping[str, Any]) -> str:

@@ -14,14 +14,18 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from unicon_core.errors import alternatives
 from unicon_core.flow import Block, Deferred, Node, Zip, as_block, blocks_of
 from unicon_core.flow.checks import check_graph, raise_first
 from unicon_core.flow.critical_path import critical_path
 from unicon_core.flow.fuse import fuse
 from unicon_core.flow.stage import Stage
+from unicon_core.platforms.part import PartPlatform
 from unicon_core.platforms.platform import RequiresStates, WarmsUp
 from unicon_core.signals import SIGNALS
 from unicon_core.states import Layout, States
+from unicon_core.states.groups import groups_of
+from unicon_core.states.links import Incoming
 from unicon_core.workflow.autowire import BuildContext
 from unicon_core.workflow.build import (
     Builder,
@@ -42,6 +46,7 @@ from unicon_core.workflow.command_bounds import (
 )
 from unicon_core.workflow.document import WorkflowDocument, document_of, load_document
 from unicon_core.workflow.gate import Gate
+from unicon_core.workflow.parts import divided, publishers, read_parts, read_store
 from unicon_core.workflow.platforms import build_platform
 from unicon_core.workflow.policies import controllers_reading, load_policies
 from unicon_core.workflow.settings import pacing_of
@@ -68,11 +73,16 @@ class Program:
         document: the workflow; without it the keywords describe one, with the keys of a workflow
             file. Flows are then trees of nodes, uses and plain functions.
         hooks: give further blocks.
+        part: of a divided workflow, which alone is built; "" for all of it.
         dry: open no hardware: its options are checked, and `fake` stands in its place.
 
     Attributes:
         document: what it was built from, for messages and the check.
         name: of the workflow.
+        dry: no hardware is open, and nothing is published.
+        part: of a divided workflow, "" for all of it.
+        parts: what the workflow says of its parts, or None.
+        store: where its states go besides, or None.
         robot: the robot file.
         policies: name to policy contract.
         period: of a tick in [s].
@@ -104,13 +114,14 @@ class Program:
         /,
         *,
         hooks: Iterable[Hook] = (),
+        part: str = "",
         dry: bool = False,
         **described: Any,
     ) -> None:
         if document is None:
             caller = sys._getframe(1)
             document = document_of(described, Path(caller.f_code.co_filename), caller.f_lineno)
-        self.document, self.name = document, document.name
+        self.document, self.name, self.dry = document, document.name, dry
         self.robot = load_robot_of(document)
         self.policies = load_policies(document, self.robot)
         self.period = period_of(document, self.policies)
@@ -122,6 +133,11 @@ class Program:
         uses = [b for b in mentioned if isinstance(b, Use) and b.word != EXPRESSION]
         specs = specs_of(document, self.robot, self.policies, uses)
         self.states = States(Layout(specs, document.get("num_robots", int)))
+        self.part, self.parts, self.store = part, read_parts(document), read_store(document)
+        if self.parts is not None:
+            self.parts.check(self.states.layout, document)
+        if part:
+            sections, ending = self._of_part(sections, ending)
         self.context = BuildContext(
             self.states, self.robot, self.period, self.policies, document.path.parent
         )
@@ -129,13 +145,20 @@ class Program:
         from unicon_core.runtime.report import Monitor
 
         self.monitor = Monitor(self.states)
-        self.platform = self.context.platform = build_platform(document, self.context, dry=dry)
+        self.warn: Callable[[str], None] = print
+        self._arrivals: list[Incoming] = []
+        if self.parts is not None and part:
+            self._arrivals = self.parts.incoming(part, self.states, self.tell, document)
         self.blocks: list[Block] = []
+        self.platform = self.context.platform = (
+            PartPlatform(part, self.parts.first, self._arrivals)
+            if self.parts is not None and not self.has_platform
+            else build_platform(document, self.context, dry=dry)
+        )
         self.stages: dict[Stage, list[Node]] = {stage: [] for stage in Stage}
         self.gate = Gate()
         self.gates: list[Callable[[], object]] = []
         self.command_bounds: tuple[CommandBound, ...] = ()
-        self.warn: Callable[[str], None] = print
         self.forced: tuple[str, ...] = ()
         self._closed = False
         try:
@@ -162,12 +185,17 @@ class Program:
                 self.blocks += blocks
                 stages[stage] += blocks
         self._bound_commands()
+        if self.has_platform:
+            heard = [as_block(arrival) for arrival in self._arrivals]
+            self.blocks += heard
+            stages[Stage.RECV] += heard
         recv = Block("recv", platform.recv, writes=platform.facts.writes)
         warm_up = platform.warm_up if isinstance(platform, WarmsUp) else None
         recv.warm_up = warm_ups.refresh(warm_up)
         send = Block("send", self.gate.before(platform.send), reads=platform.facts.reads)
         stages[Stage.RECV].insert(0, recv)
         stages[Stage.SEND].append(send)
+        self.blocks += self._published()
         looking = list(stages[Stage.OBSERVE])
         stages[Stage.OBSERVE].append(as_block(self.monitor))
         for stage, nodes in stages.items():
@@ -181,6 +209,36 @@ class Program:
         if isinstance(platform, RequiresStates):
             ordered = sorted(self.critical, key=lambda block: block.name)
             platform.require({state: b.name for b in ordered for state in (*b.reads, *b.amends)})
+
+    def _of_part(self, sections: Sections, ending: Node | None) -> tuple[Sections, Node | None]:
+        """Return what of each stage, and of the wind-down, belongs to the part that is built."""
+        parts = self.parts
+        if parts is None or self.part not in parts.parts:
+            known = alternatives(self.part, parts.parts if parts else ())
+            raise self.document.error(
+                f"no part {self.part!r}; {known}"
+                if parts
+                else f"part {self.part!r}: the workflow has no parts; leave out --part",
+                "parts",
+            )
+        own: Sections = {}
+        for stage, nodes in sections.items():
+            found = [divided(node, parts, self.part) for node in nodes]
+            own[stage] = [node for node in found if node is not None]
+        own[Stage.FLOW] = own[Stage.FLOW] or [as_block(_idle, name="idle")]
+        if self.part != parts.first:
+            own[Stage.SAFETY], ending = [], None
+        return own, ending
+
+    def _published(self) -> list[Block]:
+        """Put the publishers of this process into the stages, as its store and part say."""
+        states = self.states
+        if self.part and self.parts is not None:
+            groups = self.parts.groups(self.part, states.layout)
+            return publishers(self.parts.store, self.part, groups, states, self.stages)
+        if self.store is None or self.dry or self.parts is not None:
+            return []
+        return publishers(self.store, "", groups_of(states.layout), states, self.stages)
 
     def _graph(self, stages: Mapping[Stage, Sequence[Node]]) -> tuple[Node, frozenset[Block]]:
         """Return the checked tree of a tick and the blocks that the command depends on."""
@@ -209,6 +267,11 @@ class Program:
         stages[Stage.INPUT].append(bounds())
         for stage in (Stage.FLOW, *((Stage.COMMAND,) if early else ())):
             stages[stage] = [bounded_flow(node, bounds) for node in stages[stage]]
+
+    @property
+    def has_platform(self) -> bool:
+        """Whether the robot is here: false of a part whose states come from another one."""
+        return self.parts is None or self.part in ("", self.parts.first)
 
     # -- while it runs --------------------------------------------------------------------------
 
@@ -246,6 +309,10 @@ class Program:
         with suppress(Exception):
             self.close()
         return True
+
+
+def _idle() -> None:
+    """Do nothing: the flow of a part that has none."""
 
 
 def load_workflow(

@@ -30,26 +30,17 @@ __all__ = [
     "is_platform_factory",
     "known",
     "product_of",
+    "states_in",
 ]
 
 Factory: TypeAlias = Callable[..., Any]
-
-_BUILTIN = {
-    "blocks": ("unicon_core.blocks", "BUILTIN"),
-    "platforms": ("unicon_core.platforms", "BUILTIN"),
-}
 
 
 @lru_cache(maxsize=4)
 def known(kind: str) -> Mapping[str, str]:
     """Return name to `module:attribute` of a kind: `blocks` or `platforms`."""
-    targets: dict[str, str] = {}
-    if kind in _BUILTIN:
-        module, attribute = _BUILTIN[kind]
-        targets.update(getattr(import_module(module), attribute))
-    for name, entry in registered(kind).items():
-        targets.setdefault(name, entry.value)
-    return targets
+    ours: dict[str, str] = import_module(f"unicon_core.{kind}").BUILTIN
+    return {name: entry.value for name, entry in registered(kind).items()} | ours
 
 
 def find_factory(kind: str, name: str, error: type[UniconError]) -> Factory:
@@ -59,14 +50,10 @@ def find_factory(kind: str, name: str, error: type[UniconError]) -> Factory:
         error: no such name, or the target does not exist.
         MissingDependencyError: it needs a package that is not installed.
     """
-    targets = known(kind)
+    targets, what = known(kind), f"{kind.rstrip('s')} {name!r}"
     if name not in targets and ":" not in name:
-        singular = kind.rstrip("s")
-        raise error(
-            f"unknown {singular} {name!r}; {alternatives(name, targets)}; "
-            f"or give your own as module:function"
-        )
-    what = f"{kind.rstrip('s')} {name!r}"
+        names = alternatives(name, targets)
+        raise error(f"unknown {what}; {names}; or give your own as module:function")
     if name in targets:
         return import_target(targets[name], what, error)
     factory = import_target(name, what, error)
@@ -87,7 +74,7 @@ def is_block_factory(factory: Factory) -> bool:
         return True
     if inspect.isclass(made) and any(hasattr(made, name) for name in ("reads", "writes", "amends")):
         return True
-    return any(_is_state(hint) for hint in hints.values())
+    return any(states_in(hints))
 
 
 def is_platform_factory(factory: Factory) -> bool:
@@ -115,10 +102,22 @@ def _hints(factory: Factory) -> dict[str, Any]:
         return {}
 
 
-def _is_state(hint: Any) -> bool:
-    if get_origin(hint) is Annotated:
-        return any(isinstance(mark, Access) for mark in get_args(hint)[1:])
-    return inspect.isclass(hint) and issubclass(hint, Bundle)
+def states_in(hints: Mapping[str, Any]) -> tuple[dict[str, str], dict[str, type[Bundle]]]:
+    """Return the parameters that are states, with their mode, and those that are bundles.
+
+    Args:
+        hints: parameter to annotation.
+    """
+    access: dict[str, str] = {}
+    bundles: dict[str, type[Bundle]] = {}
+    for name, hint in hints.items():
+        origin = get_origin(hint)
+        if origin is None and inspect.isclass(hint) and issubclass(hint, Bundle):
+            bundles[name] = hint
+        for mark in get_args(hint)[1:] if origin is Annotated else ():
+            if isinstance(mark, Access):
+                access[name] = mark.mode
+    return access, bundles
 
 
 _FACTORIES: dict[str, Callable[[Factory], bool]] = {

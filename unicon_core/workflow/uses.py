@@ -13,9 +13,9 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from unicon_core.errors import WorkflowError
-from unicon_core.flow import Block
+from unicon_core.flow import Block, Node, as_node, blocks_of
 
-__all__ = ["EXPRESSION", "Use", "block", "elapsed", "policy", "pose"]
+__all__ = ["EXPRESSION", "Use", "block", "elapsed", "on", "policy", "pose"]
 
 EXPRESSION = "expression"
 """Word of a predicate over states that is given as a text."""
@@ -89,6 +89,14 @@ def policy(name: str | None = None) -> Use:
 def elapsed(seconds: float) -> Use:
     """Mention the predicate that holds after a time in [s]."""
     return _use("elapsed", seconds, {})
+
+
+def on(part: str, node: Node | Callable[[], object]) -> Node:
+    """Give a tree to a part of a divided workflow, where it does not belong to one already."""
+    made = as_node(node)
+    for each in blocks_of(made):
+        each.part = each.part or part
+    return made
 
 
 def _use(

@@ -17,6 +17,7 @@ from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import load_workflow
 from unicon_ros.bench.networks import random_policy
 from unicon_ros.bench.report import Bench
+from unicon_ros.bench.samples import Samples
 
 __all__ = ["run"]
 
@@ -43,7 +44,7 @@ def run(rounds: int | None = None) -> Bench:
     """
     rounds = rounds or 5
     bench = Bench("batch", seed=0, rounds=rounds)
-    times: dict[int, list[NDArray[np.float64]]] = {size: [] for size in SIZES}
+    times = Samples()
     with tempfile.TemporaryDirectory() as folder:
         random_policy(Path(folder) / "policy", load_robot("go2"))
         path = Path(folder) / "batch.yaml"
@@ -54,14 +55,12 @@ def run(rounds: int | None = None) -> Bench:
             runners[size] = Runner(program, RunOptions(speed="max"))
         for _ in range(rounds):
             for size, runner in runners.items():
-                times[size].append(_ticks(runner) / size)
+                times.add(f"per robot, N = {size}", _ticks(runner) / size)
         for runner in runners.values():
             runner.close()
-    for size, parts in times.items():
-        bench.case(f"per robot, N = {size}", np.concatenate(parts))
-    pairs = zip(times[64], times[1])
-    ratio = float(np.median([np.median(many) / np.median(one) for many, one in pairs]))
-    bench.ratio("batch64", ratio, 0.35)
+    for size in SIZES:
+        bench.case(f"per robot, N = {size}", times.of(f"per robot, N = {size}"))
+    bench.ratio("batch64", times.ratio("per robot, N = 64", "per robot, N = 1"), 0.35)
     return bench
 
 

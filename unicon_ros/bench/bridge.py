@@ -13,12 +13,12 @@ import os
 import time
 
 import numpy as np
-from numpy.typing import NDArray
 
 from unicon_ros import compat
-from unicon_ros.bench.bridge_topics import RECEIVED, Desk, Received, Step
+from unicon_ros.bench.bridge_topics import RECEIVED, Desk, Received
 from unicon_ros.bench.domains import free_domain
 from unicon_ros.bench.report import Bench
+from unicon_ros.bench.samples import Samples
 
 __all__ = ["run"]
 
@@ -75,12 +75,12 @@ def _measure(bench: Bench, desk: Desk, rounds: int) -> None:
     looks = {"empty poll: ours": desk.poller(), "empty poll: spin_once(0)": desk.spin}
     receive = desk.receivers(JOINTS)
     heard = desk.heard_senders(JOINTS)
-    times = _Times()
-    for round_ in range(rounds + 1):  # the first warms up
-        times.take(sends, SAMPLES, SENDS, keep=round_ > 0)
-        times.take(looks, SAMPLES, POLLS, keep=round_ > 0)
-        times.receive(receive, SAMPLES, RECEIVED, keep=round_ > 0)
-        times.receive(heard, SAMPLES, 1, keep=round_ > 0)
+    times = Samples()
+    for each in (Samples(), *[times] * rounds):  # the first warms up
+        each.take(sends, SAMPLES, SENDS)
+        each.take(looks, SAMPLES, POLLS)
+        _take_received(each, receive, RECEIVED)
+        _take_received(each, heard, 1)
     for name in (*sends, *looks, *receive):
         bench.case(name, times.of(name))
     ratio = times.ratio
@@ -92,57 +92,23 @@ def _measure(bench: Bench, desk: Desk, rounds: int) -> None:
     bench.ratio("send_growth", ratio(many, few), 1.15)
     bench.ratio("empty_poll", ratio("empty poll: ours", "empty poll: spin_once(0)"), 0.1)
     ours, plain = (float(np.median(times.of(name))) for name in heard)
-    bench.fact(
-        "send JointState to a reader in this process",
-        f"ours {ours:.1f} µs, new message {plain:.1f} µs, ratio {ratio(*heard):.2f}",
+    bench.facts["send JointState to a reader in this process"] = (
+        f"ours {ours:.1f} µs, new message {plain:.1f} µs, ratio {ratio(*heard):.2f}"
     )
     slower = ratio("receive JointState: ours", "receive JointState: typed, drained")
-    bench.fact("receive / typed take, drained as ours is", f"{slower:.2f}")
-    bench.fact("joints", JOINTS)
+    bench.facts["receive / typed take, drained as ours is"] = f"{slower:.2f}"
+    bench.facts["joints"] = JOINTS
 
 
-class _Times:
-    """Samples of each case in [µs], by rounds."""
-
-    def __init__(self) -> None:
-        self._rounds: dict[str, list[NDArray[np.float64]]] = {}
-
-    def take(self, cases: dict[str, Step], samples: int, repeats: int, *, keep: bool) -> None:
-        """Time steps in turns, so many calls in a sample."""
-        now, calls = time.perf_counter_ns, range(repeats)
-        times = {name: np.zeros(samples) for name in cases}
-        for i in range(samples):
-            for name, step in cases.items():
-                begin = now()
-                for _ in calls:
-                    step()
-                times[name][i] = (now() - begin) * 1e-3 / repeats
-        self._keep(times, keep)
-
-    def receive(
-        self, cases: dict[str, Received], samples: int, messages: int, *, keep: bool
-    ) -> None:
-        """Time steps that take so many messages, each after they arrived, in turns."""
-        now = time.perf_counter_ns
-        times = {name: np.zeros(samples) for name in cases}
-        for i in range(samples):
-            for name, case in cases.items():
-                case.arrive()
-                begin = now()
-                case.step()
-                times[name][i] = (now() - begin) * 1e-3 / messages
-        self._keep(times, keep)
-
-    def _keep(self, times: dict[str, NDArray[np.float64]], keep: bool) -> None:
-        for name, values in times.items():
-            if keep:
-                self._rounds.setdefault(name, []).append(values)
-
-    def of(self, name: str) -> NDArray[np.float64]:
-        """Return all samples of a case in [µs]."""
-        return np.concatenate(self._rounds[name])
-
-    def ratio(self, one: str, other: str) -> float:
-        """Return the median over the rounds of the ratio of their medians."""
-        pairs = zip(self._rounds[one], self._rounds[other])
-        return float(np.median([np.median(a) / np.median(b) for a, b in pairs]))
+def _take_received(times: Samples, cases: dict[str, Received], messages: int) -> None:
+    """Time one round of steps that take so many messages, each after they arrived, in turns."""
+    now = time.perf_counter_ns
+    taken = {name: np.zeros(SAMPLES) for name in cases}
+    for i in range(SAMPLES):
+        for name, case in cases.items():
+            case.arrive()
+            begin = now()
+            case.step()
+            taken[name][i] = (now() - begin) * 1e-3 / messages
+    for name, values in taken.items():
+        times.add(name, values)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -16,16 +17,15 @@ from unicon_core.resources import find_config
 from unicon_core.states import States, StateSpec
 from unicon_msgs_map import Decoder, Encoder, PublishSpec, SubscribeSpec, load_map
 from unicon_ros import compat
+from unicon_ros.bench.samples import Step
 from unicon_ros.bridge.topics_in import TopicIn
 from unicon_ros.bridge.topics_out import TopicOut
 
-__all__ = ["Desk", "Received", "Step", "arrays_of", "bench_states", "plain_sender", "variables_of"]
+__all__ = ["Desk", "Received", "arrays_of", "bench_states", "plain_sender", "variables_of"]
 
+JOINT_STATE = "sensor_msgs/msg/JointState"
 POLLED_JOINTS = 20
 WAIT = 5.0  # s for a reader and a writer of one process to find each other
-
-Step = Callable[[], object]
-
 
 RECEIVED = 10
 """Topics that are received from in a row: the first evicts what publishing left in the caches."""
@@ -45,13 +45,12 @@ class Desk:
     def __init__(self, node: Any, executor: Any) -> None:
         self._node, self._executor = node, executor
         self._group = compat.polled_group()
-        self._closers: list[Callable[[], object]] = []
+        self._opened = ExitStack()
         self._number = 0
 
     def close(self) -> None:
         """Take all topics down."""
-        for close in reversed(self._closers):
-            close()
+        self._opened.close()
 
     def spin(self) -> None:
         """Look for work as plain nodes do."""
@@ -60,23 +59,20 @@ class Desk:
     def senders(self, topic: str, joints: int) -> dict[str, Step]:
         """Return `ours` and `new message` of a topic of the default map."""
         states = bench_states(joints)
-        (spec,) = [s for s in load_map(find_config("maps", "default")).publish if s.topic == topic]
-        out = self._out(replace(spec, topic=self._name()), states, joints)
-        plain = plain_sender(spec.type, states, joints)
-        publisher = self._node.create_publisher(compat.message_class(spec.type), self._name(), 10)
-        self._closers.append(partial(self._node.destroy_publisher, publisher))
-        return {"ours": out.tick, "new message": lambda: publisher.publish(plain())}
+        spec = _published(topic)
+        return {
+            "ours": self._out(replace(spec, topic=self._name()), states, joints),
+            "new message": self._plain(spec.type, self._name(), states, joints),
+        }
 
     def receivers(self, joints: int) -> dict[str, Received]:
         """Return our and the typed way to receive joint states, from `RECEIVED` topics each."""
         states, source = bench_states(joints), bench_states(joints)
         spec = load_map(find_config("maps", "joint_state_in")).subscribe[0]
-
-        def ours(topic: str) -> Step:
-            return self._in(replace(spec, topic=topic, timeout=None), states, joints).poll
-
         ways: dict[str, Callable[[str], Step]] = {
-            "receive JointState: ours": ours,
+            "receive JointState: ours": lambda topic: self._in(
+                replace(spec, topic=topic, timeout=None), states, joints
+            ),
             "receive JointState: typed": partial(self._typed, states=states, drain=False),
             "receive JointState: typed, drained": partial(self._typed, states=states, drain=True),
         }
@@ -95,71 +91,67 @@ class Desk:
     def heard_senders(self, joints: int) -> dict[str, Received]:
         """Return our and the plain way to send to a reader of this process, emptied each time."""
         states = bench_states(joints)
-        (spec,) = [
-            s for s in load_map(find_config("maps", "default")).publish if s.topic == "joint_states"
-        ]
-        message = compat.message_class(spec.type)
+        spec = _published("joint_states")
+        ways: dict[str, Callable[[str], Step]] = {
+            "to a reader: ours": lambda topic: self._out(
+                replace(spec, topic=topic), states, joints
+            ),
+            "to a reader: new message": lambda topic: self._plain(spec.type, topic, states, joints),
+        }
         cases = {}
-        for name in ("to a reader: ours", "to a reader: new message"):
+        for name, way in ways.items():
             topic = self._name()
-            take = self._raw_reader(topic, message)
-            step: Step
-            if name.endswith("ours"):
-                step = self._out(replace(spec, topic=topic), states, joints).tick
-            else:
-                publisher = self._node.create_publisher(message, topic, 10)
-                self._closers.append(partial(self._node.destroy_publisher, publisher))
-                step = _publishing(publisher, plain_sender(spec.type, states, joints))
-            cases[name] = case = Received(_emptying(take), step)
+            take = self._raw_reader(topic, compat.message_class(spec.type))
+            cases[name] = case = Received(_emptying(take), way(topic))
             _until(partial(_passes, case, take))
         return cases
 
     def poller(self) -> Step:
         """Return our look at a topic on which nothing comes."""
         spec = load_map(find_config("maps", "joint_state_in")).subscribe[0]
-        return self._in(
-            replace(spec, topic=self._name()), bench_states(POLLED_JOINTS), POLLED_JOINTS
-        ).poll
+        states = bench_states(POLLED_JOINTS)
+        return self._in(replace(spec, topic=self._name()), states, POLLED_JOINTS)
 
     def _name(self) -> str:
         self._number += 1
         return f"bench/topic_{self._number}"
 
-    def _out(self, spec: PublishSpec, states: States, joints: int) -> TopicOut:
+    def _out(self, spec: PublishSpec, states: States, joints: int) -> Step:
         encoder = Encoder.build(spec, arrays_of(states), None, variables_of(joints))
         message = compat.message_class(spec.type)
         out = TopicOut(self._node, encoder, message, 1, 0, self._group, print)
-        self._closers.append(out.close)
-        return out
+        self._opened.callback(out.close)
+        return out.tick
 
-    def _in(self, spec: SubscribeSpec, states: States, joints: int) -> TopicIn:
+    def _plain(self, kind: str, topic: str, states: States, joints: int, depth: int = 10) -> Step:
+        make = plain_sender(kind, states, joints)
+        publisher = self._node.create_publisher(compat.message_class(kind), topic, depth)
+        self._opened.callback(self._node.destroy_publisher, publisher)
+        return lambda: publisher.publish(make())
+
+    def _in(self, spec: SubscribeSpec, states: States, joints: int) -> Step:
         decoder = Decoder.build(spec, arrays_of(states), None, variables_of(joints))
         message = compat.message_class(spec.type)
         topic = TopicIn(self._node, decoder, message, False, self._group, print)
-        self._closers.append(topic.close)
-        return topic
+        self._opened.callback(topic.close)
+        return topic.poll
 
     def _feed(self, topic: str, source: States) -> Step:
-        joints = len(source["joint_pos"])
-        make = plain_sender("sensor_msgs/msg/JointState", source, joints)
-        publisher = self._node.create_publisher(
-            compat.message_class("sensor_msgs/msg/JointState"), topic, 1
-        )
-        self._closers.append(partial(self._node.destroy_publisher, publisher))
         position = source["joint_pos"]
+        publish = self._plain(JOINT_STATE, topic, source, len(position), depth=1)
 
         def arrive() -> None:
             position[0] += 1.0
-            publisher.publish(make())
+            publish()
 
         return arrive
 
     def _typed(self, topic: str, states: States, drain: bool) -> Step:
-        message = compat.message_class("sensor_msgs/msg/JointState")
+        message = compat.message_class(JOINT_STATE)
         subscription = self._node.create_subscription(
             message, topic, lambda m: None, 1, callback_group=self._group
         )
-        self._closers.append(partial(self._node.destroy_subscription, subscription))
+        self._opened.callback(self._node.destroy_subscription, subscription)
         handle = subscription.handle
         arrays = states["joint_pos"], states["joint_vel"], states["joint_effort"]
         stamp = states["stamp_ns"]
@@ -188,13 +180,15 @@ class Desk:
         )
         take, release = compat.raw_take(subscription)
         assert take is not None
-
-        def close() -> None:
-            release()
-            self._node.destroy_subscription(subscription)
-
-        self._closers.append(close)
+        self._opened.callback(self._node.destroy_subscription, subscription)
+        self._opened.callback(release)
         return take
+
+
+def _published(topic: str) -> PublishSpec:
+    """Return the entry of a topic in the default map."""
+    (spec,) = [s for s in load_map(find_config("maps", "default")).publish if s.topic == topic]
+    return spec
 
 
 def _all(steps: list[Step]) -> Step:
@@ -255,10 +249,6 @@ def variables_of(joints: int) -> dict[str, object]:
     """Return the `$variables` of the maps."""
     frames = {"base_frame": "base_link", "odom_frame": "odom", "imu_frame": "imu_link"}
     return {"joint_names": [f"joint_{i}" for i in range(joints)], "robot": "bench", **frames}
-
-
-def _publishing(publisher: Any, make: Callable[[], Any]) -> Step:
-    return lambda: publisher.publish(make())
 
 
 def _emptying(take: Callable[[], bytes | None]) -> Step:

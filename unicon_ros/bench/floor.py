@@ -18,15 +18,14 @@ _LOOPBACK = (
 _LINE = re.compile(r"size \d+ mean .* 50% ([\d.]+)us .* 99% ([\d.]+)us")
 
 
-def c_level_floor(domain: int, rate: float = 500.0, size: int = 512) -> str | None:
+def c_level_floor(domain: int, rate: float = 500.0) -> str | None:
     """Return p50 and p99 of one hop in C as text, or None where `ddsperf` is not installed.
 
-    ddsperf sends pings and halves their way there and back; its last second is taken.
+    ddsperf sends pings of 512 bytes and halves their way there and back; its last second is taken.
 
     Args:
         domain: DDS domain of its own.
         rate: pings per second.
-        size: of a ping in bytes.
     """
     if shutil.which("ddsperf") is None:
         return None
@@ -40,7 +39,7 @@ def c_level_floor(domain: int, rate: float = 500.0, size: int = 512) -> str | No
     )
     try:
         ping = subprocess.run(
-            [*common, "-D", "4", "ping", f"{rate:g}Hz", "size", str(size), "waitset"],
+            [*common, "-D", "4", "ping", f"{rate:g}Hz", "size", "512", "waitset"],
             env=environment,
             capture_output=True,
             text=True,

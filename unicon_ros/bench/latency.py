@@ -12,7 +12,6 @@ from __future__ import annotations
 import os
 import sys
 import tempfile
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -21,13 +20,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import UniconError
-from unicon_core.signals import SIGNALS, Interrupted
+from unicon_core.signals import SIGNALS
 from unicon_ros import compat
 from unicon_ros.bench.domains import free_domain, loopback_environment
 from unicon_ros.bench.floor import c_level_floor
-from unicon_ros.bench.loops import LEASE, SETTLE, Loop, breathe
+from unicon_ros.bench.loops import LEASE, SETTLE, Loop
 from unicon_ros.bench.report import Bench
-from unicon_ros.cli.console import CLEAR, is_terminal
+from unicon_ros.bench.turns import take_turns
 
 __all__ = ["VARIANTS", "Variant", "run"]
 
@@ -59,74 +58,43 @@ class Variant:
     shared_memory: bool = False
 
 
+PLAIN, TRIGGERED = "plain, two processes", "plain, triggered by state"
+ON_STATE = "unicon, on state"
+BEST_EFFORT, SHARED_MEMORY = f"{ON_STATE}, best effort", f"{ON_STATE}, shared memory"
+MIRROR_ALONE = "plain, a mirror alone"
+LOCAL, OBSERVED = "unicon, local, ROS a mirror", "unicon, local, observed by us"
+FAST = ("fast_robot", "")
+
 VARIANTS = (
-    Variant("plain, two processes", ("plain", "robot"), ("plain", "controller")),
+    Variant(PLAIN, ("plain", "robot"), ("plain", "controller")),
     Variant("plain, one process", ("plain", "both"), None),
-    Variant("plain, fast robot", ("fast_robot", ""), ("plain", "controller")),
-    Variant("plain, EventsExecutor", ("fast_robot", ""), ("plain", "events")),
-    Variant("plain, triggered by state", ("fast_robot", ""), ("plain", "triggered")),
-    Variant("thread per bridge", ("fast_robot", ""), ("threads", "")),
-    Variant("unicon, free tick", ("fast_robot", ""), ("unicon_bridged", "deadline")),
-    Variant("unicon, on state", ("fast_robot", ""), ("unicon_bridged", "state")),
-    Variant("unicon, on state, best effort", ("fast_robot", ""), ("unicon_bridged", "state"), True),
-    Variant(
-        "unicon, on state, shared memory",
-        ("fast_robot", ""),
-        ("unicon_bridged", "state"),
-        shared_memory=True,
-    ),
-    Variant("plain, a mirror alone", ("observer", "rclpy"), ("plain_mirror", "")),
-    Variant("unicon, local, ROS a mirror", ("observer", "rclpy"), ("unicon_local", "")),
-    Variant("unicon, local, observed by us", ("observer", "bridge"), ("unicon_local", "")),
+    Variant("plain, fast robot", FAST, ("plain", "controller")),
+    Variant("plain, EventsExecutor", FAST, ("plain", "events")),
+    Variant(TRIGGERED, FAST, ("plain", "triggered")),
+    Variant("thread per bridge", FAST, ("threads", "")),
+    Variant("unicon, free tick", FAST, ("unicon", "deadline")),
+    Variant(ON_STATE, FAST, ("unicon", "state")),
+    Variant(BEST_EFFORT, FAST, ("unicon", "state"), best_effort=True),
+    Variant(SHARED_MEMORY, FAST, ("unicon", "state"), shared_memory=True),
+    Variant(MIRROR_ALONE, ("plain", "observer"), ("plain", "mirror")),
+    Variant(LOCAL, ("plain", "observer"), ("unicon", "local")),
+    Variant(OBSERVED, ("observer", ""), ("unicon", "local")),
 )
 
-RATIOS = (
+_OF_PLAIN_NODE = "mirror, of that of a plain node that publishes nothing else"
+_OF_ONE_WAY = "mirror to our own bridge, of plain's one-way"
+
+RATIOS: tuple[tuple[str, str, str, str, str, float | None], ...] = (
     # name, row, its variant, row of the baseline, its variant, bar
-    ("end_to_end", "end_to_end", "unicon, on state", "end_to_end", "plain, two processes", 0.25),
-    (
-        "end_to_end_best_effort",
-        "end_to_end",
-        "unicon, on state, best effort",
-        "end_to_end",
-        "plain, two processes",
-        0.2,
-    ),
-    (
-        "end_to_end_triggered",
-        "end_to_end",
-        "unicon, on state",
-        "end_to_end",
-        "plain, triggered by state",
-        0.7,
-    ),
-    (
-        "local",
-        "state_to_command",
-        "unicon, local, ROS a mirror",
-        "state_to_command",
-        "plain, two processes",
-        0.01,
-    ),
-    ("mirror", "mirror", "unicon, local, ROS a mirror", "one_way", "plain, two processes", 0.7),
-    ("cpu", "cpu", "unicon, on state", "cpu", "plain, two processes", 0.3),
-)
-
-SHARES = (
-    # as above, told without a bar: an rclpy observer takes longer than what it observes
-    (
-        "mirror, of that of a plain node that publishes nothing else",
-        "mirror",
-        "unicon, local, ROS a mirror",
-        "mirror",
-        "plain, a mirror alone",
-    ),
-    (
-        "mirror to our own bridge, of plain's one-way",
-        "mirror",
-        "unicon, local, observed by us",
-        "one_way",
-        "plain, two processes",
-    ),
+    ("end_to_end", "end_to_end", ON_STATE, "end_to_end", PLAIN, 0.25),
+    ("end_to_end_best_effort", "end_to_end", BEST_EFFORT, "end_to_end", PLAIN, 0.2),
+    ("end_to_end_triggered", "end_to_end", ON_STATE, "end_to_end", TRIGGERED, 0.7),
+    ("local", "state_to_command", LOCAL, "state_to_command", PLAIN, 0.01),
+    ("mirror", "mirror", LOCAL, "one_way", PLAIN, 0.7),
+    ("cpu", "cpu", ON_STATE, "cpu", PLAIN, 0.3),
+    # told without a bar: an rclpy observer takes longer than what it observes
+    (_OF_PLAIN_NODE, "mirror", LOCAL, "mirror", MIRROR_ALONE, None),
+    (_OF_ONE_WAY, "mirror", OBSERVED, "one_way", PLAIN, None),
 )
 
 
@@ -151,7 +119,6 @@ def run(
     state_rate: float = 500.0,
     joints: int = 20,
     seconds: float = SECONDS,
-    only: Callable[[Variant], bool] | None = None,
 ) -> Bench:
     """Run the comparison; Ctrl-C ends it with the rounds that are whole.
 
@@ -161,25 +128,24 @@ def run(
         state_rate: states per second.
         joints: number of joints.
         seconds: measured time of one variant in one round in [s].
-        only: which variants to run; all if None.
 
     Raises:
         MissingDependencyError: rclpy is not installed.
         UniconError: a slice is so long that the others would be taken for dead.
     """
     compat.import_rclpy("unicon bench latency")
-    variants = [variant for variant in VARIANTS if only is None or only(variant)]
-    longest = LEASE / max(len(variants), 1) - SETTLE
+    longest = LEASE / len(VARIANTS) - SETTLE
     if not 0.0 < seconds <= longest:
         raise UniconError(
-            f"--seconds {seconds:g}: with {len(variants)} variants in turn give more than 0 and at "
+            f"--seconds {seconds:g}: with {len(VARIANTS)} variants in turn give more than 0 and at "
             f"most {longest:.2g}; for more samples raise --rounds"
         )
     rounds = rounds or ROUNDS
     with tempfile.TemporaryDirectory() as folder:
         options = _Options(rate, state_rate, joints, seconds, Path(folder))
         with SIGNALS.guard():  # Ctrl-C is looked for between turns
-            whole, loops = _turns(variants, rounds, options)
+            makers = {v.name: partial(_loop, v, i, options) for i, v in enumerate(VARIANTS)}
+            whole, loops = take_turns(makers, rounds, seconds)
         samples = {name: loop.samples() for name, loop in loops.items()}
         results = [{name: each[i] for name, each in samples.items()} for i in range(whole)]
     bench = _bench(results, options)
@@ -187,42 +153,8 @@ def run(
     if results and not SIGNALS.asked:
         floor = c_level_floor(free_domain(), state_rate)
     if floor is not None:
-        bench.fact("one hop of DDS in C (ddsperf, 512 B)", floor)
+        bench.facts["one hop of DDS in C (ddsperf, 512 B)"] = floor
     return bench
-
-
-def _turns(variants: list[Variant], rounds: int, options: _Options) -> tuple[int, dict[str, Loop]]:
-    """Let the variants take their turns; return how many rounds are whole, and the ended loops."""
-    loops: dict[str, Loop] = {}
-    whole = 0
-    try:
-        for i, variant in enumerate(variants):
-            SIGNALS.check()
-            _say(f"start: {i + 1} of {len(variants)}, {variant.name}")
-            held = list(loops.values())
-            loops[variant.name] = loop = _loop(variant, i, options)
-            loop.start(meanwhile=partial(breathe, held))
-            breathe(held)
-        for number in range(rounds):
-            label = f"round {number + 1} of {rounds}"
-            if not is_terminal():
-                _say(label)
-            for i, (name, loop) in enumerate(loops.items()):
-                SIGNALS.check()
-                if is_terminal():
-                    _say(f"{label}: {i + 1} of {len(variants)}, {name}")
-                loop.run(options.seconds)
-            whole += 1
-    except Interrupted:
-        _say(f"stopped; {whole} whole rounds are kept")
-    finally:
-        for loop in loops.values():
-            loop.end()
-        for loop in loops.values():
-            loop.close()
-        if is_terminal():
-            _say("")
-    return whole, loops
 
 
 def _loop(variant: Variant, number: int, options: _Options) -> Loop:
@@ -269,15 +201,15 @@ def _bench(results: list[dict[str, Samples]], options: _Options) -> Bench:
         for row in rows:
             parts = [r[variant.name][row] for r in results if row in r.get(variant.name, {})]
             bench.case(f"{variant.name}: {row}{UNITS.get(row, '')}", np.concatenate(parts))
-    for name, *pair, bar in RATIOS:
-        ratios = _ratios(results, *pair)
-        if ratios.size:
+    for name, row, ours, base_row, base, bar in RATIOS:
+        ratios = _ratios(results, row, ours, base_row, base)
+        if not ratios.size:
+            continue
+        if bar is None:
+            bench.facts[name] = f"{np.median(ratios):.3g} ({_interval(ratios)})"
+        else:
             bench.ratio(name, float(np.median(ratios)), bar)
-            bench.fact(f"{name}, 95 % interval", _interval(ratios))
-    for name, *pair in SHARES:
-        ratios = _ratios(results, *pair)
-        if ratios.size:
-            bench.fact(name, f"{np.median(ratios):.3g} ({_interval(ratios)})")
+            bench.facts[f"{name}, 95 % interval"] = _interval(ratios)
     return bench
 
 
@@ -301,9 +233,3 @@ def _interval(ratios: NDArray[np.float64]) -> str:
     draws = np.random.default_rng(SEED).choice(ratios, (1000, len(ratios)))
     low, high = np.percentile(np.median(draws, axis=1), [2.5, 97.5])
     return f"{low:.3g} to {high:.3g}"
-
-
-def _say(text: str) -> None:
-    """Tell how far it is: in one line of a terminal, else a line each."""
-    begin, end = (CLEAR, "") if is_terminal() else ("", "\n")
-    print(f"{begin}{text}", end=end, file=sys.stderr, flush=True)

@@ -46,11 +46,13 @@ class Slice:
     Attributes:
         begin, end: what lies between is measured.
         cpu_share: CPU time of the controller's process per time, of one core.
+        measuring_share: that of the process which notes what arrives.
     """
 
     begin: int
     end: int
     cpu_share: float
+    measuring_share: float
 
     def holds(self, times: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Return which times lie within."""
@@ -115,14 +117,14 @@ class Loop:
         """Let both go for a settling time and then `seconds`, and note the slice."""
         self.let_go()
         time.sleep(SETTLE)
-        controller = self._processes[0].pid
-        begin, cpu = time.time_ns(), _cpu_ns(controller)
+        both = self._processes[0].pid, self._processes[-1].pid
+        begin, cpu = time.time_ns(), [_cpu_ns(pid) for pid in both]
         time.sleep(seconds)
-        end, used = time.time_ns(), _cpu_ns(controller) - cpu
+        end, used = time.time_ns(), [_cpu_ns(pid) - was for pid, was in zip(both, cpu)]
         self.hold()
         if any(process.poll() is not None for process in self._processes):
             raise UniconError(f"{self.name}: one of its processes has ended")
-        self.slices.append(Slice(begin, end, used / (end - begin)))
+        self.slices.append(Slice(begin, end, *(each / (end - begin) for each in used)))
 
     def let_go(self) -> None:
         """Let both run."""
@@ -161,7 +163,8 @@ class Loop:
         if heard.exists():
             states = dict(np.load(heard))
             for sample, each in zip(samples, self.slices):
-                sample.update(_one_way(each, states))
+                if (latency := _under_way(each, states)).size:
+                    sample["one_way"] = latency
         return samples
 
     def _process(self, command: list[str]) -> subprocess.Popen[bytes]:
@@ -205,8 +208,7 @@ def _bridged(
 ) -> dict[str, NDArray[np.float64]]:
     ticks = each.holds(controlled["end"])
     part = {name: controlled[name][ticks] for name in ("stamp", "seen", "begin", "end")}
-    arrived = each.holds(measured["received"])
-    latency = (measured["received"] - measured["stamp"])[arrived] * 1e-3
+    latency = _under_way(each, measured)
     if not part["stamp"].size or not latency.size:
         return {}
     due = part["stamp"][part["end"] < each.end - GRACE_NS]
@@ -222,12 +224,6 @@ def _bridged(
     }
 
 
-def _one_way(each: Slice, heard: dict[str, Any]) -> dict[str, NDArray[np.float64]]:
-    arrived = each.holds(heard["received"])
-    latency = (heard["received"] - heard["stamp"])[arrived] * 1e-3
-    return {"one_way": latency} if latency.size else {}
-
-
 def _mirrored(
     each: Slice, measured: dict[str, Any], controlled: dict[str, Any]
 ) -> dict[str, NDArray[np.float64]]:
@@ -235,14 +231,20 @@ def _mirrored(
     if "stamp" in controlled:  # a driver's, of the monotonic clock
         row, since, to_wall = "state_to_command", "stamp", time.time_ns() - time.monotonic_ns()
     ticks = each.holds(controlled["end"] + to_wall)
-    arrived = each.holds(measured["received"])
-    if not ticks.any() or not arrived.any():
+    latency = _under_way(each, measured)
+    if not ticks.any() or not latency.size:
         return {}
     return {
-        "mirror": (measured["received"] - measured["stamp"])[arrived] * 1e-3,
+        "mirror": latency,
         row: (controlled["end"] - controlled[since])[ticks] * 1e-3,
         "cpu": np.array([100.0 * each.cpu_share]),
     }
+
+
+def _under_way(each: Slice, log: dict[str, Any]) -> NDArray[np.float64]:
+    """Return how long messages that arrived in a slice took, in [µs]."""
+    latency: NDArray[np.float64] = (log["received"] - log["stamp"]) * 1e-3
+    return latency[each.holds(log["received"])]
 
 
 def _cpu_ns(process: int) -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 
@@ -24,19 +23,18 @@ TERMS = (
 )
 """The 45 values of a quadruped's velocity policy: legged_gym's, without the base velocity."""
 
+HIDDEN = (512, 256, 128)  # sizes of the hidden layers
+
 CLIP = 100.0
 """legged_gym's bound of an observation."""
 
 
-def random_policy(
-    folder: Path, robot: Robot, hidden: Sequence[int] = (512, 256, 128), history: int = 1
-) -> PolicyContract:
+def random_policy(folder: Path, robot: Robot, history: int = 1) -> PolicyContract:
     """Write and load a multilayer perceptron with ELU layers and a dynamic batch axis.
 
     Args:
         folder: where its two files go.
         robot: its joints are the policy's, in their order.
-        hidden: sizes of the hidden layers.
         history: frames of every term.
 
     Raises:
@@ -48,16 +46,16 @@ def random_policy(
     except ModuleNotFoundError as error:
         raise MissingDependencyError("unicon bench", "onnx", "pip install onnx") from error
     n = robot.num_joints
-    sizes = [(9 + 3 * n) * history, *hidden, n]
+    sizes = [(9 + 3 * n) * history, *HIDDEN, n]
     random = np.random.default_rng(0)
     nodes, weights, last = [], [], "obs"
     for i, (rows, columns) in enumerate(pairwise(sizes)):
         matrix = random.normal(0.0, 0.5 / np.sqrt(rows), (rows, columns)).astype(np.float32)
         weights.append(numpy_helper.from_array(matrix, f"w{i}"))
         weights.append(numpy_helper.from_array(np.zeros(columns, np.float32), f"b{i}"))
-        out = f"h{i}" if i < len(hidden) else "actions"
+        out = f"h{i}" if i < len(HIDDEN) else "actions"
         nodes.append(helper.make_node("Gemm", [last, f"w{i}", f"b{i}"], [out]))
-        if i < len(hidden):
+        if i < len(HIDDEN):
             nodes.append(helper.make_node("Elu", [out], [f"e{i}"]))
             last = f"e{i}"
     graph = helper.make_graph(

@@ -8,11 +8,9 @@ interleaved.
 from __future__ import annotations
 
 import tempfile
-import time
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,12 +21,13 @@ from unicon_core.runtime import Pacing, WallClock, WarmUp, prepare_process
 from unicon_core.states import States, standard_states
 from unicon_ros.bench.networks import CLIP, random_policy
 from unicon_ros.bench.report import Bench
+from unicon_ros.bench.samples import Paced, Samples, Step, paced, sleep_until
 
 __all__ = ["run"]
 
 RATE = 50.0  # Hz
 SECONDS = 3.0  # of each loop in each round
-WARM_CALLS = 2000  # of each observation in each round
+WARM_CALLS = 2000  # of each observation in each round, 20 in a sample
 HISTORY = 6
 
 
@@ -98,61 +97,41 @@ def _observations(
         frames.append(frame())
         return np.concatenate(frames)
 
-    calls: dict[str, Callable[[], Any]] = {
+    calls: dict[str, Step] = {
         "observation: fused": fused,
         "observation: concatenate": plain,
         "observation, history 6: fused": fused6,
         "observation, history 6: concatenate": plain6,
     }
-    times: dict[str, list[NDArray[np.float64]]] = {name: [] for name in calls}
+    times = Samples()
     for _ in range(rounds):
-        for name, call in calls.items():
-            times[name].append(_warm(call))
-    for name, parts in times.items():
-        bench.case(name, np.concatenate(parts))
+        for name, call in calls.items():  # each by itself, so that it is warm
+            times.take({name: call}, WARM_CALLS // 20, 20)
+    for name in calls:
+        bench.case(name, times.of(name))
     for ratio, case in (
         ("observation", "observation"),
         ("observation_history6", "observation, history 6"),
     ):
-        pairs = zip(times[f"{case}: fused"], times[f"{case}: concatenate"])
-        value = np.median([np.median(ours) / np.median(usual) for ours, usual in pairs])
-        bench.ratio(ratio, float(value), 0.35)
-
-
-def _warm(call: Callable[[], Any]) -> NDArray[np.float64]:
-    """Return the time of blocks of 20 calls each, per call in [µs]."""
-    block, now = 20, time.perf_counter_ns
-    times = np.zeros(WARM_CALLS // block)
-    for i in range(len(times)):
-        begin = now()
-        for _ in range(block):
-            call()
-        times[i] = (now() - begin) * 1e-3 / block
-    return times
+        bench.ratio(ratio, times.ratio(f"{case}: fused", f"{case}: concatenate"), 0.35)
 
 
 def _ticks(bench: Bench, rounds: int, robot: Robot, contract: PolicyContract) -> None:
     loops = {"usual": _usual_loop(robot, contract), "unicon": _unicon_loop(robot, contract)}
-    times: dict[str, list[NDArray[np.float64]]] = {name: [] for name in loops}
-    shares: dict[str, list[float]] = {name: [] for name in loops}
+    times, shares = Samples(), Samples()
     for _ in range(rounds):
         for name, loop in loops.items():
-            cpu, begin = time.process_time_ns(), time.perf_counter_ns()
-            times[name].append(loop(round(RATE * SECONDS)))
-            wall = time.perf_counter_ns() - begin
-            shares[name].append((time.process_time_ns() - cpu) / wall)
-    for name, parts in times.items():
-        bench.case(f"policy tick, {name}", np.concatenate(parts))
-        bench.case(f"policy tick, {name}: share of a core [%]", np.array(shares[name]) * 100.0)
-    for ratio, quantile, bar in (("policy_tick_p50", 50, 0.1), ("policy_tick_p99", 99, 0.2)):
-        values = [
-            np.percentile(ours, quantile) / np.percentile(usual, quantile)
-            for ours, usual in zip(times["unicon"], times["usual"])
-        ]
-        bench.ratio(ratio, float(np.median(values)), bar)
+            measured = loop(round(RATE * SECONDS))
+            times.add(name, measured.took)
+            shares.add(name, measured.share)
+    for name in loops:
+        bench.case(f"policy tick, {name}", times.of(name))
+        bench.case(f"policy tick, {name}: share of a core [%]", shares.of(name))
+    bench.ratio("policy_tick_p50", times.ratio("unicon", "usual"), 0.1)
+    bench.ratio("policy_tick_p99", times.ratio("unicon", "usual", percent=99), 0.2)
 
 
-def _usual_loop(robot: Robot, contract: PolicyContract) -> Callable[[int], NDArray[np.float64]]:
+def _usual_loop(robot: Robot, contract: PolicyContract) -> Callable[[int], Paced]:
     import onnxruntime
 
     options = onnxruntime.SessionOptions()
@@ -165,41 +144,25 @@ def _usual_loop(robot: Robot, contract: PolicyContract) -> Callable[[int], NDArr
     target, action = states["joint_pos_target"], states["action"]
     default, scale = contract.default_joint_pos, np.float32(0.25)
 
-    def loop(ticks: int) -> NDArray[np.float64]:
-        times = np.zeros(ticks)
-        now, period = time.perf_counter_ns, round(1e9 / RATE)
-        due = now() + period
-        for i in range(ticks):
-            time.sleep(max(due - now(), 0) * 1e-9)
-            begin = now()
-            observation = assemble().astype(np.float32)[None]
-            action[...] = session.run(None, {"obs": observation})[0][0]
-            target[...] = default + scale * action
-            times[i] = (now() - begin) * 1e-3
-            due += period
-        return times
+    def tick() -> None:
+        observation = assemble().astype(np.float32)[None]
+        action[...] = session.run(None, {"obs": observation})[0][0]
+        target[...] = default + scale * action
 
-    return loop
+    return lambda ticks: paced(ticks, RATE, sleep_until, tick)
 
 
-def _unicon_loop(robot: Robot, contract: PolicyContract) -> Callable[[int], NDArray[np.float64]]:
+def _unicon_loop(robot: Robot, contract: PolicyContract) -> Callable[[int], Paced]:
     policy = Policy(contract, _states(contract, robot), robot)
 
-    def loop(ticks: int) -> NDArray[np.float64]:
-        times = np.zeros(ticks)
-        now, period = time.perf_counter_ns, round(1e9 / RATE)
+    def loop(ticks: int) -> Paced:
         pacing = Pacing()
         clock = WallClock(round(pacing.spin_us * 1e3))
         wait = WarmUp(policy.warm_up, clock, round(pacing.dry_run_us * 1e3)).until
         restore = prepare_process(pacing, print)
-        due = now() + period
-        for i in range(ticks):
-            wait(due)
-            begin = now()
-            policy()
-            times[i] = (now() - begin) * 1e-3
-            due += period
-        restore()
-        return times
+        try:
+            return paced(ticks, RATE, wait, policy)
+        finally:
+            restore()
 
     return loop

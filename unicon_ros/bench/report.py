@@ -7,6 +7,7 @@ import math
 import os
 import platform
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from importlib import metadata
 from typing import Any
 
@@ -15,12 +16,13 @@ from numpy.typing import ArrayLike
 
 from unicon_core.aligned import aligned
 
-__all__ = ["Bench", "machine_facts", "package_versions"]
+__all__ = ["Bench", "machine"]
 
 PACKAGES = ("numpy", "mujoco", "onnxruntime", "rosbags", "rclpy", "pyzmq", "numba")
 """Packages whose version may move a number."""
 
 
+@dataclass
 class Bench:
     """The cases and ratios of one benchmark run.
 
@@ -32,19 +34,18 @@ class Bench:
     Attributes:
         cases: case to its statistics.
         ratios: name to value, bar, and whether it holds.
-        facts: anything else worth telling, name to value.
+        facts: what is not a time or a claim, name to value.
     """
 
-    def __init__(self, name: str, seed: int, rounds: int) -> None:
-        self.name = name
-        self.seed = seed
-        self.rounds = rounds
-        self.cases: dict[str, dict[str, float]] = {}
-        self.ratios: dict[str, dict[str, float | bool | str]] = {}
-        self.facts: dict[str, Any] = {}
+    name: str
+    seed: int
+    rounds: int
+    cases: dict[str, dict[str, float]] = field(default_factory=dict)
+    ratios: dict[str, dict[str, float | bool | str]] = field(default_factory=dict)
+    facts: dict[str, Any] = field(default_factory=dict)
 
-    def case(self, name: str, samples_us: ArrayLike) -> dict[str, float]:
-        """Add the samples of one case and return their statistics.
+    def case(self, name: str, samples_us: ArrayLike) -> None:
+        """Add the statistics of one case.
 
         Args:
             name: the case; with its unit in brackets where that is not µs.
@@ -67,7 +68,6 @@ class Bench:
             "max": float(samples.max()),
             "samples": int(samples.size),
         }
-        return self.cases[name]
 
     def ratio(self, name: str, value: float, bar: float, *, at_least: bool = False) -> bool:
         """Add a ratio and return whether it holds.
@@ -84,38 +84,28 @@ class Bench:
         self.ratios[name] = {"value": value, "bar": float(bar), "holds": holds, "claim": claim}
         return holds
 
-    def fact(self, name: str, value: Any) -> None:
-        """Add a fact that is no time and no claim."""
-        self.facts[name] = value
-
     @property
     def holds(self) -> bool:
         """True where every ratio holds."""
         return all(bool(ratio["holds"]) for ratio in self.ratios.values())
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return everything as plain values."""
-        return {
+    def to_json(self) -> str:
+        """Return everything as JSON; numbers that are not finite become null."""
+        values = {
             "bench": self.name,
-            "machine": machine_facts(),
-            "versions": package_versions(),
+            "machine": _machine_facts(),
+            "versions": _package_versions(),
             "seed": self.seed,
             "rounds": self.rounds,
             "cases": self.cases,
             "ratios": self.ratios,
             "facts": self.facts,
         }
-
-    def to_json(self) -> str:
-        """Return everything as JSON; numbers that are not finite become null."""
-        return json.dumps(_finite(self.to_dict()), indent=2, ensure_ascii=False)
+        return json.dumps(_finite(values), indent=2, ensure_ascii=False)
 
     def table(self) -> str:
         """Return cases and ratios as aligned text."""
-        machine = machine_facts()
-        lines = [
-            f"bench {self.name}: {self.rounds} rounds, {machine['cpu']}, {machine['cores']} cores"
-        ]
+        lines = [f"bench {self.name}: {self.rounds} rounds, {machine()}"]
         rows = [("case [µs]", "p50", "p99", "mean ± std", "samples")]
         for name, case in self.cases.items():
             spread = f"{_number(case['mean'])} ± {_number(case['std'])}"
@@ -137,7 +127,12 @@ class Bench:
         return "\n".join(lines)
 
 
-def machine_facts() -> dict[str, Any]:
+def machine() -> str:
+    """Return CPU and cores in words."""
+    return f"{_cpu()}, {_cores()} cores"
+
+
+def _machine_facts() -> dict[str, Any]:
     """Return what the numbers depend on: CPU, cores, system, load at this moment."""
     return {
         "cpu": _cpu(),
@@ -147,7 +142,7 @@ def machine_facts() -> dict[str, Any]:
     }
 
 
-def package_versions() -> dict[str, str]:
+def _package_versions() -> dict[str, str]:
     """Return the versions of Python and of those PACKAGES that are installed."""
     versions = {"python": platform.python_version()}
     for package in PACKAGES:

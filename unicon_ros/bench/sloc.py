@@ -70,14 +70,13 @@ def run(rounds: int | None = None) -> Bench:
         path = root / place
         files = sorted(path.rglob("*.py")) if path.is_dir() else [path]
         lines = sum(lines_of_python(file.read_text(encoding="utf-8")) for file in files)
-        bench.fact(f"component: {name}", f"{lines} lines of Python, written once")
+        bench.facts[f"component: {name}"] = f"{lines} lines of Python, written once"
     for source, target, robot, words in MOVES:
         needed = "no new file"
         if robot is not None:
             text = find_config("robots", robot).read_text(encoding="utf-8")
             needed = f"{lines_of_yaml(text)} lines of facts in config/robots/{robot}.yaml"
-        bench.fact(
-            f"{source} → {target}",
-            f"{needed}; workflow: 0 lines, {len(words)} word ({', '.join(words)})",
+        bench.facts[f"{source} → {target}"] = (
+            f"{needed}; workflow: 0 lines, {len(words)} word ({', '.join(words)})"
         )
     return bench

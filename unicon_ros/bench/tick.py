@@ -8,17 +8,14 @@ beside the same graph without fusion, and as closures. All variants take turns i
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
-
 import numpy as np
-from numpy.typing import NDArray
 
 from unicon_core.flow import Block, Node, Zip, compile_graph
 from unicon_core.flow.fuse import fuse
 from unicon_core.flow.linear import LinearMap
 from unicon_core.states import States, StateSpec
 from unicon_ros.bench.report import Bench
+from unicon_ros.bench.samples import Samples, Step
 
 __all__ = ["run"]
 
@@ -26,8 +23,6 @@ BLOCKS = 16
 SIZE = 20  # floats of one copy: one state of a 20-joint robot
 REPEATS = 500  # ticks in one sample: a clock reading costs as much as two blocks
 SAMPLES = 40  # samples of each case in each round
-
-Step = Callable[[], object]
 
 
 def run(rounds: int | None = None) -> Bench:
@@ -52,20 +47,20 @@ def run(rounds: int | None = None) -> Bench:
         "copies: compiled, separate": _flat(Zip(*separate)),
         "copies: compiled, fused": _flat(fused),
     }
-    times = _interleaved(cases, rounds)
-    for name, samples in times.items():
-        bench.case(f"{name}, one tick", samples)
-
-    def ratio(one: str, other: str) -> float:
-        return float(np.median(np.median(times[one], 1) / np.median(times[other], 1)))
-
+    times = Samples()
+    Samples().take(cases, 1, REPEATS)  # warms up
+    for _ in range(rounds):
+        times.take(cases, SAMPLES, REPEATS)
+    for name in cases:
+        bench.case(f"{name}, one tick", times.of(name))
+    ratio = times.ratio
     bench.ratio("dispatch", ratio("dispatch: compiled", "dispatch: nested closures"), 0.6)
     bench.ratio("fused_copy", ratio("copies: compiled, fused", "copies: compiled, separate"), 0.15)
     flat = ratio("dispatch: compiled", "dispatch: one flat closure")
-    bench.fact("compiled / one flat closure", f"{flat:.3f}")
+    bench.facts["compiled / one flat closure"] = f"{flat:.3f}"
     traced = ratio("dispatch: compiled, traced", "dispatch: compiled")
-    per_block = np.median(times["dispatch: compiled"]) / BLOCKS * 1e3
-    bench.fact("compiled, per block", f"{per_block:.1f} ns, traced {per_block * traced:.1f} ns")
+    per_block = np.median(times.of("dispatch: compiled")) / BLOCKS * 1e3
+    bench.facts["compiled, per block"] = f"{per_block:.1f} ns, traced {per_block * traced:.1f} ns"
     return bench
 
 
@@ -108,21 +103,3 @@ def _copies() -> tuple[States, list[LinearMap]]:
 
 def _flat(root: Node, *, trace: bool = False) -> Step:
     return compile_graph(root, trace=trace).step
-
-
-def _interleaved(cases: dict[str, Step], rounds: int) -> dict[str, NDArray[np.float64]]:
-    """Return the time of one tick in [µs] of each case, shape (rounds, SAMPLES)."""
-    times = {name: np.zeros((rounds, SAMPLES)) for name in cases}
-    now = time.perf_counter_ns
-    for step in cases.values():
-        for _ in range(REPEATS):
-            step()
-    for i in range(rounds):
-        for j in range(SAMPLES):
-            for name, step in cases.items():
-                repeats = range(REPEATS)
-                begin = now()
-                for _ in repeats:
-                    step()
-                times[name][i, j] = (now() - begin) * 1e-3 / REPEATS
-    return times

@@ -18,24 +18,25 @@ BENCHES = {
     "latency": "unicon_ros.bench.latency",
     "policy": "unicon_ros.bench.policy",
     "sloc": "unicon_ros.bench.sloc",
+    "stores": "unicon_ros.bench.stores",
     "tick": "unicon_ros.bench.tick",
     "timing": "unicon_ros.bench.timing",
 }
 
-_OPTIONS: dict[str, dict[str, tuple[type, str]]] = {
+_OPTIONS: dict[str, dict[str, dict[str, Any]]] = {
     "faults": {
-        "quick": (bool, "a handful of cases only"),
-        "only": (str, "cases only whose group or name has this in it"),
-        "document": (str, "Markdown file whose table of faults is replaced"),
+        "quick": {"action": "store_true", "help": "a handful of cases only"},
+        "only": {"help": "cases only whose group or name has this in it"},
+        "document": {"help": "Markdown file whose table of faults is replaced"},
     },
     "latency": {
-        "rate": (float, "commands per second"),
-        "state_rate": (float, "states per second"),
-        "joints": (int, "number of joints"),
-        "seconds": (float, "measured time of a variant in a round"),
+        "rate": {"type": float, "help": "commands per second"},
+        "state_rate": {"type": float, "help": "states per second"},
+        "joints": {"type": int, "help": "number of joints"},
+        "seconds": {"type": float, "help": "measured time of a variant in a round"},
     },
 }
-"""Bench to its own options: name to type and meaning."""
+"""Bench to its own options: name to what `add_argument` takes."""
 
 
 def add(commands: Any) -> None:
@@ -51,12 +52,8 @@ def add(commands: Any) -> None:
         each.add_argument(
             "--assert", action="store_true", dest="strict", help="exit 1 where a ratio misses"
         )
-        for option, (kind, meaning) in _OPTIONS.get(name, {}).items():
-            flag = f"--{option.replace('_', '-')}"
-            if kind is bool:
-                each.add_argument(flag, action="store_true", help=meaning)
-            else:
-                each.add_argument(flag, type=kind, help=meaning)
+        for option, settings in _OPTIONS.get(name, {}).items():
+            each.add_argument(f"--{option.replace('_', '-')}", **settings)
 
 
 def bench(arguments: argparse.Namespace) -> int:

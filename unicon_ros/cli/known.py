@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import inspect
 from typing import TYPE_CHECKING, Any
 
+from unicon_core.aligned import aligned
 from unicon_core.errors import PlatformError, PolicyError, UniconError, WorkflowError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Sequence
 
 __all__ = ["add"]
 
@@ -89,16 +91,12 @@ def _factories(kind: str, name: str | None, error: type[UniconError]) -> int:
     target = known(kind).get(name, name)
     print(name if target == name else f"{name}  ({target})")
     _print_table(_parameters(factory), indent="  ")
-    import inspect
-
     print(f"\n{inspect.getdoc(factory) or 'no description'}")
     return 0
 
 
 def _parameters(factory: Any) -> list[tuple[str, str]]:
     """Return what a factory is given: the states it names, and the options of the workflow."""
-    import inspect
-
     from unicon_core.workflow.autowire import option_names, state_names
 
     states, options = state_names(factory), option_names(factory)
@@ -127,8 +125,6 @@ def _workflows(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _print_table(rows: Iterable[Sequence[str]], indent: str = "") -> None:
-    listed = list(rows)
-    width = max((len(row[0]) for row in listed), default=0)
-    for name, text in listed:
-        print(f"{indent}{name:<{width}}  {text}".rstrip())
+def _print_table(rows: Sequence[Sequence[str]], indent: str = "") -> None:
+    for line in aligned(rows, underlined=False):
+        print(f"{indent}{line}")

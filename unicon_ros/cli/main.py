@@ -40,6 +40,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     Args:
         argv: arguments without the program's name; those of the process if None.
     """
+    if sys.stdout is None:  # it is closed (`unicon … >&-`): nobody is there to tell
+        sys.stdout = open(os.devnull, "w")  # noqa: SIM115 - until the process ends
     with SIGNALS:  # before anything is imported or opened
         status = _run(argv)
         return _finish(status)

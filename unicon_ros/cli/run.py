@@ -13,7 +13,7 @@ from unicon_core.errors import UniconError
 from unicon_core.outlet import relayed_stderr
 from unicon_core.signals import SIGNALS, Guard
 from unicon_ros.cli.console import Console
-from unicon_ros.cli.workflow_arguments import add_workflow
+from unicon_ros.cli.workflow_arguments import add_workflow, positive
 
 if TYPE_CHECKING:
     from unicon_core.flow import Block, Stage
@@ -28,7 +28,7 @@ def add(commands: Any) -> None:
     """Add the command to the parser."""
     parser = commands.add_parser("run", help="run a workflow", description=__doc__)
     add_workflow(parser)
-    parser.add_argument("--duration", type=_seconds, metavar="S", help="end after S seconds")
+    parser.add_argument("--duration", type=positive, metavar="S", help="end after S seconds")
     parser.add_argument(
         "--speed",
         choices=("real", "max"),
@@ -48,6 +48,9 @@ def add(commands: Any) -> None:
         metavar="PREFIX",
         default="",
         help="what stands before the names of all ROS frames, such as robot1/",
+    )
+    parser.add_argument(
+        "--part", metavar="NAME", default="", help="run one part of a workflow that has parts"
     )
     parser.add_argument("--record", metavar="FILE.mcap", help="record the states' messages")
     parser.add_argument("--trace", metavar="FILE.json", help="write every block of every tick")
@@ -140,7 +143,7 @@ def _run(
             hooks.append(picture.hook)
         if arguments.view:
             hooks.append(_viewer)
-        program = Program(document, hooks=hooks)
+        program = Program(document, hooks=hooks, part=arguments.part)
         guard.damp = program.damp_now
         options = RunOptions(
             duration=arguments.duration,
@@ -223,24 +226,16 @@ def _write(arguments: argparse.Namespace, ended: _Ended) -> tuple[list[str], lis
     problems: list[str] = []
     title = f"{report.workflow} on {report.robot} ({report.platform})"
     trace = partial(runner.statistics.write_trace, arguments.trace, f"unicon {report.workflow}")
-    for path, write, line in (
-        (arguments.trace, trace, f"trace         {arguments.trace} (open it in ui.perfetto.dev)"),
-        (
-            arguments.report,
-            partial(report.write, arguments.report),
-            f"report        {arguments.report}",
-        ),
-        (
-            arguments.picture,
-            lambda: ended.picture.draw(title),
-            f"picture       {arguments.picture}",
-        ),
+    for name, path, write, hint in (
+        ("trace", arguments.trace, trace, " (open it in ui.perfetto.dev)"),
+        ("report", arguments.report, partial(report.write, arguments.report), ""),
+        ("picture", arguments.picture, lambda: ended.picture.draw(title), ""),
     ):
         if not path:
             continue
         try:
             write()
-            written.append(line)
+            written.append(f"{name:<14}{path}{hint}")
         except OSError as error:
             problems.append(
                 f"cannot write {error.filename or path}: {error.strerror}; give a path in a "
@@ -251,10 +246,3 @@ def _write(arguments: argparse.Namespace, ended: _Ended) -> tuple[list[str], lis
     if ended.recording is not None:
         written.append(f"recording     {ended.recording.summary()}")
     return written, problems
-
-
-def _seconds(text: str) -> float:
-    value = float(text)
-    if not 0.0 < value < float("inf"):
-        raise argparse.ArgumentTypeError(f"{text} is no time > 0 in [s]")
-    return value

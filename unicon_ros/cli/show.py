@@ -27,7 +27,7 @@ def show(arguments: argparse.Namespace) -> int:
     """Run the command."""
     from unicon_core.flow import compile_graph
     from unicon_core.runtime.phases import describe
-    from unicon_core.show import show_mermaid, show_svg, show_text
+    from unicon_core.show import parts_table, show_mermaid, show_svg, show_text
     from unicon_core.workflow import load_workflow
 
     program = load_workflow(arguments.workflow, arguments.overrides)
@@ -48,6 +48,9 @@ def show(arguments: argparse.Namespace) -> int:
             print("\nPhases")
             for phase, what in describe(program):
                 print(f"  {phase:<10} {what}")
+            if program.parts is not None:
+                print("\nParts")
+                print("\n".join(f"  {line}" for line in parts_table(program.parts, program.states)))
     finally:
         program.close()
     return 0

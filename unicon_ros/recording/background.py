@@ -15,15 +15,15 @@ import time
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 
 from unicon_ros.recording.mcap_file import McapFile
 from unicon_ros.recording.records import MESSAGE, MESSAGE_HEAD, ROW, Channel
 
-__all__ = ["Background", "Counts"]
+__all__ = ["Background"]
 
 FLUSH_S = 0.4
 SYNC_S = 1.0
@@ -31,23 +31,6 @@ CLOSE_S = 5.0
 BLOCKS, BLOCK_BYTES, BLOCK_ROWS = 8, 1 << 20, 1 << 14
 
 _ROW = struct.Struct("<HQQ")
-
-
-@dataclass
-class Counts:
-    """What became of the messages.
-
-    Attributes:
-        messages: in the file.
-        dropped: not in the file.
-        bytes: of the file.
-        error: why not all are in the file, one line; "" where they are.
-    """
-
-    messages: int = 0
-    dropped: int = 0
-    bytes: int = 0
-    error: str = ""
 
 
 class _Block:
@@ -92,7 +75,7 @@ class Background:
             for name, work in (("writer", self._work), ("sync", self._sync))
         ]
 
-    def channel(self, channel: Channel) -> Callable[[int, bytes], None]:
+    def add(self, channel: Channel) -> Callable[[int, bytes], None]:
         """Add a topic, before `start`, and return what takes its messages: `write(stamp_ns, cdr)`.
 
         Raises:
@@ -106,10 +89,14 @@ class Background:
         for thread in self._threads:
             thread.start()
 
-    def counts(self) -> Counts:
-        """Return what became of the messages so far."""
-        dropped = self._overflow + self._discarded
-        return Counts(self._file.messages, dropped, self._file.size, self._error)
+    def counts(self) -> dict[str, Any]:
+        """Return messages in the file, those dropped, bytes of the file, and the error or ""."""
+        return {
+            "messages": self._file.messages,
+            "dropped": self._overflow + self._discarded,
+            "bytes": self._file.size,
+            "error": self._error,
+        }
 
     def close(self) -> None:
         """Write the rest, finish the file; at most 5 s. Never raises, and safe to call twice."""

@@ -75,7 +75,7 @@ class McapFile:
             if not os.path.samestat(there, os.fstat(self._file)):
                 raise Taken  # finished and renamed since it was opened
         except BaseException:
-            self._release()
+            self.leave()
             raise
 
     @property
@@ -83,10 +83,10 @@ class McapFile:
         """Number of channels."""
         return len(self._channels)
 
-    def begin(self, library: str = f"unicon_ros {__version__}") -> None:
+    def begin(self) -> None:
         """Write the header, over whatever stands there."""
         os.ftruncate(self._file, 0)
-        self._append([header(library)])
+        self._append([header(f"unicon_ros {__version__}")])
         with suppress(OSError):  # some file systems do not sync folders
             os.fsync(self._folder)
 
@@ -167,18 +167,21 @@ class McapFile:
             with suppress(OSError):
                 os.fsync(self._folder)
         finally:
-            self._release()
+            self.leave()
         return before - self.messages
 
     def leave(self) -> None:
-        """Close it as it is."""
-        self._release()
+        """Close it as it is; safe to call twice."""
+        file, folder, self._file, self._folder = self._file, self._folder, -1, -1
+        for descriptor in (file, folder):
+            if descriptor >= 0:
+                os.close(descriptor)
 
     def forget(self) -> None:
         """Close it, where it was deleted: nothing of it is kept."""
         self.messages = self.size = 0
         self._chunks.clear()
-        self._release()
+        self.leave()
 
     def discard(self) -> None:
         """Close and delete it."""
@@ -186,7 +189,7 @@ class McapFile:
             with suppress(OSError):
                 os.unlink(self.partial.name, dir_fd=self._folder)
         finally:
-            self._release()
+            self.leave()
 
     def read(self, count: int, start: int) -> bytes:
         """Return up to `count` bytes from a place."""
@@ -213,12 +216,6 @@ class McapFile:
     def _cut(self, size: int) -> None:
         self.size = size
         os.ftruncate(self._file, size)
-
-    def _release(self) -> None:
-        file, folder, self._file, self._folder = self._file, self._folder, -1, -1
-        for descriptor in (file, folder):
-            if descriptor >= 0:
-                os.close(descriptor)
 
 
 def lock(descriptor: int) -> None:

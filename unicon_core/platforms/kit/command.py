@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from unicon_core.errors import Fault
+from unicon_core.states import States
 from unicon_core.states.stacked import flat, stacked
 from unicon_core.states.standard import COMMAND_STATES
 
@@ -56,7 +57,7 @@ class Command:
             [N·m/rad], [N·m·s/rad], shape (5, ..., n).
 
     Args:
-        views: the command states by name, each of shape (..., n).
+        views: holds the command states by name, each of shape (..., n).
         joint_names: of the last axis.
         who: in front of a fault's message.
         dtype: of the copy.
@@ -64,7 +65,7 @@ class Command:
 
     def __init__(
         self,
-        views: Mapping[str, Array],
+        views: Mapping[str, Array] | States,
         joint_names: Sequence[str],
         who: str = "",
         dtype: DTypeLike = np.float64,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from typing import Any
 
@@ -61,18 +62,15 @@ class Disturbances:
         self._push_ticks = max(round(every), 1) if scene.push else 0
         self._largest = float(scene.push.get("velocity", 0.0))
         self._views = [states[name] for name in platform.facts.reads]
-        self._command = Command(
-            {name: states[name] for name in states}, robot.joint_names, dtype=np.float32
-        )
+        self._command = Command(states, robot.joint_names, dtype=np.float32)
         self._delay = scene.delay
-        self._queue: list[list[NDArray[Any]]] = []
         self._begin()
 
     def _begin(self) -> None:
         count = self._batch or 1
         self._rngs = [np.random.default_rng((self._seed, k)) for k in range(count)]
         self._ticks = 0
-        self._queue = []
+        self._queue: deque[list[NDArray[Any]]] = deque(maxlen=self._delay + 1)
 
     def recv(self) -> bool | None:
         """Add noise to what was measured."""
@@ -100,8 +98,7 @@ class Disturbances:
         self._command.take()  # what is wrong is told now, not when it would arrive
         now = [view.copy() for view in self._views]
         # Before the first command arrives the motors hold what it says.
-        self._queue = [*self._queue, now] if self._queue else [now] * (self._delay + 1)
-        self._queue = self._queue[-self._delay - 1 :]
+        self._queue.extend([now] * (1 if self._queue else self._delay + 1))
         try:
             self._write(self._queue[0])
             return self._send()

@@ -65,8 +65,6 @@ class Scene:
     pose: NDArray[np.float32] | None = None
 
     def __post_init__(self) -> None:
-        if self.terrain != "flat":
-            raise PlatformError(f"scene.terrain is {self.terrain!r}; known: flat")
         if not 0 <= self.delay <= LONGEST_DELAY:
             raise PlatformError(f"scene.delay is {self.delay} ticks; give 0 to {LONGEST_DELAY}")
         if self.seed < 0:

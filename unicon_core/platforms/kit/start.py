@@ -50,11 +50,10 @@ def start_of(robot: Robot, scene: Scene) -> Start:
     """
     loaded = load_model(scene.model_path(robot), robot)
     base, qpos = loaded.base, initial_positions(loaded, robot, scene)
-    joint_pos = qpos[loaded.addresses]
+    pose = np.array((0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0))
     if base is not None:
         pose = qpos[int(loaded.model.jnt_qposadr[base]) :][:7]
-        return Start(loaded, joint_pos, pose[:3], pose[3:], True)
-    return Start(loaded, joint_pos, np.zeros(3), np.array((1.0, 0.0, 0.0, 0.0)), False)
+    return Start(loaded, qpos[loaded.addresses], pose[:3], pose[3:], base is not None)
 
 
 def initial_positions(loaded: LoadedModel, robot: Robot, scene: Scene) -> Float:

@@ -18,7 +18,7 @@ from unicon_core.platforms.kit.start import Start
 from unicon_core.platforms.platform import Facts
 from unicon_core.robots import Robot
 from unicon_core.states import States
-from unicon_core.states.standard import BASE_STATES, COMMAND_STATES, JOINT_STATES
+from unicon_core.states.standard import BASE_STATES, JOINT_STATES
 
 __all__ = ["GRAVITY", "SteppedSimulator"]
 
@@ -60,10 +60,10 @@ class SteppedSimulator(ABC):
         self._names, self.start, self.model_path = robot.joint_names, start, start.loaded.path
         self.timestep, self.decimation = timestep, steps_in(period, timestep, self.model_path)
         self._tick_ns = tick_ns(timestep, self.decimation)
-        self._command = Command({n: states[n] for n in COMMAND_STATES}, robot.joint_names)
+        self._command = Command(states, robot.joint_names)
         self._servo = Servo(self._command.rows, robot.effort_limit)
         views = {name: states[name] for name in self.facts.writes}
-        self._told = [(views[name], i) for i, name in enumerate(JOINT_STATES)]
+        self._told = [views[name] for name in JOINT_STATES]
         self._stamp = views["stamp_ns"]
         self._base_states = BaseStates(views, robot, timestep, GRAVITY)
         self.reset()
@@ -94,9 +94,8 @@ class SteppedSimulator(ABC):
 
     def recv(self) -> bool | None:
         """Copy what the simulation says into the states."""
-        measured: tuple[Any, ...] = (*self._measured, self._servo.torque)
-        for view, i in self._told:
-            view[...] = measured[i]
+        for view, value in zip(self._told, (*self._measured, self._servo.torque)):
+            view[...] = value
         self._base_states(self._before, self._now)
         self._stamp[...] = round(self._ticks * self._tick_ns)
         return None

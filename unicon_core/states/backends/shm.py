@@ -38,7 +38,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from unicon_core.errors import StateError
+from unicon_core.errors import StateError, alternatives
 from unicon_core.states.backends.sleep import Sleep, barrier
 from unicon_core.states.groups import (
     Copies,
@@ -231,10 +231,11 @@ class Segment:
         try:
             fd = _open(path, os.O_RDONLY if read_only else os.O_RDWR)
         except FileNotFoundError:
-            there = ", ".join(found.name for found in segments()) or "none"
-            raise StateError(f"no segment {name!r} in {FOLDER}; there are: {there}") from None
+            there = alternatives(name, (found.name for found in segments()))
+            raise StateError(f"no segment {name!r} in {FOLDER}; {there}") from None
         except OSError as error:
-            raise StateError(f"store shm: cannot read {path}: {error.strerror}") from error
+            what = f"cannot read {path}: {error.strerror}; remove it"
+            raise StateError(f"store shm: {what}") from error
         try:
             status = os.fstat(fd)
             if status.st_size < JSON_AT:
@@ -386,7 +387,8 @@ def remove_dead(name: str) -> bool:
     except FileNotFoundError:
         return True
     except OSError as error:
-        raise StateError(f"store shm: cannot take over {path}: {error.strerror}") from error
+        what = f"cannot take over {path}: {error.strerror}; remove it"
+        raise StateError(f"store shm: {what}") from error
     try:
         if not _lock(fd, fcntl.F_WRLCK, _WRITER_LOCK):
             return False
@@ -575,6 +577,11 @@ class ShmWatcher:
         """Copy the value that was taken last into the states once more."""
         for packed, state in self._copies:
             state[:] = packed
+
+    @property
+    def pid(self) -> int:
+        """Process of the writer."""
+        return self._segment.pid
 
     def alive(self) -> bool:
         """Return whether the writer lives; where it has died, a new one of the name is taken up.

@@ -9,15 +9,14 @@ from __future__ import annotations
 
 import sys
 import tempfile
-import threading
 from collections.abc import Iterable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from importlib.util import find_spec
 from pathlib import Path
 
 from unicon_core.errors import UniconError, alternatives
 from unicon_ros.bench.faults import cases_data, cases_output, cases_program, cases_ros
-from unicon_ros.bench.faults.case import Case
+from unicon_ros.bench.faults.case import Case, Measured
 from unicon_ros.bench.faults.fault_report import FaultBench, write_table
 from unicon_ros.bench.faults.fault_run import FaultRun
 from unicon_ros.bench.faults.measure import measure
@@ -58,13 +57,13 @@ def run(
     if quick:
         chosen = [case for case in chosen if case.quick]
     missing = {name for case in chosen for name in case.needs if find_spec(name) is None}
-    able = [case for case in chosen if not missing.intersection(case.needs)]
+    able = [case for case in chosen if not missing & case.needs]
     bench = FaultBench("faults", seed=0, rounds=rounds or 1)
     for _ in range(bench.rounds):
         _round(bench, able)
     if missing:
         names = ", ".join(sorted(missing))
-        bench.fact(f"left out, without {names}", len(chosen) - len(able))
+        bench.facts[f"left out, without {names}"] = len(chosen) - len(able)
     bench.conclude([case.row for case in able])
     if document:
         write_table(bench, Path(document))
@@ -72,21 +71,19 @@ def run(
 
 
 def _round(bench: FaultBench, cases: Iterable[Case]) -> None:
-    told = threading.Lock()
-
-    def one(case: Case) -> None:
-        with tempfile.TemporaryDirectory() as folder:
-            fault_run = FaultRun(case, Path(folder))
-            got = measure(fault_run, fault_run.run())
-        with told:
-            missed = bench.fault(case, got)
-            word = "holds" if not missed else f"MISSED: {'; '.join(missed)}"
-            print(f"{case.row}: {word}", file=sys.stderr, flush=True)
-
     with ThreadPoolExecutor(AT_A_TIME) as pool:
+        runs = {pool.submit(_measured, case): case for case in cases}
         try:
-            for done in [pool.submit(one, case) for case in cases]:
-                done.result()
+            for done in as_completed(runs):
+                missed = bench.fault(runs[done], done.result())
+                word = "holds" if not missed else f"MISSED: {'; '.join(missed)}"
+                print(f"{runs[done].row}: {word}", file=sys.stderr, flush=True)
         except BaseException:  # Ctrl-C: those that run end by themselves
             pool.shutdown(wait=False, cancel_futures=True)
             raise
+
+
+def _measured(case: Case) -> Measured:
+    with tempfile.TemporaryDirectory() as folder:
+        fault_run = FaultRun(case, Path(folder))
+        return measure(fault_run, fault_run.run())

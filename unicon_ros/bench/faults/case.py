@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -62,7 +63,8 @@ class Case:
     Attributes:
         group: heading of the table.
         name: what goes wrong.
-        fault: what the recording platform does, see there.
+        fault: what the recording platform does, see there; unless told it marks the tick, and a
+            block misbehaves.
         wants: what is wanted.
         at: number of the tick in which it happens.
         flow: of the workflow: the policy, or a simple motion.
@@ -78,14 +80,13 @@ class Case:
         output: where stdout and stderr go: `file`, `closed`, `device full`, `terminal`, or a
             `pipe` that nobody reads.
         file_limit: largest file that the process may write in [byte], as on a full disk.
-        needs: packages without which it is left out.
         quick: one of the few that every test run takes.
     """
 
     group: str
     name: str
     wants: Wants
-    fault: Mapping[str, Any] = field(default_factory=dict)
+    fault: Mapping[str, Any] = field(default_factory=lambda: {"mark": True})
     at: int = 25
     flow: Any = field(default_factory=lambda: WOBBLE)
     workflow: Mapping[str, Any] = field(default_factory=dict)
@@ -98,13 +99,29 @@ class Case:
     failing: str = ""
     output: str = "file"
     file_limit: int | None = None
-    needs: tuple[str, ...] = ()
     quick: bool = False
 
     @property
     def row(self) -> str:
         """Return the row of the table: group and name."""
         return f"{self.group}: {self.name}"
+
+    @property
+    def uses_policy(self) -> bool:
+        """Return whether a policy is in the flow."""
+        return '"policy"' in json.dumps(self.flow)
+
+    @property
+    def needs(self) -> set[str]:
+        """Return the packages without which it is left out."""
+        ros = self.node or bool(self.peer)
+        needed = {
+            "rclpy": ros,
+            "rosbags": ros or "--record" in self.arguments,
+            "matplotlib": "--picture" in self.arguments,
+            "onnxruntime": self.uses_policy,
+        }
+        return {package for package, is_needed in needed.items() if is_needed}
 
 
 @dataclass

@@ -11,7 +11,6 @@ __all__ = ["CASES"]
 _sensing = partial(Case, "sensors and policy")
 _NO_LONGER = Wants(most=0, reason="")
 _SENSORS = ("joint_pos", "joint_vel", "base_ang_vel", "projected_gravity")
-_NEEDS = ("onnxruntime",)
 _STALE = ["finite", "joint_limits", {"stale_stop": {"timeout": 0.1}}]
 
 
@@ -22,9 +21,7 @@ def _broken(value: float, state: str = "joint_pos_target") -> object:
 def _not_caught(name: str, flow: object = WALK, **fault: object) -> Case:
     """A fault that nothing looks for: it runs on; what is held is that it ends in damping."""
     wants = Wants(most=None, least=20, ms=None, status=(0,))
-    return Case(
-        "not caught today", name, wants, fault=fault or {"mark": True}, flow=flow, needs=_NEEDS
-    )
+    return Case("not caught today", name, wants, fault or {"mark": True}, flow=flow)
 
 
 CASES = (
@@ -34,24 +31,16 @@ CASES = (
             _NO_LONGER,
             fault={"set": {state: "nan"}},
             flow=WALK,
-            needs=_NEEDS,
             quick=state == "joint_pos",
         )
         for state in _SENSORS
     ),
-    _sensing(
-        "infinity in joint_vel",
-        _NO_LONGER,
-        fault={"set": {"joint_vel": 1e39}},
-        flow=WALK,
-        needs=_NEEDS,
-    ),
-    _sensing("the policy gives NaN", _NO_LONGER, fault={"mark": True}, flow=NAN),
+    _sensing("infinity in joint_vel", _NO_LONGER, fault={"set": {"joint_vel": 1e39}}, flow=WALK),
+    _sensing("the policy gives NaN", _NO_LONGER, flow=NAN),
     _sensing(
         "the policy gives 1e30 rad",
         # A limit is no fault: what leaves is within the limits.
         Wants(most=None, least=20, ms=None, status=(0, 3)),
-        fault={"mark": True},
         flow=_broken(1e30),
     ),
     _sensing(

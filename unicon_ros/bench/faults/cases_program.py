@@ -10,7 +10,7 @@ from functools import partial
 from unicon_ros.bench.faults.case import BLOCKS, NAN, WOBBLE, Case, Wants
 from unicon_ros.bench.faults.fault_run import FaultRun
 
-__all__ = ["CASES", "two_ctrl_c_in_a_hang"]
+__all__ = ["CASES", "second_ctrl_c"]
 
 _raising = partial(Case, "exceptions")
 _signalled = partial(Case, "signals")
@@ -31,23 +31,15 @@ _SIGNALS = (
 _DOUBTFUL = ("KeyboardInterrupt",)  # how somebody else's Ctrl-C may come up: any status but 0
 
 
-def _stop_and_continue(run: FaultRun) -> None:
+def _stop_and_continue(number: signal.Signals, seconds: float, run: FaultRun) -> None:
     run.wait_for_tick(25)
     run.mark()
-    run.process.send_signal(signal.SIGSTOP)
-    time.sleep(2.0)
+    run.process.send_signal(number)
+    time.sleep(seconds)
     run.process.send_signal(signal.SIGCONT)
 
 
-def _ctrl_z(run: FaultRun) -> None:
-    run.wait_for_tick(25)
-    run.mark()
-    run.process.send_signal(signal.SIGTSTP)
-    time.sleep(1.0)
-    run.process.send_signal(signal.SIGCONT)
-
-
-def two_ctrl_c_in_a_hang(run: FaultRun) -> None:
+def _two_ctrl_c(run: FaultRun) -> None:
     run.wait_for_tick(25)
     time.sleep(0.2)
     run.process.send_signal(signal.SIGINT)
@@ -63,6 +55,19 @@ def _term_in_the_group(run: FaultRun) -> None:
     os.killpg(run.process.pid, signal.SIGINT)
 
 
+def second_ctrl_c(group: str, node: bool = False) -> Case:
+    """A second Ctrl-C, which damps at once though a tick hangs."""
+    return Case(
+        group,
+        "second Ctrl-C in a hang of 3 s",
+        Wants(most=0, ms=300.0, status=(), report=False),
+        fault={"hang": 3.0},
+        outside=_two_ctrl_c,
+        duration=4.0,
+        node=node,
+    )
+
+
 def _building(name: str) -> Case:
     slow = {f"{BLOCKS}:slow_build": {"log": "{log}", "signals": f"SIG{name}"}}
     return _signalled(
@@ -74,8 +79,7 @@ def _building(name: str) -> Case:
 
 def _refused(name: str, reason: str, workflow: dict[str, object]) -> Case:
     wants = Wants(most=0, closed=False, ms=None, status=(1,), reason=reason, report=False)
-    fault = {"mark": True}
-    return Case("refused before a motor moves", name, wants, fault, workflow=workflow, at=1)
+    return Case("refused before a motor moves", name, wants, workflow=workflow, at=1)
 
 
 CASES = (
@@ -112,15 +116,9 @@ CASES = (
     _signalled(
         "Ctrl-Z (SIGTSTP): damps, then stops",
         Wants(most=1, ms=400.0, status=(), report=False),
-        outside=_ctrl_z,
+        outside=partial(_stop_and_continue, signal.SIGTSTP, 1.0),
     ),
-    _signalled(
-        "second Ctrl-C in a hang of 3 s",
-        Wants(most=0, ms=300.0, status=(), report=False),
-        fault={"hang": 3.0},
-        outside=two_ctrl_c_in_a_hang,
-        duration=4.0,
-    ),
+    second_ctrl_c("signals"),
     _building("TERM"),
     _building("HUP"),
     _building("INT"),
@@ -134,10 +132,13 @@ CASES = (
     _timing(
         "hang of 0.5 s in a block",
         Wants(most=1, ms=800.0),
-        fault={"mark": True},
         flow={"zip": [WOBBLE, {f"{BLOCKS}:broken": {"hang": 0.5}}]},
     ),
-    _timing("SIGSTOP for 2 s, then SIGCONT", Wants(most=2, ms=2400.0), outside=_stop_and_continue),
+    _timing(
+        "SIGSTOP for 2 s, then SIGCONT",
+        Wants(most=2, ms=2400.0),
+        outside=partial(_stop_and_continue, signal.SIGSTOP, 2.0),
+    ),
     _timing(
         "every tick takes 25 of 20 ms",
         Wants(most=None, least=15, ms=None, status=(0, 3), overruns=15),

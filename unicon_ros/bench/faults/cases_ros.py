@@ -7,15 +7,15 @@ from functools import partial
 from typing import Any
 
 from unicon_ros.bench.faults.case import WALK, WOBBLE, Case, Wants
-from unicon_ros.bench.faults.cases_program import two_ctrl_c_in_a_hang
+from unicon_ros.bench.faults.cases_program import second_ctrl_c
 
 __all__ = ["CASES"]
 
-_node = partial(Case, "unicon_node")
+_node = partial(Case, "unicon_node", node=True)
 _both = partial(Case, "two at once")
-_NEEDS = ("rclpy", "rosbags")
 _RANGES = (1.0, 0.4, 1.0)  # command_ranges of go2_velocity, the larger side
 _COMMANDED = Wants(most=None, ms=None, status=(), report=False)
+_SILENCED = replace(_COMMANDED, zero_ms=650.0)
 # From the call on: the request's way is in it, and a loaded machine takes 150 ms for that.
 _PRESSED = Wants(most=10, ms=300.0, reason="estop", report=False)
 _WAITING = ("-p", "autostart:=false")
@@ -26,12 +26,12 @@ def _cmd_vel(name: str, what: str, wants: Wants, failing: str = "") -> Case:
         "commands from ROS",
         name,
         wants,
+        fault={},  # the peer's, or the middleware's
         flow=WALK,
         arguments=("--ros",),
         duration=12.0,
         peer=("commander", what),
         failing=failing,
-        needs=(*_NEEDS, "onnxruntime"),
         quick=what == "nan",
     )
 
@@ -47,7 +47,6 @@ def _robot(name: str, what: str, wants: Wants, failing: str = "") -> Case:
         peer=("robot", what),
         topics=True,
         failing=failing,
-        needs=_NEEDS,
         quick=what == "nan",
     )
 
@@ -64,22 +63,14 @@ def _estop(name: str, wants: Wants, *words: str, wait: int = 60, **others: Any) 
         node=True,
         peer=("caller", str(wait), *words),
         duration=1.0,
-        needs=_NEEDS,
         **others,
     )
 
 
 CASES = (
-    _cmd_vel(
-        "cmd_vel falls silent (time-out 0.5 s)", "silence", replace(_COMMANDED, zero_ms=650.0)
-    ),
-    _cmd_vel("cmd_vel NaN at 1 kHz (time-out 0.5 s)", "nan", replace(_COMMANDED, zero_ms=650.0)),
-    _cmd_vel(
-        "cmd_vel cannot be taken (time-out 0.5 s)",
-        "good",
-        replace(_COMMANDED, zero_ms=650.0),
-        failing="take",
-    ),
+    _cmd_vel("cmd_vel falls silent (time-out 0.5 s)", "silence", _SILENCED),
+    _cmd_vel("cmd_vel NaN at 1 kHz (time-out 0.5 s)", "nan", _SILENCED),
+    _cmd_vel("cmd_vel cannot be taken (time-out 0.5 s)", "good", _SILENCED, failing="take"),
     *(
         _cmd_vel(f"cmd_vel of {what}", what, replace(_COMMANDED, speed=_RANGES))
         for what in ("50", "1e30")
@@ -139,25 +130,13 @@ CASES = (
         "SIGHUP",
         Wants(most=1, ms=400.0, ended_ms=3000.0, status=(), report=False),
         fault={"signals": ["SIGHUP"]},
-        node=True,
-        needs=_NEEDS,
     ),
     _node(
         "ValueError in recv, exit_on_fault",
         Wants(most=0, reason="made by the bench", report=False),
         fault={"raise": "ValueError"},
-        node=True,
-        needs=_NEEDS,
     ),
-    _node(
-        "second Ctrl-C in a hang of 3 s",
-        Wants(most=0, ms=300.0, status=(), report=False),
-        fault={"hang": 3.0},
-        outside=two_ctrl_c_in_a_hang,
-        duration=4.0,
-        node=True,
-        needs=_NEEDS,
-    ),
+    second_ctrl_c("unicon_node", node=True),
     _both(
         "NaN in joint_pos and SIGTERM in one tick",
         Wants(most=0, ended_ms=1500.0, reason="joint_pos_target"),

@@ -8,7 +8,7 @@ from typing import Any
 from unicon_core.errors import UniconError
 from unicon_ros.bench.faults.case import Case, Measured
 from unicon_ros.bench.faults.judge import judge, reaction
-from unicon_ros.bench.report import Bench, machine_facts
+from unicon_ros.bench.report import Bench, machine
 
 __all__ = ["FaultBench", "escaped", "write_table"]
 
@@ -45,13 +45,12 @@ class FaultBench(Bench):
         """Put the cases in this order (they end in another) and count those that hold."""
         self.cases = {name: self.cases[name] for name in order}
         held = sum(bool(case["holds"]) for case in self.cases.values())
-        self.fact("cases that hold", f"{held} of {len(self.cases)}")
+        self.facts["cases that hold"] = f"{held} of {len(self.cases)}"
         self.ratio("cases_that_hold", held / max(len(self.cases), 1), 1.0, at_least=True)
 
     def table(self) -> str:
         """Return the rows as text."""
-        machine = machine_facts()
-        lines = [f"bench faults: {machine['cpu']}, {machine['cores']} cores", ""]
+        lines = [f"bench faults: {machine()}", ""]
         width = max(map(len, self.cases), default=0)
         for name, case in self.cases.items():
             cells = _cells(case)
@@ -88,8 +87,7 @@ def write_table(bench: FaultBench, path: Path) -> None:
     _, end, tail = rest.partition(END)
     if not (begin and end):
         raise UniconError(f"{path} has no place for the table; add the lines {BEGIN} and {END}")
-    machine = machine_facts()
-    told = f"{machine['cpu']}, {machine['cores']} cores; {bench.facts['cases that hold']} hold."
+    told = f"{machine()}; {bench.facts['cases that hold']} hold."
     table = f"{head}{BEGIN}\n{told}\n\n{bench.markdown()}\n{END}{tail}"
     try:
         path.write_text(table, encoding="utf-8")

@@ -11,7 +11,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ from unicon_ros.bench.loops import die_with_parent
 
 __all__ = ["FaultRun"]
 
-PLATFORM = "unicon_ros.bench.faults.recording_platform:make"
+PLATFORM = "unicon_ros.bench.faults.recording_platform:RecordingPlatform"
 PEERS = "unicon_ros.bench.faults.peers"
 START = 40.0  # s in which the first command must have left
 LINGER = 10.0  # s beyond its duration after which a run is killed
@@ -63,21 +63,17 @@ class FaultRun:
     def run(self) -> int | None:
         """Run to the end; return the exit status, None where it had to be killed."""
         case = self.case
-        if case.peer:
-            module, *arguments = case.peer
-            files = [str(self.peer_log.path), str(self.log.path)]
-            command = [sys.executable, "-m", f"{PEERS}.{module}", *files, *arguments]
-            self._peer = self._start(command, self.folder / "peer.txt")
-        try:
-            with _output(case.output, self.folder / "output.txt") as (self.stream, self.terminal):
-                self.process = self._start(self._command(), self.stream)
-                try:
-                    return self._watch()
-                finally:
-                    _kill(self.process)
-        finally:
-            if self._peer is not None:
-                _kill(self._peer)
+        with ExitStack() as stack:
+            if case.peer:
+                module, *arguments = case.peer
+                files = [str(self.peer_log.path), str(self.log.path)]
+                command = [sys.executable, "-m", f"{PEERS}.{module}", *files, *arguments]
+                out, _ = stack.enter_context(_output("file", self.folder / "peer.txt"))
+                self._peer = self._start(command, out, stack)
+            output = _output(case.output, self.folder / "output.txt")
+            self.stream, self.terminal = stack.enter_context(output)
+            self.process = self._start(self._command(), self.stream, stack)
+            return self._watch()
 
     def mark(self) -> None:
         """Note that the fault is done now."""
@@ -157,13 +153,13 @@ class FaultRun:
             "safety": ["finite", "joint_limits", "tilt_stop"],
             **case.workflow,
         }
-        if not _uses(values["flow"], "policy"):
+        if not case.uses_policy:
             del values["policies"]
         text = json.dumps(values).replace("{log}", log)
         filled: dict[str, Any] = json.loads(text)
         return filled
 
-    def _start(self, command: list[str], output: Any) -> subprocess.Popen[bytes]:
+    def _start(self, command: list[str], out: int, stack: ExitStack) -> subprocess.Popen[bytes]:
         limit = self.case.file_limit
 
         def prepare() -> None:
@@ -175,20 +171,17 @@ class FaultRun:
             if limit is not None:
                 resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
 
-        out = output.open("wb") if isinstance(output, Path) else output
-        try:
-            return subprocess.Popen(
-                command,
-                stdin=subprocess.DEVNULL,
-                stdout=out,
-                stderr=out,
-                env=self._environment,
-                cwd=self.folder,
-                preexec_fn=prepare,
-            )
-        finally:
-            if isinstance(output, Path):
-                out.close()
+        process = subprocess.Popen(
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=out,
+            stderr=out,
+            env=self._environment,
+            cwd=self.folder,
+            preexec_fn=prepare,
+        )
+        stack.callback(_kill, process)
+        return process
 
 
 @contextmanager
@@ -212,10 +205,6 @@ def _output(kind: str, path: Path) -> Iterator[tuple[int, int]]:
         os.close(theirs)
         if ours >= 0:
             os.close(ours)
-
-
-def _uses(flow: Any, word: str) -> bool:
-    return f'"{word}"' in json.dumps(flow)
 
 
 def _kill(process: subprocess.Popen[bytes]) -> None:

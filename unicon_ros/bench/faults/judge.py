@@ -31,7 +31,8 @@ def judge(wants: Wants, got: Measured) -> list[str]:
     within(got.ended_ms, wants.ended_ms, "ended")
     within(got.zero_ms, wants.zero_ms, "velocity command zero")
     if wants.status:
-        ask(got.status in wants.status, f"status {got.status}, wanted {_either(wants.status)}")
+        either = " or ".join(map(str, wants.status))
+        ask(got.status in wants.status, f"status {got.status}, wanted {either}")
     ask(wants.reason in got.reason, f"reason lacks {wants.reason!r}")
     ask(not wants.report or "report" in got.disk, "no report")
     for file in wants.files:
@@ -74,7 +75,3 @@ def reaction(wants: Wants, got: Measured, by_topic: bool = False) -> str:
     elif not parts:
         parts.append("goes on" if got.commands else "nothing was sent")
     return ", ".join(parts)
-
-
-def _either(statuses: tuple[int, ...]) -> str:
-    return " or ".join(map(str, statuses))

@@ -15,21 +15,13 @@ _MAGIC = 8
 
 def report_of(folder: Path) -> dict[str, Any]:
     """Return the report; empty where there is none or it is not whole."""
-    try:
-        values = json.loads((folder / "report.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return {}
+    values = _json(folder / "report.json")
     return values if isinstance(values, dict) else {}
 
 
 def what_is_there(folder: Path) -> list[str]:
     """Return words for what is there and whole enough to be read."""
-    words = ["report"] if report_of(folder) else []
-    try:
-        json.loads((folder / "trace.json").read_text(encoding="utf-8"))
-        words.append("trace")
-    except (OSError, ValueError):
-        pass
+    words = [word for word in ("report", "trace") if _json(folder / f"{word}.json")]
     picture = folder / "picture.png"
     if picture.is_file() and picture.stat().st_size:
         words.append("picture")
@@ -44,6 +36,13 @@ def recorded_span(folder: Path) -> tuple[int, int] | None:
     spans = [_span(path) for path in folder.rglob("*") if path.is_file() and _is_mcap(path)]
     found = [span for span in spans if span is not None]
     return (min(a for a, _ in found), max(b for _, b in found)) if found else None
+
+
+def _json(path: Path) -> Any:
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
 
 
 def _is_mcap(path: Path) -> bool:

@@ -1,17 +1,17 @@
 """A platform that logs every command that leaves, and does at a given tick what robots do at worst.
 
-    platform: unicon_ros.bench.faults.recording_platform:make
+    platform: unicon_ros.bench.faults.recording_platform:RecordingPlatform
 
 Behind it stands the fake robot. It counts as hardware: what is refused on a robot is refused here.
 """
 
 from __future__ import annotations
 
+import builtins
 import math
 import os
 import signal
 import time
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,50 +24,22 @@ from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_ros.bench.faults.command_log import CLOSE, FAULT, OPEN, RECV, SEND, CommandLog
 
-__all__ = ["ERRORS", "RecordingPlatform", "make"]
-
-ERRORS: dict[str, type[BaseException]] = {
-    kind.__name__: kind
-    for kind in (
-        Fault,
-        ValueError,
-        MemoryError,
-        OSError,
-        RecursionError,
-        SystemExit,
-        KeyboardInterrupt,
-    )
-}
-"""Exceptions that a fault may raise, by name."""
-
-
-def make(
-    states: States,
-    robot: Robot,
-    period: float,
-    *,
-    log: str,
-    fault: dict[str, Any] | None = None,
-    at: int = 25,
-) -> RecordingPlatform:
-    """Build the platform.
-
-    Args:
-        period: of a tick in [s].
-        log: file of the command log; it exists.
-        fault: what goes wrong, see `RecordingPlatform`; None for nothing.
-        at: number of the tick from which it does.
-    """
-    return RecordingPlatform(states, robot, period, CommandLog(Path(log)), fault or {}, at)
+__all__ = ["RecordingPlatform"]
 
 
 class RecordingPlatform:
     """The fake robot behind a command log.
 
+    Args:
+        period: of a tick in [s].
+        log: file of the command log; it exists.
+        fault: what goes wrong, see below; None for nothing.
+        at: number of the tick from which it does.
+
     Faults, any of them together:
         set: state to the value that recv leaves in it from then on (in all elements).
         freeze: states that keep their value from then on.
-        raise: name of an exception, `in` one of recv (default), send and close.
+        raise: `Fault` or a built-in exception, `in` one of recv (default), send and close.
         signals: names of signals that the process sends itself.
         hang: time in [s] for which recv does not return, once.
         slow: time in [s] that every recv takes from then on.
@@ -82,17 +54,19 @@ class RecordingPlatform:
         states: States,
         robot: Robot,
         period: float,
-        log: CommandLog,
-        fault: Mapping[str, Any],
-        at: int,
+        *,
+        log: str,
+        fault: dict[str, Any] | None = None,
+        at: int = 25,
     ) -> None:
         self._robot = make_robot(states, robot, period, time_constant=0.05)
-        self._states, self._log, self._fault, self._at = states, log, dict(fault), at
+        self._states, self._fault, self._at = states, fault or {}, at
+        self._log = CommandLog(Path(log))
         self._where = self._fault.get("in", "recv")
         self._frozen = {name: np.array(states[name]) for name in self._fault.get("freeze", ())}
         self._tick = 0
         self._marked = self._closed = False
-        log.add(OPEN)
+        self._log.add(OPEN)
 
     def recv(self) -> None:
         """Bring the fake robot's data, or what the fault makes of them."""
@@ -135,10 +109,6 @@ class RecordingPlatform:
         if breaks:
             self._raise()
 
-    def info(self) -> Mapping[str, Any]:
-        """Return where the log is."""
-        return {"log": str(self._log.path)}
-
     def _go_wrong(self, first: bool) -> None:
         fault = self._fault
         if self._where == "recv" or "mark" in fault:
@@ -164,5 +134,5 @@ class RecordingPlatform:
             self._log.add(FAULT, tick)
 
     def _raise(self) -> None:
-        if "raise" in self._fault:
-            raise ERRORS[self._fault["raise"]](f"made by the bench in {self._where}")
+        if name := self._fault.get("raise"):
+            raise getattr(builtins, name, Fault)(f"made by the bench in {self._where}")

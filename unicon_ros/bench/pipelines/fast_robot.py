@@ -17,13 +17,11 @@ from unicon_msgs_map import Decoder, Encoder, parse_map
 from unicon_ros import compat
 from unicon_ros.bench.pipelines.log import COMMAND, IMU, STATE, Log, Stop, arguments
 from unicon_ros.bench.pipelines.plain_nodes import qos
+from unicon_ros.bench.pipelines.workflows import joint_states_entry
 
 MAP = f"""
 publish:
-  - topic: {STATE}
-    type: sensor_msgs/msg/JointState
-    fields: {{header.stamp: stamp_ns, name: $joint_names, position: joint_pos,
-             velocity: joint_vel, effort: joint_effort}}
+{joint_states_entry(STATE, best_effort=False)}
   - topic: {IMU}
     type: sensor_msgs/msg/Imu
     fields: {{header.stamp: stamp_ns, orientation: base_quat, angular_velocity: base_ang_vel,

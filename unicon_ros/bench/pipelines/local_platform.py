@@ -11,7 +11,7 @@ from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.states.standard import JOINT_STATES
 
-__all__ = ["LocalPlatform", "make"]
+__all__ = ["LocalPlatform"]
 
 
 class LocalPlatform:
@@ -19,7 +19,7 @@ class LocalPlatform:
 
     facts = Facts("local", writes=(*JOINT_STATES, "stamp_ns"), reads=("joint_pos_target",))
 
-    def __init__(self, states: States, robot: Robot) -> None:
+    def __init__(self, states: States, robot: Robot, period: float) -> None:
         self._stamp = states["stamp_ns"]
         # One copy in and one out: the joint states stand back to back in the buffer.
         n = robot.num_joints
@@ -44,8 +44,3 @@ class LocalPlatform:
 
     def close(self) -> None:
         self._driver_out[...] = 0.0
-
-
-def make(states: States, robot: Robot, period: float) -> LocalPlatform:
-    """Build the platform."""
-    return LocalPlatform(states, robot)

@@ -1,13 +1,19 @@
-"""Process of plain rclpy nodes: `--variant` robot, controller, events, triggered or both."""
+"""Process of plain rclpy nodes, which spin.
+
+`--variant` robot, controller, events, triggered, both, mirror or observer.
+"""
 
 from __future__ import annotations
 
+import argparse
 from typing import Any
 
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
 
 from unicon_ros.bench.pipelines.log import Log, Stop, arguments, beside
+from unicon_ros.bench.pipelines.plain_mirror import PlainMirror, PlainObserver
 from unicon_ros.bench.pipelines.plain_nodes import PlainController, PlainRobot
 
 
@@ -16,21 +22,7 @@ def main() -> None:
     options = arguments()
     rclpy.init(signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
     stop = Stop()
-    received = Log(options.out, "stamp", "received")
-    both = options.variant == "both"
-    sent = Log(
-        beside(options.out, "controller") if both else options.out, "stamp", "seen", "begin", "end"
-    )
-    heard = Log(beside(sent.path, "heard"), "stamp", "received")
-    nodes: list[Any] = []
-    if options.variant in ("robot", "both"):
-        nodes.append(PlainRobot(options.joints, options.state_rate, options.best_effort, received))
-    if options.variant != "robot":
-        triggered = options.variant == "triggered"
-        every = round(options.state_rate / options.rate) if triggered else 0
-        nodes.append(
-            PlainController(options.joints, options.rate, every, options.best_effort, sent, heard)
-        )
+    nodes, logs = _nodes(options)
     executor: Any = SingleThreadedExecutor()
     if options.variant == "events":
         from rclpy.experimental import EventsExecutor
@@ -40,14 +32,35 @@ def main() -> None:
         executor.add_node(node)
     while not stop:
         executor.spin_once(timeout_sec=0.1)
-    if options.variant in ("robot", "both"):
-        received.save()
-    if options.variant != "robot":
-        sent.save()
-        heard.save()
+    for log in logs:
+        log.save()
     for node in nodes:
         node.destroy_node()
     rclpy.try_shutdown()
+
+
+def _nodes(options: argparse.Namespace) -> tuple[list[Node], list[Log]]:
+    """Return the nodes of a variant, and their logs."""
+    joints, state_rate, best_effort = options.joints, options.state_rate, options.best_effort
+    received, published = Log(options.out, "stamp", "received"), Log(options.out, "begin", "end")
+    if options.variant == "mirror":
+        return [PlainMirror(joints, state_rate, best_effort, published)], [published]
+    if options.variant == "observer":
+        return [PlainObserver(best_effort, received)], [received]
+    nodes: list[Node] = []
+    logs: list[Log] = []
+    sent_file = options.out
+    if options.variant in ("robot", "both"):
+        nodes.append(PlainRobot(joints, state_rate, best_effort, received))
+        logs.append(received)
+        sent_file = beside(options.out, "controller")
+    if options.variant != "robot":
+        sent = Log(sent_file, "stamp", "seen", "begin", "end")
+        heard = Log(beside(sent_file, "heard"), "stamp", "received")
+        every = round(state_rate / options.rate) if options.variant == "triggered" else 0
+        nodes.append(PlainController(joints, options.rate, every, best_effort, sent, heard))
+        logs += [sent, heard]
+    return nodes, logs
 
 
 if __name__ == "__main__":

@@ -1,21 +1,23 @@
-"""Process of a plain rclpy node that mirrors a driver's joint states to a topic, by a timer.
+"""Plain rclpy nodes of a mirror: one publishes a driver's joint states by a timer, one watches.
 
 What our mirror is beside, publisher against publisher: the same arrays and message, no control,
-no second topic, a message that is filled anew.
+no second topic, a message that is filled anew. The watching node's executor alone takes longer than
+the message's way to it.
 """
 
 from __future__ import annotations
 
 import time
+from typing import Any
 
 import numpy as np
-import rclpy
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
-from unicon_ros.bench.pipelines.log import MIRROR, Log, Stop, arguments, set_stamp
+from unicon_ros.bench.pipelines.log import MIRROR, Log, nanoseconds, set_stamp
 from unicon_ros.bench.pipelines.plain_nodes import qos
+
+__all__ = ["PlainMirror", "PlainObserver"]
 
 
 class PlainMirror(Node):
@@ -41,20 +43,14 @@ class PlainMirror(Node):
         self.log.add(begin, time.time_ns())
 
 
-def main() -> None:
-    """Run until SIGTERM."""
-    options = arguments()
-    rclpy.init(signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
-    stop, log = Stop(), Log(options.out, "begin", "end")
-    node = PlainMirror(options.joints, options.state_rate, options.best_effort, log)
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
-    while not stop:
-        executor.spin_once(timeout_sec=0.1)
-    log.save()
-    node.destroy_node()
-    rclpy.try_shutdown()
+class PlainObserver(Node):
+    """Notes in a callback when each message of the mirrored topic has come."""
 
+    def __init__(self, best_effort: bool, log: Log) -> None:
+        super().__init__("observer")
+        self.log = log
+        self.create_subscription(JointState, MIRROR, self.on_message, qos(best_effort))
 
-if __name__ == "__main__":
-    main()
+    def on_message(self, message: Any) -> None:
+        received = time.time_ns()
+        self.log.add(nanoseconds(message.header.stamp), received)

@@ -16,7 +16,7 @@ from sensor_msgs.msg import Imu, JointState
 
 from unicon_ros.bench.pipelines.log import COMMAND, IMU, STATE, Log, nanoseconds, set_stamp
 
-__all__ = ["PlainController", "PlainRobot", "qos"]
+__all__ = ["Controller", "PlainController", "PlainRobot", "qos"]
 
 
 def qos(best_effort: bool, depth: int = 1) -> QoSProfile:
@@ -54,8 +54,41 @@ class PlainRobot(Node):
         self.log.add(nanoseconds(command.header.stamp), now)
 
 
-class PlainController(Node):
-    """Keeps the latest state and answers by a timer, or with every n-th state.
+class Controller(Node):
+    """Keeps the latest state and answers it when `send` is called; `log` gets the commands."""
+
+    def __init__(self, joints: int, best_effort: bool, log: Log, depth: int = 1) -> None:
+        super().__init__("controller")
+        self.log = log
+        profile = qos(best_effort, depth)
+        self.command_out = self.create_publisher(JointState, COMMAND, profile)
+        self.command = JointState(name=[f"joint_{i}" for i in range(joints)])
+        self.state: Any = None
+        self.imu: Any = None
+        self.seen_ns = 0
+        self.create_subscription(JointState, STATE, self.on_state, profile)
+        self.create_subscription(Imu, IMU, self.on_imu, profile)
+
+    def on_imu(self, imu: Any) -> None:
+        self.imu = imu
+
+    def on_state(self, state: Any) -> None:
+        self.seen_ns = time.time_ns()
+        self.state = state
+
+    def send(self) -> None:
+        state = self.state
+        if state is None:
+            return
+        begin = time.time_ns()
+        self.command.header.stamp = state.header.stamp
+        self.command.position = state.position
+        self.command_out.publish(self.command)
+        self.log.add(nanoseconds(state.header.stamp), self.seen_ns, begin, time.time_ns())
+
+
+class PlainController(Controller):
+    """Answers by a timer, or with every n-th state.
 
     Args:
         every: answer every n-th state in its callback; 0: by a timer.
@@ -66,39 +99,14 @@ class PlainController(Node):
     def __init__(
         self, joints: int, rate: float, every: int, best_effort: bool, log: Log, heard: Log
     ) -> None:
-        super().__init__("controller")
-        self.log, self.heard = log, heard
-        profile = qos(best_effort)
-        self.command_out = self.create_publisher(JointState, COMMAND, profile)
-        self.command = JointState(name=[f"joint_{i}" for i in range(joints)])
-        self.state: Any = None
-        self.imu: Any = None
-        self.seen_ns = 0
-        self.every, self.states = every, 0
-        self.create_subscription(JointState, STATE, self.on_state, profile)
-        self.create_subscription(Imu, IMU, self.on_imu, profile)
+        super().__init__(joints, best_effort, log)
+        self.heard, self.every, self.states = heard, every, 0
         if not every:
-            self.create_timer(1.0 / rate, self.on_timer)
-
-    def on_imu(self, imu: Any) -> None:
-        self.imu = imu
+            self.create_timer(1.0 / rate, self.send)
 
     def on_state(self, state: Any) -> None:
-        self.seen_ns = time.time_ns()
+        super().on_state(state)
         self.heard.add(nanoseconds(state.header.stamp), self.seen_ns)
-        self.state = state
         self.states += 1
         if self.every and self.states % self.every == 0:
             self.send()
-
-    def on_timer(self) -> None:
-        if self.state is not None:
-            self.send()
-
-    def send(self) -> None:
-        begin = time.time_ns()
-        self.command.header.stamp = self.state.header.stamp
-        self.command.position = self.state.position
-        self.command_out.publish(self.command)
-        stamp = nanoseconds(self.state.header.stamp)
-        self.log.add(stamp, self.seen_ns, begin, time.time_ns())

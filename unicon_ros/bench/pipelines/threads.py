@@ -8,15 +8,12 @@ from __future__ import annotations
 
 import threading
 import time
-from typing import Any
 
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
-from sensor_msgs.msg import Imu, JointState
 
-from unicon_ros.bench.pipelines.log import COMMAND, IMU, STATE, Log, Stop, arguments, nanoseconds
-from unicon_ros.bench.pipelines.plain_nodes import qos
+from unicon_ros.bench.pipelines.log import Log, Stop, arguments
+from unicon_ros.bench.pipelines.plain_nodes import Controller
 
 SPIN_PERIOD = 0.002  # s between two passes of the spinning thread
 
@@ -26,20 +23,7 @@ def main() -> None:
     options = arguments()
     rclpy.init(signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
     stop, log = Stop(), Log(options.out, "stamp", "seen", "begin", "end")
-    node = Node("controller")
-    profile = qos(options.best_effort, depth=10)
-    out = node.create_publisher(JointState, COMMAND, profile)
-    latest: dict[str, Any] = {}
-
-    def on_state(state: Any) -> None:
-        latest["seen"] = time.time_ns()
-        latest["state"] = state
-
-    def on_imu(imu: Any) -> None:
-        latest["imu"] = imu
-
-    node.create_subscription(JointState, STATE, on_state, profile)
-    node.create_subscription(Imu, IMU, on_imu, profile)
+    node = Controller(options.joints, options.best_effort, log, depth=10)
     executor = SingleThreadedExecutor()
     executor.add_node(node)
 
@@ -50,21 +34,12 @@ def main() -> None:
 
     thread = threading.Thread(target=spin)
     thread.start()
-    command = JointState(name=[f"joint_{i}" for i in range(options.joints)])
     period = 1.0 / options.rate
     due = time.monotonic() + period
     while not stop:
         time.sleep(max(0.0, due - time.monotonic()))
         due = max(due + period, time.monotonic())
-        state = latest.get("state")
-        if state is None:
-            continue
-        begin = time.time_ns()
-        command.header.stamp = state.header.stamp
-        command.position = state.position
-        out.publish(command)
-        stamp = nanoseconds(state.header.stamp)
-        log.add(stamp, latest["seen"], begin, time.time_ns())
+        node.send()
     thread.join()
     log.save()
     node.destroy_node()

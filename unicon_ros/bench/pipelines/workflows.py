@@ -49,7 +49,7 @@ def write_local(
         The workflow file and the map file.
     """
     _write_robot(folder, joints)
-    platform = "unicon_ros.bench.pipelines.local_platform:make"
+    platform = "unicon_ros.bench.pipelines.local_platform:LocalPlatform"
     every = max(1, round(state_rate / rate))
     workflow = _workflow(platform, "", rate * every, "deadline", every)
     return _written(folder, workflow, f"publish:\n{joint_states_entry(MIRROR, best_effort)}")

@@ -63,32 +63,29 @@ class BaseReader:
         imu = find_imu(mujoco, model, body)
         self.source = dict.fromkeys(("quat", "gyro", "accelerometer"), "free joint")
 
-        def sensor(kind: str) -> tuple[Float, Float] | None:
-            """Return the sensor's data and the rotation of its site in the base, or None."""
-            if kind not in imu:
-                return None
+        def sensor(kind: str) -> tuple[Float, Float]:
+            """Return the sensor's data and the orientation of its site in the base."""
             self.source[kind] = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_SENSOR, imu[kind])
             start, size = int(model.sensor_adr[imu[kind]]), int(model.sensor_dim[imu[kind]])
             quat = np.array(model.site_quat[model.sensor_objid[imu[kind]]], dtype=np.float64)
             return data.sensordata[start : start + size], quat
 
         copies: list[Copy] = []
-        none = np.empty(0)
-        if "base_quat" in views:
-            copies.append(_quat(mujoco, views["base_quat"], sensor("quat"), qpos[3:7]))
-        if "base_ang_vel" in views:
-            gyro = sensor("gyro")
-            copies.append(_vector(mujoco, views["base_ang_vel"], gyro or (qvel[3:6], none)))
-        if "base_lin_acc" in views:
-            reading = sensor("accelerometer")
-            if reading is not None:
-                copies.append(_vector(mujoco, views["base_lin_acc"], reading))
+        for name, kind, own in (
+            ("base_quat", "quat", qpos[3:7]),
+            ("base_ang_vel", "gyro", qvel[3:6]),
+            ("base_lin_acc", "accelerometer", None),
+            ("base_pos_w", "", qpos[:3]),
+        ):
+            if name not in views:
+                continue
+            out = views[name]
+            if kind in imu:
+                copies.append(_turned(mujoco, out, *sensor(kind)))
+            elif own is not None:
+                copies.append(_plain(out, own))
             else:
-                copies.append(
-                    _specific_force(views["base_lin_acc"], qacc, self._rotation, model.opt.gravity)
-                )
-        if "base_pos_w" in views:
-            copies.append(_vector(mujoco, views["base_pos_w"], (qpos[:3], none)))
+                copies.append(_specific_force(out, qacc, self._rotation, model.opt.gravity))
         self._copies = tuple(copies)
         self._linear = qvel[:3]
         self._world = np.zeros((2, 3))
@@ -109,44 +106,26 @@ class BaseReader:
         self._gravity[...] = self._base[1]
 
 
-def _is_identity(quat: Float) -> bool:
-    return quat.size == 0 or bool(np.allclose(np.abs(quat), (1.0, 0.0, 0.0, 0.0), atol=1e-9))
+def _plain(out: NDArray[Any], source: Float) -> Copy:
+    def plain() -> None:
+        out[...] = source
+
+    return plain
 
 
-def _quat(mujoco: Any, out: NDArray[Any], reading: tuple[Float, Float] | None, own: Float) -> Copy:
-    if reading is None or _is_identity(reading[1]):
-        source = own if reading is None else reading[0]
+def _turned(mujoco: Any, out: NDArray[Any], source: Float, base_from_site: Float) -> Copy:
+    """What brings a vector or, of four numbers, an orientation of the site into the base frame."""
+    if np.allclose(np.abs(base_from_site), (1.0, 0.0, 0.0, 0.0), atol=1e-9):
+        return _plain(out, source)
+    turn, by, result = mujoco.mju_rotVecQuat, base_from_site, np.zeros(len(source))
+    if len(source) == 4:
+        turn, by = mujoco.mju_mulQuat, base_from_site * (1.0, -1.0, -1.0, -1.0)
 
-        def plain() -> None:
-            out[...] = source
+    def turned() -> None:
+        turn(result, source, by)
+        out[...] = result
 
-        return plain
-    source, base_from_site = reading
-    site_to_base = base_from_site * (1.0, -1.0, -1.0, -1.0)
-    turned = np.zeros(4)
-
-    def rotated() -> None:
-        mujoco.mju_mulQuat(turned, source, site_to_base)
-        out[...] = turned
-
-    return rotated
-
-
-def _vector(mujoco: Any, out: NDArray[Any], reading: tuple[Float, Float]) -> Copy:
-    source, base_from_site = reading
-    if _is_identity(base_from_site):
-
-        def plain() -> None:
-            out[...] = source
-
-        return plain
-    turned = np.zeros(3)
-
-    def rotated() -> None:
-        mujoco.mju_rotVecQuat(turned, source, base_from_site)
-        out[...] = turned
-
-    return rotated
+    return turned
 
 
 def _specific_force(out: NDArray[Any], qacc: Float, rotation: Float, gravity: Float) -> Copy:

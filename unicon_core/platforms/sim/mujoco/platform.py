@@ -61,7 +61,6 @@ class MujocoPlatform:
         model: the `MjModel`.
         model_path: the file that it was read from.
         robots: the simulated robots, one unless the states have a batch axis.
-        period: of a tick in [s].
         decimation: physics steps in a tick.
     """
 
@@ -79,10 +78,8 @@ class MujocoPlatform:
         model = self.model = loaded.model
         self._mujoco, self._robot, self._loaded = mujoco, robot, loaded
         self.model_path = loaded.path
-        self.period = period
         self.decimation = steps_in(period, float(model.opt.timestep), loaded.path)
-        base = loaded.base
-        unmeasured = BASE_STATES if base is None else ()
+        unmeasured = BASE_STATES if loaded.base is None else ()
         writes = [name for name in SIMULATED if name in states and name not in unmeasured]
         self.facts = replace(self.facts, writes=tuple(writes))
         qpos = initial_positions(loaded, robot, scene)
@@ -93,10 +90,8 @@ class MujocoPlatform:
         self.robots = [
             SimulatedRobot(
                 mujoco,
-                model,
-                loaded.joints,
+                loaded,
                 robot.joint_names,
-                base,
                 self._servo,
                 self.decimation,
                 # `[k, ...]` keeps a scalar state a view
@@ -109,7 +104,6 @@ class MujocoPlatform:
             )
             for k in range(count or 1)
         ]
-        self._base = base
         if len(self.robots) == 1:  # one call less in every tick
             self.recv = self.robots[0].read  # type: ignore[method-assign]
             self.send = self.robots[0].step  # type: ignore[method-assign]
@@ -177,27 +171,27 @@ class MujocoPlatform:
 
     def info(self) -> Mapping[str, Any]:
         """Return model, physics step, actuators, limits, IMU sources and what was changed."""
-        mujoco, model, servo = self._mujoco, self.model, self._servo
-        own = set(self._loaded.joints) | ({self._base} if self._base is not None else set())
+        mujoco, model, servo, loaded = self._mujoco, self.model, self._servo, self._loaded
+        own, body = {*loaded.joints, loaded.base}, None
+        if loaded.base is not None:
+            carries = int(model.jnt_bodyid[loaded.base])
+            body = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, carries)
         others = [
             mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, i) or f"joint {i}"
             for i in range(model.njnt)
             if i not in own
         ]
-        notes = list(self._loaded.notes)
+        notes = list(loaded.notes)
         if others:
             notes.append(f"joints beyond the robot's, left to the model: {', '.join(others)}")
-        body = None if self._base is None else int(model.jnt_bodyid[self._base])
         return {
-            "model": str(self._loaded.path),
+            "model": str(loaded.path),
             "mujoco": mujoco.__version__,
             "physics_step_s": float(model.opt.timestep),
             "physics_steps_per_tick": self.decimation,
             "integrator": mujoco.mjtIntegrator(model.opt.integrator).name.removeprefix("mjINT_"),
             "num_robots": len(self.robots),
-            "base": None
-            if body is None
-            else mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, body),
+            "base": body,
             "imu": self.robots[0].sources,
             "actuators": dict(zip(self._robot.joint_names, servo.kinds)),
             "effort_lower": dict(zip(self._robot.joint_names, servo.effort_lower.tolist())),

@@ -66,14 +66,13 @@ class Servo:
             self._limit(model, k, joint, i, float(effort_limit[k]))
             model.actuator_gaintype[i] = int(mujoco.mjtGain.mjGAIN_FIXED)
             model.actuator_biastype[i] = int(mujoco.mjtBias.mjBIAS_AFFINE)
-            model.actuator_gainprm[i, :] = 0.0
-            model.actuator_biasprm[i, :] = 0.0
             if self.kinds[k] != "position":  # its range was one of torques or speeds
                 model.actuator_ctrllimited[i] = 0
             limits = np.array([self.effort_lower[k], self.effort_upper[k]]) / self.gear[k]
             model.actuator_forcelimited[i] = int(np.isfinite(limits).all())
             model.actuator_forcerange[i] = np.sort(limits)
-        for i in self.silenced:  # a second actuator on a joint (position and velocity pairs)
+        # Silenced is a second actuator on a joint (position and velocity pairs).
+        for i in (*self.actuators, *self.silenced):
             model.actuator_gainprm[i, :] = 0.0
             model.actuator_biasprm[i, :] = 0.0
         self.index = index_of(self.actuators)
@@ -86,22 +85,19 @@ class Servo:
 
     def _limit(self, model: Any, k: int, joint: int, i: int, effort: float) -> None:
         """Take the tightest of robot file, control range, force range and joint force range."""
-        ranges = []
+        torques: list[Any] = []
         if np.isfinite(effort):
-            ranges.append((-effort, effort))
+            torques.append((-effort, effort))
         if self.kinds[k] == "motor" and model.actuator_ctrllimited[i]:
-            unit = float(model.actuator_gainprm[i, 0]) * self.gear[k]
-            torques = [float(c) * unit for c in model.actuator_ctrlrange[i]]
-            ranges.append((min(torques), max(torques)))
+            unit = model.actuator_gainprm[i, 0] * self.gear[k]
+            torques.append(model.actuator_ctrlrange[i] * unit)
         if model.actuator_forcelimited[i]:
-            forces = [float(f) * self.gear[k] for f in model.actuator_forcerange[i]]
-            ranges.append((min(forces), max(forces)))
+            torques.append(model.actuator_forcerange[i] * self.gear[k])
         if model.jnt_actfrclimited[joint]:
-            low, high = (float(f) for f in model.jnt_actfrcrange[joint])
-            ranges.append((low, high))
-        for lower, upper in ranges:
-            self.effort_lower[k] = max(self.effort_lower[k], lower)
-            self.effort_upper[k] = min(self.effort_upper[k], upper)
+            torques.append(model.jnt_actfrcrange[joint])
+        for pair in torques:
+            self.effort_lower[k] = max(self.effort_lower[k], min(pair))
+            self.effort_upper[k] = min(self.effort_upper[k], max(pair))
 
     def push(self, ctrl: Float, command: Float) -> None:
         """Put one robot's command into the model and its controls.

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import Fault
+from unicon_core.models.loaded import LoadedModel
 from unicon_core.platforms.kit.clock import tick_ns
 from unicon_core.platforms.kit.command import Command
 from unicon_core.platforms.sim.mujoco.imu import BaseReader
@@ -29,6 +30,8 @@ class SimulatedRobot:
     `mj_step` but leave kinematics and sensors fresh (plain `mj_step` leaves them one step old).
 
     Args:
+        joint_names: of the robot's joints, in its order.
+        decimation: physics steps in a tick.
         views: this robot's state arrays by name, without a batch axis.
         qpos: initial positions of the model.
         rank: number of the robot in its batch.
@@ -37,16 +40,15 @@ class SimulatedRobot:
     def __init__(
         self,
         mujoco: Any,
-        model: Any,
-        joints: Sequence[int],
+        loaded: LoadedModel,
         joint_names: Sequence[str],
-        base: int | None,
         servo: Servo,
         decimation: int,
         views: dict[str, NDArray[Any]],
         qpos: Float,
-        rank: int = 0,
+        rank: int,
     ) -> None:
+        model, joints, base = loaded.model, loaded.joints, loaded.base
         self.data = mujoco.MjData(model)
         self._mujoco, self._model, self._base, self._servo = mujoco, model, base, servo
         self._names, self._decimation, self._initial = tuple(joint_names), decimation, qpos

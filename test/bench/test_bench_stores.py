@@ -1,0 +1,104 @@
+"""`unicon bench stores`: each way carries whole values, ratios have bars, nothing is left."""
+
+from __future__ import annotations
+
+import json
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from unicon_core.states.backends.shm import segments
+from unicon_ros.bench import stores
+from unicon_ros.bench.pipelines.store_ways import WAYS, group
+from unicon_ros.cli.bench import BENCHES
+
+pytestmark = pytest.mark.timeout(110)
+OURS = ("shm, sleeping", "shm, polling", "unix datagram", "zmq ipc", "zmq tcp")
+
+
+def names_left() -> list[str]:
+    return [found.name for found in segments() if found.name.startswith("unicon-")]
+
+
+def test_ways_without_ros_are_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stores, "SAMPLES", 5)
+    chosen = [name for name in OURS if all(find_spec(module) for module in WAYS[name].needs)]
+    before = names_left()
+    bench = stores.run(2, only=lambda name: name in chosen)
+    assert bench.rounds == 2
+    for name in chosen:
+        for row in ("one way", "send"):
+            case = bench.cases[f"{name}: {row}"]
+            assert case["samples"] > 20
+            assert case["min"] > 0.0
+        assert bench.cases[f"{name}: reader's CPU [% of a core]"]["samples"] == 2
+        assert ", 0 torn, " in bench.facts[name]
+    assert bench.cases["publish 1 kB: shm"]["samples"] == 10
+    bars = {name: ratio["bar"] for name, ratio in bench.ratios.items()}
+    assert bars == {"publish": 4.0} | ({"shm_wake": 0.5} if "zmq ipc" in chosen else {})
+    assert json.loads(bench.to_json())["bench"] == "stores"
+    assert names_left() == before
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize("name", ["rclpy", "rclpy, raw", "iceoryx2"])
+def test_other_peoples_ways_carry_the_same_values(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for module in WAYS[name].needs:
+        pytest.importorskip(module)
+    monkeypatch.setattr(stores, "SAMPLES", 2)
+    bench = stores.run(1, only=lambda each: each in (name, "shm, sleeping"))
+    assert bench.cases[f"{name}: one way"]["samples"] > 20
+    assert ", 0 torn, " in bench.facts[name]
+    assert ("shm_one_way" in bench.ratios) is (name == "rclpy")
+
+
+def test_what_is_not_installed_is_skipped_with_a_note(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stores, "SAMPLES", 2)
+    monkeypatch.setattr(stores, "find_spec", lambda module: None)
+    bench = stores.run(1, only=lambda name: name not in ("shm, sleeping", "shm, polling"))
+    assert bench.facts["rclpy"].startswith("skipped: pip install 'unicon_ros[ros]', or source")
+    assert bench.facts["zmq ipc"] == "skipped: pip install 'unicon_ros[zmq]'"
+    assert bench.facts["iceoryx2"] == "skipped: pip install iceoryx2"
+    assert set(bench.ratios) == {"publish"}
+    assert "unix datagram: one way" in bench.cases
+
+
+def test_it_is_a_bench_of_the_command_line() -> None:
+    assert BENCHES["stores"] == "unicon_ros.bench.stores"
+    assert group().layout.nbytes == 512
+
+
+def test_a_torn_value_would_be_told(tmp_path: Path) -> None:
+    """The reader's process finds a value whose parts are of two numbers."""
+    from unicon_ros.bench.pipelines import stores as peer
+
+    states, log = group(), tmp_path / "0.npz"
+
+    class Torn:
+        starved = 0
+        closed = False
+
+        def receive(self, timeout: float) -> bool:
+            states.data[:] = 7.0
+            states.data[100:] = 8.0
+            states.number = 8
+            return True
+
+        def close(self) -> None:
+            self.closed = True
+
+    class Once:
+        left = 3
+
+        def __bool__(self) -> bool:
+            self.left -= 1
+            return self.left < 0
+
+    receiver = Torn()
+    peer._read(receiver, states, log, Once())  # type: ignore[arg-type]
+    assert receiver.closed
+    assert np.load(log)["torn"].tolist() == [1, 1, 1]

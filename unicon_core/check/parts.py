@@ -1,0 +1,87 @@
+"""The parts of a divided workflow: who writes each state, and whether it reaches its readers."""
+
+from __future__ import annotations
+
+from unicon_core.check.result import CheckResult
+from unicon_core.check.subject import Subject
+from unicon_core.states.standard import COMMAND_STATES
+from unicon_core.workflow.parts import owner_of
+
+__all__ = ["check_parts"]
+
+
+def check_parts(subject: Subject, result: CheckResult) -> None:
+    """Find states that two parts write, that do not cross the border, or that nobody writes."""
+    program = subject.program
+    parts = program.parts
+    if parts is None or program.part:
+        return
+    writers: dict[str, dict[str, str]] = {
+        state: {parts.first: f"platform {subject.platform.name!r}"}
+        for state in program.platform.facts.writes
+    }
+    for block in program.blocks:
+        for state in block.writes:
+            writers.setdefault(state, {}).setdefault(owner_of(block, parts), block.name)
+    given = {s: part.name for part in parts.parts.values() for s in part.publishes}
+    for state, who in writers.items():
+        if len(who) > 1:
+            said = " and ".join(f"{block!r} of part {part!r}" for part, block in who.items())
+            result.find(
+                "parts.writers",
+                f"state {state!r}",
+                f"{said} write it, and a part does not write another's states",
+                "let one of them have a state of its own (states: in the block's options)",
+                subject.document.where("parts"),
+            )
+    for part in parts.parts.values():
+        for state in part.publishes:
+            owners = writers.get(state, {})
+            if part.name not in owners and state != "tick":
+                theirs = next(iter(owners), "")
+                result.find(
+                    "parts.published",
+                    f"part {part.name!r}",
+                    f"it publishes {state!r}, which "
+                    + (f"part {theirs!r} writes" if theirs else "nothing writes"),
+                    f"move it to part {theirs!r}" if theirs else "take it out of publishes",
+                    subject.document.where("parts", part.name, "publishes"),
+                )
+    missing: dict[tuple[str, str], set[str]] = {}
+    for block in program.blocks:
+        here = owner_of(block, parts)
+        for state in (*block.reads, *block.amends):
+            owners = writers.get(state, {})
+            if owners and here not in owners and given.get(state) not in owners:
+                missing.setdefault((next(iter(owners)), here), set()).add(state)
+            reaches = here == parts.first or given.get(state) == parts.first
+            if parts.store.backend == "zmq" and owners and here not in owners and not reaches:
+                result.find(
+                    "parts.published",
+                    f"block {block.name!r} of part {here!r}",
+                    f"it reads {state!r} of part {given.get(state)!r}; over zmq parts talk with "
+                    f"{parts.first!r} alone",
+                    f"move one of them to part {parts.first!r}, or use store: shm",
+                    block.where,
+                )
+    for (owner, here), states in missing.items():
+        result.find(
+            "parts.published",
+            f"part {here!r}",
+            f"it reads {', '.join(sorted(states))}, which part {owner!r} writes and does not "
+            "publish",
+            f"add to parts.{owner}.publishes: [{', '.join(sorted(states))}]",
+            subject.document.where("parts", owner),
+        )
+    for part in parts.parts.values():
+        commands = [s for s in COMMAND_STATES if given.get(s, part.name) != part.name]
+        unknown = [s for s in commands if s not in part.silent.values]
+        if unknown and part.name == parts.first and part.silent.then == "neutral":
+            result.find(
+                "parts.silent",
+                f"part {part.name!r}",
+                f"its commands {', '.join(unknown)} come from another part, and nobody says what "
+                "is sent when that is silent",
+                "write silent: {then: fault} or {then: hold}, or the values under set:",
+                subject.document.where("parts", part.name),
+            )

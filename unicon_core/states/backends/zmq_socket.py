@@ -1,0 +1,185 @@
+"""Sockets of a message queue: addresses, bounds and keys, for the writer and the reader of zmq."""
+
+from __future__ import annotations
+
+import errno
+import os
+import socket as sockets
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from unicon_core.errors import MissingDependencyError, StateError
+
+__all__ = ["Endpoint"]
+
+HEARTBEAT = 0.5
+PATIENCE = 2.0
+"""s until a peer that answers no heartbeat, handshake or connection is given up and tried anew."""
+
+RECONNECT = 0.1  # s between two tries
+BUFFER = 1 << 16
+"""B that the kernel keeps on the way, at least: more of it is only older values after a cut."""
+
+
+def _zmq() -> Any:
+    try:
+        import zmq
+    except ImportError as error:
+        install = "pip install 'unicon_ros[zmq]' (or: sudo apt install python3-zmq)"
+        raise MissingDependencyError("store zmq", "pyzmq", install) from error
+    return zmq
+
+
+class Endpoint:
+    """One end of a PUB/SUB pair which keeps the newest message only; a context of its own.
+
+    Args:
+        what: for messages: whose end it is.
+        address: `tcp://host:port` or `ipc://path`; `tcp://127.0.0.1:*` binds a free port.
+        publish: the PUB end, else the SUB end.
+        bind: be there for others, else go to where another end is bound.
+        size: of a message, [B].
+        keys: folder with CURVE keys, or None: anybody who reaches the address may join.
+
+    Attributes:
+        zmq: the module.
+        socket: of ZeroMQ.
+        address: where it is bound, with the port.
+
+    Raises:
+        MissingDependencyError: pyzmq is not installed.
+        StateError: the address cannot be had, or a key is missing.
+    """
+
+    def __init__(
+        self,
+        what: str,
+        address: str,
+        *,
+        publish: bool,
+        bind: bool,
+        size: int,
+        keys: str | Path | None,
+    ) -> None:
+        self.zmq = zmq = _zmq()
+        if not str(address).startswith(("tcp://", "ipc://")):
+            raise StateError(
+                f"{what}: {address!r} is not an address; give tcp://HOST:PORT or ipc://PATH"
+            )
+        self._guard: Any = None
+        self._file: tuple[str, int] | None = None  # and its inode
+        self._context = zmq.Context()
+        self.socket = self._context.socket(zmq.PUB if publish else zmq.SUB)
+        options = {
+            zmq.CONFLATE: 1,
+            zmq.LINGER: 0,
+            zmq.HEARTBEAT_IVL: round(HEARTBEAT * 1e3),
+            zmq.HEARTBEAT_TIMEOUT: round(PATIENCE * 1e3),
+            zmq.HANDSHAKE_IVL: round(PATIENCE * 1e3),
+            zmq.CONNECT_TIMEOUT: round(PATIENCE * 1e3),
+            zmq.RECONNECT_IVL: round(RECONNECT * 1e3),
+            zmq.SNDBUF if publish else zmq.RCVBUF: max(BUFFER, 4 * size),
+            # Subscriptions are short; a longer message than ours may be another layout's.
+            zmq.MAXMSGSIZE: BUFFER if publish else 4 * size + (1 << 20),
+        }
+        try:
+            for option, value in options.items():
+                self.socket.setsockopt(option, value)
+            if not publish:
+                self.socket.setsockopt(zmq.SUBSCRIBE, b"")
+            if keys is not None:
+                self._secure(what, Path(keys), bind)
+            self._open(address, bind)
+        except zmq.ZMQError as error:
+            self.close()
+            known = error.errno in errno.errorcode  # pyzmq's own text repeats the address
+            reason = os.strerror(error.errno).lower() if known else str(error)
+            raise StateError(f"{what}: {address}: {reason}; {_remedy(bind)}") from error
+        except BaseException:
+            self.close()
+            raise
+        self.address = self.socket.getsockopt(zmq.LAST_ENDPOINT).decode().rstrip("\0")
+
+    def _open(self, address: str, bind: bool) -> None:
+        if not bind:
+            self.socket.connect(address)
+            return
+        path = address.removeprefix("ipc://")
+        is_file = address.startswith("ipc://") and not path.startswith("@")
+        if is_file and _answers(path):  # it would be taken from whoever has it, without a word
+            raise self.zmq.ZMQError(self.zmq.EADDRINUSE)
+        self.socket.bind(address)
+        if is_file:
+            with suppress(OSError):  # it has gone again
+                os.chmod(path, 0o600)
+                self._file = path, os.stat(path).st_ino
+
+    def _secure(self, what: str, folder: Path, bind: bool) -> None:
+        """Take keys: who binds has `server.key_secret` and knows its peers, `clients/*.key`; who
+        connects has `client.key_secret` and knows `server.key`."""
+        if not self.zmq.has("curve"):
+            raise StateError(f"{what}: this pyzmq has no CURVE; install one with libsodium")
+        from zmq import auth
+        from zmq.auth.thread import ThreadAuthenticator
+
+        own = folder / ("server.key_secret" if bind else "client.key_secret")
+        theirs = [folder / "server.key"] if not bind else sorted((folder / "clients").glob("*.key"))
+        if not theirs:
+            raise StateError(f"{what}: no keys of peers in {folder / 'clients'}; {_KEYS}")
+        loaded = {}
+        for path in (own, *theirs):
+            try:
+                loaded[path] = auth.load_certificate(path)
+            except (OSError, ValueError) as error:
+                raise StateError(f"{what}: {path} is not a key file; {_KEYS}") from error
+        public, secret = loaded[own]
+        if secret is None:
+            raise StateError(f"{what}: {own} holds no secret key; {_KEYS}")
+        try:
+            self.socket.curve_publickey, self.socket.curve_secretkey = public, secret
+            if not bind:
+                self.socket.curve_serverkey = loaded[theirs[0]][0]
+        except self.zmq.ZMQError as error:
+            raise StateError(f"{what}: a key in {folder} is damaged; {_KEYS}") from error
+        if bind:
+            self.socket.curve_server = True
+            self._guard = ThreadAuthenticator(self._context)
+            self._guard.start()
+            self._guard.configure_curve(domain="*", location=str(folder / "clients"))
+
+    def close(self) -> None:
+        """Let go; safe to call twice."""
+        if self._guard is not None:
+            self._guard.stop()
+            self._guard = None
+        self.socket.close(linger=0)
+        self._context.term()
+        if self._file is not None:
+            path, inode = self._file
+            with suppress(OSError):
+                if os.stat(path).st_ino == inode:  # libzmq leaves it
+                    os.unlink(path)
+            self._file = None
+
+
+_KEYS = "make keys with zmq.auth.create_certificates (docs/zmq.md)"
+
+
+def _remedy(bind: bool) -> str:
+    if bind:
+        return "end what has it, give another address, or let this end connect"
+    return "give the address where the other end is bound"
+
+
+def _answers(path: str) -> bool:
+    """Return whether somebody is bound to the socket of a path."""
+    probe = sockets.socket(sockets.AF_UNIX)
+    probe.settimeout(1.0)
+    try:
+        probe.connect(path)
+    except OSError:
+        return False
+    finally:
+        probe.close()
+    return True

@@ -1,0 +1,329 @@
+"""Parts: one workflow whose blocks run in several processes or machines, read and divided here.
+
+    store: {zmq: tcp://192.168.123.18:5600}     # or shm, on one machine
+    parts:
+      robot: {publishes: [joint_pos, base_quat], silent: {after: 0.2}}
+      desk: {publishes: [velocity_command], silent: {after: 1.0, then: hold}}
+    commands:
+      - {gamepad: {}, on: desk}                 # all else is the first part's
+
+The first part has the platform and every block that does not say `on:`. `unicon run WORKFLOW --part
+NAME` runs one part; without `--part` all of it runs in one process, as if nothing had been divided.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, cast
+
+from unicon_core.errors import StateError, WorkflowError, alternatives
+from unicon_core.flow import Block, Node, Zip, as_block, blocks_of, children_of
+from unicon_core.flow.nodes import with_children
+from unicon_core.flow.stage import Stage
+from unicon_core.states import Layout, States
+from unicon_core.states.backends import Reader
+from unicon_core.states.groups import Groups, groups_of, subset
+from unicon_core.states.links import (
+    Incoming,
+    Publisher,
+    Silent,
+    Store,
+    neutral_value,
+    open_reader,
+    open_writers,
+)
+from unicon_core.workflow.document import WorkflowDocument
+
+__all__ = ["Part", "Parts", "divided", "owner_of", "publishers", "read_parts", "read_store"]
+
+BACKENDS = ("local", "shm", "zmq")
+
+_SILENT = ("after", "then", "set")
+_THEN = ("neutral", "hold", "fault")
+
+
+@dataclass(frozen=True)
+class Part:
+    """One part of a workflow.
+
+    Attributes:
+        name: of the part.
+        publishes: states that it gives to the others.
+        silent: what it does when another part is silent.
+    """
+
+    name: str
+    publishes: tuple[str, ...]
+    silent: Silent
+
+
+@dataclass(frozen=True)
+class Parts:
+    """All parts of a workflow, in their order; the first one has the platform.
+
+    Attributes:
+        parts: by name.
+        store: how their states travel.
+    """
+
+    parts: Mapping[str, Part]
+    store: Store
+
+    @property
+    def first(self) -> str:
+        """The part with the platform."""
+        return next(iter(self.parts))
+
+    def groups(self, part: str, layout: Layout) -> dict[str, Layout]:
+        """Return the groups that a part publishes."""
+        return groups_of(subset(layout, self.parts[part].publishes))
+
+    def check(self, layout: Layout, document: WorkflowDocument) -> None:
+        """Refuse what the parts publish twice, and states that are not there.
+
+        Raises:
+            WorkflowError: with its place.
+        """
+        owners: dict[str, str] = {}
+        for part in self.parts.values():
+            where = ("parts", part.name, "publishes")
+            for state in part.publishes:
+                if state not in layout.specs:
+                    known = alternatives(state, layout.specs)
+                    raise document.error(f"no state {state!r}; {known}", *where)
+                if state in owners:
+                    raise document.error(
+                        f"parts {owners[state]!r} and {part.name!r} both publish {state!r}; a "
+                        "state has one writer: leave it to one of them",
+                        *where,
+                    )
+                owners[state] = part.name
+        for part in self.parts.values():
+            for state in part.silent.values:
+                if owners.get(state, part.name) == part.name:
+                    theirs = [name for name, owner in owners.items() if owner != part.name]
+                    raise document.error(
+                        f"{state!r} does not come from another part; {alternatives(state, theirs)}",
+                        *("parts", part.name, "silent", "set"),
+                    )
+
+    def incoming(
+        self, here: str, states: States, tell: Callable[[str], None], document: WorkflowDocument
+    ) -> list[Incoming]:
+        """Return what brings the states of the other parts into those of this one.
+
+        Over `zmq` parts talk with the first one alone.
+
+        Raises:
+            WorkflowError: a neutral value does not fit its state.
+        """
+        arrivals = []
+        for part in self.parts:
+            if part == here or (self.store.backend == "zmq" and self.first not in (part, here)):
+                continue
+            groups = self.groups(part, states.layout)
+            silent = self.parts[here].silent
+            own = {k: v for k, v in silent.values.items() if k in self.parts[part].publishes}
+            for state in own:
+                try:
+                    neutral_value(states, state, own)
+                except StateError as error:
+                    where = ("parts", here, "silent", "set", state)
+                    raise document.error(str(error), *where) from error
+
+            def opened(
+                name: str, part: str = part, groups: Groups = groups, late: float = silent.after
+            ) -> Reader | None:
+                return open_reader(self.store, part, here, groups, name, states, late)
+
+            if groups:
+                silent = Silent(silent.after, silent.then, own)
+                arrivals.append(Incoming(part, groups, opened, states, silent, tell))
+        return arrivals
+
+
+def read_store(document: WorkflowDocument) -> Store | None:
+    """Return what `store:` says of the whole workflow, None for local memory alone.
+
+    Raises:
+        WorkflowError: no such backend, or it is not described well.
+    """
+    value = document.values.get("store")
+    if value is None or value == "local":
+        return None
+    options: Any = {}
+    if isinstance(value, dict) and len(value) == 1:
+        ((value, options),) = value.items()
+    if value == "ros":
+        raise document.error("store: ros is the bridge; write ros: true, or --ros", "store")
+    if value not in BACKENDS or value == "local":
+        raise document.error(f"store: {value!r}; {alternatives(str(value), BACKENDS)}", "store")
+    if not isinstance(options, (str, dict)):
+        raise document.error(f"store.{value}: {options!r} is not a word or a mapping", "store")
+    key = "name" if value == "shm" else "address"
+    options = {key: options} if isinstance(options, str) else options
+    known = ("name",) if value == "shm" else ("address", "keys")
+    for option, said in options.items():
+        if option not in known:
+            raise document.error(
+                f"store.{value} has no {option!r}; {alternatives(str(option), known)}", "store"
+            )
+        if not isinstance(said, str):
+            raise document.error(f"store.{value}.{option}: {said!r} is not a word", "store")
+    if value == "zmq":
+        _check_address(document, options.get("address"))
+    keys = options.get("keys")
+    folder = None if keys is None else (document.path.parent / Path(keys).expanduser()).resolve()
+    name = options.get("name", document.name)
+    backend = cast(Literal["shm", "zmq"], value)
+    return Store(backend, name, options.get("address", ""), folder)
+
+
+def _check_address(document: WorkflowDocument, address: object) -> None:
+    text = str(address or "")
+    scheme, slashes, place = text.partition("://")
+    port = place.rpartition(":")[2]
+    if scheme == "tcp" and slashes and port.isdigit() and 0 < int(port) < 65_000:
+        return
+    if not (scheme == "ipc" and place):
+        raise document.error(
+            f"store.zmq: {text or 'nothing'!r} is not an address; write "
+            "{zmq: tcp://HOST:PORT} (the first part's), or {zmq: ipc://PATH} on one machine",
+            "store",
+        )
+
+
+def read_parts(document: WorkflowDocument) -> Parts | None:
+    """Return the parts of a workflow, None where it is not divided.
+
+    Raises:
+        WorkflowError: a key is wrong, or there are too few parts.
+    """
+    given = document.get("parts", dict)
+    if given is None:
+        return None
+    if len(given) < 2:
+        raise document.error("parts: at least two, as {robot: …, desk: …}", "parts")
+    parts = {}
+    for name, said in given.items():
+        if not isinstance(name, str) or not name.isidentifier():
+            raise document.error(f"parts: {name!r} is not a name; use letters and digits", "parts")
+        parts[name] = _part(document, name, {} if said is None else said)
+    store = read_store(document) or Store("shm", document.name)
+    return Parts(parts, Store(store.backend, store.name, store.address, store.keys, tuple(parts)))
+
+
+def _part(document: WorkflowDocument, name: str, said: Any) -> Part:
+    where = ("parts", name)
+    if not isinstance(said, dict):
+        raise document.error(f"part {name!r} is {said!r}; write {{publishes: [STATE]}}", *where)
+    for key in said:
+        if key not in ("publishes", "silent"):
+            known = alternatives(str(key), ("publishes", "silent"))
+            raise document.error(f"part {name!r} has no {key!r}; {known}", *where, key)
+    states = said.get("publishes") or []
+    if not isinstance(states, list) or not all(isinstance(state, str) for state in states):
+        raise document.error(f"publishes is {states!r}; give a list of states", *where, "publishes")
+    silent = said.get("silent") or {}
+    below = (*where, "silent")
+    if not isinstance(silent, dict):
+        raise document.error(f"silent is {silent!r}; give {{after: 0.2}}", *below)
+    for key in silent:
+        if key not in _SILENT:
+            raise document.error(
+                f"silent has no {key!r}; {alternatives(str(key), _SILENT)}", *below
+            )
+    after, then = silent.get("after", Silent.after), silent.get("then", "neutral")
+    is_number = isinstance(after, (int, float)) and not isinstance(after, bool)
+    if not is_number or not 0.0 < after < math.inf:
+        raise document.error(f"silent.after is {after!r}; give a time above 0 in [s]", *below)
+    if then not in _THEN:
+        raise document.error(f"silent.then: {then!r}; {alternatives(str(then), _THEN)}", *below)
+    values = silent.get("set") or {}
+    if not isinstance(values, dict):
+        raise document.error(f"silent.set is {values!r}; give {{STATE: VALUE}}", *below)
+    return Part(name, tuple(states), Silent(float(after), then, values))
+
+
+def owner_of(block: Block, parts: Parts) -> str:
+    """Return the part that a block belongs to."""
+    return block.part or parts.first
+
+
+def divided(node: Node, parts: Parts, part: str) -> Node | None:
+    """Return what of a tree belongs to a part, None for nothing.
+
+    Raises:
+        WorkflowError: an unknown part, or what is in order (chain, loop, switch) is divided.
+    """
+    owners = set()
+    for block in blocks_of(node):
+        owner = owner_of(block, parts)
+        if owner not in parts.parts:
+            raise WorkflowError(
+                f"on: no part {owner!r}; {alternatives(owner, parts.parts)}", block.where or None
+            )
+        owners.add(owner)
+    if owners == {part}:
+        return node
+    if part not in owners:
+        return None
+    if not isinstance(node, Zip):
+        raise WorkflowError(
+            f"{type(node).__name__.lower()}: its blocks are of the parts "
+            f"{', '.join(sorted(owners))}, which do not share a tick; divide at a zip or a list",
+            node.where or None,
+        )
+    kept = [child for child in children_of(node) if part in _owners(child, parts)]
+    pruned = [divided(child, parts, part) for child in kept]
+    whole = Zip(*(child for child in pruned if child is not None), where=node.where)
+    return with_children(whole, list(children_of(whole)))
+
+
+def _owners(node: Node, parts: Parts) -> set[str]:
+    return {owner_of(block, parts) for block in blocks_of(node)}
+
+
+def publishers(
+    store: Store,
+    part: str,
+    groups: Groups,
+    states: States,
+    stages: Mapping[Stage, list[Node]],
+) -> list[Block]:
+    """Put a publisher of each group behind what changes its states last; return them.
+
+    Command states go out behind `send`: nobody outside ever sees one that safety has not seen.
+
+    Args:
+        store: how they travel.
+        part: which publishes, "" for a workflow that is not divided.
+        groups: its groups.
+        states: of this process.
+        stages: all blocks of the tick; is added to.
+
+    Raises:
+        StateError: another run publishes under that name.
+    """
+    writers = open_writers(store, part, groups, states)
+    made = []
+    for name, group in groups.items():
+        last = Stage.SEND if name == "command" else Stage.RECV
+        for stage, nodes in stages.items():
+            if stage is Stage.OBSERVE:
+                continue
+            changed = {s for n in nodes for b in blocks_of(n) for s in (*b.writes, *b.amends)}
+            if changed & set(group.specs) and _rank(stage) > _rank(last):
+                last = stage
+        block = as_block(Publisher(writers[name], tuple(group.specs), f"publish {name}"))
+        block.stage = last
+        stages[last].append(block)
+        made.append(block)
+    return made
+
+
+def _rank(stage: Stage) -> int:
+    return list(Stage).index(stage)
