@@ -40,6 +40,22 @@ def test_each_kind_of_state_stands_where_the_layout_has_it(tmp_path, standard, n
     assert compiles(groups_of(Layout(ALL_KINDS, num_robots)), tmp_path, standard) == ""
 
 
+def test_it_compiles_for_aarch64_where_a_cross_compiler_is(tmp_path):
+    compiler = shutil.which("aarch64-linux-gnu-gcc")
+    if compiler is None:
+        pytest.skip(
+            "no cross compiler here: apt install gcc-aarch64-linux-gnu libc6-dev-arm64-cross"
+        )
+    write_header(tmp_path / "states.h", groups_of(Layout(standard_states(["a"]))), "a test")
+    command = [compiler, *c_peers.STRICT, "-std=c99", f"-I{tmp_path}", "-S", "-o", "-"]
+    done = subprocess.run(
+        [*command, c_peers.IDENTITY], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    for instruction in ("stlr", "ldar", "dmb\tish\n", "dmb\tishld"):  # as docs/states.md says
+        assert instruction in done.stdout
+
+
 def test_the_proofs_are_of_the_layout():
     header = c_header(groups_of(Layout(ALL_KINDS, 3)), "a test")
     for group in groups_of(Layout(ALL_KINDS, 3)).items():
