@@ -7,17 +7,24 @@ through the state buffer, and who never looks pays nothing.
 
 from __future__ import annotations
 
+import fcntl
 import mmap
 import os
+import stat
+import struct
 import tempfile
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["FrameRing"]
+__all__ = ["FrameRing", "clean_frames"]
 
-_HEAD = 8  # int64 in front of the slots' own: latest handle, slots, bytes of a frame, spare
+FOLDER = Path("/dev/shm")
+_PREFIX = "unicon_frames_"
+_HEAD = 8  # int64 in front of the slots' own: latest handle, slots, bytes of a frame, locked, spare
+_LOCKED = 1  # its maker holds a lock of flock(2) while it lives
 _SLOT = 2  # int64 for each slot: handle of its frame (0 while it is filled), stamp_ns
 
 
@@ -33,9 +40,9 @@ class FrameRing:
         nbytes: size of a frame, [B].
     """
 
-    def __init__(self, path: Path, *, owner: bool) -> None:
+    def __init__(self, path: Path, *, lock: int = -1) -> None:
         self.path = path
-        self._owner = owner
+        self._lock = lock  # a file descriptor; only its maker has it
         with path.open("r+b") as file:
             self._memory = mmap.mmap(file.fileno(), 0)
         head = np.frombuffer(self._memory, np.int64, _HEAD)
@@ -58,19 +65,18 @@ class FrameRing:
         """
         if nbytes < 1 or slots < 2:
             raise ValueError(f"a ring of {slots} frames of {nbytes} B; give >= 2 of >= 1 B")
-        shared = "/dev/shm" if os.path.isdir("/dev/shm") else None
-        number, name = tempfile.mkstemp(prefix="unicon_frames_", dir=shared)
+        lock, name = tempfile.mkstemp(prefix=_PREFIX, dir=FOLDER if FOLDER.is_dir() else None)
+        fcntl.flock(lock, fcntl.LOCK_EX)
         head = np.zeros(_HEAD, np.int64)
-        head[1:3] = slots, nbytes
-        with os.fdopen(number, "r+b") as file:
-            file.truncate(head.nbytes + 8 * _SLOT * slots + slots * nbytes)
-            file.write(head.tobytes())
-        return cls(Path(name), owner=True)
+        head[1:4] = slots, nbytes, _LOCKED
+        os.truncate(lock, head.nbytes + 8 * _SLOT * slots + slots * nbytes)
+        os.write(lock, head.tobytes())
+        return cls(Path(name), lock=lock)
 
     @classmethod
     def attach(cls, path: str | Path) -> FrameRing:
         """Return the ring that another process made."""
-        return cls(Path(path), owner=False)
+        return cls(Path(path))
 
     @property
     def latest(self) -> int:
@@ -120,5 +126,28 @@ class FrameRing:
 
     def close(self) -> None:
         """Let it go; its maker removes it. Views that are still held stay valid."""
-        if self._owner:
+        if self._lock >= 0:
             self.path.unlink(missing_ok=True)
+            os.close(self._lock)
+            self._lock = -1
+
+
+def clean_frames() -> list[str]:
+    """Remove the rings of this user whose maker has died; return the names of their files.
+
+    One that was forked off its maker keeps a ring, and so does a maker that holds no lock.
+    """
+    removed = []
+    for path in sorted(FOLDER.glob(_PREFIX + "*")):
+        with suppress(OSError):
+            number = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+            try:
+                status, head = os.fstat(number), os.pread(number, 8 * 4, 0)
+                ours = stat.S_ISREG(status.st_mode) and status.st_uid == os.getuid()
+                if ours and len(head) == 8 * 4 and struct.unpack("@4q", head)[3] == _LOCKED:
+                    fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)  # fails where it lives
+                    path.unlink()
+                    removed.append(path.name)
+            finally:
+                os.close(number)
+    return removed

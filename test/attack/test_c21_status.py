@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -69,3 +70,9 @@ def test_a_report_that_cannot_be_written_does_not_hide_the_fault(tmp_path: Path)
     assert status == 3
     assert "the robot says so" in out
     assert "give a path in a writable folder" in err
+
+
+def test_a_command_without_standard_output_ends_as_it_should() -> None:
+    command = f"exec {sys.executable} -m unicon_ros states >&-"
+    done = subprocess.run(["sh", "-c", command], stderr=subprocess.PIPE, timeout=60, check=False)
+    assert (done.returncode, done.stderr) == (0, b"")

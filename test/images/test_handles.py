@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from unicon_core.handles import FrameRing
+from unicon_core import handles
+from unicon_core.handles import FrameRing, clean_frames
 
 
 @pytest.fixture
@@ -84,3 +87,31 @@ def test_its_maker_removes_it_and_an_impossible_ring_is_refused() -> None:
     assert not ring.path.exists()
     with pytest.raises(ValueError, match="a ring of 1 frames"):
         FrameRing.create(8, slots=1)
+
+
+def test_frames_of_a_maker_that_died_are_removed_and_no_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(handles, "FOLDER", tmp_path)
+    living = FrameRing.create(8)
+    pid = os.fork()
+    if pid == 0:  # dies without closing
+        FrameRing.create(8)
+        os._exit(0)
+    os.waitpid(pid, 0)
+    unlocked = tmp_path / "unicon_frames_old"  # as rings were made before makers held a lock
+    unlocked.write_bytes(bytes(8) + (4).to_bytes(8, "little") + (8).to_bytes(8, "little") * 6)
+    (tmp_path / "unicon_frames_short").write_bytes(b"")
+    (tmp_path / "unicon_frames_link").symlink_to(unlocked)
+    (tmp_path / "unicon_frames_folder").mkdir()
+    os.mkfifo(tmp_path / "unicon_frames_fifo")
+    (dead,) = {path.name for path in tmp_path.glob("*")} - {
+        *(living.path.name, "unicon_frames_old", "unicon_frames_short", "unicon_frames_link"),
+        *("unicon_frames_folder", "unicon_frames_fifo"),
+    }
+    assert clean_frames() == [dead]
+    assert len(list(tmp_path.iterdir())) == 6
+    put(living, 1)
+    living.close()
+    assert clean_frames() == []
+    assert len(list(tmp_path.iterdir())) == 5

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from ring_processes import start
 
 from unicon_core.errors import StateError
 from unicon_core.states import States, StateSpec
@@ -60,7 +61,7 @@ def test_one_writer_has_a_name(segment):
 
 def test_absent_and_wrong_groups_are_named(segment):
     _, states = segment
-    with pytest.raises(StateError, match=f"no segment 'nowhere'.*there are: .*{NAME}"):
+    with pytest.raises(StateError, match=f"no segment 'nowhere'.*known: .*{NAME}"):
         ShmReader("nowhere", "measured", states)
     with pytest.raises(StateError, match="no group 'commands'; there are measured"):
         ShmReader(NAME, "commands", states)
@@ -72,11 +73,8 @@ def test_absent_and_wrong_groups_are_named(segment):
 def test_what_a_dead_writer_left_is_taken_over_and_followed():
     states = States(SPECS)
     groups = {"measured": subset(states.layout, SPECS)}
-    pid = os.fork()
-    if pid == 0:  # dies without closing
-        ShmWriter(Segment.create(NAME, groups), "measured", states).publish()
-        os._exit(0)
-    os.waitpid(pid, 0)
+    dying = start(lambda: ShmWriter(Segment.create(NAME, groups), "measured", states).publish())
+    os.waitpid(dying, 0)  # it has not closed
     there = States(SPECS)
     reader = ShmReader(NAME, "measured", there)
     assert reader.take()  # its last value is whole
@@ -92,11 +90,42 @@ def test_what_a_dead_writer_left_is_taken_over_and_followed():
     reader.close()
 
 
-def test_clean_removes_the_dead_alone(segment):
-    pid = os.fork()
-    if pid == 0:
-        Segment.create(NAME + "-dead", segment[0].groups)
-        os._exit(0)
-    os.waitpid(pid, 0)
-    assert clean() == [NAME + "-dead"]
-    assert segment[0].alive()
+def test_clean_removes_the_dead_alone(folder):
+    groups = {"measured": subset(States(SPECS).layout, SPECS)}
+    living = Segment.create("living", groups)
+    os.waitpid(start(lambda: Segment.create("dead", groups)), 0)
+    assert clean() == ["dead"]
+    assert living.alive()
+    living.close()
+    assert not list(folder.iterdir())
+
+
+def test_what_was_taken_is_restored_until_a_new_writer_publishes():
+    states, there = States(SPECS), States(SPECS)
+    made = Segment.create(NAME, {"measured": states.layout})
+    there.joint_pos = 1.0
+    reader = ShmReader(NAME, "measured", there)
+    reader.restore()  # nothing was taken yet: nothing changes
+    assert there.joint_pos[0] == 1.0
+    states.joint_pos = 2.0
+    ShmWriter(made, "measured", states).publish()
+    assert reader.take()
+    made.close()
+    made = Segment.create(NAME, {"measured": states.layout})
+    assert reader.alive()
+    there.joint_pos = 3.0
+    reader.restore()
+    assert there.joint_pos[0] == 2.0
+    made.close()
+    reader.close()
+
+
+def test_who_comes_late_has_skipped_nothing(segment):
+    made, states = segment
+    writer = ShmWriter(made, "measured", states)
+    for _ in range(7):
+        writer.publish()
+    reader = ShmReader(NAME, "measured", States(SPECS))
+    assert reader.take()
+    assert (reader.number, reader.skipped) == (7, 0)
+    reader.close()

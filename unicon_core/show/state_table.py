@@ -6,7 +6,12 @@ from unicon_core.flow import Node, blocks_of
 from unicon_core.show.tree import shortened
 from unicon_core.states import States
 
-__all__ = ["state_rows"]
+__all__ = ["shape_text", "state_rows"]
+
+
+def shape_text(shape: tuple[int, ...]) -> str:
+    """Return a shape as tables show it, such as `4×12`."""
+    return "×".join(map(str, shape)) or "scalar"
 
 
 def state_rows(root: Node, states: States) -> list[tuple[str, ...]]:
@@ -25,7 +30,7 @@ def state_rows(root: Node, states: States) -> list[tuple[str, ...]]:
         rows.append(
             (
                 name,
-                "×".join(map(str, states[name].shape)) or "scalar",
+                shape_text(states[name].shape),
                 spec.dtype,
                 spec.unit or "-",
                 spec.frame or "-",

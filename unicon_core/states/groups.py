@@ -66,7 +66,7 @@ def groups_from_json(text: str) -> dict[str, Layout]:
     """
     try:
         return {n: Layout.from_json(json.dumps(g)) for n, g in json.loads(text).items()}
-    except (AttributeError, ValueError) as error:
+    except (AttributeError, RecursionError, ValueError) as error:
         raise StateError(f"not a description of groups of states: {error}") from error
 
 
@@ -80,14 +80,15 @@ def difference(mine: Layout, theirs: Layout) -> str:
     if mine == theirs:
         return ""
     if mine.num_robots != theirs.num_robots:
-        return f"{mine.num_robots or 1} robots here, {theirs.num_robots or 1} there"
+        here, there = mine.num_robots or "none", theirs.num_robots or "none"
+        return f"num_robots is {here} here and {there} there"
     for name, spec in mine.specs.items():
         other = theirs.specs.get(name)
         if other is None:
             return f"state {name!r} is only here"
         ours, others = spec.to_dict(), other.to_dict()
         for key, value in ours.items():
-            if value != others[key]:
+            if json.dumps(value) != json.dumps(others[key]):  # so that NaN is NaN, and 1 not 1.0
                 return f"state {name!r}: {key} is {value!r} here and {others[key]!r} there"
     for name in theirs.specs:
         if name not in mine.specs:
@@ -95,11 +96,16 @@ def difference(mine: Layout, theirs: Layout) -> str:
     return "the states stand in another order"
 
 
+_MEANING = ("shape", "dtype", "unit", "frame", "names")
+"""What must be the same for bytes to mean the same; descriptions and initial values may differ."""
+
+
 class Copies:
     """Copies a group's states to and from its packed bytes, in as few pieces as they stand in.
 
     Args:
-        states: which have all of the group's states, of the same specification.
+        states: which have all of the group's states, of the same shape, type, unit, frame and
+            element names.
         group: layout of the packed bytes.
         memory: the packed bytes, writable, `group.nbytes` long.
 
@@ -111,9 +117,10 @@ class Copies:
         pieces: list[list[int]] = []  # start in the states' buffer, start in the group, length
         for name, slot in sorted(group.slots.items(), key=lambda item: item[1].offset):
             here = states.layout.slots.get(name)
-            if here is None or (here.shape, here.dtype) != (slot.shape, slot.dtype):
+            if here is None or here.shape != slot.shape or _differ(states.layout, group, name):
                 mine = subset(states.layout, [name] if here else [])
-                raise StateError(f"the group does not fit: {difference(mine, group)}")
+                told = difference(mine, subset(group, [name]))
+                raise StateError(f"the group does not fit: {told}")
             last = pieces[-1] if pieces else None
             if last and last[0] + last[2] == here.offset and last[1] + last[2] == slot.offset:
                 last[2] += slot.nbytes
@@ -134,3 +141,8 @@ class Copies:
         """Copy the packed bytes into the states."""
         for packed, state in self.pairs:
             state[:] = packed
+
+
+def _differ(mine: Layout, theirs: Layout, name: str) -> bool:
+    ours, others = mine.specs[name], theirs.specs[name]
+    return any(getattr(ours, key) != getattr(others, key) for key in _MEANING)

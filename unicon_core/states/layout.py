@@ -128,7 +128,10 @@ class Layout:
         try:
             value: dict[str, Any] = json.loads(text)
             specs = {entry.pop("name"): StateSpec.from_dict(entry) for entry in value["states"]}
-            return cls(specs, value["num_robots"])
+            num_robots = value["num_robots"]
+            if num_robots is not None and type(num_robots) is not int:
+                raise StateError(f"num_robots is {num_robots!r}; give a whole number or null")
+            return cls(specs, num_robots)
         except (KeyError, TypeError, ValueError) as error:
             raise StateError(
                 f"not a state layout: {error}; write it with Layout.to_json"

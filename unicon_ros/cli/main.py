@@ -17,7 +17,7 @@ from contextlib import suppress
 import unicon_core
 from unicon_core.errors import UniconError
 from unicon_core.signals import SIGNALS, Interrupted
-from unicon_ros.cli import bench, check, known, run, show
+from unicon_ros.cli import bench, check, known, run, show, states
 
 __all__ = ["main"]
 
@@ -29,7 +29,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=unicon_core.__version__)
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
-    for command in (run, check, show, bench, known):
+    for command in (run, check, show, states, bench, known):
         command.add(commands)
     return parser
 
@@ -40,6 +40,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     Args:
         argv: arguments without the program's name; those of the process if None.
     """
+    if sys.stdout is None:  # it is closed (`unicon … >&-`): nobody is there to tell
+        sys.stdout = open(os.devnull, "w")  # noqa: SIM115 - until the process ends
     with SIGNALS:  # before anything is imported or opened
         status = _run(argv)
         return _finish(status)

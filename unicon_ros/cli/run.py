@@ -13,7 +13,7 @@ from unicon_core.errors import UniconError
 from unicon_core.outlet import relayed_stderr
 from unicon_core.signals import SIGNALS, Guard
 from unicon_ros.cli.console import Console
-from unicon_ros.cli.workflow_arguments import add_workflow
+from unicon_ros.cli.workflow_arguments import add_workflow, positive
 
 if TYPE_CHECKING:
     from unicon_core.flow import Block, Stage
@@ -28,7 +28,7 @@ def add(commands: Any) -> None:
     """Add the command to the parser."""
     parser = commands.add_parser("run", help="run a workflow", description=__doc__)
     add_workflow(parser)
-    parser.add_argument("--duration", type=_seconds, metavar="S", help="end after S seconds")
+    parser.add_argument("--duration", type=positive, metavar="S", help="end after S seconds")
     parser.add_argument(
         "--speed",
         choices=("real", "max"),
@@ -246,10 +246,3 @@ def _write(arguments: argparse.Namespace, ended: _Ended) -> tuple[list[str], lis
     if ended.recording is not None:
         written.append(f"recording     {ended.recording.summary()}")
     return written, problems
-
-
-def _seconds(text: str) -> float:
-    value = float(text)
-    if not 0.0 < value < float("inf"):
-        raise argparse.ArgumentTypeError(f"{text} is no time > 0 in [s]")
-    return value

@@ -17,6 +17,9 @@ The locks that there are tell who lives, and the kernel lets them go with their 
 the file is locked by the writer, one byte for each reader that sleeps (F_OFD_SETLK in fcntl(2)).
 Python's own `multiprocessing.shared_memory` is not used: its tracker removes a segment when a
 process that only reads it ends.
+
+A process that forks keeps its segments for itself: the child lets go of what the parent writes, so
+that the lock tells of the parent alone. It must neither publish nor read with what its parent made.
 """
 
 from __future__ import annotations
@@ -26,14 +29,16 @@ import fcntl
 import mmap
 import os
 import re
+import stat
 import struct
 import time
+import weakref
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from unicon_core.errors import StateError
+from unicon_core.errors import StateError, alternatives
 from unicon_core.states.backends.sleep import Sleep, barrier
 from unicon_core.states.groups import (
     Copies,
@@ -46,16 +51,8 @@ from unicon_core.states.groups import (
 from unicon_core.states.layout import Layout
 from unicon_core.states.states import States
 
-__all__ = [
-    "FOLDER",
-    "Segment",
-    "ShmReader",
-    "ShmWriter",
-    "clean",
-    "remove_dead",
-    "segment_path",
-    "segments",
-]
+__all__ = ["FOLDER", "Found", "Segment", "ShmReader", "ShmWatcher", "ShmWriter", "clean"]
+__all__ += ["places", "remove_dead", "segment_path", "segments"]
 
 FOLDER = Path("/dev/shm")
 MAGIC = b"UNICONSH"
@@ -79,6 +76,7 @@ MAX_SLEEPERS = LINE
 _WRITER_LOCK = 0
 _SLEEPER_LOCKS = 1 << 32
 _TRIES = 1000
+_NAME = re.compile(r"[A-Za-z0-9_.-]{1,100}")
 _SLICE = 0.01
 """Longest sleep in [s]: x86 may look for sleepers before others see the new number, though a system
 call of the sleeper lies between the two; whatever happened, the value is seen a slice later."""
@@ -90,14 +88,14 @@ def segment_path(name: str) -> Path:
     Raises:
         StateError: the name does not do for a file.
     """
-    if not re.fullmatch(r"[A-Za-z0-9_.-]{1,100}", name):
+    if not _NAME.fullmatch(name):
         raise StateError(
             f"a segment cannot be named {name!r}; use letters, digits, '_', '.' and '-'"
         )
     return FOLDER / f"unicon-{os.getuid()}-{name}"
 
 
-def _offsets(groups: Groups, json_length: int) -> tuple[dict[str, int], int]:
+def places(groups: Groups, json_length: int) -> tuple[dict[str, int], int]:
     """Return where each group begins, and the size of the segment."""
     at, starts = _lines(JSON_AT + json_length), {}
     for name, layout in groups.items():
@@ -126,13 +124,32 @@ def _started(pid: int) -> int:
     """Return when a process started, in clock ticks since boot (proc(5), field 22); 0: it is not
     there."""
     try:
-        stat = Path(f"/proc/{pid}/stat").read_bytes()
+        told = Path(f"/proc/{pid}/stat").read_bytes()
     except OSError:
         return 0
-    return int(stat[stat.rindex(b")") :].split()[20])
+    return int(told[told.rindex(b")") :].split()[20])
 
 
-@dataclass
+def _open(path: Path, flags: int) -> int:
+    """Open what should be a segment, and never wait for it: anything may stand there.
+
+    Raises:
+        OSError: it cannot be opened.
+        StateError: it is not a file of this user.
+    """
+    fd = os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+    status = os.fstat(fd)
+    if not stat.S_ISREG(status.st_mode):
+        what = "is not a file"
+    elif status.st_uid != os.getuid():
+        what = f"belongs to user {status.st_uid}"
+    else:
+        return fd
+    os.close(fd)
+    raise StateError(f"store shm: {path} {what}; remove it")
+
+
+@dataclass(eq=False)
 class Segment:
     """One mapped segment.
 
@@ -141,9 +158,9 @@ class Segment:
         groups: their layouts.
         starts: where each begins in `memory`, [B].
         hash: SHA-256 of the groups.
-        pid: of the process that made it.
+        pid: of the process that made it; as that sees it, where it lives in another container.
         inode: of its file; another one of the same name is another segment.
-        memory: all of it; writable.
+        memory: all of it; writable unless it was attached to for reading only.
         owner: this process writes it, and removes it in the end.
     """
 
@@ -165,7 +182,7 @@ class Segment:
             StateError: a writer of that name lives, or there is no room.
         """
         path, text = segment_path(name), groups_json(groups).encode()
-        starts, size = _offsets(groups, len(text))
+        starts, size = places(groups, len(text))
         # Without a name until all of it is there: nobody ever reads half a header.
         flags = os.O_TMPFILE | os.O_RDWR | os.O_CLOEXEC
         try:
@@ -179,19 +196,25 @@ class Segment:
                 raise StateError(
                     f"store shm: {size} bytes for {path}: {error.strerror}; make room in {FOLDER}"
                 ) from error
-            memory = memoryview(mmap.mmap(fd, size))
+            memory = _mapped(fd, size)
             digest = groups_hash(groups)
             start = _started(os.getpid())
             head = MAGIC, VERSION, BYTE_ORDER, os.getpid(), start, size, len(text), digest.encode()
             HEAD.pack_into(memory, 0, *head)
             memory[JSON_AT : JSON_AT + len(text)] = text
             _lock(fd, fcntl.F_WRLCK, _WRITER_LOCK)
-            _give_name(fd, name)
             inode = os.fstat(fd).st_ino
+            try:
+                _give_name(fd, name)
+            except BaseException:  # a signal may raise just after it has got its name
+                _unname(path, inode)
+                raise
         except BaseException:
             os.close(fd)
             raise
-        return cls(name, dict(groups), starts, digest, os.getpid(), inode, memory, True, fd)
+        made = cls(name, dict(groups), starts, digest, os.getpid(), inode, memory, True, fd)
+        _OWNED.add(made)
+        return made
 
     @classmethod
     def attach(cls, name: str, *, read_only: bool = False) -> Segment:
@@ -205,24 +228,25 @@ class Segment:
             StateError: there is none, it is somebody else's, or it is not a segment.
         """
         path = segment_path(name)
-        flags = os.O_NOFOLLOW | os.O_CLOEXEC | (os.O_RDONLY if read_only else os.O_RDWR)
         try:
-            fd = os.open(path, flags)
+            fd = _open(path, os.O_RDONLY if read_only else os.O_RDWR)
         except FileNotFoundError:
-            there = ", ".join(found.name for found in segments()) or "none"
-            raise StateError(f"no segment {name!r} in {FOLDER}; there are: {there}") from None
+            there = alternatives(name, (found.name for found in segments()))
+            raise StateError(f"no segment {name!r} in {FOLDER}; {there}") from None
         except OSError as error:
-            raise StateError(f"store shm: cannot read {path}: {error.strerror}") from error
+            what = f"cannot read {path}: {error.strerror}; remove it"
+            raise StateError(f"store shm: {what}") from error
         try:
             status = os.fstat(fd)
-            if status.st_uid != os.getuid():
-                raise StateError(f"store shm: {path} belongs to user {status.st_uid}; remove it")
             if status.st_size < JSON_AT:
-                raise StateError(f"store shm: {path} is not a segment; remove it")
+                raise StateError(f"store shm: {path} is not a segment of unicon; remove it")
             access = mmap.ACCESS_READ if read_only else mmap.ACCESS_WRITE
-            memory = memoryview(mmap.mmap(fd, status.st_size, access=access))
+            try:
+                memory = memoryview(mmap.mmap(fd, status.st_size, access=access))
+            except (OSError, ValueError) as error:  # no memory, or it shrinks just now
+                raise StateError(f"store shm: cannot map {path}: {error}") from error
             groups, digest, pid = _read_head(path, memory)
-            starts, size = _offsets(groups, len(groups_json(groups)))
+            starts, size = places(groups, len(groups_json(groups)))
             if size != status.st_size:
                 raise StateError(f"store shm: {path} is not as long as it says; remove it")
         except BaseException:
@@ -231,8 +255,10 @@ class Segment:
         return cls(name, groups, starts, digest, pid, status.st_ino, memory, False, fd)
 
     def alive(self) -> bool:
-        """Return whether its writer lives."""
-        return self.owner or not _lock(self._fd, fcntl.F_RDLCK, _WRITER_LOCK, ask=True)
+        """Return whether its writer lives; False where it was closed here."""
+        if self._fd < 0 or self.owner:
+            return self._fd >= 0
+        return not _lock(self._fd, fcntl.F_RDLCK, _WRITER_LOCK, ask=True)
 
     def replaced(self) -> bool:
         """Return whether another segment has taken the name."""
@@ -262,11 +288,16 @@ class Segment:
             f"segment {self.name!r}: {MAX_SLEEPERS} readers wait for it; poll it, or end one"
         )
 
+    def clear_dead(self, flags: memoryview) -> None:
+        """Take the places of readers that died asleep back, of which `flags` still tell."""
+        for place, flag in enumerate(flags):
+            if flag and _lock(self._fd, fcntl.F_WRLCK, _SLEEPER_LOCKS + place):
+                flags[place] = 0
+                _lock(self._fd, fcntl.F_UNLCK, _SLEEPER_LOCKS + place)
+
     def unlink(self) -> None:
         """Take its name away: whoever has it keeps it, and nothing is left when they have ended."""
-        if not self.replaced():
-            with suppress(OSError):
-                os.unlink(segment_path(self.name))
+        _unname(segment_path(self.name), self.inode)
 
     def close(self) -> None:
         """Let it go; its writer removes it. Safe to call twice."""
@@ -280,6 +311,37 @@ class Segment:
             fcntl.fcntl(self._fd, fcntl.F_OFD_SETLK, wish)
         os.close(self._fd)
         self._fd = -1
+
+
+_OWNED: weakref.WeakSet[Segment] = weakref.WeakSet()
+
+
+def _let_go_in_child() -> None:
+    """Let a forked child forget what its parent writes: closing would unlock and remove it."""
+    for segment in list(_OWNED):
+        if segment._fd >= 0:
+            os.close(segment._fd)
+            segment._fd = -1
+
+
+os.register_at_fork(after_in_child=_let_go_in_child)
+
+
+def _mapped(fd: int, size: int) -> memoryview:
+    """Map a new segment through a description of its own: a mapping keeps the locks of the one
+    that it is made with, and a forked child keeps the mapping."""
+    mapped = os.open(f"/proc/self/fd/{fd}", os.O_RDWR | os.O_CLOEXEC)
+    try:
+        return memoryview(mmap.mmap(mapped, size))
+    finally:
+        os.close(mapped)
+
+
+def _unname(path: Path, inode: int) -> None:
+    """Remove a file where it is still the one meant."""
+    with suppress(OSError):
+        if os.stat(path, follow_symlinks=False).st_ino == inode:
+            os.unlink(path)
 
 
 def _give_name(fd: int, name: str) -> None:
@@ -300,37 +362,49 @@ def _give_name(fd: int, name: str) -> None:
         finally:
             os.close(folder)
         if not remove_dead(name):
-            pid = _pid_of(path)
-            raise StateError(
-                f"store shm: {path} is written by process {pid} just now; end that run, or give "
-                "this one another name (store: {shm: NAME})"
-            )
-    raise StateError(f"store shm: others make {path} all the time; give this run another name")
+            pid = _living_writer(path)
+            if pid:
+                raise StateError(
+                    f"store shm: {path} is written by process {pid} just now; end that run, or "
+                    "give this one another name (store: {shm: NAME})"
+                )
+            time.sleep(0.001)  # another process removes it just now
+    raise StateError(
+        f"store shm: {path} is held by a process that cannot be seen from here; give this run "
+        "another name (store: {shm: NAME})"
+    )
 
 
 def remove_dead(name: str) -> bool:
-    """Remove a segment if its writer has died; False where it lives. Two may try at once."""
+    """Remove a segment if its writer has died; False where it lives. Two may try at once.
+
+    Raises:
+        StateError: it is not a segment, or not ours.
+    """
     path = segment_path(name)
     try:
-        fd = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC)
+        fd = _open(path, os.O_RDWR)
     except FileNotFoundError:
         return True
     except OSError as error:
-        raise StateError(f"store shm: cannot take over {path}: {error.strerror}") from error
+        what = f"cannot take over {path}: {error.strerror}; remove it"
+        raise StateError(f"store shm: {what}") from error
     try:
         if not _lock(fd, fcntl.F_WRLCK, _WRITER_LOCK):
             return False
-        with suppress(FileNotFoundError):
-            if os.stat(path).st_ino == os.fstat(fd).st_ino:
-                os.unlink(path)
+        if os.pread(fd, len(MAGIC), 0) != MAGIC:
+            raise StateError(f"store shm: {path} is not a segment of unicon; remove it")
+        _unname(path, os.fstat(fd).st_ino)
         return True
     finally:
         os.close(fd)
 
 
-def _pid_of(path: Path) -> int:
+def _living_writer(path: Path) -> int:
+    """Return who writes a segment; 0 where that process cannot be seen."""
     with suppress(OSError, struct.error), path.open("rb") as file:
-        return int(HEAD.unpack(file.read(HEAD.size))[3])
+        _, _, _, pid, start, *_ = HEAD.unpack(file.read(HEAD.size))
+        return int(pid) if start and _started(pid) == start else 0
     return 0
 
 
@@ -349,7 +423,7 @@ def _read_head(path: Path, memory: memoryview) -> tuple[dict[str, Layout], str, 
         try:
             text = bytes(memory[JSON_AT : JSON_AT + length]).decode()
             groups = groups_from_json(text)
-            if groups_hash(groups).encode() == digest:
+            if groups_hash(groups).encode() == digest and groups_json(groups) == text:
                 return groups, digest.decode(), pid
         except (StateError, UnicodeDecodeError):
             pass
@@ -367,7 +441,7 @@ class ShmWriter:
     """
 
     def __init__(self, segment: Segment, group: str, states: States) -> None:
-        self._segment, self._number = segment, 0
+        self._segment, self._number, self._in_vain = segment, 0, 0
         start, nbytes = segment.starts[group], segment.groups[group].nbytes
         memory = segment.memory
         self._latest = memory[start : start + 8].cast("Q")
@@ -399,16 +473,21 @@ class ShmWriter:
         if fence is not None:
             fence()
         self._latest[0] = self._number = number
-        if self._sleepers.tobytes() != self._nobody:
-            self._wake()
+        if fence is not None:
+            fence()  # the number is there before the flags are read; see docs/states.md
+        if self._sleepers.tobytes() != self._nobody and self._wake() == 0:
+            self._in_vain += 1  # a call to the kernel, 1 µs, for a reader that was killed asleep
+            if self._in_vain % _TRIES == 0:
+                self._segment.clear_dead(self._sleepers)
 
     def close(self) -> None:
         """Close the segment, with all its groups."""
         self._segment.close()
 
 
-class ShmReader:
-    """Takes the newest value of one group of another process.
+class ShmWatcher:
+    """Takes the newest value of one group of another process, and leaves no trace in the segment:
+    for looking in. It cannot sleep until there is a value; `ShmReader` can.
 
     It follows: where the writer has died and a new one has taken the name, `alive` attaches to
     the new segment. Numbers begin anew there.
@@ -420,21 +499,30 @@ class ShmReader:
         layout: what the group must be; None for whatever it is.
 
     Attributes:
+        number: see `Reader`; so are `stamp_ns` and `skipped`.
         starved: times at which a thousand looks met no whole value; the next `take` goes on.
 
     Raises:
         StateError: no such segment or group, or its states are others than here.
     """
 
+    _read_only = True
+
     def __init__(self, name: str, group: str, states: States, layout: Layout | None = None) -> None:
         self._wanted = layout
         self._name, self._group, self._states = name, group, states
         self.number = self.stamp_ns = self.skipped = self.starved = 0
-        self._attach(Segment.attach(name))
+        self._copies: tuple[tuple[memoryview, memoryview], ...] = ()
+        self._fence = barrier()
+        segment = Segment.attach(name, read_only=self._read_only)
+        try:
+            self._attach(segment)
+        except BaseException:
+            segment.close()
+            raise
 
     def _attach(self, segment: Segment) -> None:
         if self._group not in segment.groups:
-            segment.close()
             raise StateError(
                 f"segment {self._name!r} has no group {self._group!r}; there are "
                 f"{', '.join(segment.groups)}"
@@ -442,18 +530,15 @@ class ShmReader:
         layout = segment.groups[self._group]
         what = difference(self._wanted or layout, layout)
         if what:
-            segment.close()
             raise StateError(f"segment {self._name!r}, group {self._group!r}: {what}")
-        self._wanted = layout
         start, nbytes, memory = segment.starts[self._group], layout.nbytes, segment.memory
-        scratch = memoryview(bytearray(nbytes))
-        self._copies = Copies(self._states, layout, scratch).pairs
-        self._scratch = scratch
-        self._segment = segment
+        if not self._copies:  # a new writer's first value may be awaited: what was taken stays
+            self._scratch = memoryview(bytearray(nbytes))
+            copies = Copies(self._states, layout, self._scratch)
+            copies.pack()  # so that `restore` leaves the states as they are until one is taken
+            self._copies = copies.pairs
+        self._wanted, self._segment = layout, segment
         self._latest = memory[start : start + 8].cast("Q")
-        self._flags = memory[start + SLEEPERS : start + SLEEPERS + MAX_SLEEPERS]
-        self._sleep, self._place = Sleep(memory, start).wait, -1
-        self._fence = barrier()
         slots = []
         for place in range(SLOTS):
             at = start + RING + place * (BYTES + nbytes)
@@ -480,7 +565,8 @@ class ShmReader:
             if head[0] == number:
                 for packed, state in self._copies:
                     state[:] = packed
-                self.skipped += number - self._seen - 1
+                if self._seen:
+                    self.skipped += number - self._seen - 1
                 self._seen = self.number = number
                 self.stamp_ns = stamp
                 return True
@@ -492,8 +578,65 @@ class ShmReader:
         for packed, state in self._copies:
             state[:] = packed
 
+    @property
+    def pid(self) -> int:
+        """Process of the writer."""
+        return self._segment.pid
+
+    def alive(self) -> bool:
+        """Return whether the writer lives; where it has died, a new one of the name is taken up.
+
+        Raises:
+            StateError: the new one has other states.
+        """
+        if self._segment.alive():
+            return True
+        if not self._segment.replaced():
+            return False
+        try:
+            segment = Segment.attach(self._name, read_only=self._read_only)
+        except StateError:
+            return False  # it has gone again, or is somebody else's
+        old = self._segment
+        try:
+            self._attach(segment)
+        except BaseException:
+            segment.close()
+            raise
+        old.close()
+        return segment.alive()
+
+    def unlink(self) -> None:
+        """Take the segment's name away, as `Segment.unlink`."""
+        self._segment.unlink()
+
+    def close(self) -> None:
+        """Let go."""
+        self._segment.close()
+
+
+class ShmReader(ShmWatcher):
+    """A watcher that can sleep until there is a value: it says so in the segment, in a place that
+    it holds among those that sleep.
+
+    Raises:
+        StateError: as `ShmWatcher`.
+    """
+
+    _read_only = False
+
+    def _attach(self, segment: Segment) -> None:
+        super()._attach(segment)
+        start, memory = segment.starts[self._group], segment.memory
+        self._flags = memory[start + SLEEPERS : start + SLEEPERS + MAX_SLEEPERS]
+        self._sleep, self._place = Sleep(memory, start).wait, -1
+
     def wait(self, timeout: float) -> bool:
-        """Return True when a value is there that has not been taken, False after `timeout` [s]."""
+        """Return True when a value is there that has not been taken, False after `timeout` [s].
+
+        Raises:
+            StateError: more readers sleep than there are places.
+        """
         latest, seen = self._latest, self._seen
         if latest[0] != seen:
             return True
@@ -511,35 +654,12 @@ class ShmReader:
         flags[place] = 0
         return True
 
-    def alive(self) -> bool:
-        """Return whether the writer lives; where it has died, a new one of the name is taken up.
-
-        Raises:
-            StateError: the new one has other states.
-        """
-        if self._segment.alive():
-            return True
-        if not self._segment.replaced():
-            return False
-        try:
-            segment = Segment.attach(self._name)
-        except StateError:
-            return False  # it has gone again, or is somebody else's
-        old = self._segment
-        self._attach(segment)
-        old.close()
-        return True
-
-    def unlink(self) -> None:
-        """Take the segment's name away, as `Segment.unlink`."""
-        self._segment.unlink()
-
     def close(self) -> None:
         """Let go."""
         if self._place >= 0:
             self._flags[self._place] = 0
             self._place = -1
-        self._segment.close()
+        super().close()
 
 
 @dataclass(frozen=True)
@@ -558,19 +678,26 @@ class Found:
 
 
 def segments() -> Iterator[Found]:
-    """Yield this user's segments, by name."""
+    """Yield this user's segments, by name; what is not a file of ours is not one."""
     prefix = f"unicon-{os.getuid()}-"
     for path in sorted(FOLDER.glob(prefix + "*")):
-        with suppress(OSError):
-            fd = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
+        name = path.name[len(prefix) :]
+        if not _NAME.fullmatch(name):
+            continue
+        with suppress(OSError, StateError):
+            fd = _open(path, os.O_RDONLY)
             try:
                 alive = not _lock(fd, fcntl.F_RDLCK, _WRITER_LOCK, ask=True)
-                yield Found(path.name[len(prefix) :], os.fstat(fd).st_size, alive)
+                yield Found(name, os.fstat(fd).st_size, alive)
             finally:
                 os.close(fd)
 
 
 def clean() -> list[str]:
     """Remove the segments whose writer has died; return their names."""
-    dead = [found.name for found in segments() if not found.alive]
-    return [name for name in dead if remove_dead(name)]
+    removed = []
+    for found in segments():
+        with suppress(StateError):  # it is not a segment, whatever its name says
+            if not found.alive and remove_dead(found.name):
+                removed.append(found.name)
+    return removed

@@ -61,9 +61,9 @@ class Sleep:
             nothing,
         )
 
-    def wake(self) -> None:
-        """Wake everybody who sleeps on the counter."""
-        self._syscall(*self._wake_args)
+    def wake(self) -> int:
+        """Wake everybody who sleeps on the counter; return how many did."""
+        return int(self._syscall(*self._wake_args))
 
     def wait(self, seen: int, timeout: float) -> None:
         """Sleep while the counter has the value `seen`, at most `timeout` [s].

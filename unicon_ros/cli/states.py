@@ -1,0 +1,282 @@
+"""`unicon states [NAME]`: looks at the states that running processes share, and costs them
+nothing: it only reads. `unicon states --header FILE.h WORKFLOW` tells a program in C of them."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from unicon_core.aligned import aligned
+from unicon_core.errors import StateError, UniconError
+from unicon_ros.cli.workflow_arguments import add_overrides, positive
+
+if TYPE_CHECKING:
+    from unicon_core.states import Layout
+    from unicon_core.states.backends.shm import Segment
+    from unicon_core.states.states import Array
+
+__all__ = ["add", "states"]
+
+LOOK = 0.5
+"""Time in [s] over which rates are counted."""
+
+RATE = 10.0
+"""Looks of `--watch` in [Hz] where none are asked for."""
+
+HEAD = ("name", "process", "size", "group", "states", "bytes", "rate", "age")
+STATES_HEAD = ("state", "shape", "dtype", "unit", "frame", "value")
+
+
+def add(commands: Any) -> None:
+    """Add the command to the parser."""
+    parser = commands.add_parser(
+        "states", help="look at the states that running processes share", description=__doc__
+    )
+    add_looking(parser)
+    parser.add_argument(
+        "--header", metavar="FILE.h", help="write the states of workflow NAME as a header of C"
+    )
+    parser.add_argument("--part", metavar="PART", default="", help="of --header: one part's states")
+    add_overrides(parser)
+    parser.set_defaults(function=states)
+
+
+def add_looking(parser: argparse.ArgumentParser) -> None:
+    """Add what is for looking in."""
+    parser.add_argument("name", nargs="?", metavar="NAME", help="show its states; all are listed")
+    parser.add_argument("--watch", nargs="+", metavar="STATE", help="follow these states of NAME")
+    parser.add_argument(
+        "--rate", type=positive, metavar="HZ", help=f"of --watch: looks a second ({RATE:g})"
+    )
+    parser.add_argument(
+        "--duration", type=positive, metavar="S", help="of --watch: end after S seconds"
+    )
+    parser.add_argument(
+        "--csv", action="store_true", help="of --watch: print CSV, in full precision"
+    )
+    parser.add_argument("--json", metavar="FILE", help="write the list as JSON")
+    parser.add_argument(
+        "--clean", action="store_true", help="remove what writers that died have left"
+    )
+
+
+def states(arguments: argparse.Namespace) -> int:
+    """Run the command."""
+    if arguments.header or arguments.part or arguments.overrides:
+        from unicon_ros.cli.header import header
+
+        return header(arguments)
+    _refuse_wrong_use(arguments)
+    if arguments.clean:
+        return _clean()
+    if arguments.watch:
+        from unicon_ros.cli.watch import watch
+
+        rate = arguments.rate or RATE
+        return watch(arguments.name, arguments.watch, rate, arguments.duration, arguments.csv)
+    if arguments.name:
+        return _show(arguments.name)
+    return _list(arguments.json)
+
+
+def _refuse_wrong_use(arguments: argparse.Namespace) -> None:
+    given = {
+        option: bool(getattr(arguments, option.removeprefix("--")))
+        for option in ("--watch", "--rate", "--duration", "--csv", "--json", "--clean")
+    }
+    if given["--watch"] and not arguments.name:
+        raise StateError(
+            f"states: --watch goes with a name: unicon states NAME --watch {arguments.watch[0]}; "
+            f"there are: {_names()}"
+        )
+    for option in ("--rate", "--duration", "--csv"):
+        if given[option] and not given["--watch"]:
+            raise StateError(
+                f"states: {option} goes with --watch: unicon states NAME --watch STATE {option}"
+            )
+    if given["--json"] and (arguments.name or given["--clean"]):
+        raise StateError("states: --json writes the list: unicon states --json FILE")
+    if given["--clean"] and arguments.name:
+        raise StateError(
+            "states: --clean removes whatever writers that died have left, and takes no name: "
+            "unicon states --clean"
+        )
+
+
+def _names() -> str:
+    from unicon_core.states.backends.shm import segments
+
+    return ", ".join(found.name for found in segments()) or "none"
+
+
+# -- the list ------------------------------------------------------------------------------------
+
+
+def _list(file: str | None) -> int:
+    found = look()
+    if file:
+        try:
+            Path(file).write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
+        except OSError as error:
+            raise UniconError(f"cannot write {file}: {error.strerror}") from error
+    rows = [HEAD]
+    for segment in found:
+        process = f"{segment['pid'] or '?'}" + ("" if segment["alive"] else " (dead)")
+        head = (segment["name"], process, f"{segment['size']} B")
+        for name, group in segment["groups"].items() or [("-", None)]:
+            rows.append((*head, name, *(_group_cells(group) if group else ("-",) * 4)))
+            head = ("", "", "")
+    if len(rows) == 1:
+        print("no process of this user shares its states (a workflow does with store: shm)")
+        return 0
+    print("\n".join(aligned(rows, right=(2, 4, 5, 6, 7), underlined=False)))
+    wrong = [segment["error"] for segment in found if segment["error"]]
+    dead = [segment["name"] for segment in found if not segment["alive"] and not segment["error"]]
+    if dead:
+        wrong.append(f"left by writers that died: {', '.join(dead)}; unicon states --clean")
+    if wrong:
+        print("", *wrong, sep="\n")
+    return 0
+
+
+def look(seconds: float = LOOK) -> list[dict[str, Any]]:
+    """Return this user's segments as plain values.
+
+    Args:
+        seconds: over which rates are counted, [s].
+
+    Returns:
+        For each `name`, `alive`, `pid` of its writer (0: not known), `size` in [B], `hash`,
+        `error` in words or None, and `groups`, each with number of `states`, `bytes`, `number` of
+        the newest value, its `age` in [s] and `rate` in [Hz], both None where there is none.
+    """
+    from unicon_core.states.backends.shm import Segment, segments
+
+    listed: list[dict[str, Any]] = []
+    facts: dict[str, Any]
+    opened: list[Segment | None] = []
+    for found in segments():
+        facts = {"name": found.name, "alive": found.alive, "pid": 0, "size": found.size}
+        listed.append({**facts, "hash": "", "error": None, "groups": {}})
+        try:
+            opened.append(Segment.attach(found.name, read_only=True))
+        except StateError as error:
+            opened.append(None)
+            listed[-1]["error"] = str(error)
+    before = [_newest(segment) if segment else {} for segment in opened]
+    if any(facts["alive"] for facts in listed):
+        time.sleep(seconds)
+    for facts, segment, then in zip(listed, opened, before):
+        if segment is None:
+            continue
+        facts["pid"], facts["hash"] = segment.pid, segment.hash
+        for name, (number, stamp) in _newest(segment).items():
+            layout = segment.groups[name]
+            came, passed = number - then[name][0], stamp - then[name][1]
+            rate = came * 1e9 / passed if came and passed else 0.0
+            facts["groups"][name] = {
+                "states": len(layout.specs),
+                "bytes": layout.nbytes,
+                "number": number,
+                "age": (time.monotonic_ns() - stamp) * 1e-9 if number else None,
+                "rate": rate if facts["alive"] and number else None,
+            }
+        segment.close()
+    return listed
+
+
+def _newest(segment: Segment) -> dict[str, tuple[int, int]]:
+    return {name: segment.latest(name) for name in segment.groups}
+
+
+def _group_cells(group: dict[str, Any]) -> tuple[str, ...]:
+    rate = "-" if group["rate"] is None else f"{group['rate']:.1f} Hz"
+    return (str(group["states"]), str(group["bytes"]), rate, _age(group["age"]))
+
+
+def _age(age: float | None) -> str:
+    if age is None:
+        return "no value"
+    return f"{age * 1e3:.1f} ms" if age < 1.0 else f"{age:.1f} s"
+
+
+# -- one in full ---------------------------------------------------------------------------------
+
+
+def _show(name: str) -> int:
+    from unicon_core.states import States
+    from unicon_core.states.backends.shm import Segment, ShmWatcher
+
+    segment = Segment.attach(name, read_only=True)
+    print(f"{name}: {segment.memory.nbytes} B of process {segment.pid}")
+    if not segment.alive():
+        print("its writer has died, and these are its last values; unicon states --clean")
+    for group, layout in segment.groups.items():
+        values = States(layout)
+        watcher = ShmWatcher(name, group, values, layout)
+        taken = watcher.take()
+        age = (time.monotonic_ns() - watcher.stamp_ns) * 1e-9
+        told = f"value {watcher.number}, {_age(age)} old" if taken else "no value yet"
+        print(f"\ngroup {group}: {layout.nbytes} B, {told}")
+        cells = (summary(values[name]) if taken else "-" for name in layout.specs)
+        print("\n".join(aligned([STATES_HEAD, *_state_rows(layout, list(cells))])))
+        watcher.close()
+    segment.close()
+    return 0
+
+
+def _state_rows(layout: Layout, values: list[str]) -> list[tuple[str, ...]]:
+    from unicon_core.show.state_table import shape_text
+
+    return [
+        (name, shape_text(layout.slots[name].shape), s.dtype, s.unit or "-", s.frame or "-", value)
+        for (name, s), value in zip(layout.specs.items(), values)
+    ]
+
+
+def summary(value: Array) -> str:
+    """Return the present value of a state in short: few numbers in full, else their range."""
+    import numpy as np
+
+    flat = value.reshape(-1)
+    if flat.size <= 4:
+        return " ".join(number_text(x) for x in flat.tolist())
+    if flat.dtype == bool:
+        return f"{int(flat.sum())} of {flat.size} true"
+    unknown = np.isnan(flat)
+    lost = f", {int(unknown.sum())} NaN" if unknown.any() else ""
+    if unknown.all():
+        return lost.removeprefix(", ")
+    known = flat[~unknown]
+    least, most = number_text(known.min().item()), number_text(known.max().item())
+    return (f"all {least}" if least == most else f"{least} … {most}") + lost
+
+
+def number_text(value: float) -> str:
+    """Return a number as tables show it: whole ones in full, others to 4 digits."""
+    return str(value) if isinstance(value, int) else f"{value:.4g}"
+
+
+# -- leftovers -----------------------------------------------------------------------------------
+
+
+def _clean() -> int:
+    from unicon_core.handles import clean_frames
+    from unicon_core.states.backends.shm import Segment, clean, segments
+
+    for name in (removed := clean() + clean_frames()):
+        print(f"removed {name}")
+    left = 0
+    for found in segments():
+        if not found.alive:
+            left += 1
+            try:
+                Segment.attach(found.name, read_only=True).close()
+            except StateError as error:
+                print(f"left {found.name}: {error}")
+    if not removed and not left:
+        print("no writer that died has left anything")
+    return 0

@@ -1,0 +1,177 @@
+"""`unicon states NAME --watch STATE`: follows states of a running process, and only reads."""
+
+from __future__ import annotations
+
+import csv
+import os
+import sys
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import product
+from typing import Any, Protocol
+
+from unicon_core.errors import StateError, alternatives
+from unicon_core.signals import SIGNALS
+from unicon_core.states import Layout, States
+from unicon_core.states.backends.shm import Segment, ShmWatcher, segment_path
+from unicon_ros.cli.states import number_text
+
+__all__ = ["watch"]
+
+SILENCE = 1.0
+"""Time in [s] without a new value after which a living writer is said to be silent."""
+
+
+def watch(
+    name: str, chosen: Sequence[str], rate: float, duration: float | None, as_csv: bool
+) -> int:
+    """Print states of a segment until Ctrl-C, the end of its writer, or the end of a time.
+
+    Args:
+        name: of the segment.
+        chosen: names of the states.
+        rate: looks in [Hz]; a value that has been printed is not printed again.
+        duration: in [s], or None.
+        as_csv: in place of text for people.
+
+    Raises:
+        StateError: no such segment or state, or a new writer has other states.
+    """
+    layouts = _layouts(name, chosen)
+    watched = {
+        group: _Watched(name, group, layout, [state for state in chosen if state in layout.specs])
+        for group, layout in layouts.items()
+    }
+    form: _Form = _Csv(watched, chosen) if as_csv else _Text(watched, chosen)
+    form.head()
+    end = None if duration is None else time.monotonic() + duration
+    heard, told, writer = time.monotonic(), False, _writer(watched)
+    with SIGNALS.guard():
+        for now in _looks(rate, end):
+            # Asked before its last value is taken, so that this one is not lost.
+            alive = [each.watcher.alive() for each in watched.values()]
+            if writer != (writer := _writer(watched)):
+                _say(f"{name}: process {writer} has taken over")
+            if sum(each.watcher.take() for each in watched.values()):  # all of them take
+                form.values()
+                sys.stdout.flush()
+                heard, told = now, False
+            if not all(alive):
+                died = os.path.lexists(segment_path(name))
+                how = "has died; unicon states --clean removes the rest" if died else "has ended"
+                _say(f"{name}: process {writer} {how}")
+                break
+            if now - heard > SILENCE and not told:
+                _say(f"{name}: no new value for {SILENCE:g} s; process {writer} lives")
+                told = True
+    for each in watched.values():
+        each.watcher.close()
+    return 0
+
+
+def _layouts(name: str, chosen: Sequence[str]) -> dict[str, Layout]:
+    """Return the groups in which the chosen states are."""
+    segment = Segment.attach(name, read_only=True)
+    segment.close()
+    home = {state: group for group, layout in segment.groups.items() for state in layout.specs}
+    for state in chosen:
+        if state not in home:
+            raise StateError(
+                f"segment {name!r} has no state {state!r}; {alternatives(state, home)}"
+            )
+    wanted = {home[state] for state in chosen}
+    return {group: layout for group, layout in segment.groups.items() if group in wanted}
+
+
+class _Watched:
+    """A group, and those of its states that are watched."""
+
+    def __init__(self, name: str, group: str, layout: Layout, chosen: Sequence[str]) -> None:
+        self.chosen, self.states = chosen, States(layout)
+        self.watcher = ShmWatcher(name, group, self.states, layout)
+
+
+def _writer(watched: Mapping[str, _Watched]) -> int:
+    return next(iter(watched.values())).watcher.pid
+
+
+def _looks(rate: float, end: float | None) -> Iterator[float]:
+    """Yield the time in [s] at absolute deadlines, until a signal or the end."""
+    period, due = 1.0 / rate, time.monotonic()
+    while not SIGNALS.asked:
+        now = time.monotonic()
+        if end is not None and now >= end:
+            return
+        if now < due:
+            time.sleep(min(due - now, 0.05))  # so that a signal is heard soon
+            continue
+        yield now
+        due = max(due + period, now)  # who was stopped does not make up for it
+
+
+def _say(text: str) -> None:
+    print(f"unicon: {text}", file=sys.stderr)
+
+
+class _Form(Protocol):
+    """How values are printed."""
+
+    def head(self) -> None: ...
+
+    def values(self) -> None: ...
+
+
+class _Csv:
+    """Lines of CSV: when each group was published in [ns], then every element; full precision."""
+
+    def __init__(self, watched: Mapping[str, _Watched], chosen: Sequence[str]) -> None:
+        self._watched = watched
+        owner = {state: each for each in watched.values() for state in each.chosen}
+        self._views = [owner[state].states[state] for state in chosen]
+        self._columns = [f"{group}.stamp_ns" for group in watched]
+        for state in chosen:
+            self._columns += _element_names(state, owner[state].states)
+        self._write = csv.writer(sys.stdout, lineterminator="\n").writerow
+
+    def head(self) -> None:
+        self._write(self._columns)
+
+    def values(self) -> None:
+        row: list[Any] = [each.watcher.stamp_ns for each in self._watched.values()]
+        for view in self._views:
+            row += (view.view("uint8") if view.dtype == bool else view).reshape(-1).tolist()
+        self._write(row)
+
+
+class _Text:
+    """A line for each state, behind the time in [s] since the first."""
+
+    def __init__(self, watched: Mapping[str, _Watched], chosen: Sequence[str]) -> None:
+        self._owner = {state: each for each in watched.values() for state in each.chosen}
+        self._chosen, self._first_ns = chosen, 0
+        self._width = max(map(len, chosen))
+
+    def head(self) -> None:
+        for state in self._chosen:
+            spec = self._owner[state].states.spec(state)
+            unit = f" [{spec.unit}]" if spec.unit else ""
+            print(f"{state}{unit}: {', '.join(spec.names) or spec.description or 'no names'}")
+
+    def values(self) -> None:
+        newest = max(each.watcher.stamp_ns for each in self._owner.values())
+        self._first_ns = self._first_ns or newest
+        time_text = f"{(newest - self._first_ns) * 1e-9:9.3f}"
+        for state in self._chosen:
+            flat = self._owner[state].states[state].reshape(-1).tolist()
+            numbers = " ".join(f"{number_text(x):>9}" for x in flat)
+            print(f"{time_text}  {state:<{self._width}}  {numbers}")
+            time_text = " " * len(time_text)
+
+
+def _element_names(state: str, states: States) -> list[str]:
+    """Return a column for each element: its indices behind the state's name, or its own name."""
+    view, names = states[state], states.spec(state).names
+    axes: list[Sequence[object]] = [range(length) for length in view.shape]
+    if names:
+        axes[-1] = names
+    return [".".join([state, *map(str, place)]) for place in product(*axes)]
