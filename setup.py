@@ -86,7 +86,7 @@ def data_files() -> list[tuple[str, list[str]]]:
 
 
 def package_data() -> dict[str, list[str]]:
-    """Return the files beside the code: type markers and message definitions.
+    """Return the files beside the code: type markers, message definitions, the runtime in C.
 
     Spelled out file by file, since setuptools before 62.3 (Ubuntu 22.04 has 59.6) knows no `**`.
     """
@@ -94,7 +94,7 @@ def package_data() -> dict[str, list[str]]:
         package: [
             Path(path).relative_to(package).as_posix()
             for path in files_below(package)
-            if path.endswith((".msg", "py.typed"))
+            if path.endswith((".h", ".msg", "py.typed"))
         ]
         for package in ("unicon_core", "unicon_msgs_map", "unicon_ros")
     }

@@ -60,9 +60,9 @@ def test_every_resource_is_installed_below_share(installed: Path) -> None:
     assert marker.is_file()
 
 
-def test_every_module_type_marker_and_message_definition_is_installed(site_packages: Path) -> None:
+def test_every_module_and_what_stands_beside_it_is_installed(site_packages: Path) -> None:
     packages = ("unicon_core/", "unicon_msgs_map/", "unicon_ros/")
-    endings = (".py", "py.typed", ".msg")
+    endings = (".py", "py.typed", ".msg", ".h")
     expected = {n for n in tracked_files() if n.startswith(packages) and n.endswith(endings)}
     missing = {name for name in expected if not (site_packages / name).is_file()}
     assert missing == set()

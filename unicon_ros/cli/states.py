@@ -1,5 +1,5 @@
 """`unicon states [NAME]`: looks at the states that running processes share, and costs them
-nothing: it only reads."""
+nothing: it only reads. `unicon states --header FILE.h WORKFLOW` tells a program in C of them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from unicon_core.aligned import aligned
 from unicon_core.errors import StateError, UniconError
-from unicon_ros.cli.workflow_arguments import positive
+from unicon_ros.cli.workflow_arguments import add_overrides, positive
 
 if TYPE_CHECKING:
     from unicon_core.states.backends.shm import Segment
@@ -34,6 +34,11 @@ def add(commands: Any) -> None:
         "states", help="look at the states that running processes share", description=__doc__
     )
     add_looking(parser)
+    parser.add_argument(
+        "--header", metavar="FILE.h", help="write the states of workflow NAME as a header of C"
+    )
+    parser.add_argument("--part", metavar="PART", default="", help="of --header: one part's states")
+    add_overrides(parser)
     parser.set_defaults(function=states)
 
 
@@ -58,6 +63,10 @@ def add_looking(parser: argparse.ArgumentParser) -> None:
 
 def states(arguments: argparse.Namespace) -> int:
     """Run the command."""
+    if arguments.header or arguments.part or arguments.overrides:
+        from unicon_ros.cli.header import header
+
+        return header(arguments)
     _refuse_wrong_use(arguments)
     if arguments.clean:
         return _clean()

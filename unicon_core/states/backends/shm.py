@@ -52,7 +52,7 @@ from unicon_core.states.layout import Layout
 from unicon_core.states.states import States
 
 __all__ = ["FOLDER", "Found", "Segment", "ShmReader", "ShmWatcher", "ShmWriter", "clean"]
-__all__ += ["remove_dead", "segment_path", "segments"]
+__all__ += ["places", "remove_dead", "segment_path", "segments"]
 
 FOLDER = Path("/dev/shm")
 MAGIC = b"UNICONSH"
@@ -95,7 +95,7 @@ def segment_path(name: str) -> Path:
     return FOLDER / f"unicon-{os.getuid()}-{name}"
 
 
-def _offsets(groups: Groups, json_length: int) -> tuple[dict[str, int], int]:
+def places(groups: Groups, json_length: int) -> tuple[dict[str, int], int]:
     """Return where each group begins, and the size of the segment."""
     at, starts = _lines(JSON_AT + json_length), {}
     for name, layout in groups.items():
@@ -182,7 +182,7 @@ class Segment:
             StateError: a writer of that name lives, or there is no room.
         """
         path, text = segment_path(name), groups_json(groups).encode()
-        starts, size = _offsets(groups, len(text))
+        starts, size = places(groups, len(text))
         # Without a name until all of it is there: nobody ever reads half a header.
         flags = os.O_TMPFILE | os.O_RDWR | os.O_CLOEXEC
         try:
@@ -246,7 +246,7 @@ class Segment:
             except (OSError, ValueError) as error:  # no memory, or it shrinks just now
                 raise StateError(f"store shm: cannot map {path}: {error}") from error
             groups, digest, pid = _read_head(path, memory)
-            starts, size = _offsets(groups, len(groups_json(groups)))
+            starts, size = places(groups, len(groups_json(groups)))
             if size != status.st_size:
                 raise StateError(f"store shm: {path} is not as long as it says; remove it")
         except BaseException:
@@ -473,6 +473,8 @@ class ShmWriter:
         if fence is not None:
             fence()
         self._latest[0] = self._number = number
+        if fence is not None:
+            fence()  # the number is there before the flags are read; see docs/states.md
         if self._sleepers.tobytes() != self._nobody and self._wake() == 0:
             self._in_vain += 1  # a call to the kernel, 1 µs, for a reader that was killed asleep
             if self._in_vain % _TRIES == 0:
