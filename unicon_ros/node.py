@@ -92,7 +92,8 @@ class UniconNode(LifecycleNode):
         self._executor = executor
         # A second signal damps at once, in the middle of a tick or of a build.
         with SIGNALS, SIGNALS.guard(self._end, self._damp_now):
-            self._ending |= bool(SIGNALS.asked)
+            if SIGNALS.asked:  # `|=` would undo what a signal sets in the middle of it
+                self._ending = True
             try:
                 if self.settings["autostart"] and not self._autostart():
                     if not self.estop.latched:

@@ -12,6 +12,7 @@ import pytest
 from unicon_core.errors import Fault
 from unicon_core.flow import Block, Stage
 from unicon_core.runtime import Runner, RunOptions
+from unicon_core.signals import SIGNALS
 from unicon_core.workflow import Program, load_workflow
 
 WORKFLOW = """
@@ -166,3 +167,19 @@ def test_old_ticks_are_overwritten_and_the_newest_are_kept(path: Path) -> None:
     assert runner.statistics.count == 20
     assert len(rows) == 8
     assert (rows[1:, 2] > rows[:-1, 2]).all()
+
+
+def test_a_signal_while_the_run_looks_for_one_is_not_lost(path: Path) -> None:
+    class Arriving:
+        """What was asked before: nothing; but a signal comes just as that is looked at."""
+
+        def __bool__(self) -> bool:
+            runner.stop()
+            return False
+
+    with SIGNALS:
+        runner = Runner(load_workflow(path), RunOptions(speed="max"))
+        SIGNALS.asked = Arriving()  # type: ignore[assignment]
+        report = runner.run()
+        SIGNALS.asked = 0
+    assert report.ended == "stopped"

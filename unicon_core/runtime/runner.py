@@ -173,7 +173,8 @@ class Runner:
             raise UniconError(f"Runner.run: this run {state}; build the workflow anew")
         self._thread = threading.get_ident()
         with SIGNALS, SIGNALS.guard(self.stop, self._damp_now):
-            self._run.stop |= bool(SIGNALS.asked)
+            if SIGNALS.asked:  # `|=` would undo what a signal sets in the middle of it
+                self._run.stop = True
             restore: Callable[[], object] = bool
             fault: BaseException | None = None
             before, why = 0, ""
@@ -309,7 +310,8 @@ class Runner:
         self.program.states["velocity_command"][...] = 0.0
         ending.arrivals = self._run.arrivals
         self._ticker = ending
-        ending.stop |= self._hurry  # asked for just now
+        if self._hurry:  # asked for just now
+            ending.stop = True
         ending.run(self._ending_ticks, full_speed=self.options.speed == "max")
 
     def _status(self) -> None:
