@@ -18,8 +18,8 @@ SETTLE = 0.05
 """s for which a sender is watched before its values pass: the first one tells nothing of its age,
 and what a link has kept comes at once."""
 
-DRIFT = 1e-3
-"""Share of time by which an offset grows while no value is as fast: both clocks may be slewed by
+STEADY = 1000
+"""Time in which an offset grows by one, while no value is as fast: both clocks may be slewed by
 500 ppm (adjtimex(2)), and a minimum that is kept for ever would make every value late in the end.
 The price: a link that is slower for good is refused for minutes, then taken as it is."""
 
@@ -38,11 +38,6 @@ class _Sender:
 
     def live(self, now: int) -> bool:
         return now - self.fresh_at < SILENCE * 1e9
-
-    def delay(self, sent: int, now: int) -> int:
-        grown = self.offset + int((now - self.at) * DRIFT)
-        self.offset, self.at = min(now - sent, grown), now
-        return now - sent - self.offset
 
 
 class Freshness:
@@ -93,7 +88,10 @@ class Freshness:
         if number <= sender.number or sent < sender.sent:
             self.reordered += 1
             return False
-        delay = sender.delay(sent, now)
+        way, offset = now - sent, sender.offset + (now - sender.at) // STEADY
+        if way < offset:
+            offset = way
+        sender.offset, sender.at, delay = offset, now, way - offset
         if number != sender.number + 1 and sender is self._present:
             self._count_gap(sender, number, sent)
         sender.number, sender.sent = number, sent
