@@ -127,7 +127,9 @@ def _rows(loop: Loop) -> list[Rows]:
 def _slice_rows(
     each: Slice, read: dict[str, NDArray[np.int64]], written: dict[str, NDArray[np.int64]]
 ) -> Rows:
-    come, sent = each.holds(read["received"]), each.holds(written["end"])
+    # Whole within the slice: what was under way at a hold has waited for the next turn.
+    come = each.holds(read["stamp"]) & each.holds(read["received"])
+    sent = each.holds(written["begin"]) & each.holds(written["end"])
     if not come.any() or not sent.any():
         return {}
     return {
