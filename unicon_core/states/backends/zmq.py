@@ -48,6 +48,7 @@ LOOKS = 16
 """Messages that are looked at in one go: with more writers than that, all wrong, a good value may
 wait for the next go, and no tick waits for a flood."""
 
+LONGEST = 300  # characters of what another one's layout says
 JUST_NOW = 1_000_000
 """ns since a value was found, by `wait` as a rule, in which no newer one is looked for: to find
 nothing costs as much as a value."""
@@ -325,4 +326,4 @@ class ZmqReader:
             what = difference(self._group, theirs[self._name])
         else:
             what = f"the other end has group {', '.join(map(repr, theirs)) or 'none'}"
-        self._told, self.refused = digest, f"{self._what}: {what}"
+        self._told, self.refused = digest, f"{self._what}: {what[:LONGEST]}"
