@@ -95,7 +95,10 @@ def test_values_come_whole_and_once_whoever_binds(ipc: str, kind: str, robot_bin
 
 def test_what_was_taken_is_not_taken_again_and_a_silent_writer_is_not_alive(ipc: str) -> None:
     there = States(SPECS)
+    there.joint_pos = 7.0
     with writing(ipc) as (writer, address), closing(reading(address, there)) as reader:
+        reader.restore()  # nothing yet
+        assert there.joint_pos[0] == 7.0
         assert reader.number == 0
         assert reader.alive()  # nothing can have come
         take(reader)

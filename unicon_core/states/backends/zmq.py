@@ -172,7 +172,9 @@ class ZmqReader:
         self._name, self._group = name, group
         self._digest = bytes.fromhex(groups_hash({name: group}))
         scratch = memoryview(bytearray(group.nbytes))
-        self._copies, self._scratch = Copies(states, group, scratch).pairs, scratch
+        copies = Copies(states, group, scratch)
+        copies.pack()  # so that `restore` leaves the states as they are until one is taken
+        self._copies, self._scratch = copies.pairs, scratch
         self._body = HEAD.size + group.nbytes
         self._freshness = Freshness(late)
         self._oldest = round(late * 1e9)
