@@ -485,6 +485,10 @@ class ShmWriter:
         self._segment.close()
 
 
+_Pairs = tuple[tuple[memoryview, memoryview], ...]
+_NOTHING: tuple[memoryview, _Pairs] = (memoryview(b""), ())
+
+
 class ShmWatcher:
     """Takes the newest value of one group of another process, and leaves no trace in the segment:
     for looking in. It cannot sleep until there is a value; `ShmReader` can.
@@ -512,7 +516,7 @@ class ShmWatcher:
         self._wanted = layout
         self._name, self._group, self._states = name, group, states
         self.number = self.stamp_ns = self.skipped = self.starved = 0
-        self._copies: tuple[tuple[memoryview, memoryview], ...] = ()
+        self._fill = self._taken = _NOTHING
         self._fence = barrier()
         segment = Segment.attach(name, read_only=self._read_only)
         try:
@@ -532,11 +536,9 @@ class ShmWatcher:
         if what:
             raise StateError(f"segment {self._name!r}, group {self._group!r}: {what}")
         start, nbytes, memory = segment.starts[self._group], layout.nbytes, segment.memory
-        if not self._copies:  # a new writer's first value may be awaited: what was taken stays
-            self._scratch = memoryview(bytearray(nbytes))
-            copies = Copies(self._states, layout, self._scratch)
-            copies.pack()  # so that `restore` leaves the states as they are until one is taken
-            self._copies = copies.pairs
+        if self._taken is _NOTHING:  # a new writer's first value may be awaited: it stays
+            # Two: what is copied while it is overwritten must not stand in for what was taken last.
+            self._fill, self._taken = self._packed(layout), self._packed(layout)
         self._wanted, self._segment = layout, segment
         self._latest = memory[start : start + 8].cast("Q")
         slots = []
@@ -546,9 +548,17 @@ class ShmWatcher:
         self._slots = tuple(slots)
         self._seen = 0
 
+    def _packed(self, layout: Layout) -> tuple[memoryview, _Pairs]:
+        """Return memory for a value, and the pieces by which it goes into the states."""
+        memory = memoryview(bytearray(layout.nbytes))
+        copies = Copies(self._states, layout, memory)
+        copies.pack()  # so that `restore` leaves the states as they are until one is taken
+        return memory, copies.pairs
+
     def take(self) -> bool:
         """Copy the newest value into the states; False where it has been taken before."""
         latest, fence = self._latest, self._fence
+        memory, pairs = self._fill
         for _ in range(_TRIES):
             number = latest[0]
             if number == self._seen:
@@ -558,13 +568,14 @@ class ShmWatcher:
                 continue
             if fence is not None:
                 fence()
-            self._scratch[:] = slot
+            memory[:] = slot
             stamp = head[1]
             if fence is not None:
                 fence()
             if head[0] == number:
-                for packed, state in self._copies:
+                for packed, state in pairs:
                     state[:] = packed
+                self._fill, self._taken = self._taken, self._fill
                 if self._seen:
                     self.skipped += number - self._seen - 1
                 self._seen = self.number = number
@@ -575,7 +586,7 @@ class ShmWatcher:
 
     def restore(self) -> None:
         """Copy the value that was taken last into the states once more."""
-        for packed, state in self._copies:
+        for packed, state in self._taken[1]:
             state[:] = packed
 
     @property
