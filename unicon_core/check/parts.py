@@ -37,7 +37,7 @@ def check_parts(subject: Subject, result: CheckResult) -> None:
     for part in parts.parts.values():
         for state in part.publishes:
             owners = writers.get(state, {})
-            if part.name not in owners and state != "tick":
+            if part.name not in owners:
                 theirs = next(iter(owners), "")
                 result.find(
                     "parts.published",

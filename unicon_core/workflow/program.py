@@ -46,7 +46,7 @@ from unicon_core.workflow.command_bounds import (
 )
 from unicon_core.workflow.document import WorkflowDocument, document_of, load_document
 from unicon_core.workflow.gate import Gate
-from unicon_core.workflow.parts import divided, publishers, read_parts, read_store
+from unicon_core.workflow.parts import check_places, divided, publishers, read_parts, read_store
 from unicon_core.workflow.platforms import build_platform
 from unicon_core.workflow.policies import controllers_reading, load_policies
 from unicon_core.workflow.settings import pacing_of
@@ -136,6 +136,7 @@ class Program:
         self.part, self.parts, self.store = part, read_parts(document), read_store(document)
         if self.parts is not None:
             self.parts.check(self.states.layout, document)
+        check_places(sections, ending, self.parts)
         if part:
             sections, ending = self._of_part(sections, ending)
         self.context = BuildContext(
@@ -148,7 +149,7 @@ class Program:
         self.warn: Callable[[str], None] = print
         self._arrivals: list[Incoming] = []
         if self.parts is not None and part:
-            self._arrivals = self.parts.incoming(part, self.states, self.tell, document)
+            self._arrivals = self.parts.incoming(part, self.states, self.tell)
         self.blocks: list[Block] = []
         self.platform = self.context.platform = (
             PartPlatform(part, self.parts.first, self._arrivals)

@@ -430,6 +430,7 @@ class ShmReader:
         self._wanted = layout
         self._name, self._group, self._states = name, group, states
         self.number = self.stamp_ns = self.skipped = self.starved = 0
+        self._scratch = memoryview(b"")
         self._attach(Segment.attach(name))
 
     def _attach(self, segment: Segment) -> None:
@@ -446,9 +447,9 @@ class ShmReader:
             raise StateError(f"segment {self._name!r}, group {self._group!r}: {what}")
         self._wanted = layout
         start, nbytes, memory = segment.starts[self._group], layout.nbytes, segment.memory
-        scratch = memoryview(bytearray(nbytes))
-        self._copies = Copies(self._states, layout, scratch).pairs
-        self._scratch = scratch
+        if not self._scratch:  # a new writer's are the same: the last value stands until its first
+            self._scratch = memoryview(bytearray(nbytes))
+            self._copies = Copies(self._states, layout, self._scratch).pairs
         self._segment = segment
         self._latest = memory[start : start + 8].cast("Q")
         self._flags = memory[start + SLEEPERS : start + SLEEPERS + MAX_SLEEPERS]
@@ -488,9 +489,10 @@ class ShmReader:
         return False
 
     def restore(self) -> None:
-        """Copy the value that was taken last into the states once more."""
-        for packed, state in self._copies:
-            state[:] = packed
+        """Copy the value that was taken last into the states once more, if there was one."""
+        if self.number:
+            for packed, state in self._copies:
+                state[:] = packed
 
     def wait(self, timeout: float) -> bool:
         """Return True when a value is there that has not been taken, False after `timeout` [s]."""
