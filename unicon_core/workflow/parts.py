@@ -118,8 +118,8 @@ class Parts:
                 try:
                     neutral_value(layout.specs[state], state, part.silent.values)
                 except StateError as error:
-                    where = ("parts", part.name, "silent", "set", state)
-                    raise document.error(str(error), *where) from error
+                    place = ("parts", part.name, "silent", "set", state)
+                    raise document.error(str(error), *place) from error
 
     def incoming(self, here: str, states: States, tell: Callable[[str], None]) -> list[Incoming]:
         """Return what brings the states of the other parts into those of this one.
