@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from unicon_core.check import check_workflow
-from unicon_core.errors import Fault, StateError, UniconError, WorkflowError
+from unicon_core.check import check_workflow, refuse_errors
+from unicon_core.errors import CheckError, Fault, StateError, UniconError, WorkflowError
 from unicon_core.flow import blocks_of
 from unicon_core.runtime.runner import Runner, RunOptions
 from unicon_core.states import States
@@ -299,6 +299,18 @@ def test_a_block_on_a_part_where_there_are_none(tmp_path):
         load_workflow(path)
 
 
+def test_a_hook_knows_what_comes_from_other_parts(workflow):
+    """A bridge amends such states, as it does those of blocks."""
+    written: list[str] = []
+
+    def hook(program: Program) -> dict:
+        written.extend(state for block in program.blocks for state in block.writes)
+        return {}
+
+    Program(load_document(workflow), part="robot", hooks=[hook]).close()
+    assert "velocity_command" in written
+
+
 def test_a_part_that_publishes_nothing_leaves_nothing(tmp_path, build):
     path = write(tmp_path, WORKFLOW.replace("publishes: [velocity_command]", "publishes: []"))
     tick(build("robot", path))
@@ -355,6 +367,10 @@ def test_check_wants_to_know_what_is_commanded_in_silence(tmp_path):
     found = {f.code: str(f) for f in check_workflow(path).findings}
     assert list(found) == ["parts.silent"]
     assert "then: fault" in found["parts.silent"]
+    robot = Program(load_document(path), part="robot")
+    with pytest.raises(CheckError, match=r"is not run"):  # nor is the part, which asks for itself
+        refuse_errors(robot)
+    robot.close()
     path.write_text(path.read_text().replace("after: 0.2", "after: 0.2, then: fault"))
     assert not check_workflow(path).findings
 

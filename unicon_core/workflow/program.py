@@ -181,15 +181,15 @@ class Program:
         finite_first(self.document, stages[Stage.SAFETY])
         self.safety = tuple(b.name for node in stages[Stage.SAFETY] for b in blocks_of(node))
         last = None if ending is None else builder.built(ending)
+        if self.has_platform:
+            heard = [as_block(arrival) for arrival in self._arrivals]
+            self.blocks += heard  # before the hooks: a bridge amends what comes from a part
+            stages[Stage.RECV] += heard
         for hook in hooks:  # one by one: what a hook has opened is closed when the next one fails
             for stage, blocks in hook(self).items():
                 self.blocks += blocks
                 stages[stage] += blocks
         self._bound_commands()
-        if self.has_platform:
-            heard = [as_block(arrival) for arrival in self._arrivals]
-            self.blocks += heard
-            stages[Stage.RECV] += heard
         recv = Block("recv", platform.recv, writes=platform.facts.writes)
         warm_up = platform.warm_up if isinstance(platform, WarmsUp) else None
         recv.warm_up = warm_ups.refresh(warm_up)
