@@ -8,6 +8,7 @@ import time
 import numpy as np
 import pytest
 
+from unicon_core.check import check_workflow
 from unicon_core.errors import Fault, PlatformError, WorkflowError
 from unicon_core.platforms.platform import Pausable, Pushable, Resettable, WaitsForData
 from unicon_core.runtime.runner import Runner, RunOptions
@@ -142,9 +143,11 @@ def test_a_child_that_died_after_the_last_tick_is_told():
 
 
 def test_a_robot_does_not_tell_when_its_data_arrive():
-    program = load_workflow(
-        "go2_stand", ["platform={child: fake_robot, silence: 10}", "pacing={trigger: state}"]
-    )
+    changes = ["platform={child: fake_robot, silence: 10}", "pacing={trigger: state}"]
+    assert "timing.trigger" in [
+        found.code for found in check_workflow("go2_stand", changes).findings
+    ]
+    program = load_workflow("go2_stand", changes)
     with pytest.raises(PlatformError, match=r"set pacing\.trigger: deadline"):
         Runner(program, RunOptions())
     program.close()
