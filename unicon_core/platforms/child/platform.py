@@ -358,8 +358,8 @@ class ChildPlatform:
             raise Fault(words["fault"])
         if "closing" in words:
             raise PlatformError(f"platform {self.facts.name!r}: {words['closing']}")
-        if self.process.returncode and not self._told:
-            raise Fault(self._end())
+        if "closed" not in words and not self._told:
+            raise Fault(f"{self._end()} and has not closed")
 
     def _ended(self, process: subprocess.Popen[bytes]) -> dict[str, Any]:
         """Wait for the end of the child, kill it where it hangs; return its last words."""

@@ -89,6 +89,7 @@ def main() -> int:
     signal.alarm(_ALARM)
     try:
         platform.close()  # damps first
+        tell(closed=True)
     except BaseException as error:
         status = 3
         tell(closing=f"closing: {_text(error)}")
