@@ -225,15 +225,16 @@ class ZmqReader:
             self._freshness.late += 1
             return False
         self._scratch[:] = frame[HEAD.size : self._body]
-        self.restore()
         self.number, self.stamp_ns = self._held_number, self._held_stamp
+        self.restore()
         self.skipped = self._freshness.skipped
         return True
 
     def restore(self) -> None:
-        """Copy the value that was taken last into the states once more."""
-        for packed, state in self._copies:
-            state[:] = packed
+        """Copy the value that was taken last into the states once more, if there was one."""
+        if self.number:
+            for packed, state in self._copies:
+                state[:] = packed
 
     def wait(self, timeout: float) -> bool:
         """Return True when a value is there that has not been taken, False after `timeout` [s].
