@@ -198,6 +198,19 @@ class Incoming:
             for name in self.writes
         ]
 
+    def open(self) -> None:
+        """Open all readers now: sockets and their threads take milliseconds, too long for a tick.
+
+        Raises:
+            StateError: an address cannot be had, or a key is missing.
+        """
+        try:
+            for name in self.groups:
+                self._readers[name] = self._open(name)
+        except BaseException:
+            self.close()
+            raise
+
     def __call__(self) -> None:
         """Take what has come.
 

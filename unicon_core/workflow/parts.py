@@ -125,6 +125,10 @@ class Parts:
         """Return what brings the states of the other parts into those of this one.
 
         Over `zmq` parts talk with the first one alone.
+
+        Raises:
+            StateError: an address cannot be had, or a key is missing.
+            MissingDependencyError: the backend is not installed.
         """
         arrivals = []
         for part in self.parts:
@@ -142,6 +146,9 @@ class Parts:
             if groups:
                 silent = Silent(silent.after, silent.then, own)
                 arrivals.append(Incoming(part, groups, opened, states, silent, tell))
+        if self.store.backend == "zmq":
+            for arrival in arrivals:
+                arrival.open()
         return arrivals
 
 

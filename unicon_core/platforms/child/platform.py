@@ -4,7 +4,7 @@
     platform: {child: my_robot, silence: 0.05, watchdog: 0.2}
 
 The parent publishes the command states at `send` and takes the measured ones at `recv`, both
-through shared memory (`states/backends/shm.py`). A simulator is ticked in step: `recv` waits for
+through shared memory (`states/backends/shm/`). A simulator is ticked in step: `recv` waits for
 the answer to the last command, so that a run is the same to the bit. A robot's process runs freely,
 and `recv` takes the newest.
 
