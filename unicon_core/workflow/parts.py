@@ -5,7 +5,7 @@
       robot: {publishes: [joint_pos, base_quat], silent: {after: 0.2}}
       desk: {publishes: [velocity_command], silent: {after: 1.0, then: hold}}
     commands:
-      - {gamepad: {}, on: desk}                 # all else is the first part's
+      - {velocity_command: {}, on: desk}        # all else is the first part's
 
 The first part has the platform and every block that does not say `on:`. `unicon run WORKFLOW --part
 NAME` runs one part; without `--part` all of it runs in one process, as if nothing had been divided.
