@@ -96,6 +96,45 @@ def test_a_parent_that_goes_on_after_the_watchdog_is_at_fault(tmp_path):
     assert attacked.report["faults"]
 
 
+@pytest.mark.parametrize("fault", ["value", "exit", "memory", "recursion", "interrupt"])
+def test_whatever_the_platform_raises_damps_and_is_told(tmp_path, fault):
+    attacked = Run(
+        tmp_path,
+        options=f"fault: {fault}, where: recv, at: 5",
+        arguments=["--quiet", "--set", CHILD],
+    )
+    attacked.start()
+    status, _, error = attacked.wait()
+    assert status == 3, error
+    assert attacked.closed
+    assert "platform 'recording' raised" in attacked.report["faults"][0]
+    assert error == ""
+
+
+def test_a_death_in_the_last_tick_is_told(tmp_path):
+    attacked = Run(
+        tmp_path,
+        options="fault: exit, where: close",
+        arguments=["--quiet", "--duration", "0.2", "--set", CHILD],
+    )
+    attacked.start()
+    status, _, _ = attacked.wait()
+    assert status == 3
+    assert "SystemExit: 7" in attacked.report["faults"][0]
+
+
+def test_a_child_that_leaves_while_it_closes_is_told(tmp_path):
+    attacked = Run(
+        tmp_path,
+        options="fault: leave, where: close",
+        arguments=["--quiet", "--duration", "0.2", "--set", CHILD],
+    )
+    attacked.start()
+    status, _, _ = attacked.wait()
+    assert status == 3
+    assert "ended with status 0 and has not closed" in attacked.report["faults"][0]
+
+
 def test_ctrl_c_ends_the_parent_and_it_its_child(tmp_path):
     attacked = run(tmp_path)
     child = child_of(attacked.process.pid)

@@ -8,8 +8,9 @@ import time
 import numpy as np
 import pytest
 
+from unicon_core.check import check_workflow
 from unicon_core.errors import Fault, PlatformError, WorkflowError
-from unicon_core.platforms.platform import Pushable, Resettable, WaitsForData
+from unicon_core.platforms.platform import Pausable, Pushable, Resettable, WaitsForData
 from unicon_core.runtime.runner import Runner, RunOptions
 from unicon_core.states.backends.shm import segments
 from unicon_core.workflow import load_workflow
@@ -96,3 +97,57 @@ def test_a_child_that_dies_is_a_fault_that_names_it():
     assert time.monotonic() - begin < 5.0  # not the 10 s of its silence
     program.close()
     assert left() == []
+
+
+def test_a_reset_comes_behind_the_last_command():
+    """Else the robot would be a tick ahead of its commands from there on, now and then."""
+    program = load_workflow("go2_stand", ["platform={child: fake, silence: 10}"])
+    platform, states = program.platform, program.states
+    for _ in range(50):
+        platform.recv()
+        platform.send()
+        platform.reset()
+        platform.recv()
+        assert states.stamp_ns == 0
+        platform.send()
+        platform.recv()
+        assert states.stamp_ns == 20_000_000
+    program.close()
+
+
+def test_a_pause_stops_the_watchdog():
+    program = load_workflow("go2_stand", ["platform={child: fake, silence: 10, watchdog: 0.2}"])
+    platform = program.platform
+    assert isinstance(platform, Pausable)
+    for pause in (True, False):
+        platform.recv()
+        platform.send()
+        if pause:
+            platform.pause()
+        time.sleep(0.5)
+    platform.recv()  # the answer to the last command came before
+    platform.send()
+    with pytest.raises(Fault, match=r"no command came for 0\.2 s"):
+        platform.recv()
+    program.close()
+
+
+def test_a_child_that_died_after_the_last_tick_is_told():
+    program = load_workflow("go2_stand", ["platform={child: fake, silence: 10}"])
+    platform = program.platform
+    platform.recv()
+    platform.process.kill()
+    with pytest.raises(Fault, match="was killed by SIGKILL"):
+        program.close()
+    assert left() == []
+
+
+def test_a_robot_does_not_tell_when_its_data_arrive():
+    changes = ["platform={child: fake_robot, silence: 10}", "pacing={trigger: state}"]
+    assert "timing.trigger" in [
+        found.code for found in check_workflow("go2_stand", changes).findings
+    ]
+    program = load_workflow("go2_stand", changes)
+    with pytest.raises(PlatformError, match=r"set pacing\.trigger: deadline"):
+        Runner(program, RunOptions())
+    program.close()

@@ -15,10 +15,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 def folder(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """A folder for segments and frames in shared memory, where no other test makes any."""
     from unicon_core import handles
-    from unicon_core.states.backends import shm
+    from unicon_core.states.backends.shm import files
 
     made = Path(tempfile.mkdtemp(prefix="unicon_test_", dir="/dev/shm"))
-    monkeypatch.setattr(shm, "FOLDER", made)
+    monkeypatch.setattr(files, "FOLDER", made)
     monkeypatch.setattr(handles, "FOLDER", made)
     yield made
     shutil.rmtree(made)

@@ -16,8 +16,16 @@ import pytest
 
 from unicon_core.errors import StateError
 from unicon_core.states import Layout, States, StateSpec
-from unicon_core.states.backends import shm
-from unicon_core.states.backends.shm import Segment, ShmReader, ShmWriter, segment_path, segments
+from unicon_core.states.backends.shm import (
+    Segment,
+    ShmReader,
+    ShmWriter,
+    remove_dead,
+    segment_path,
+    segments,
+)
+from unicon_core.states.backends.shm import segment as layout
+from unicon_core.states.backends.shm.files import HEAD, started
 from unicon_core.states.groups import groups_of
 
 NAME = f"test-c-{os.getpid()}"
@@ -116,7 +124,7 @@ def test_each_field_of_the_head_is_checked(hammer):
         (32, struct.pack("<Q", size + 64), "is not as long as it says"),
         (40, struct.pack("<Q", 2**63), "is not as long as it says"),
         (48, b"0" * 64, "has other states"),
-        (shm.JSON_AT + 20, b"\xff", "has other states"),
+        (layout.JSON_AT + 20, b"\xff", "has other states"),
     ):
         right = bytes(made.memory[at : at + len(wrong)])
         made.memory[at : at + len(wrong)] = wrong
@@ -171,8 +179,8 @@ def test_c_and_python_take_no_name_from_one_who_lives(hammer):
     with pytest.raises(StateError, match=f"is written by process {writer.pid} just now"):
         Segment.create(NAME, GROUPS)
     segment = Segment.attach(NAME)
-    head = shm.HEAD.unpack_from(segment.memory)
-    assert head[4] == shm._started(writer.pid)
+    head = HEAD.unpack_from(segment.memory)
+    assert head[4] == started(writer.pid)
     assert segment_path(NAME).stat().st_mode & 0o777 == 0o600
     segment.close()
     kill(writer)
@@ -186,7 +194,7 @@ def test_of_many_that_want_a_dead_ones_name_one_gets_it(hammer):
         peers = [begin(hammer, "write", NAME, 1000) for _ in range(6)]
         end = time.monotonic() + PATIENCE
         while sum(peer.poll() is None for peer in peers) > 1:
-            shm.remove_dead(NAME)  # has the lock of the dead one for a moment
+            remove_dead(NAME)  # has the lock of the dead one for a moment
             assert time.monotonic() < end
         [winner] = [peer for peer in peers if peer.poll() is None]
         for peer in peers:
@@ -197,7 +205,7 @@ def test_of_many_that_want_a_dead_ones_name_one_gets_it(hammer):
         assert reader._segment.pid == winner.pid
         reader.close()
         kill(winner)
-    assert shm.remove_dead(NAME)
+    assert remove_dead(NAME)
 
 
 def whole(states: States, reader: ShmReader) -> bool:
@@ -228,7 +236,7 @@ def killed_at_random(hammer: Path, times: int) -> None:
         writer = start(hammer)
     reader.close()
     kill(writer)
-    assert shm.remove_dead(NAME)
+    assert remove_dead(NAME)
     assert looks > times
     assert reader.starved == 0
 
@@ -288,7 +296,7 @@ def reads_of_c(hammer: Path, seconds: float) -> None:
     kill(writer)
     reader.close()
     assert taken > 0
-    assert shm.remove_dead(NAME)
+    assert remove_dead(NAME)
     in_c, torn, back, _, _ = map(int, said.split())
     assert (torn, back) == (0, 0)
     assert in_c > 0
@@ -311,9 +319,9 @@ def test_a_reader_in_c_that_is_killed_asleep_or_stopped_holds_nobody_up(hammer):
     made = Segment.create(NAME, GROUPS)
     writer = ShmWriter(made, "measured", states)
     asleep = [begin(hammer, "read", NAME, 60, -1) for _ in range(2)]
-    place = made.starts["measured"] + shm.SLEEPERS
+    place = made.starts["measured"] + layout.SLEEPERS
     end = time.monotonic() + PATIENCE
-    while sum(made.memory[place : place + shm.MAX_SLEEPERS]) < 2:
+    while sum(made.memory[place : place + layout.MAX_SLEEPERS]) < 2:
         assert time.monotonic() < end
         time.sleep(0.001)
     asleep[0].send_signal(signal.SIGSTOP)
@@ -323,14 +331,14 @@ def test_a_reader_in_c_that_is_killed_asleep_or_stopped_holds_nobody_up(hammer):
         kill(peer)
     for _ in range(2000):
         writer.publish()
-    assert not any(made.memory[place : place + shm.MAX_SLEEPERS])  # their places are free again
+    assert not any(made.memory[place : place + layout.MAX_SLEEPERS])  # their places are free again
     made.close()
 
 
 def test_a_writer_in_c_clears_after_readers_that_were_killed_asleep(hammer):
     writer = start(hammer, pause_us=1)
     segment = Segment.attach(NAME)
-    at = segment.starts["measured"] + shm.SLEEPERS
+    at = segment.starts["measured"] + layout.SLEEPERS
     place = segment.sleeper()
     segment.memory[at : at + 3] = b"\1\1\1"  # the first is ours
     end = time.monotonic() + PATIENCE
@@ -340,14 +348,14 @@ def test_a_writer_in_c_clears_after_readers_that_were_killed_asleep(hammer):
     assert (place, segment.memory[at]) == (0, 1)
     kill(writer)
     segment.close()
-    assert shm.remove_dead(NAME)
+    assert remove_dead(NAME)
 
 
 def test_64_readers_sleep_and_the_next_is_told(hammer):
     made = Segment.create(NAME, GROUPS)
-    held = [Segment.attach(NAME) for _ in range(shm.MAX_SLEEPERS)]
+    held = [Segment.attach(NAME) for _ in range(layout.MAX_SLEEPERS)]
     places = [segment.sleeper() for segment in held]
-    assert sorted(places) == list(range(shm.MAX_SLEEPERS))
+    assert sorted(places) == list(range(layout.MAX_SLEEPERS))
     assert refusal(hammer) == "64 readers sleep already; poll it"
     for segment in held:
         segment.close()

@@ -53,6 +53,24 @@ def test_a_value_arrives_whole_and_once(segment):
     reader.close()
 
 
+def test_a_value_that_could_not_be_had_whole_does_not_stand_in_for_the_last_one(segment):
+    made, states = segment
+    writer, there = ShmWriter(made, "measured", states), States(SPECS)
+    reader = ShmReader(NAME, "measured", there)
+    states.joint_pos = 1.0
+    writer.publish()
+    assert reader.take()
+    states.joint_pos = 2.0
+    writer.publish()
+    (head, _) = reader._slots[2]
+    reader._fence = lambda: head.__setitem__(0, 0)  # overwritten while it is copied, each time
+    assert not reader.take()
+    assert reader.starved == 1
+    reader.restore()
+    assert (there.joint_pos == 1.0).all()
+    reader.close()
+
+
 def test_one_writer_has_a_name(segment):
     made, _ = segment
     with pytest.raises(StateError, match=f"is written by process {os.getpid()}"):

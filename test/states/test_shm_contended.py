@@ -22,7 +22,6 @@ from ring_processes import (
 
 from unicon_core.errors import StateError
 from unicon_core.states.backends.shm import (
-    MAX_SLEEPERS,
     Segment,
     ShmReader,
     ShmWatcher,
@@ -30,6 +29,7 @@ from unicon_core.states.backends.shm import (
     clean,
     segments,
 )
+from unicon_core.states.backends.shm.segment import MAX_SLEEPERS
 
 
 def contended_reads(reads: int) -> None:

@@ -20,8 +20,6 @@ from ring_processes import PATIENCE, counted_states, end, start
 from unicon_core.errors import StateError
 from unicon_core.states import Layout, States, StateSpec
 from unicon_core.states.backends.shm import (
-    HEAD,
-    JSON_AT,
     Segment,
     ShmReader,
     ShmWatcher,
@@ -30,6 +28,8 @@ from unicon_core.states.backends.shm import (
     segment_path,
     segments,
 )
+from unicon_core.states.backends.shm.files import HEAD
+from unicon_core.states.backends.shm.segment import JSON_AT
 from unicon_core.states.groups import groups_json
 from unicon_ros.cli.states import look
 
@@ -255,9 +255,9 @@ def test_a_file_system_that_is_full_is_told(folder, monkeypatch):
     if mounted.returncode:
         pytest.skip("may not mount")
     try:
-        from unicon_core.states.backends import shm
+        from unicon_core.states.backends.shm import files
 
-        monkeypatch.setattr(shm, "FOLDER", small)
+        monkeypatch.setattr(files, "FOLDER", small)
         with pytest.raises(StateError, match=r"\d+ bytes for .*: No space left on device; make ro"):
             Segment.create("large", {"g": Layout({"x": StateSpec((10_000,))})})
         assert not list(small.iterdir())
@@ -279,24 +279,24 @@ def test_a_file_system_that_is_full_is_told(folder, monkeypatch):
 
 
 def test_a_folder_that_is_not_there_is_told(folder, monkeypatch):
-    from unicon_core.states.backends import shm
+    from unicon_core.states.backends.shm import files
 
-    monkeypatch.setattr(shm, "FOLDER", folder / "nowhere")
+    monkeypatch.setattr(files, "FOLDER", folder / "nowhere")
     with pytest.raises(StateError, match=r"cannot make .*: No such file or directory"):
         Segment.create("x", GROUPS)
     assert list(segments()) == []
 
 
 def test_a_signal_after_the_name_was_given_leaves_nothing(folder, monkeypatch):
-    from unicon_core.states.backends import shm
+    from unicon_core.states.backends.shm import segment
 
-    give_name = shm._give_name
+    give_name = segment.give_name
 
     def interrupted(fd: int, name: str) -> None:
         give_name(fd, name)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(shm, "_give_name", interrupted)
+    monkeypatch.setattr(segment, "give_name", interrupted)
     before = descriptors()
     with pytest.raises(KeyboardInterrupt):
         Segment.create("x", GROUPS)

@@ -19,8 +19,7 @@ from ring_processes import PATIENCE, counted_states, running, start, until, writ
 
 from unicon_core.handles import FrameRing
 from unicon_core.states import Layout, States, StateSpec
-from unicon_core.states.backends import shm
-from unicon_core.states.backends.shm import Segment, ShmWriter, segments
+from unicon_core.states.backends.shm import Segment, ShmWriter, files, segments
 from unicon_ros.cli.main import main
 from unicon_ros.cli.states import summary
 
@@ -421,7 +420,7 @@ def test_clean_removes_what_the_dead_left_and_nothing_else(folder, walk, capsys)
     ],
 )
 def test_wrong_use_is_one_line(arguments, told, walk, capsys):
-    told = told.replace("FOLDER", str(shm.FOLDER))
+    told = told.replace("FOLDER", str(files.FOLDER))
     assert unicon(capsys, *arguments) == (1, "", f"unicon: error: {told}\n")
 
 

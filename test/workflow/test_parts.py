@@ -13,12 +13,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from unicon_core.check import check_workflow
-from unicon_core.errors import Fault, StateError, UniconError, WorkflowError
+from unicon_core.check import check_workflow, refuse_errors
+from unicon_core.errors import CheckError, Fault, StateError, UniconError, WorkflowError
 from unicon_core.flow import blocks_of
 from unicon_core.runtime.runner import Runner, RunOptions
 from unicon_core.states import States
-from unicon_core.states.backends.shm import Segment, ShmReader, segments
+from unicon_core.states.backends.shm import Segment, ShmReader, ShmWriter, segments
+from unicon_core.states.groups import subset
 from unicon_core.states.links import AGAIN_NS
 from unicon_core.workflow import load_workflow
 from unicon_core.workflow.document import load_document
@@ -245,6 +246,10 @@ WRONG = {
     "store: ros": r"store: ros is the bridge; write ros: true",
     "store: {zmq: here}": r"store\.zmq: 'here' is not an address",
     "store: {shm: {folder: x}}": r"store\.shm has no 'folder'",
+    "store: {shm: a/b}": r"a segment cannot be named 'a/b'",
+    'store: {zmq: "tcp://127.0.0.1:²"}': r"is not an address",
+    'store: {zmq: "tcp://:5600"}': r"is not an address",
+    "store: {zmq: {address: 'tcp://h:5600', keys: '~nobody_at_all/x'}}": r"is not a folder",
 }
 
 
@@ -259,7 +264,15 @@ CHANGES = {
     ("publishes: [velocity_command]", "publishes: [velocity]"): r"no state 'velocity'",
     ("publishes: [velocity_command]", "publishes: [joint_pos]"): r"both publish 'joint_pos'",
     ("then: hold", "then: halt"): r"silent\.then: 'halt'; did you mean 'fault'",
+    ("publishes: [velocity_command]", "publishes: [tick]"): r"each part counts its own ticks",
     ("after: 0.2", "after: .nan"): r"silent\.after is nan",
+    ("after: 0.2", "after: 1e300"): r"silent\.after is 1e\+300; give seconds",
+    ("after: 0.2", "after: 0.2, set: {{velocity_command: 1e300}}"): r"does not fit shape \(3,\)",
+    (
+        "[finite, joint_limits]",
+        "[finite, {{joint_limits: {{}}, on: desk}}]",
+    ): r"safety: .* leave out",
+    ("flow: hold", "flow: hold\nwind_down: {{damp: {{}}, on: desk}}"): r"wind_down: .* leave out",
     ("after: 0.2", "after: 0.2, set: {{velocity_command: [1, 2]}}"): r"does not fit shape \(3,\)",
     ("after: 0.2", "after: 0.2, set: {{joint_pos: 0}}"): r"'joint_pos' does not come from another",
     (
@@ -270,10 +283,60 @@ CHANGES = {
 
 
 @pytest.mark.parametrize("change", CHANGES)
-def test_wrong_parts(tmp_path, change):
+@pytest.mark.parametrize("part", ["robot", ""])
+def test_wrong_parts(tmp_path, change, part):
     path = write(tmp_path, WORKFLOW.replace(*change))
+    if "chain" in change[1] and not part:
+        pytest.skip("what is in order may be divided while it runs in one process")
     with pytest.raises(WorkflowError, match=CHANGES[change]):
-        Program(load_document(path), part="robot")
+        Program(load_document(path), part=part)
+
+
+def test_a_block_on_a_part_where_there_are_none(tmp_path):
+    path = tmp_path / "whole.yaml"
+    path.write_text("robot: go2\nplatform: fake\nrate: 50\nflow: {hold: {}, on: desk}\n")
+    with pytest.raises(WorkflowError, match="on: desk: the workflow has no parts"):
+        load_workflow(path)
+
+
+def test_a_hook_knows_what_comes_from_other_parts(workflow):
+    """A bridge amends such states, as it does those of blocks."""
+    written: list[str] = []
+
+    def hook(program: Program) -> dict:
+        written.extend(state for block in program.blocks for state in block.writes)
+        return {}
+
+    Program(load_document(workflow), part="robot", hooks=[hook]).close()
+    assert "velocity_command" in written
+
+
+def test_a_part_that_publishes_nothing_leaves_nothing(tmp_path, build):
+    path = write(tmp_path, WORKFLOW.replace("publishes: [velocity_command]", "publishes: []"))
+    tick(build("robot", path))
+    tick(build("desk", path))
+    assert f"{NAME}-desk" not in [found.name for found in segments()]
+
+
+def test_nothing_of_a_new_writer_is_taken_before_its_first_value(tmp_path):
+    """Else a state that is held would turn to zero while the other part starts anew."""
+    states = load_workflow("go2_stand", ["platform=fake"]).states
+    group = {"measured": subset(states.layout, ["joint_pos"])}
+    first = Segment.create(NAME, group)
+    states.joint_pos[:] = 0.5
+    reader = ShmReader(NAME, "measured", states)
+    reader.restore()
+    assert (states.joint_pos == 0.5).all()
+    ShmWriter(first, "measured", states).publish()
+    assert reader.take()
+    first.close()
+    second = Segment.create(NAME, group)
+    assert reader.alive()
+    assert not reader.take()
+    reader.restore()
+    assert (states.joint_pos == 0.5).all()
+    reader.close()
+    second.close()
 
 
 def findings(folder: Path, *change: str) -> list[str]:
@@ -304,6 +367,10 @@ def test_check_wants_to_know_what_is_commanded_in_silence(tmp_path):
     found = {f.code: str(f) for f in check_workflow(path).findings}
     assert list(found) == ["parts.silent"]
     assert "then: fault" in found["parts.silent"]
+    robot = Program(load_document(path), part="robot")
+    with pytest.raises(CheckError, match=r"is not run"):  # nor is the part, which asks for itself
+        refuse_errors(robot)
+    robot.close()
     path.write_text(path.read_text().replace("after: 0.2", "after: 0.2, then: fault"))
     assert not check_workflow(path).findings
 

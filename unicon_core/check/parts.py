@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from unicon_core.check.result import CheckResult
 from unicon_core.check.subject import Subject
 from unicon_core.states.standard import COMMAND_STATES
-from unicon_core.workflow.parts import owner_of
+from unicon_core.workflow.parts import Parts, owner_of
 
 __all__ = ["check_parts"]
 
@@ -14,7 +16,11 @@ def check_parts(subject: Subject, result: CheckResult) -> None:
     """Find states that two parts write, that do not cross the border, or that nobody writes."""
     program = subject.program
     parts = program.parts
-    if parts is None or program.part:
+    if parts is None:
+        return
+    given = {s: part.name for part in parts.parts.values() for s in part.publishes}
+    _check_silence(subject, result, parts, given)
+    if program.part:  # the others' blocks are not here
         return
     writers: dict[str, dict[str, str]] = {
         state: {parts.first: f"platform {subject.platform.name!r}"}
@@ -23,7 +29,6 @@ def check_parts(subject: Subject, result: CheckResult) -> None:
     for block in program.blocks:
         for state in block.writes:
             writers.setdefault(state, {}).setdefault(owner_of(block, parts), block.name)
-    given = {s: part.name for part in parts.parts.values() for s in part.publishes}
     for state, who in writers.items():
         if len(who) > 1:
             said = " and ".join(f"{block!r} of part {part!r}" for part, block in who.items())
@@ -37,7 +42,7 @@ def check_parts(subject: Subject, result: CheckResult) -> None:
     for part in parts.parts.values():
         for state in part.publishes:
             owners = writers.get(state, {})
-            if part.name not in owners and state != "tick":
+            if part.name not in owners:
                 theirs = next(iter(owners), "")
                 result.find(
                     "parts.published",
@@ -73,15 +78,20 @@ def check_parts(subject: Subject, result: CheckResult) -> None:
             f"add to parts.{owner}.publishes: [{', '.join(sorted(states))}]",
             subject.document.where("parts", owner),
         )
-    for part in parts.parts.values():
-        commands = [s for s in COMMAND_STATES if given.get(s, part.name) != part.name]
-        unknown = [s for s in commands if s not in part.silent.values]
-        if unknown and part.name == parts.first and part.silent.then == "neutral":
-            result.find(
-                "parts.silent",
-                f"part {part.name!r}",
-                f"its commands {', '.join(unknown)} come from another part, and nobody says what "
-                "is sent when that is silent",
-                "write silent: {then: fault} or {then: hold}, or the values under set:",
-                subject.document.where("parts", part.name),
-            )
+
+
+def _check_silence(
+    subject: Subject, result: CheckResult, parts: Parts, given: Mapping[str, str]
+) -> None:
+    part = parts.parts[parts.first]
+    commands = [s for s in COMMAND_STATES if given.get(s, part.name) != part.name]
+    unknown = [s for s in commands if s not in part.silent.values]
+    if unknown and part.silent.then == "neutral":
+        result.find(
+            "parts.silent",
+            f"part {part.name!r}",
+            f"its commands {', '.join(unknown)} come from another part, and nobody says what is "
+            "sent when that is silent",
+            "write silent: {then: fault} or {then: hold}, or the values under set:",
+            subject.document.where("parts", part.name),
+        )

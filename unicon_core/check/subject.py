@@ -21,6 +21,7 @@ from unicon_core.robots import Robot
 from unicon_core.workflow import Hook, Program
 from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.hardware import can_wait, declared_facts
+from unicon_core.workflow.platform_use import read_platform
 from unicon_core.workflow.platforms import find_platform, platform_options
 
 __all__ = ["Subject", "build_subject", "declared_platform"]
@@ -94,7 +95,8 @@ def declared_platform(document: WorkflowDocument) -> tuple[Facts, bool]:
     """
     name, factory = find_platform(document)
     platform_options(document, name, factory)
-    return declared_facts(factory, name), can_wait(factory)
+    waits = can_wait(factory) and read_platform(document).child is None
+    return declared_facts(factory, name), waits
 
 
 def build_subject(document: WorkflowDocument, hooks: Sequence[Hook] = ()) -> Subject:

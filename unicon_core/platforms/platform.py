@@ -31,6 +31,7 @@ __all__ = [
     "CountsArrivals",
     "Facts",
     "Informative",
+    "Pausable",
     "Platform",
     "Pushable",
     "RequiresStates",
@@ -156,6 +157,15 @@ class Pushable(Protocol):
 
     def push(self, velocity: NDArray[np.float64]) -> None:
         """Add to the bases' horizontal velocity [m/s] in the world, shape (..., 2)."""
+        ...
+
+
+@runtime_checkable
+class Pausable(Protocol):
+    """A simulator that minds how long no command comes, unless it is told why."""
+
+    def pause(self) -> None:
+        """Mind it again from the next command on."""
         ...
 
 

@@ -21,6 +21,7 @@ import numpy as np
 from unicon_core.errors import Fault, StateError
 from unicon_core.states.backends import Reader, Writer
 from unicon_core.states.groups import Groups
+from unicon_core.states.spec import StateSpec
 from unicon_core.states.states import States
 
 __all__ = ["Incoming", "Publisher", "Silent", "Store", "open_reader", "open_writers"]
@@ -83,6 +84,8 @@ def open_writers(store: Store, part: str, groups: Groups, states: States) -> dic
         StateError: another run publishes under that name.
         MissingDependencyError: the backend is not installed.
     """
+    if not groups:
+        return {}
     if store.backend == "shm":
         from unicon_core.states.backends.shm import Segment, ShmWriter
 
@@ -191,8 +194,22 @@ class Incoming:
         self.quiet = False
         self._ever, self._neutral_always = False, silent.then != "hold"
         self._neutral = [
-            (states[name], neutral_value(states, name, silent.values)) for name in self.writes
+            (states[name], neutral_value(states.spec(name), name, silent.values))
+            for name in self.writes
         ]
+
+    def open(self) -> None:
+        """Open all readers now: sockets and their threads take milliseconds, too long for a tick.
+
+        Raises:
+            StateError: an address cannot be had, or a key is missing.
+        """
+        try:
+            for name in self.groups:
+                self._readers[name] = self._open(name)
+        except BaseException:
+            self.close()
+            raise
 
     def __call__(self) -> None:
         """Take what has come.
@@ -277,23 +294,23 @@ class Incoming:
                 reader.close()
 
 
-def neutral_value(states: States, name: str, values: Mapping[str, Any]) -> Any:
+def neutral_value(spec: StateSpec, name: str, values: Mapping[str, Any]) -> Any:
     """Return the neutral value of a state: the declared one, else its initial value.
 
     Raises:
         StateError: the declared one does not fit.
     """
-    spec = states.spec(name)
     if name not in values:
         return np.reshape(np.broadcast_to(spec.initial, spec.shape), spec.shape)
     try:
-        value = np.broadcast_to(np.asarray(values[name], spec.dtype), spec.shape)
+        with np.errstate(over="ignore"):  # too large is infinite
+            value = np.broadcast_to(np.asarray(values[name], spec.dtype), spec.shape)
         finite = all(math.isfinite(x) for x in value.ravel().tolist())
-    except (TypeError, ValueError):
+    except (OverflowError, TypeError, ValueError):
         finite = False
     if not finite:
         raise StateError(
-            f"the neutral value {values[name]!r} of {name} does not fit shape {spec.shape}; give "
-            "as many finite numbers"
+            f"the neutral value {values[name]!r:.60} of {name} does not fit shape {spec.shape}; "
+            "give as many finite numbers"
         )
     return value

@@ -13,9 +13,9 @@ NAME` runs one part; without `--part` all of it runs in one process, as if nothi
 
 from __future__ import annotations
 
-import math
+import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, cast
 
@@ -37,9 +37,13 @@ from unicon_core.states.links import (
 )
 from unicon_core.workflow.document import WorkflowDocument
 
-__all__ = ["Part", "Parts", "divided", "owner_of", "publishers", "read_parts", "read_store"]
+__all__ = ["Part", "Parts", "check_places", "divided", "owner_of", "publishers", "read_parts"]
+__all__ += ["read_store"]
 
 BACKENDS = ("local", "shm", "zmq")
+
+LONGEST = 3600.0
+"""Longest `silent.after` in [s]: whoever wants longer means `then: hold`."""
 
 _SILENT = ("after", "then", "set")
 _THEN = ("neutral", "hold", "fault")
@@ -82,7 +86,7 @@ class Parts:
         return groups_of(subset(layout, self.parts[part].publishes))
 
     def check(self, layout: Layout, document: WorkflowDocument) -> None:
-        """Refuse what the parts publish twice, and states that are not there.
+        """Refuse what the parts publish twice, unknown states, and values that do not fit.
 
         Raises:
             WorkflowError: with its place.
@@ -94,6 +98,8 @@ class Parts:
                 if state not in layout.specs:
                     known = alternatives(state, layout.specs)
                     raise document.error(f"no state {state!r}; {known}", *where)
+                if state == "tick":
+                    raise document.error("each part counts its own ticks; leave tick out", *where)
                 if state in owners:
                     raise document.error(
                         f"parts {owners[state]!r} and {part.name!r} both publish {state!r}; a "
@@ -109,16 +115,20 @@ class Parts:
                         f"{state!r} does not come from another part; {alternatives(state, theirs)}",
                         *("parts", part.name, "silent", "set"),
                     )
+                try:
+                    neutral_value(layout.specs[state], state, part.silent.values)
+                except StateError as error:
+                    place = ("parts", part.name, "silent", "set", state)
+                    raise document.error(str(error), *place) from error
 
-    def incoming(
-        self, here: str, states: States, tell: Callable[[str], None], document: WorkflowDocument
-    ) -> list[Incoming]:
+    def incoming(self, here: str, states: States, tell: Callable[[str], None]) -> list[Incoming]:
         """Return what brings the states of the other parts into those of this one.
 
         Over `zmq` parts talk with the first one alone.
 
         Raises:
-            WorkflowError: a neutral value does not fit its state.
+            StateError: an address cannot be had, or a key is missing.
+            MissingDependencyError: the backend is not installed.
         """
         arrivals = []
         for part in self.parts:
@@ -127,12 +137,6 @@ class Parts:
             groups = self.groups(part, states.layout)
             silent = self.parts[here].silent
             own = {k: v for k, v in silent.values.items() if k in self.parts[part].publishes}
-            for state in own:
-                try:
-                    neutral_value(states, state, own)
-                except StateError as error:
-                    where = ("parts", here, "silent", "set", state)
-                    raise document.error(str(error), *where) from error
 
             def opened(
                 name: str, part: str = part, groups: Groups = groups, late: float = silent.after
@@ -142,6 +146,9 @@ class Parts:
             if groups:
                 silent = Silent(silent.after, silent.then, own)
                 arrivals.append(Incoming(part, groups, opened, states, silent, tell))
+        if self.store.backend == "zmq":
+            for arrival in arrivals:
+                arrival.open()
         return arrivals
 
 
@@ -175,20 +182,45 @@ def read_store(document: WorkflowDocument) -> Store | None:
             raise document.error(f"store.{value}.{option}: {said!r} is not a word", "store")
     if value == "zmq":
         _check_address(document, options.get("address"))
-    keys = options.get("keys")
-    folder = None if keys is None else (document.path.parent / Path(keys).expanduser()).resolve()
+    folder = _folder(document, options.get("keys"))
     name = options.get("name", document.name)
     backend = cast(Literal["shm", "zmq"], value)
-    return Store(backend, name, options.get("address", ""), folder)
+    store = Store(backend, name, options.get("address", ""), folder)
+    return _named(document, store)
+
+
+def _folder(document: WorkflowDocument, text: str | None) -> Path | None:
+    if text is None:
+        return None
+    try:
+        return (document.path.parent / Path(text).expanduser()).resolve()
+    except (RuntimeError, ValueError) as error:  # of somebody who is not there; a zero byte
+        raise document.error(
+            f"store.zmq.keys: {text!r} is not a folder: {error}", "store"
+        ) from error
+
+
+def _named(document: WorkflowDocument, store: Store) -> Store:
+    """Return a store whose segments can have their names.
+
+    Raises:
+        WorkflowError: they cannot.
+    """
+    if store.backend == "shm":
+        from unicon_core.states.backends.shm import segment_path  # of Linux alone
+
+        try:
+            for part in store.parts:
+                segment_path(store.segment(part))
+        except StateError as error:
+            raise document.error(f"{error}, at most 100: store: {{shm: NAME}}", "store") from error
+    return store
 
 
 def _check_address(document: WorkflowDocument, address: object) -> None:
     text = str(address or "")
-    scheme, slashes, place = text.partition("://")
-    port = place.rpartition(":")[2]
-    if scheme == "tcp" and slashes and port.isdigit() and 0 < int(port) < 65_000:
-        return
-    if not (scheme == "ipc" and place):
+    tcp = re.fullmatch(r"tcp://[^\s/]+:([0-9]{1,5})", text)
+    if not ((tcp and 0 < int(tcp[1]) < 65_000) or re.fullmatch(r"ipc://[^\0]+", text)):
         raise document.error(
             f"store.zmq: {text or 'nothing'!r} is not an address; write "
             "{zmq: tcp://HOST:PORT} (the first part's), or {zmq: ipc://PATH} on one machine",
@@ -213,7 +245,7 @@ def read_parts(document: WorkflowDocument) -> Parts | None:
             raise document.error(f"parts: {name!r} is not a name; use letters and digits", "parts")
         parts[name] = _part(document, name, {} if said is None else said)
     store = read_store(document) or Store("shm", document.name)
-    return Parts(parts, Store(store.backend, store.name, store.address, store.keys, tuple(parts)))
+    return Parts(parts, _named(document, replace(store, parts=tuple(parts))))
 
 
 def _part(document: WorkflowDocument, name: str, said: Any) -> Part:
@@ -238,8 +270,10 @@ def _part(document: WorkflowDocument, name: str, said: Any) -> Part:
             )
     after, then = silent.get("after", Silent.after), silent.get("then", "neutral")
     is_number = isinstance(after, (int, float)) and not isinstance(after, bool)
-    if not is_number or not 0.0 < after < math.inf:
-        raise document.error(f"silent.after is {after!r}; give a time above 0 in [s]", *below)
+    if not is_number or not 0.0 < after <= LONGEST:
+        raise document.error(
+            f"silent.after is {after!r}; give seconds, more than 0 and at most {LONGEST:g}", *below
+        )
     if then not in _THEN:
         raise document.error(f"silent.then: {then!r}; {alternatives(str(then), _THEN)}", *below)
     values = silent.get("set") or {}
@@ -253,20 +287,45 @@ def owner_of(block: Block, parts: Parts) -> str:
     return block.part or parts.first
 
 
+def check_places(
+    sections: Mapping[Stage, list[Node]], ending: Node | None, parts: Parts | None
+) -> None:
+    """Refuse blocks of parts that are not there, and safety blocks away from the robot.
+
+    Raises:
+        WorkflowError: with the block's place.
+    """
+    for stage, nodes in (*sections.items(), (None, [ending] if ending else [])):
+        for block in (block for node in nodes for block in blocks_of(node)):
+            if not block.part:
+                continue
+            if parts is None:
+                raise WorkflowError(
+                    f"on: {block.part}: the workflow has no parts; declare them (parts:), or leave "
+                    "out on:",
+                    block.where or None,
+                )
+            if block.part not in parts.parts:
+                raise WorkflowError(
+                    f"on: no part {block.part!r}; {alternatives(block.part, parts.parts)}",
+                    block.where or None,
+                )
+            if stage in (None, Stage.SAFETY) and block.part != parts.first:
+                where = "safety" if stage else "wind_down"
+                raise WorkflowError(
+                    f"{where}: {block.name!r} is on {block.part!r}; {where} belongs to the part "
+                    f"with the robot: leave out on:",
+                    block.where or None,
+                )
+
+
 def divided(node: Node, parts: Parts, part: str) -> Node | None:
     """Return what of a tree belongs to a part, None for nothing.
 
     Raises:
-        WorkflowError: an unknown part, or what is in order (chain, loop, switch) is divided.
+        WorkflowError: what is in order (chain, loop, switch) is divided.
     """
-    owners = set()
-    for block in blocks_of(node):
-        owner = owner_of(block, parts)
-        if owner not in parts.parts:
-            raise WorkflowError(
-                f"on: no part {owner!r}; {alternatives(owner, parts.parts)}", block.where or None
-            )
-        owners.add(owner)
+    owners = _owners(node, parts)
     if owners == {part}:
         return node
     if part not in owners:

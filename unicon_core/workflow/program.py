@@ -46,7 +46,7 @@ from unicon_core.workflow.command_bounds import (
 )
 from unicon_core.workflow.document import WorkflowDocument, document_of, load_document
 from unicon_core.workflow.gate import Gate
-from unicon_core.workflow.parts import divided, publishers, read_parts, read_store
+from unicon_core.workflow.parts import check_places, divided, publishers, read_parts, read_store
 from unicon_core.workflow.platforms import build_platform
 from unicon_core.workflow.policies import controllers_reading, load_policies
 from unicon_core.workflow.settings import pacing_of
@@ -136,6 +136,7 @@ class Program:
         self.part, self.parts, self.store = part, read_parts(document), read_store(document)
         if self.parts is not None:
             self.parts.check(self.states.layout, document)
+        check_places(sections, ending, self.parts)
         if part:
             sections, ending = self._of_part(sections, ending)
         self.context = BuildContext(
@@ -148,7 +149,7 @@ class Program:
         self.warn: Callable[[str], None] = print
         self._arrivals: list[Incoming] = []
         if self.parts is not None and part:
-            self._arrivals = self.parts.incoming(part, self.states, self.tell, document)
+            self._arrivals = self.parts.incoming(part, self.states, self.tell)
         self.blocks: list[Block] = []
         self.platform = self.context.platform = (
             PartPlatform(part, self.parts.first, self._arrivals)
@@ -180,15 +181,15 @@ class Program:
         finite_first(self.document, stages[Stage.SAFETY])
         self.safety = tuple(b.name for node in stages[Stage.SAFETY] for b in blocks_of(node))
         last = None if ending is None else builder.built(ending)
+        if self.has_platform:
+            heard = [as_block(arrival) for arrival in self._arrivals]
+            self.blocks += heard  # before the hooks: a bridge amends what comes from a part
+            stages[Stage.RECV] += heard
         for hook in hooks:  # one by one: what a hook has opened is closed when the next one fails
             for stage, blocks in hook(self).items():
                 self.blocks += blocks
                 stages[stage] += blocks
         self._bound_commands()
-        if self.has_platform:
-            heard = [as_block(arrival) for arrival in self._arrivals]
-            self.blocks += heard
-            stages[Stage.RECV] += heard
         recv = Block("recv", platform.recv, writes=platform.facts.writes)
         warm_up = platform.warm_up if isinstance(platform, WarmsUp) else None
         recv.warm_up = warm_ups.refresh(warm_up)

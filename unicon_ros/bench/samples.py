@@ -38,6 +38,11 @@ class Samples:
         for name, values in times.items():
             self.add(name, values)
 
+    @property
+    def names(self) -> list[str]:
+        """The cases, in the order in which they came."""
+        return list(self._rounds)
+
     def of(self, name: str) -> NDArray[np.float64]:
         """Return all samples of a case."""
         return np.concatenate(self._rounds[name])

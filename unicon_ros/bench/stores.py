@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import sys
 import tempfile
-import time
 from collections.abc import Callable
 from functools import partial
 from importlib.util import find_spec
@@ -31,6 +30,7 @@ from unicon_ros.bench.domains import loopback_environment
 from unicon_ros.bench.loops import Loop, Slice
 from unicon_ros.bench.pipelines.store_ways import WAYS, segment_name
 from unicon_ros.bench.report import Bench
+from unicon_ros.bench.samples import Samples
 from unicon_ros.bench.turns import take_turns
 
 __all__ = ["run"]
@@ -40,13 +40,15 @@ SECONDS = 0.5
 ROUNDS = 20
 SAMPLES, REPEATS = 50, 200  # of publish in a round; a clock reading costs a tenth of one
 
+PUBLISH, COPY = "publish 1 kB: shm", "publish 1 kB: a plain copy"
+
 RATIOS = (
-    # name, way, way of the baseline, bar
-    ("shm_one_way", "shm, sleeping", "rclpy", 0.15),
-    ("shm_wake", "shm, sleeping", "zmq ipc", 0.5),
-    ("zmq_one_way", "zmq ipc", "rclpy", 0.4),
+    # name, case, case of the baseline, bar
+    ("shm_one_way", "shm, sleeping: one way", "rclpy: one way", 0.15),
+    ("shm_wake", "shm, sleeping: one way", "zmq ipc: one way", 0.5),
+    ("zmq_one_way", "zmq ipc: one way", "rclpy: one way", 0.4),
+    ("publish", PUBLISH, COPY, 4.0),
 )
-PUBLISH_BAR = 4.0
 
 INSTALL = {
     "zmq": "pip install 'unicon_ros[zmq]'",
@@ -54,7 +56,9 @@ INSTALL = {
     "iceoryx2": "pip install iceoryx2",
 }
 
-Samples = dict[str, NDArray[np.float64]]
+TIMES = ("one way", "send", "reader's CPU [% of a core]")
+
+Rows = dict[str, NDArray[np.float64]]
 
 
 def run(rounds: int | None = None, *, only: Callable[[str], bool] | None = None) -> Bench:
@@ -72,32 +76,33 @@ def run(rounds: int | None = None, *, only: Callable[[str], bool] | None = None)
         if find_spec(module) is None
     }
     names = [name for name in WAYS if name not in skipped and (only is None or only(name))]
+    samples = Samples()
     with tempfile.TemporaryDirectory(prefix="unicon-") as folder:
         places = {name: Path(folder) / f"{i}" for i, name in enumerate(names)}
         makers = {name: partial(_loop, name, place) for name, place in places.items()}
         try:
             with SIGNALS.guard():  # Ctrl-C is looked for between turns
                 whole, loops = take_turns(makers, rounds, SECONDS)
-            results = {name: _samples(loop)[:whole] for name, loop in loops.items()}
+            results = {name: _rows(loop)[:whole] for name, loop in loops.items()}
         finally:
             for place in places.values():  # of a writer that was killed
                 remove_dead(segment_name(place))
-        publish = _publish(Path(folder).name, rounds) if not SIGNALS.asked else None
+        if whole and not SIGNALS.asked:
+            _publish(f"{Path(folder).name}-publish", whole, samples)
     bench = Bench("stores", seed=0, rounds=whole)
     bench.facts |= {"rate_hz": RATE, "group": "512 bytes", **skipped}
     for name, result in results.items():
-        _tell(bench, name, result)
+        bench.facts[name] = _counts(result)
+    for round_ in zip(*results.values()):
+        if all(round_):  # what a ratio compares is of one round
+            for name, rows in zip(results, round_):
+                for row in TIMES:
+                    samples.add(f"{name}: {row}", rows[row])
+    for name in samples.names:
+        bench.case(name, samples.of(name))
     for name, ours, theirs, bar in RATIOS:
-        pairs = zip(results.get(ours, []), results.get(theirs, []))
-        medians = [np.median(a["one way"]) / np.median(b["one way"]) for a, b in pairs if a and b]
-        if medians:
-            bench.ratio(name, float(np.median(medians)), bar)
-    if publish is not None:
-        times, copies = publish
-        bench.case("publish 1 kB: shm", times)
-        bench.case("publish 1 kB: a plain copy", copies)
-        ratio = np.median(np.median(times, 1) / np.median(copies, 1))
-        bench.ratio("publish", float(ratio), PUBLISH_BAR)
+        if {ours, theirs} <= set(samples.names):
+            bench.ratio(name, samples.ratio(ours, theirs), bar)
     return bench
 
 
@@ -111,60 +116,52 @@ def _loop(name: str, place: Path) -> Loop:
     return Loop(name, command("reader"), command("writer"), loopback_environment(), log)
 
 
-def _samples(loop: Loop) -> list[Samples]:
+def _rows(loop: Loop) -> list[Rows]:
     """Return the rows of each slice: times in [µs], shares in [%] of a core, counts."""
+    if not (loop.log.exists() and loop.controller_log.exists()):
+        return [{} for _ in loop.slices]
     read, written = dict(np.load(loop.log)), dict(np.load(loop.controller_log))
-    return [_slice_samples(each, read, written) for each in loop.slices]
+    return [_slice_rows(each, read, written) for each in loop.slices]
 
 
-def _slice_samples(
+def _slice_rows(
     each: Slice, read: dict[str, NDArray[np.int64]], written: dict[str, NDArray[np.int64]]
-) -> Samples:
-    come, sent = each.holds(read["received"]), each.holds(written["end"])
+) -> Rows:
+    # Whole within the slice: what was under way at a hold has waited for the next turn.
+    come = each.holds(read["stamp"]) & each.holds(read["received"])
+    sent = each.holds(written["begin"]) & each.holds(written["end"])
     if not come.any() or not sent.any():
         return {}
-    numbers, starved = read["number"][come], read["starved"][come]
     return {
         "one way": (read["received"] - read["stamp"])[come] * 1e-3,
         "send": (written["end"] - written["begin"])[sent] * 1e-3,
         "reader's CPU [% of a core]": np.array([100.0 * each.measuring_share]),
-        "torn": np.array([float(read["torn"][come].sum())]),
-        "starved": np.array([float(starved[-1] - starved[0])]),
-        "not seen": np.array([float((np.diff(numbers) - 1).sum())]),
+        "torn": read["torn"][come].astype(float),
+        "starved": np.diff(read["starved"][come]).astype(float),
+        "not seen": np.diff(read["number"][come]) - 1.0,
     }
 
 
-def _tell(bench: Bench, name: str, result: list[Samples]) -> None:
-    parts = [each for each in result if each]
-    for row in ("one way", "send", "reader's CPU [% of a core]"):
-        if parts:
-            bench.case(f"{name}: {row}", np.concatenate([each[row] for each in parts]))
-    counts = {row: sum(int(each[row][0]) for each in parts) for row in ("torn", "starved")}
-    values = sum(each["one way"].size for each in parts)
-    missed = sum(int(each["not seen"][0]) for each in parts)
-    told = f"{values} values, {missed} not seen, {counts['torn']} torn, {counts['starved']} starved"
-    bench.facts[name] = told if parts else "nothing has come"
+def _counts(result: list[Rows]) -> str:
+    """Return how many values came, and what became of the others, in words."""
+    parts = [rows for rows in result if rows]
+    values = sum(rows["one way"].size for rows in parts)
+    counts = [f"{sum(r[k].sum() for r in parts):.0f} {k}" for k in ("not seen", "torn", "starved")]
+    return ", ".join([f"{values} values", *counts])
 
 
-def _publish(name: str, rounds: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the time of a publish and of a plain copy in [µs], shape (rounds, SAMPLES)."""
+def _publish(name: str, rounds: int, samples: Samples) -> None:
+    """Add the times of a publish and of a plain copy of the same bytes."""
     states = States({"data": StateSpec((240,)), "number": StateSpec((), "int64")})
-    segment = Segment.create(f"{name}-publish", {"bench": states.layout})
+    segment = Segment.create(name, {"bench": states.layout})
     writer = ShmWriter(segment, "bench", states)
     source, target = states.buffer, np.zeros_like(states.buffer)
 
     def copy() -> None:
         target[:] = source
 
-    times = np.zeros((2, rounds, SAMPLES))
     try:
-        for i in range(rounds):
-            for j in range(SAMPLES):
-                for k, step in enumerate((writer.publish, copy)):
-                    begin = time.perf_counter_ns()
-                    for _ in range(REPEATS):
-                        step()
-                    times[k, i, j] = (time.perf_counter_ns() - begin) * 1e-3 / REPEATS
+        for _ in range(rounds):
+            samples.take({PUBLISH: writer.publish, COPY: copy}, SAMPLES, REPEATS)
     finally:
         writer.close()
-    return times[0], times[1]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
+from unicon_core.platforms.platform import Pausable
 from unicon_core.runtime import Runner
 from unicon_ros.bridge.estop import EmergencyStop
 from unicon_ros.bridge.services import Answer
@@ -95,6 +96,9 @@ class Controls:
     def _stand_still(self) -> None:
         runner = self.runner
         assert runner is not None
+        platform = runner.program.platform
+        pause = platform.pause if isinstance(platform, Pausable) else bool
+        pause()
         while self.paused and not runner.stopping:
             self._serve(0.005)
             if self._estop is not None:
@@ -104,4 +108,5 @@ class Controls:
                 if runner.tick(time.perf_counter_ns()):
                     runner.done = True
                     runner.stop()
+                pause()
         self.paused = False

@@ -4,7 +4,7 @@
     platform: {child: my_robot, silence: 0.05, watchdog: 0.2}
 
 The parent publishes the command states at `send` and takes the measured ones at `recv`, both
-through shared memory (`states/backends/shm.py`). A simulator is ticked in step: `recv` waits for
+through shared memory (`states/backends/shm/`). A simulator is ticked in step: `recv` waits for
 the answer to the last command, so that a run is the same to the bit. A robot's process runs freely,
 and `recv` takes the newest.
 
@@ -34,7 +34,7 @@ from unicon_core.errors import Fault, PlatformError, UniconError
 from unicon_core.platforms.kit.command import FiniteCheck
 from unicon_core.platforms.platform import Facts
 from unicon_core.robots import Robot
-from unicon_core.signals import signal_name
+from unicon_core.signals import SIGNALS, signal_name
 from unicon_core.states import States
 from unicon_core.states.backends.shm import Segment, ShmReader, ShmWriter, remove_dead
 from unicon_core.states.groups import subset
@@ -102,7 +102,9 @@ class ChildPlatform:
         self._watchdog = max(
             WATCHDOG[facts.simulated] if watchdog is None else watchdog, 3.0 * period
         )
-        self._due, self._closed, self._hung, self._rest = 0, False, False, b""
+        self._due, self._rest = 0, b""
+        self._closed = self._hung = self._done = False
+        self._told = True  # its end, in an error: nothing is to be told twice
         name = f"{facts.name or 'platform'}-{os.getpid()}-{id(self) & 0xFFFF:x}"
         self._child_segment = f"{name}-child"
         commands = subset(states.layout, facts.reads)
@@ -137,12 +139,13 @@ class ChildPlatform:
         self._finite = FiniteCheck(
             {state: states[state] for state in self.facts.reads}, robot.joint_names
         )
-        self._due = 1
+        self._due, self._told = 1, False
         for ability in told["abilities"]:  # the protocols look for methods
             setattr(self, ability, getattr(self, f"_{ability}"))
-        if not facts.simulated:
+        if facts.simulated:
+            self.pause = self._pause
+        else:
             self.recv = self._newest  # type: ignore[method-assign]
-            self.wait = self._reader.wait
 
     # -- in a tick --------------------------------------------------------------------------------
 
@@ -165,41 +168,51 @@ class ChildPlatform:
         """Take the robot's newest data; `recv` of what runs freely."""
         reader = self._reader
         assert reader is not None
-        if reader.take() or time.monotonic_ns() - reader.stamp_ns < self._silence * 1e9:
+        if reader.take():
             return None
-        return self._wait(0.0)
+        # It takes data far more often than a tick: what has not come is looked into at once.
+        silent_ns = time.monotonic_ns() - reader.stamp_ns
+        return self._look(hung=silent_ns > self._silence * 1e9)
 
-    def _wait(self, patience: float | None = None) -> bool | None:
+    def _wait(self) -> bool | None:
         reader = self._reader
         assert reader is not None
-        end = time.monotonic() + (self._silence if patience is None else patience)
-        while True:
-            if reader.wait(min(max(end - time.monotonic(), 0.0), _LOOK)):
-                reader.take()
-                return None
-            gone = self.process.poll() is not None
-            told = self._words()
-            if gone or told:
-                return self._ended(told)
-            if time.monotonic() >= end:
-                self._hung = True
-                raise Fault(
-                    f"platform {self.facts.name!r}: its process {self.process.pid} has not "
-                    f"answered for {self._silence:g} s: it hangs or was stopped (platform.silence)"
-                )
+        end = time.monotonic() + self._silence
+        while not reader.wait(min(max(end - time.monotonic(), 0.0), _LOOK)):
+            if self._look(hung=time.monotonic() >= end):
+                return True
+        reader.take()
+        return None
 
-    def _ended(self, told: Mapping[str, Any]) -> bool:
-        """Return True where the child is done; its last words are a fault otherwise."""
-        if told.get("done"):
+    def _look(self, *, hung: bool) -> bool:
+        """Look after the child, of which nothing new came; True where it is done.
+
+        Raises:
+            Fault: it has died, tells of a fault, or hangs.
+        """
+        gone = self.process.poll() is not None
+        told = self._words()
+        self._done = self._done or "done" in told
+        if self._done:
             return True
+        if gone or told:
+            self._told = True
+            raise Fault(told.get("fault") or self._end())
+        if hung:
+            self._told = self._hung = True
+            raise Fault(
+                f"platform {self.facts.name!r}: its process {self.process.pid} has not "
+                f"answered for {self._silence:g} s: it hangs or was stopped (platform.silence)"
+            )
+        return False
+
+    def _end(self) -> str:
+        """Return how the child has ended, in words."""
         status = self.process.returncode or 0
         how = (
             f"was killed by {signal_name(-status)}" if status < 0 else f"ended with status {status}"
         )
-        raise Fault(
-            told.get("fault")
-            or f"platform {self.facts.name!r}: its process {self.process.pid} {how}"
-        )
+        return f"platform {self.facts.name!r}: its process {self.process.pid} {how}"
 
     def send(self) -> bool | None:
         """Publish the command states.
@@ -215,11 +228,23 @@ class ChildPlatform:
     # -- what the platform can do besides ---------------------------------------------------------
 
     def _reset(self) -> None:
+        self._settle()
         self._ask("reset")
         self._due += 1
 
     def _push(self, velocity: NDArray[np.float64]) -> None:
         self._tell("push", np.asarray(velocity, np.float64).tolist())
+
+    def _pause(self) -> None:
+        self._settle()
+        self._tell("pause")
+
+    def _settle(self) -> None:
+        """Wait for the answer to the last command, which comes before the next wish there too."""
+        reader = self._reader
+        assert reader is not None
+        if reader.number != self._due and not reader.take():
+            self._wait()
 
     def _require(self, states: Mapping[str, str]) -> None:
         self._ask("require", dict(states))
@@ -263,6 +288,8 @@ class ChildPlatform:
             if time.monotonic() > end or self.process.poll() is not None:
                 told = self._words()
                 break
+            if self._reader is None:
+                SIGNALS.check()  # while it starts
             assert self.process.stdout is not None
             select.select([self.process.stdout], [], [], 0.1)
             told = self._words()
@@ -292,8 +319,13 @@ class ChildPlatform:
         if len(self._rest) < 8 + size or not size:
             return {}
         words, self._rest = self._rest[8 : 8 + size], self._rest[8 + size :]
-        told: dict[str, Any] = pickle.loads(words)  # of our own child, through our own pipe
-        return told
+        try:
+            told = pickle.loads(words)  # of our own child, through our own pipe
+        except Exception:  # in which its platform may have written
+            told = None
+        if isinstance(told, dict):
+            return told
+        return {"fault": f"platform {self.facts.name!r}: its process wrote garbage into its pipe"}
 
     def _tell(self, what: str, value: object = None) -> None:
         assert self.process.stdin is not None
@@ -308,32 +340,44 @@ class ChildPlatform:
         """Let the child damp and end; kill it where it hangs. Safe to call twice.
 
         Raises:
+            Fault: the child has failed or died, which nobody has been told yet.
             PlatformError: the child could not damp.
         """
         if self._closed:
             return
         self._closed = True
         process: subprocess.Popen[bytes] | None = getattr(self, "process", None)
-        told: dict[str, Any] = {}
-        if process is not None:
-            assert process.stdin is not None
-            with suppress(OSError):
-                process.stdin.close()  # which asks it to close
-            try:
-                process.wait(HUNG if self._hung else DAMPING)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
-                told = {"closing": "it did not end, and was killed"}
-            told = self._words() or told
-            assert process.stdout is not None
-            process.stdout.close()
+        words = {} if process is None else self._ended(process)
         if self._reader is not None:
             self._reader.close()
         self._segment.close()
         remove_dead(self._child_segment)
-        if "closing" in told and not self._hung:
-            raise PlatformError(f"platform {self.facts.name!r}: {told['closing']}")
+        if self._reader is None or self._hung:
+            return
+        if "fault" in words and not self._told:
+            raise Fault(words["fault"])
+        if "closing" in words:
+            raise PlatformError(f"platform {self.facts.name!r}: {words['closing']}")
+        if "closed" not in words and not self._told:
+            raise Fault(f"{self._end()} and has not closed")
+
+    def _ended(self, process: subprocess.Popen[bytes]) -> dict[str, Any]:
+        """Wait for the end of the child, kill it where it hangs; return its last words."""
+        assert process.stdin is not None
+        assert process.stdout is not None
+        words: dict[str, Any] = {}
+        with suppress(OSError):
+            process.stdin.close()  # which asks it to close
+        try:
+            process.wait(HUNG if self._hung else DAMPING)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+            words["closing"] = "it did not end, and was killed"
+        while told := self._words():
+            words |= told
+        process.stdout.close()
+        return words
 
 
 def _place(factory: Callable[..., Any]) -> str:

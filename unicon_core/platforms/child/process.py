@@ -19,7 +19,7 @@ from importlib import import_module
 from typing import Any
 
 from unicon_core.errors import Fault, UniconError
-from unicon_core.platforms.child.platform import COMMAND, MEASURED
+from unicon_core.platforms.child.platform import COMMAND, MEASURED, START
 from unicon_core.platforms.platform import Platform, Pushable, RequiresStates, Resettable, info_of
 from unicon_core.states import Layout, States
 from unicon_core.states.backends.shm import Segment, ShmReader, ShmWriter
@@ -34,10 +34,19 @@ _LOOK = 0.005
 """How often a simulator that waits for commands looks whether its parent lives, in [s]."""
 
 
+_ALARM = 10
+"""In [s]: the kernel ends a process that hangs so long, as its parent would if it still lived."""
+
+LONGEST = 1000
+"""Characters of an error that are told."""
+
+
 def main() -> int:
     """Run; 0 after an orderly end, 3 after a fault."""
     for number in (signal.SIGINT, signal.SIGHUP, signal.SIGTSTP):
         signal.signal(number, signal.SIG_IGN)
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)
+    signal.alarm(round(START) + _ALARM)
     told = os.dup(1)
     os.dup2(2, 1)  # what libraries print is not for the parent
     size = int.from_bytes(_exactly(8), "little")
@@ -50,39 +59,53 @@ def main() -> int:
         except OSError:
             pass  # nobody is there to be told
 
+    # A vendor's code may raise anything, SystemExit too; whatever it is, the robot is damped.
     try:
         driver = _Driver(given)
     except UniconError as error:
-        tell(error=str(error), kind=type(error).__name__)
+        tell(error=str(error)[:LONGEST], kind=type(error).__name__)
         return 1
-    except Exception as error:  # a vendor's
-        text = " ".join(f"{type(error).__name__}: {error}".split())
-        tell(error=f"platform {given['factory']} raised {text}", kind="PlatformError")
+    except BaseException as error:
+        tell(error=f"platform {given['factory']} raised {_text(error)}", kind="PlatformError")
         return 1
     signal.signal(signal.SIGTERM, driver.stop)
     platform = driver.platform
     abilities = {"reset": Resettable, "push": Pushable, "require": RequiresStates}
-    tell(
-        facts=replace(platform.facts, examine=None),
-        info=dict(info_of(platform)),
-        model_path=getattr(platform, "model_path", None),
-        abilities=[name for name, kind in abilities.items() if isinstance(platform, kind)],
-    )
     status = 0
     try:
+        tell(
+            facts=replace(platform.facts, examine=None),
+            info=dict(info_of(platform)),
+            model_path=getattr(platform, "model_path", None),
+            abilities=[name for name, kind in abilities.items() if isinstance(platform, kind)],
+        )
         if driver.run(tell):
             tell(done=True)
-    except Exception as error:
+    except BaseException as error:
         status = 3
-        text = " ".join(str(error).split())
-        tell(fault=text if isinstance(error, Fault) else f"{type(error).__name__}: {text}")
+        text = _text(error)
+        known = isinstance(error, Fault)
+        tell(fault=text if known else f"platform {platform.facts.name!r} raised {text}")
+    signal.alarm(_ALARM)
     try:
         platform.close()  # damps first
-    except Exception as error:
+        tell(closed=True)
+    except BaseException as error:
         status = 3
-        tell(closing=f"closing: {type(error).__name__}: {' '.join(str(error).split())}")
+        tell(closing=f"closing: {_text(error)}")
     driver.close()
     return status
+
+
+def _text(error: BaseException) -> str:
+    """Return an exception in one short line: a pipe that nobody reads holds no long one."""
+    kind = "" if isinstance(error, Fault) else type(error).__name__
+    try:
+        text = " ".join(str(error).split())
+    except Exception:  # its text cannot be had
+        text = ""
+    whole = ": ".join(filter(None, (kind, text)))
+    return whole if len(whole) <= LONGEST else f"{whole[:LONGEST]}…"
 
 
 class _Driver:
@@ -94,19 +117,24 @@ class _Driver:
         for part in name.split("."):
             factory = getattr(factory, part)
         self._states = States(Layout.from_json(given["layout"]))
+        self._commands = ShmReader(given["parent"], COMMAND, self._states)
+        self._commands.unlink()  # nothing is left of a parent that is killed from here on
         self.platform: Platform = factory(
             self._states, given["robot"], given["period"], **given["arguments"]
         )
         facts = self.platform.facts
         self._watchdog = given["watchdog"]
-        measured = subset(self._states.layout, facts.writes)
-        self._segment = Segment.create(given["segment"], {MEASURED: measured})
-        self._writer = ShmWriter(self._segment, MEASURED, self._states)
-        self._commands = ShmReader(given["parent"], COMMAND, self._states)
         self._stepped = facts.simulated
-        self._stopped, self._wishes = False, b""
-        self.platform.recv()
-        self._writer.publish()
+        self._stopped, self._wishes, self._heard = False, b"", 0.0
+        try:
+            measured = subset(self._states.layout, facts.writes)
+            self._segment = Segment.create(given["segment"], {MEASURED: measured})
+            self._writer = ShmWriter(self._segment, MEASURED, self._states)
+            self.platform.recv()
+            self._writer.publish()
+        except BaseException:
+            self.platform.close()  # it is open by now
+            raise
 
     def stop(self, *_: object) -> None:
         """Ask to end."""
@@ -121,8 +149,9 @@ class _Driver:
         platform, commands, writer = self.platform, self._commands, self._writer
         slice_ = _LOOK if self._stepped else _ROBOT_LOOK
         recv, send, publish, stepped = platform.recv, platform.send, writer.publish, self._stepped
-        heard, looked = 0.0, time.monotonic()
+        self._heard, looked = 0.0, time.monotonic()
         while not self._stopped:
+            signal.alarm(_ALARM)
             came = commands.wait(slice_)
             if not self._obey(tell):
                 return False
@@ -130,7 +159,7 @@ class _Driver:
                 commands.take()
                 if send():
                     return True
-                heard = time.monotonic()
+                self._heard = time.monotonic()
             if came or not stepped:
                 if recv():
                     return True
@@ -138,7 +167,7 @@ class _Driver:
             if came:
                 continue
             now = time.monotonic()
-            if heard and now - heard > self._watchdog:
+            if self._heard and now - self._heard > self._watchdog:
                 raise Fault(
                     f"platform {platform.facts.name!r}: no command came for {self._watchdog:g} s, "
                     "its process damped (platform.watchdog)"
@@ -163,6 +192,9 @@ class _Driver:
 
     def _do(self, what: str, value: Any, tell: Any) -> None:
         platform = self.platform
+        if what == "pause":
+            self._heard = 0.0  # until the next command
+            return
         if what == "push":
             assert isinstance(platform, Pushable)
             platform.push(value)

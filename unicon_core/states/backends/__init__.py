@@ -46,7 +46,7 @@ class Reader(Protocol):
         ...
 
     def restore(self) -> None:
-        """Copy the value that was taken last into the states once more."""
+        """Copy the value that was taken last into the states once more, if there was one."""
         ...
 
     def wait(self, timeout: float) -> bool:

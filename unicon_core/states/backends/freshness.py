@@ -18,8 +18,8 @@ SETTLE = 0.05
 """s for which a sender is watched before its values pass: the first one tells nothing of its age,
 and what a link has kept comes at once."""
 
-DRIFT = 1e-3
-"""Share of time by which an offset grows while no value is as fast: both clocks may be slewed by
+STEADY = 1000
+"""Time in which an offset grows by one, while no value is as fast: both clocks may be slewed by
 500 ppm (adjtimex(2)), and a minimum that is kept for ever would make every value late in the end.
 The price: a link that is slower for good is refused for minutes, then taken as it is."""
 
@@ -38,11 +38,6 @@ class _Sender:
 
     def live(self, now: int) -> bool:
         return now - self.fresh_at < SILENCE * 1e9
-
-    def delay(self, sent: int, now: int) -> int:
-        grown = self.offset + int((now - self.at) * DRIFT)
-        self.offset, self.at = min(now - sent, grown), now
-        return now - sent - self.offset
 
 
 class Freshness:
@@ -84,15 +79,20 @@ class Freshness:
             sent: when, by the sender's clock, [ns].
             now: by our clock, [ns].
         """
-        sender = self._sender(epoch, number, sent, now)
+        sender = self._present
+        if sender is None or sender.epoch != epoch:
+            sender = self._another(epoch, number, sent, now)
         if sender is None:
             self.rivals += 1
             return False
         if number <= sender.number or sent < sender.sent:
             self.reordered += 1
             return False
-        delay = sender.delay(sent, now)
-        if sender is self._present:
+        way, offset = now - sent, sender.offset + (now - sender.at) // STEADY
+        if way < offset:
+            offset = way
+        sender.offset, sender.at, delay = offset, now, way - offset
+        if number != sender.number + 1 and sender is self._present:
             self._count_gap(sender, number, sent)
         sender.number, sender.sent = number, sent
         if delay > self._longest:
@@ -110,21 +110,20 @@ class Freshness:
         self.delay = delay
         return True
 
-    def _sender(self, epoch: int, number: int, sent: int, now: int) -> _Sender | None:
-        """Return who sent it; None where one more than can be followed is live."""
-        for sender in (self._present, self._other):
-            if sender is not None and sender.epoch == epoch:
-                return sender
-        if self._other is not None and self._other.live(now):
+    def _another(self, epoch: int, number: int, sent: int, now: int) -> _Sender | None:
+        """Return who sent it, not the present one; None where one more is live already."""
+        other = self._other
+        if other is not None and other.epoch == epoch:
+            return other
+        if other is not None and other.live(now):
             return None
         self._other = _Sender(epoch, now, number - 1, sent, now - sent, now)
         return self._other
 
     def _count_gap(self, sender: _Sender, number: int, sent: int) -> None:
         missing = number - sender.number - 1
-        if missing:
-            due = self._looked - self._longest - sender.offset  # what was sent before was lost
-            share = min(max((due - sender.sent) / max(sent - sender.sent, 1), 0.0), 1.0)
-            lost = int(missing * share)
-            self.lost += lost
-            self.skipped += missing - lost
+        due = self._looked - self._longest - sender.offset  # what was sent before was lost
+        share = min(max((due - sender.sent) / max(sent - sender.sent, 1), 0.0), 1.0)
+        lost = int(missing * share)
+        self.lost += lost
+        self.skipped += missing - lost

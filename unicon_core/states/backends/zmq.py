@@ -48,6 +48,11 @@ LOOKS = 16
 """Messages that are looked at in one go: with more writers than that, all wrong, a good value may
 wait for the next go, and no tick waits for a flood."""
 
+LONGEST = 300  # characters of what another one's layout says
+JUST_NOW = 1_000_000
+"""ns since a value was found, by `wait` as a rule, in which no newer one is looked for: to find
+nothing costs as much as a value."""
+
 # Time asleep counts, or a suspended machine would call everything late from then on.
 _CLOCK = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)
 
@@ -167,12 +172,14 @@ class ZmqReader:
         self._name, self._group = name, group
         self._digest = bytes.fromhex(groups_hash({name: group}))
         scratch = memoryview(bytearray(group.nbytes))
-        self._copies, self._scratch = Copies(states, group, scratch).pairs, scratch
+        copies = Copies(states, group, scratch)
+        copies.pack()  # so that `restore` leaves the states as they are until one is taken
+        self._copies, self._scratch = copies.pairs, scratch
         self._body = HEAD.size + group.nbytes
         self._freshness = Freshness(late)
         self._oldest = round(late * 1e9)
         self._held = b""  # a frame that passed and has not been taken
-        self._held_number = self._held_stamp = 0
+        self._held_number = self._held_stamp = self._held_at = 0
         self._told = b""  # hash of the layout that was refused last
         self._started = time.clock_gettime_ns(_CLOCK)
         self.number = self.stamp_ns = self.skipped = self.garbage = 0
@@ -208,7 +215,8 @@ class ZmqReader:
 
     def take(self) -> bool:
         """Copy the newest value into the states; False where it has been taken before."""
-        self._look()
+        if not self._held or time.monotonic_ns() - self._held_at > JUST_NOW:
+            self._look()
         frame = self._held
         if not frame:
             return False
@@ -217,15 +225,16 @@ class ZmqReader:
             self._freshness.late += 1
             return False
         self._scratch[:] = frame[HEAD.size : self._body]
-        self.restore()
         self.number, self.stamp_ns = self._held_number, self._held_stamp
+        self.restore()
         self.skipped = self._freshness.skipped
         return True
 
     def restore(self) -> None:
-        """Copy the value that was taken last into the states once more."""
-        for packed, state in self._copies:
-            state[:] = packed
+        """Copy the value that was taken last into the states once more, if there was one."""
+        if self.number:
+            for packed, state in self._copies:
+                state[:] = packed
 
     def wait(self, timeout: float) -> bool:
         """Return True when a value is there that has not been taken, False after `timeout` [s].
@@ -298,7 +307,8 @@ class ZmqReader:
             return False
         self._freshness.skipped += bool(self._held)  # the one that waited was not taken
         self._held, self._held_number = frame, number
-        self._held_stamp = time.monotonic_ns() - self._freshness.delay
+        self._held_at = time.monotonic_ns()
+        self._held_stamp = self._held_at - self._freshness.delay
         self.refused = ""
         return True
 
@@ -319,4 +329,4 @@ class ZmqReader:
             what = difference(self._group, theirs[self._name])
         else:
             what = f"the other end has group {', '.join(map(repr, theirs)) or 'none'}"
-        self._told, self.refused = digest, f"{self._what}: {what}"
+        self._told, self.refused = digest, f"{self._what}: {what[:LONGEST]}"
