@@ -164,7 +164,10 @@ class ImuStop:
         self._period, self._ticks, self._motion, self._angle = period, ticks, motion, angle
         self._draw = min(period / self.DRAWN, 1.0)
         self._allowed = 2.0 * math.sin(0.5 * angle)  # chord between two unit vectors
-        self.reset()
+        self._bits: tuple[float, ...] = ()
+        self._foretold: tuple[float, float, float] | None = None
+        self._same = self._apart = 0
+        self._reference = self._joints.copy()
 
     def __call__(self) -> None:
         """Look.
@@ -203,7 +206,7 @@ class ImuStop:
         if self._apart >= self._ticks:
             raise Fault(
                 f"the IMU contradicts itself: for {self._apart} ticks gravity has not turned as "
-                f"the gyroscope says ({wx:.1f}, {wy:.1f}, {wz:.1f} rad/s); is its quaternion frozen?"
+                f"the gyroscope says ({wx:.1f}, {wy:.1f}, {wz:.1f} rad/s); is base_quat frozen?"
             )
 
     def _frozen(self) -> None:
@@ -221,7 +224,5 @@ class ImuStop:
 
     def reset(self) -> None:
         """Look anew."""
-        self._bits: tuple[float, ...] = ()
-        self._foretold: tuple[float, float, float] | None = None
+        self._bits, self._foretold = (), None
         self._same = self._apart = 0
-        self._reference = self._joints.copy()
