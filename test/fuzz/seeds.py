@@ -55,7 +55,7 @@ rate: 50
 flow:
   zip:
     - call: "unicon_core.blocks.hold:hold"
-    - call: {function: "unicon_core.blocks.stops:finite", name: again}
+    - call: {function: "unicon_core.blocks.safety.stops:finite", name: again}
     - deferred: {call: {function: "unicon_core.blocks.predicates:tilted", angle: 1.0}}
 """
 

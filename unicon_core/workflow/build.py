@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
 from typing import TYPE_CHECKING, Any
 
-from unicon_core.blocks.stops import Finite
+from unicon_core.blocks.safety.stops import Finite
 from unicon_core.errors import RobotError, UniconError, WorkflowError, alternatives
 from unicon_core.flow import Blender, Block, Every, Node, Switch, blocks_of, children_of
 from unicon_core.flow.nodes import chooser_of, with_children

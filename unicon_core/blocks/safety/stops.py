@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.blocks.joint_command import ticks_of
-from unicon_core.blocks.limits import velocity_limits
 from unicon_core.blocks.predicates import largest
+from unicon_core.blocks.safety.limits import velocity_limits
 from unicon_core.bounds import STALE, TILT, VELOCITY, VELOCITY_FACTOR, within
 from unicon_core.errors import Fault
 from unicon_core.flow.block import Reads
