@@ -44,8 +44,9 @@ __all__ = ["COMMAND", "MEASURED", "SILENCE", "ChildPlatform"]
 COMMAND, MEASURED = "command", "measured"
 """Names of the two groups, each in a segment of its writer's."""
 
-SILENCE = 0.02
-"""Default of `silence` in [s]; two ticks where those are longer."""
+SILENCE = {True: 1.0, False: 0.02}
+"""Default of `silence` in [s], of a simulator (as `pacing.hang`: a busy machine is no danger) and a
+robot; two ticks where those are longer."""
 
 WATCHDOG = {True: 2.0, False: 0.1}
 """Default of `watchdog` in [s], of a simulator (a pause of the parent harms nobody) and a robot;
@@ -94,11 +95,11 @@ class ChildPlatform:
         period: float,
         arguments: Mapping[str, Any],
         *,
-        silence: float = SILENCE,
+        silence: float | None = None,
         watchdog: float | None = None,
     ) -> None:
         self.facts = facts
-        self._silence = max(silence, 2.0 * period)
+        self._silence = max(SILENCE[facts.simulated] if silence is None else silence, 2.0 * period)
         self._watchdog = max(
             WATCHDOG[facts.simulated] if watchdog is None else watchdog, 3.0 * period
         )
