@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from zmq_peers import Link
 
+from unicon_core.errors import PlatformError
 from unicon_core.flow import compile_graph
 from unicon_core.workflow.document import load_document
 from unicon_core.workflow.program import Program
@@ -156,3 +157,11 @@ def test_a_killed_desk_changes_nothing_and_another_may_come(tmp_path, robot, por
     second.send_signal(signal.SIGINT)
     second.communicate(timeout=30)
     assert not [line for line in robot.told if "fault" in line]
+
+
+def test_a_platform_that_fails_leaves_the_addresses_free(tmp_path, port):
+    path = write(tmp_path, port)
+    wrong = ["platforms={fake: {time_constant: -1}}"]
+    with pytest.raises(PlatformError, match="time_constant") as _held:  # with its frames
+        Program(load_document(path, wrong), part="robot")
+    Program(load_document(path), part="robot").close()

@@ -46,7 +46,6 @@ class PartPlatform:
             self._first()
             self._first.quiet = False
             if self._first.refused or time.monotonic() > end:
-                self.close()
                 raise PlatformError(
                     f"part {part!r}: {self._first.refused or f'part {first!r} is not heard'}; run "
                     f"it first: unicon run WORKFLOW --part {first}"

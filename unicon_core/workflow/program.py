@@ -151,11 +151,16 @@ class Program:
         if self.parts is not None and part:
             self._arrivals = self.parts.incoming(part, self.states, self.tell)
         self.blocks: list[Block] = []
-        self.platform = self.context.platform = (
-            PartPlatform(part, self.parts.first, self._arrivals)
-            if self.parts is not None and not self.has_platform
-            else build_platform(document, self.context, dry=dry)
-        )
+        try:
+            self.platform = self.context.platform = (
+                PartPlatform(part, self.parts.first, self._arrivals)
+                if self.parts is not None and not self.has_platform
+                else build_platform(document, self.context, dry=dry)
+            )
+        except BaseException:  # nobody else has them yet
+            for arrival in self._arrivals:
+                arrival.close()
+            raise
         self.stages: dict[Stage, list[Node]] = {stage: [] for stage in Stage}
         self.gate = Gate()
         self.gates: list[Callable[[], object]] = []
