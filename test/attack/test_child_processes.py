@@ -111,28 +111,20 @@ def test_whatever_the_platform_raises_damps_and_is_told(tmp_path, fault):
     assert error == ""
 
 
-def test_a_death_in_the_last_tick_is_told(tmp_path):
+@pytest.mark.parametrize(
+    ("fault", "said"),
+    [("exit", "SystemExit: 7"), ("leave", "ended with status 0 and has not closed")],
+)
+def test_a_death_while_it_closes_is_told(tmp_path, fault, said):
     attacked = Run(
         tmp_path,
-        options="fault: exit, where: close",
+        options=f"fault: {fault}, where: close",
         arguments=["--quiet", "--duration", "0.2", "--set", CHILD],
     )
     attacked.start()
     status, _, _ = attacked.wait()
     assert status == 3
-    assert "SystemExit: 7" in attacked.report["faults"][0]
-
-
-def test_a_child_that_leaves_while_it_closes_is_told(tmp_path):
-    attacked = Run(
-        tmp_path,
-        options="fault: leave, where: close",
-        arguments=["--quiet", "--duration", "0.2", "--set", CHILD],
-    )
-    attacked.start()
-    status, _, _ = attacked.wait()
-    assert status == 3
-    assert "ended with status 0 and has not closed" in attacked.report["faults"][0]
+    assert said in attacked.report["faults"][0]
 
 
 def test_ctrl_c_ends_the_parent_and_it_its_child(tmp_path):

@@ -63,3 +63,12 @@ def test_flat_views_are_one_after_the_other() -> None:
     assert [part.tolist() for part in flat(views)] == [[0.0] * 6 + [1.0] * 6]
     views = make(2, "float32", "int64")
     assert [part.tolist() for part in flat(views)] == [[0.0] * 6, [1] * 6]
+
+
+def test_flat_neighbours_may_have_other_shapes() -> None:
+    states = States({"a": StateSpec((3,)), "b": StateSpec((2, 2)), "c": StateSpec(())}, 2)
+    states["b"][...] = 1.0
+    (whole,) = flat([states["a"], states["b"], states["c"]])
+    assert whole.tolist() == [0.0] * 6 + [1.0] * 8 + [0.0] * 2
+    assert not whole.flags.writeable
+    assert len(flat([states["a"], states["c"]])) == 2  # a gap

@@ -1,4 +1,4 @@
-"""States that stand at equal distances in the buffer as one view, for code that copies them all."""
+"""States that stand together in the buffer as one view, for code that goes over them all."""
 
 from __future__ import annotations
 
@@ -30,9 +30,13 @@ def stacked(views: Sequence[NDArray[Any]]) -> NDArray[Any] | None:
 def flat(views: Sequence[NDArray[Any]]) -> list[NDArray[Any]]:
     """Return contiguous views flat, one after the other: all as one where they stand back to back.
 
-    One product of 60 numbers with itself takes 0.5 µs and five of 12 take 1.9.
+    Their shapes may differ. One product of 60 numbers with itself takes 0.5 µs and five of 12 take
+    1.9.
     """
-    whole = stacked(views)
-    if whole is not None and whole.flags.c_contiguous:
-        views = [whole]
-    return [view.reshape(-1) for view in views]
+    flats = [view.reshape(-1) for view in views]
+    starts = [view.__array_interface__["data"][0] for view in flats]
+    ends = [start + view.nbytes for start, view in zip(starts, flats)]
+    if starts[1:] != ends[:-1] or len({view.dtype for view in flats}) > 1:
+        return flats
+    size = (sum(view.size for view in flats),)
+    return [np.lib.stride_tricks.as_strided(flats[0], size, writeable=False)]

@@ -25,7 +25,7 @@ from unicon_core.flow.nodes import with_children
 from unicon_core.flow.stage import Stage
 from unicon_core.states import Layout, States
 from unicon_core.states.backends import Reader
-from unicon_core.states.groups import Groups, groups_of, subset
+from unicon_core.states.groups import COMMAND, Groups, groups_of, subset
 from unicon_core.states.links import (
     Incoming,
     Publisher,
@@ -370,7 +370,7 @@ def publishers(
     writers = open_writers(store, part, groups, states)
     made = []
     for name, group in groups.items():
-        last = Stage.SEND if name == "command" else Stage.RECV
+        last = Stage.SEND if name == COMMAND else Stage.RECV
         for stage, nodes in stages.items():
             if stage is Stage.OBSERVE:
                 continue

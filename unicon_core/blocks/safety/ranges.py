@@ -14,6 +14,7 @@ from unicon_core.flow.block import Reads
 from unicon_core.flow.stage import Stage
 from unicon_core.robots import Robot
 from unicon_core.states import States
+from unicon_core.states.stacked import flat
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_core.workflow.autowire import BuildContext
 
@@ -137,8 +138,7 @@ class RangeStop:
             np.concatenate([pair[k].ravel() for pair in self._bounds.values()]).astype(np.float64)
             for k in (0, 1)
         )
-        self._views = [states[name].reshape(-1) for name in bounds]
-        self._whole = _adjacent(self._views)
+        self._views = flat([states[name] for name in bounds])
         self._middle = (0.5 * (lower + upper)).astype(np.float32)
         self._scale = (2.0 / (upper - lower)).astype(np.float32)
         self._values = np.zeros(lower.size, np.float32)
@@ -149,9 +149,8 @@ class RangeStop:
         Raises:
             Fault: a value is out of range; with state, element, value and range.
         """
-        values, whole = self._values, self._whole
-        if whole is None:
-            whole = np.concatenate(self._views, out=values)
+        values, views = self._values, self._views
+        whole = views[0] if len(views) == 1 else np.concatenate(views, out=values)
         np.subtract(whole, self._middle, out=values)
         np.multiply(values, self._scale, out=values)
         np.abs(values, out=values)
@@ -174,13 +173,3 @@ class RangeStop:
                 f"{who}{name} of {which} is {view[index]:g} {unit}, which is not plausible: "
                 f"{low:.4g} to {high:.4g}"
             )
-
-
-def _adjacent(views: Sequence[Float]) -> Float | None:
-    """Return views that stand back to back as one, read-only, or None: the standard states do."""
-    starts = [view.__array_interface__["data"][0] for view in views]
-    ends = [start + view.nbytes for start, view in zip(starts, views)]
-    if starts[1:] != ends[:-1]:
-        return None
-    size = (sum(view.size for view in views),)
-    return np.lib.stride_tricks.as_strided(views[0], size, views[0].strides, writeable=False)

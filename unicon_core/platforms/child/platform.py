@@ -37,12 +37,9 @@ from unicon_core.robots import Robot
 from unicon_core.signals import SIGNALS, signal_name
 from unicon_core.states import States
 from unicon_core.states.backends.shm import Segment, ShmReader, ShmWriter, remove_dead
-from unicon_core.states.groups import subset
+from unicon_core.states.groups import COMMAND, MEASURED, subset
 
-__all__ = ["COMMAND", "MEASURED", "SILENCE", "ChildPlatform"]
-
-COMMAND, MEASURED = "command", "measured"
-"""Names of the two groups, each in a segment of its writer's."""
+__all__ = ["SILENCE", "START", "ChildPlatform"]
 
 SILENCE = {True: 1.0, False: 0.02}
 """Default of `silence` in [s], of a simulator (as `pacing.hang`: a busy machine is no danger) and a

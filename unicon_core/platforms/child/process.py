@@ -19,11 +19,11 @@ from importlib import import_module
 from typing import Any
 
 from unicon_core.errors import Fault, UniconError
-from unicon_core.platforms.child.platform import COMMAND, MEASURED, START
+from unicon_core.platforms.child.platform import START
 from unicon_core.platforms.platform import Platform, Pushable, RequiresStates, Resettable, info_of
 from unicon_core.states import Layout, States
 from unicon_core.states.backends.shm import Segment, ShmReader, ShmWriter
-from unicon_core.states.groups import subset
+from unicon_core.states.groups import COMMAND, MEASURED, subset
 
 __all__ = ["main"]
 
