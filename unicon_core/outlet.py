@@ -12,6 +12,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from queue import SimpleQueue
+from select import select
 from typing import Generic, TypeVar
 
 __all__ = ["Outlet", "relayed_stderr", "to_stderr"]
@@ -20,6 +21,9 @@ CAPACITY = 256
 """Lines that may wait."""
 
 STDERR = 2
+
+LAST = b"\0"
+"""What is written to standard error behind all else; no text has it."""
 
 
 Line = TypeVar("Line")
@@ -105,7 +109,8 @@ def relayed_stderr() -> Iterator[None]:
     Python's warnings and the logs of ROS go straight to the file, the latter with Python's lock
     held, so that all threads stand still with them and no signal is heard. Meanwhile the file is
     a pipe that never blocks: a thread hands on what comes, and what it cannot hold is lost. A
-    message with which a library aborts the process may be lost too.
+    message with which a library aborts the process may be lost too. Where nobody has read for
+    1 s at the end, it stays so.
     """
     try:
         sys.stderr.flush()
@@ -120,12 +125,18 @@ def relayed_stderr() -> Iterator[None]:
     os.dup2(into, STDERR)
     os.close(into)
 
+    drained = threading.Event()
+
     def relay() -> None:
         with suppress(OSError):
             while some := os.read(out, 4096):
+                last = LAST in some
                 with suppress(OSError):  # the reader has gone
-                    while some:
-                        some = some[os.write(kept, some) :]
+                    rest = some.replace(LAST, b"")
+                    while rest:
+                        rest = rest[os.write(kept, rest) :]
+                if last:
+                    drained.set()
 
     thread = threading.Thread(target=relay, name="stderr", daemon=True)
     thread.start()
@@ -134,5 +145,9 @@ def relayed_stderr() -> Iterator[None]:
     finally:
         with suppress(OSError, ValueError):
             sys.stderr.flush()
-        os.dup2(kept, STDERR)  # which closes the pipe, so that the thread ends
-        thread.join(1.0)
+            os.write(STDERR, LAST)
+        # Where nobody reads, the pipe stays for good: a library that logs while the process ends,
+        # with Python's lock held, would else stop all of it.
+        if drained.wait(1.0) and select([], [kept], [], 0.0)[1]:
+            os.dup2(kept, STDERR)  # which closes the pipe, so that the thread ends
+            thread.join(1.0)

@@ -104,3 +104,24 @@ def test_the_log_of_ros_stops_no_commands(tmp_path: Path, full_pipe: int) -> Non
         process.wait()
         node.destroy_node()
         context.try_shutdown()
+
+
+RELAYED = """\
+import os, threading, time
+from unicon_core.outlet import relayed_stderr
+
+with relayed_stderr():
+    os.write(2, b"in time; ")
+threading.Thread(target=lambda: (time.sleep(0.1), os.write(2, b"late; "))).start()
+os.write(2, b"behind it; ")
+"""
+
+
+def test_what_is_written_behind_a_run_is_not_waited_for(full_pipe: int) -> None:
+    process = subprocess.run([sys.executable, "-c", RELAYED], stderr=full_pipe, timeout=20)
+    assert process.returncode == 0
+
+
+def test_nothing_is_lost_where_somebody_reads() -> None:
+    process = subprocess.run([sys.executable, "-c", RELAYED], stderr=subprocess.PIPE, timeout=20)
+    assert process.stderr == b"in time; behind it; late; "
