@@ -49,7 +49,7 @@ from unicon_core.workflow.gate import Gate
 from unicon_core.workflow.parts import check_places, divided, publishers, read_parts, read_store
 from unicon_core.workflow.platforms import build_platform
 from unicon_core.workflow.policies import controllers_reading, load_policies
-from unicon_core.workflow.settings import pacing_of
+from unicon_core.workflow.settings import pacing_of, start_of
 from unicon_core.workflow.uses import EXPRESSION, Use
 from unicon_core.workflow.warm_ups import WarmUps
 
@@ -88,6 +88,7 @@ class Program:
         period: of a tick in [s].
         duration: in [s] of ticks after which a run ends; None: when the flow is done.
         pacing: how ticks are timed.
+        start: how a robot begins to move.
         states: all states.
         platform: the built platform.
         blocks: all blocks in order of building, for closing.
@@ -127,6 +128,7 @@ class Program:
         self.period = period_of(document, self.policies)
         self.duration: float | None = document.get("duration", (int, float))
         self.pacing: Pacing = pacing_of(document)
+        self.start = start_of(document)
         sections, ending = sections_of(document)
         trees = [node for nodes in sections.values() for node in nodes]
         mentioned = [b for n in (*trees, *([ending] if ending else ())) for b in blocks_of(n)]

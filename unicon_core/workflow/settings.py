@@ -11,12 +11,13 @@ from typing import TYPE_CHECKING, Any
 from unicon_core.bounds import DURATION
 from unicon_core.errors import UniconError, WorkflowError
 from unicon_core.resources import find_config
+from unicon_core.workflow.start import StartSettings
 
 if TYPE_CHECKING:
     from unicon_core.runtime.pacing import Pacing
     from unicon_core.workflow.document import WorkflowDocument
 
-__all__ = ["DEFAULT_SAFETY", "check_settings", "pacing_of", "safety_of"]
+__all__ = ["DEFAULT_SAFETY", "check_settings", "pacing_of", "safety_of", "start_of"]
 
 DEFAULT_SAFETY: tuple[Any, ...] = ("finite", "joint_limits")
 """What stands between the flow and `send` where a workflow does not say."""
@@ -25,7 +26,7 @@ NO_SAFETY = "none"
 
 
 def check_settings(document: WorkflowDocument) -> None:
-    """Check `duration`, `ros`, `map`, `pacing` and the form of `safety`.
+    """Check `duration`, `ros`, `map`, `pacing`, `start` and the form of `safety`.
 
     Raises:
         WorkflowError: one of them is wrong; with file and line.
@@ -45,6 +46,7 @@ def check_settings(document: WorkflowDocument) -> None:
         except UniconError as error:
             raise document.error(f"map: {error}", "map") from error
     pacing_of(document)
+    start_of(document)
     safety_of(document)
 
 
@@ -61,6 +63,18 @@ def pacing_of(document: WorkflowDocument) -> Pacing:
         return Pacing.from_dict(document.get("pacing", dict, {}))
     except UniconError as error:
         raise document.error(str(error), "pacing") from error
+
+
+def start_of(document: WorkflowDocument) -> StartSettings:
+    """Return how the run begins.
+
+    Raises:
+        WorkflowError: `start` is wrong; with file and line.
+    """
+    try:
+        return StartSettings.from_dict(document.get("start", dict, {}))
+    except UniconError as error:
+        raise document.error(str(error), "start") from error
 
 
 def safety_of(document: WorkflowDocument) -> list[Any]:

@@ -1,0 +1,55 @@
+"""What a workflow says of its start: gates, the operator's go, approach and fade-in.
+
+    start: {operator: false, approach: 0.3, fade_in: 2.0}
+
+In a simulator gates are shown and pass by themselves, and there is neither approach nor fade-in.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any
+
+from unicon_core.bounds import POSE_SPEED, within
+from unicon_core.errors import WorkflowError, alternatives
+
+__all__ = ["StartSettings"]
+
+LONGEST_FADE = 10.0
+"""Of `fade_in` and `damp` in [s]."""
+
+
+@dataclass(frozen=True)
+class StartSettings:
+    """How a robot begins to move.
+
+    Attributes:
+        gates: ask the gates before anything is sent; without them every start tells so.
+        operator: wait for the operator's go.
+        approach: how fast joints go to where the flow begins in [rad/s].
+        fade_in: how long stiffness grows from zero in [s].
+    """
+
+    gates: bool = True
+    operator: bool = True
+    approach: float = 0.5
+    fade_in: float = 1.0
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> StartSettings:
+        """Return the settings of a workflow's `start`.
+
+        Raises:
+            WorkflowError: a key or a value is wrong.
+        """
+        known = [field.name for field in fields(cls)]
+        for key, value in values.items():
+            if key not in known:
+                raise WorkflowError(f"start: unknown key {key!r}; {alternatives(key, known)}")
+            if key in ("gates", "operator") and not isinstance(value, bool):
+                raise WorkflowError(f"start: {key} is {value!r}; give true or false")
+        settings = cls(**values)
+        within(settings.approach, "start: approach", "rad/s", POSE_SPEED)
+        within(settings.fade_in, "start: fade_in", "s", LONGEST_FADE, above=False)
+        return settings
