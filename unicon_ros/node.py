@@ -1,7 +1,8 @@
 """unicon_node: a lifecycle node that hosts a workflow, for robots and launch files.
 
-unconfigured → configure (builds the workflow) → inactive → activate (ticks) → active. When the flow
-is done, `~/stop` is called or a block trips, the platform damps and closes and the node is inactive
+unconfigured → configure (builds the workflow) → inactive → activate (ticks) → active. A robot waits
+for its gates first, then for the operator's go, which is a call of `~/start`. When the flow is
+done, `~/stop` is called or a block trips, the platform damps and closes and the node is inactive
 again; `~/start` or activate builds the workflow anew and runs it, unless `~/estop` was pressed and
 not cleared. Whatever raises in a build, a run or a callback is told, and the node lives on.
 
@@ -69,6 +70,7 @@ class UniconNode(LifecycleNode):
         self._fresh = False  # the runner was built and has not run
         self._running = self._wanted = self._ending = self._starting = False
         self._activations = 0
+        self._told_to_go = False  # by ~/start, which is the operator's go
         handlers: dict[str, Callable[[], Answer]] = {
             word: getattr(self, f"_{word}", None) or self._delegate(word) for word in SERVICES
         }
@@ -147,6 +149,7 @@ class UniconNode(LifecycleNode):
         assert runner is not None
         assert session is not None
         session.slack.use(self._executor)
+        runner.operator, self._told_to_go = not self._told_to_go, False
         self._running, self._fresh, self.fault = True, False, ""
         self.diagnostics.fault = ""
         self.diagnostics.runner = runner
@@ -321,6 +324,7 @@ class UniconNode(LifecycleNode):
             return False, self.error or "not configured"
         if not self._change(self.trigger_activate):
             return False, self.error or "not activated"
+        self._told_to_go = not self._starting
         return True, "started"
 
     def _delegate(self, word: str) -> Callable[[], Answer]:

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from unicon_core.platforms.kit.damping import damping_command, repeated
+from unicon_core.platforms.kit.damping import BLEND, Damping, LastSent, repeated
 from unicon_core.robots import load_robot, robot_names
 from unicon_core.states import Layout, States, standard_states
 from unicon_core.states.standard import COMMAND_STATES
@@ -17,40 +17,70 @@ from unicon_core.states.standard import COMMAND_STATES
 ANY = st.floats(width=32, allow_nan=True, allow_infinity=True)
 
 
-@settings(deadline=None, max_examples=60)
-@given(data=st.data(), name=st.sampled_from(robot_names()), hold=st.booleans(), said=st.booleans())
-def test_it_is_finite_and_within_the_limits_whatever_was_before(
-    data: st.DataObject, name: str, hold: bool, said: bool
-) -> None:
-    robot = load_robot(name)
-    states = States(
-        Layout(standard_states(robot.joint_names), data.draw(st.sampled_from([None, 2])))
-    )
+PERIOD = 0.02
+TICKS = 25
+
+
+def filled(data: st.DataObject, states: States) -> None:
     for state in ("joint_pos", *COMMAND_STATES):
         view = states[state]
-        view[...] = data.draw(
-            st.lists(ANY, min_size=view.size, max_size=view.size).map(np.array)
-        ).reshape(view.shape)
-    sent = states.joint_pos_target.copy() if said else None
-    damping_command(states, robot, sent, hold=hold)
-    for state in COMMAND_STATES:
-        assert np.isfinite(states[state]).all(), state
-    assert not (states.joint_pos_target < robot.lower).any()  # an unknown limit is NaN
-    assert not (states.joint_pos_target > robot.upper).any()
-    for state in ("joint_vel_target", "joint_effort_ff", "joint_stiffness"):
-        assert not states[state].any()
-    known = np.nan_to_num(robot.joint_damping)
-    assert (states.joint_damping == known).all()
+        values = data.draw(st.lists(ANY, min_size=view.size, max_size=view.size))
+        view[...] = np.array(values).reshape(view.shape)
 
 
-def test_targets_are_the_measured_ones_unless_they_are_to_be_held() -> None:
+@settings(deadline=None, max_examples=60)
+@given(data=st.data(), name=st.sampled_from(robot_names()), said=st.booleans())
+def test_it_is_finite_and_within_the_limits_whatever_was_before(
+    data: st.DataObject, name: str, said: bool
+) -> None:
+    robot = load_robot(name)
+    num_robots = data.draw(st.sampled_from([None, 2]))
+    states = States(Layout(standard_states(robot.joint_names), num_robots))
+    last = LastSent(states)
+    filled(data, states)
+    if said:
+        last.note()
+        filled(data, states)
+    damping = Damping(states, robot, last, PERIOD)
+    before = np.nan_to_num(last.states.joint_stiffness, posinf=0.0, neginf=0.0).clip(0.0)
+    for tick in range(TICKS):
+        filled(data, states) if tick < 2 else None
+        damping()
+        for state in COMMAND_STATES:
+            assert np.isfinite(states[state]).all(), state
+        assert not (states.joint_pos_target < robot.lower).any()  # an unknown limit is NaN
+        assert not (states.joint_pos_target > robot.upper).any()
+        assert not states.joint_vel_target.any()
+        assert not states.joint_effort_ff.any()
+        known = np.isfinite(robot.joint_damping)
+        assert (states.joint_damping[..., known] == robot.joint_damping[known]).all()
+        assert (states.joint_damping >= 0.0).all()
+        assert (states.joint_damping <= 200.0).all()
+        stiffness = states.joint_stiffness.copy()
+        assert (stiffness <= before).all()
+        before = stiffness
+        assert not stiffness.any() or tick < round(BLEND / PERIOD)
+    assert not before.any()
+
+
+def test_targets_are_those_that_were_sent_last_and_not_what_was_written_since() -> None:
     robot = load_robot("go2")
     states = States(Layout(standard_states(robot.joint_names)))
     states.joint_pos[...] = robot.rest_joint_pos
-    damping_command(states, robot, robot.default_joint_pos)
+    states.joint_pos_target[...] = robot.default_joint_pos
+    states.joint_stiffness[...] = 40.0
+    last = LastSent(states)
+    Damping(states, robot, last, PERIOD)()
     assert states.joint_pos_target.tolist() == robot.rest_joint_pos.tolist()
-    damping_command(states, robot, robot.default_joint_pos, hold=True)
+    assert not states.joint_stiffness.any()  # nothing of ours was ever there
+    states.joint_pos_target[...] = robot.default_joint_pos
+    states.joint_stiffness[...] = 40.0
+    last.note()
+    states.joint_pos_target[...] = np.nan
+    states.joint_stiffness[...] = 1e9
+    Damping(states, robot, last, PERIOD)()
     assert states.joint_pos_target.tolist() == robot.default_joint_pos.tolist()
+    assert states.joint_stiffness == pytest.approx(40.0 * (1.0 - PERIOD / BLEND))
 
 
 def test_errors_stop_no_repetition_and_are_told_at_the_end() -> None:

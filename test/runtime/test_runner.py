@@ -7,10 +7,12 @@ import time
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from unicon_core.errors import Fault
 from unicon_core.flow import Block, Stage
+from unicon_core.platforms.kit.damping import DAMPING_TIME
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.signals import SIGNALS
 from unicon_core.workflow import Program, load_workflow
@@ -77,6 +79,7 @@ def test_the_report_has_the_keys_of_the_contract(path: Path, tmp_path: Path) -> 
 
 def test_a_fault_stops_before_send_and_closes_everything(path: Path) -> None:
     calls: list[str] = []
+    stiffness: list[float] = []
     ticks = 0
 
     def trip() -> None:
@@ -89,7 +92,14 @@ def test_a_fault_stops_before_send_and_closes_everything(path: Path) -> None:
         platform = workflow.platform
         send, close = platform.send, platform.close
         monitored: Any = platform
-        monitored.send = lambda: (calls.append("send"), send())[1]
+        stiff = workflow.states.joint_stiffness
+
+        def sent() -> None:
+            calls.append("send")
+            stiffness.append(float(stiff.max()))
+            send()
+
+        monitored.send = sent
         monitored.close = lambda: (calls.append("close"), close())[1]
         return {Stage.INPUT: [Block("trip", trip, close=lambda: calls.append("trip closed"))]}
 
@@ -97,7 +107,12 @@ def test_a_fault_stops_before_send_and_closes_everything(path: Path) -> None:
     runner = Runner(load_workflow(path, hooks=[inputs]), RunOptions(speed="max"))
     report = runner.run()
     assert report.faults == ["the test says so"]
-    assert calls == ["send", "send", "close", "trip closed"]
+    damped = round(DAMPING_TIME / runner.program.period)
+    assert calls == ["send"] * (2 + damped) + ["close", "trip closed"]
+    assert np.all(np.diff(stiffness[1:]) <= 0.0)
+    assert stiffness[2] < stiffness[1]
+    assert stiffness[-1] == 0.0
+    assert report.ticks == 3
     runner.close()
     assert calls.count("close") == 1
 

@@ -64,6 +64,6 @@ def test_it_stands_walks_and_stands_again(name: str, least: float, lies: bool, r
     # What is sent goes over from one to the other without a jump, at any rate.
     calm = [row for row in rows if row[0] is Phase.RUN and (1.0 < row[1] < 4.0 or row[1] > 10.0)]
     assert max(row[4] for row in calm) < 0.05
-    ends = [row for row in rows if row[0] is Phase.WIND_DOWN]
+    ends = [row for row in rows if row[0] is Phase.SOFT]
     assert 0 < len(ends) <= 5 * rate
     assert (ends[-1][3] < 0.6 * stood[1]) == lies

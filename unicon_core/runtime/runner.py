@@ -6,17 +6,21 @@ import threading
 import time
 import traceback
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
+from unicon_core.blocks.approach import Approach, beginning
 from unicon_core.errors import Fault, PlatformError, UniconError
+from unicon_core.flow import Deferred, Node, Zip, as_block
 from unicon_core.platforms.platform import Resettable, WaitsForData
+from unicon_core.runtime.damp import Damp
 from unicon_core.runtime.pacing import prepare_process, process_age_s
 from unicon_core.runtime.phases import WIND_DOWN, Phase
 from unicon_core.runtime.report import Report
 from unicon_core.runtime.ticker import Ticker
+from unicon_core.runtime.waiting import Waiting
 from unicon_core.signals import SIGNALS, Interrupted, signal_name
 from unicon_core.workflow import Program
 
@@ -33,6 +37,8 @@ class RunOptions:
         capacity: ticks whose time stamps are kept.
         warn: takes warnings, one line each.
         status: called about once a second with facts for a status line, or None.
+        operator: wait for `Runner.go` before a robot moves, where the workflow does not say that
+            nobody is asked. False: whoever runs it has decided.
     """
 
     duration: float | None = None
@@ -40,6 +46,7 @@ class RunOptions:
     capacity: int = 32_768
     warn: Callable[[str], None] = print
     status: Callable[[dict[str, Any]], None] | None = None
+    operator: bool = False
 
 
 CLOSING = 3.0
@@ -58,6 +65,7 @@ class Runner:
 
     Attributes:
         phase: what the run is at.
+        operator: wait for `go` before a robot moves; as of the options, until it runs.
         graph: the compiled tick of the run.
         statistics: of the run's ticks.
         faults: what went wrong, one line each; the first is why the run ended.
@@ -76,7 +84,7 @@ class Runner:
         self.options = options or RunOptions()
         program.warn = self.options.warn
         _refuse_pace(program, self.options)
-        self.phase = Phase.START
+        self.phase = Phase.WAIT
         self.monitor = program.monitor
         status = None if self.options.status is None else self._status
         self._run = self._ticker = Ticker(program, program.root, self.options.capacity, status)
@@ -84,6 +92,9 @@ class Runner:
         self._ending_ticks = max(1, round(WIND_DOWN / program.period))
         root = program.wind_down
         self._ending = None if root is None else Ticker(program, root, self._ending_ticks, None)
+        self.operator = self.options.operator
+        self._damp = Damp(program) if program.has_platform else None
+        self._waiting: Waiting | None = None
         self.graph, self.statistics = self._run.graph, self._run.statistics
         self.pacing, self.period_ns = program.pacing, self._run.period_ns
         self.faults: list[str] = []
@@ -103,7 +114,24 @@ class Runner:
 
         What comes after `send` may use the time until then.
         """
+        if self.phase is Phase.DAMP and self._damp is not None:
+            return self._damp.next_due_ns
         return self._ticker.next_due_ns
+
+    @property
+    def waits_for(self) -> str:
+        """What is waited for before anything is sent; "" where nothing is."""
+        return self._waiting.reason if self.phase is Phase.WAIT and self._waiting else ""
+
+    @property
+    def asks(self) -> bool:
+        """Whether an operator has to say go before the flow ticks."""
+        robot = not self.program.platform.facts.simulated and self.program.has_platform
+        return robot and self.operator and self.program.start.operator
+
+    def go(self) -> bool:
+        """Say that the robot may move; it counts where the operator alone is waited for."""
+        return self._waiting is not None and self._waiting.go()
 
     @property
     def done(self) -> bool:
@@ -181,19 +209,20 @@ class Runner:
             try:
                 try:
                     restore = prepare_process(self.pacing, self.options.warn)
-                    self._started_ns, self._age_s = time.perf_counter_ns(), process_age_s()
-                    for gate in self.program.gates:
-                        gate()
-                    self.phase = Phase.RUN
-                    self._run.run(self._limit(), full_speed=self.options.speed == "max")
+                    self._started_ns = time.perf_counter_ns()
+                    if self._begun():
+                        self.phase = Phase.RUN
+                        self._started_ns, self._age_s = time.perf_counter_ns(), process_age_s()
+                        self._run.run(self._limit(), full_speed=self.options.speed == "max")
                     self.interrupted = bool(SIGNALS.asked)
                     why = self._why()
                     self._ended_ns = time.perf_counter_ns()
                     self._wind_down()
-                except BaseException as error:  # whatever it is, no further command is sent
+                except BaseException as error:  # whatever it is, only damping is sent from now on
                     fault = error
                 self._ended_ns = self._ended_ns or time.perf_counter_ns()
                 before = len(self.faults)
+                self._damped(well=fault is None and not SIGNALS.asked)
                 self._close()
             except Interrupted as error:  # a second signal came just here; it has damped
                 fault = fault or error
@@ -262,7 +291,7 @@ class Runner:
 
     def _close(self) -> None:
         if not self._closed:
-            self._closed, self.phase = True, Phase.CLOSE
+            self._closed, self.phase = True, Phase.OFF
             try:
                 self.program.close()
             except Exception as error:
@@ -300,12 +329,65 @@ class Runner:
             duration = self.program.duration
         return 1 << 62 if duration is None else round(duration / self.program.period)
 
+    def _begun(self) -> bool:
+        """Wait for gates and operator, then approach where the flow begins.
+
+        False where the run was asked to end before its flow.
+        """
+        program = self.program
+        if program.platform.facts.simulated or not program.has_platform:
+            return True
+        waiting = self._waiting = Waiting(program.gates, self.asks, self.options.warn)
+        tree = Zip(*program.hearing, as_block(waiting), *map(Deferred, program.looking))
+        return self._ticked(tree) and not waiting.reason and self._approached()
+
+    def _approached(self) -> bool:
+        program, start = self.program, self.program.start
+        if not start.fade_in:
+            return True
+        approach = Approach(
+            program.states, beginning(program), program.period, start.approach, start.fade_in
+        )
+        self.phase = Phase.APPROACH
+        return self._ticked(program.with_flow(as_block(approach)))
+
+    def _ticked(self, tree: Node) -> bool:
+        """Tick another tree before the run until it is done; False where the run is to end."""
+        run = self._run
+        ticker = self._ticker = Ticker(self.program, tree, self.options.capacity, None)
+        if run.stop:  # what a signal sets at any moment counts
+            ticker.stop = True
+        ticker.run(1 << 62)
+        self._ticker = run
+        if ticker.stop:
+            run.stop = True
+        run.arrivals = ticker.arrivals
+        self.program.states["tick"][...] = 0
+        return ticker.done
+
+    def _damped(self, *, well: bool) -> None:
+        """Send the damping command for its time, where anything was sent at all.
+
+        A simulation that ended well is left as it is.
+        """
+        program = self.program
+        if self._damp is None or not program.gate.sent.any or program.gate.closed:
+            return
+        if well and program.platform.facts.simulated:
+            return
+        self.phase = Phase.DAMP
+        self.monitor.finish()
+        with suppress(Exception):  # `close` damps by its own means, and tells
+            self._damp.run()
+
     def _wind_down(self) -> None:
         """Tick the flow that follows the run; commands are zero from here on."""
         ending = self._ending
         if ending is None or self._hurry or self.program.gate.closed:
             return
-        self.phase = Phase.WIND_DOWN
+        if not self.program.gate.sent.any:
+            return
+        self.phase = Phase.SOFT
         self.monitor.finish()
         self.program.states["velocity_command"][...] = 0.0
         ending.arrivals = self._run.arrivals

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable
 
 from unicon_core.errors import Fault
+from unicon_core.platforms.kit.damping import LastSent
 
 __all__ = ["CLOSED", "NEVER_NS", "Gate"]
 
@@ -14,32 +15,39 @@ CLOSED = "the workflow is closed and sends nothing any more; build it anew"
 
 
 class Gate:
-    """Lets commands pass until a time.
+    """Lets commands pass until a time, and remembers the last.
+
+    Args:
+        sent: takes what has passed.
 
     Attributes:
         until_ns: on the clock of `time.perf_counter_ns`; what comes to `send` later is refused.
             The runner moves it on with every tick.
         hung: tells what is said of a tick that comes later than that.
         closed: nothing passes any more.
+        sent: what has passed last.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, sent: LastSent) -> None:
+        self.sent = sent
         self.until_ns = NEVER_NS
         self.hung: Callable[[], str] = lambda: "a command came too late and was not sent"
         self.closed = False
 
     def before(self, send: Callable[[], bool | None]) -> Callable[[], bool | None]:
-        """Return `send` behind the gate, which costs a tick 0.1 µs.
+        """Return `send` behind the gate, which costs a tick 0.3 µs.
 
         What is returned raises:
             Fault: the workflow is closed, or the tick took longer than the runner allows.
         """
-        now = time.perf_counter_ns
+        now, note = time.perf_counter_ns, self.sent.note
 
         def guarded() -> bool | None:
             if self.closed or now() > self.until_ns:
                 raise Fault(CLOSED if self.closed else self.hung())
-            return send()
+            done = send()
+            note()
+            return done
 
         return guarded
 

@@ -14,12 +14,14 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from unicon_core.blocks.approach import Entry
 from unicon_core.errors import alternatives
 from unicon_core.flow import Block, Deferred, Node, Zip, as_block, blocks_of
 from unicon_core.flow.checks import check_graph, raise_first
 from unicon_core.flow.critical_path import critical_path
 from unicon_core.flow.fuse import fuse
 from unicon_core.flow.stage import Stage
+from unicon_core.platforms.kit.damping import LastSent
 from unicon_core.platforms.part import PartPlatform
 from unicon_core.platforms.platform import RequiresStates, WarmsUp
 from unicon_core.signals import SIGNALS
@@ -99,7 +101,9 @@ class Program:
         critical: the blocks that the command depends on.
         monitor: watches the run for its report.
         gate: what every command passes last.
-        gates: asked before the first tick, each raises a Fault where the robot must not move.
+        gates: what must hold before a robot gets its first command; `StartGate` of the runner.
+        hearing: what a tick without commands runs: recv, estimate, input.
+        looking: observers, but for the report.
         command_bounds: what the velocity command is held to; empty where nobody reads it.
         safety: labels of the blocks of its own between the flow and `send`.
         warn: takes what blocks tell while they tick, one line each; the runner sets its own.
@@ -164,8 +168,8 @@ class Program:
                 arrival.close()
             raise
         self.stages: dict[Stage, list[Node]] = {stage: [] for stage in Stage}
-        self.gate = Gate()
-        self.gates: list[Callable[[], object]] = []
+        self.gate = Gate(LastSent(self.states))
+        self.gates: list[Any] = []
         self.command_bounds: tuple[CommandBound, ...] = ()
         self.forced: tuple[str, ...] = ()
         self._closed = False
@@ -209,11 +213,10 @@ class Program:
         for stage, nodes in stages.items():
             for block in (block for node in nodes for block in blocks_of(node)):
                 block.stage = block.stage or stage
-        self.root, self.critical = self._graph(stages)
-        self.wind_down: Node | None = None
-        if last is not None:
-            changed = {Stage.COMMAND: [], Stage.FLOW: [last], Stage.OBSERVE: looking}
-            self.wind_down, _ = self._graph(stages | changed)
+        self.hearing = [*stages[Stage.RECV], *stages[Stage.ESTIMATE], *stages[Stage.INPUT]]
+        self.looking = looking
+        self.root, self.critical = self._graph(stages | self._entry())
+        self.wind_down = None if last is None else self.with_flow(last)
         if isinstance(platform, RequiresStates):
             ordered = sorted(self.critical, key=lambda block: block.name)
             platform.require({state: b.name for b in ordered for state in (*b.reads, *b.amends)})
@@ -247,6 +250,20 @@ class Program:
         if self.store is None or self.dry or self.parts is not None:
             return []
         return publishers(self.store, "", groups_of(states.layout), states, self.stages)
+
+    def with_flow(self, flow: Node) -> Node:
+        """Return the tree of a tick with another flow, which nobody commands or reports."""
+        changed = {Stage.COMMAND: [], Stage.FLOW: [flow], Stage.OBSERVE: self.looking}
+        return self._graph(self.stages | changed)[0]
+
+    def _entry(self) -> dict[Stage, list[Node]]:
+        """Let a robot's flow come in without a jump; in a simulator no command is changed."""
+        ticks = round(self.start.fade_in / self.period)
+        if self.platform.facts.simulated or not self.has_platform or not ticks:
+            return {}
+        entry = as_block(Entry(self.states, self.gate.sent, ticks))
+        entry.stage = Stage.SAFETY
+        return {Stage.SAFETY: [entry, *self.stages[Stage.SAFETY]]}
 
     def _graph(self, stages: Mapping[Stage, Sequence[Node]]) -> tuple[Node, frozenset[Block]]:
         """Return the checked tree of a tick and the blocks that the command depends on."""

@@ -72,7 +72,7 @@ def start_of(document: WorkflowDocument) -> StartSettings:
         WorkflowError: `start` is wrong; with file and line.
     """
     try:
-        return StartSettings.from_dict(document.get("start", dict, {}))
+        return StartSettings.from_value(document.values.get("start"))
     except UniconError as error:
         raise document.error(str(error), "start") from error
 

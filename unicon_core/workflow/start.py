@@ -1,13 +1,13 @@
 """What a workflow says of its start: gates, the operator's go, approach and fade-in.
 
     start: {operator: false, approach: 0.3, fade_in: 2.0}
+    start: none                    # a test bench: commands at once, as told at every start
 
 In a simulator gates are shown and pass by themselves, and there is neither approach nor fade-in.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -28,7 +28,8 @@ class StartSettings:
         gates: ask the gates before anything is sent; without them every start tells so.
         operator: wait for the operator's go.
         approach: how fast joints go to where the flow begins in [rad/s].
-        fade_in: how long stiffness grows from zero in [s].
+        fade_in: how long stiffness grows from zero, and then how long the flow's commands take to
+            come in, in [s]; 0 for commands at once, without approach.
     """
 
     gates: bool = True
@@ -37,12 +38,18 @@ class StartSettings:
     fade_in: float = 1.0
 
     @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> StartSettings:
-        """Return the settings of a workflow's `start`.
+    def from_value(cls, values: Any) -> StartSettings:
+        """Return the settings of a workflow's `start`, of None the usual ones.
 
         Raises:
             WorkflowError: a key or a value is wrong.
         """
+        if values is None:
+            return cls()
+        if values == "none":
+            return cls(gates=False, operator=False, fade_in=0.0)
+        if not isinstance(values, dict):
+            raise WorkflowError(f"start: {values!r} is neither a mapping nor none")
         known = [field.name for field in fields(cls)]
         for key, value in values.items():
             if key not in known:

@@ -36,20 +36,25 @@ class Controls:
         self._estop = estop
 
     def stop(self) -> Answer:
-        """End the run after the present tick; the platform damps."""
+        """End the run after the present tick: wind-down, then damping."""
         if self.runner is None:
             return False, "nothing runs"
         self.paused = False
         self.runner.stop()
-        return True, "stopping: the platform damps"
+        soft = self.runner.program.wind_down is not None
+        return True, f"stopping: {'it winds down, then ' if soft else ''}the platform damps"
 
     def start(self) -> Answer:
-        """Go on after a pause."""
+        """Say the operator's go; go on after a pause."""
         if self.runner is None:
             return False, "nothing runs"
         refusal = self._estop.refusal() if self._estop else ""
         if refusal:
             return False, refusal
+        if self.runner.go():
+            return True, "go"
+        if waits_for := self.runner.waits_for:
+            return False, f"not yet: it waits for {waits_for}"
         if not self.paused:
             return False, "it runs already"
         self.paused = False

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from unicon_core.runtime import Runner, TickStatistics, percentiles
+from unicon_core.runtime.phases import Phase
 from unicon_ros.bridge.estop import FAULT, EmergencyStop
 from unicon_ros.bridge.topics_in import TopicIn
 from unicon_ros.bridge.topics_out import TopicOut
@@ -85,7 +86,10 @@ class Diagnostics:
         }
         for name, value in _recent_us(statistics, ticks).items():
             values[f"tick_{name}_us"] = f"{value:.1f}"
-        level, message = OK, "running"
+        level, message = OK, "running" if runner.phase is Phase.RUN else runner.phase.value
+        if runner.waits_for:
+            message = f"waiting for {runner.waits_for}"
+        values["phase"] = runner.phase.value
         if overruns > 0.01 * max(ticks, 1):
             level, message = WARN, f"{overruns} overruns in {seconds:.1f} s"
         level, message = self._topics(values, seconds, level, message)

@@ -17,6 +17,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,7 @@ import numpy as np
 from unicon_core.blocks.projected_gravity import projected_gravity
 from unicon_core.errors import Fault, MissingDependencyError, PlatformError, UniconError
 from unicon_core.platforms.kit.command import FiniteCheck
-from unicon_core.platforms.kit.damping import DAMPING_TIME, damping_command, repeated
+from unicon_core.platforms.kit.damping import DAMPING_TIME, Damping, LastSent, repeated
 from unicon_core.platforms.platform import Facts
 from unicon_core.resources import find_config
 from unicon_core.robots import Robot
@@ -169,9 +170,7 @@ class RosPlatform:
         self._finite = FiniteCheck(
             {name: states[name] for name in COMMAND_STATES}, robot.joint_names
         )
-        self._target = states["joint_pos_target"]
-        self._last_target = np.zeros_like(self._target)
-        self._sent = False
+        self._sent = LastSent(states)
         self._wait_set = compat.ReusedWaitSet([self._in[0].subscription], own.context)
         self._closed = False
 
@@ -281,15 +280,11 @@ class RosPlatform:
                     f"topic {out.topic}: {out.failing} commands in a row were not published "
                     f"({out.last_error})"
                 )
-        self._last_target[...] = self._target
-        self._sent = True
+        self._sent.note()
         return None
 
     def close(self) -> None:
-        """Send a damping command for a while (no stiffness, targets within limits), then let go.
-
-        Where the map carries no gains, the targets are those that were sent last.
-        """
+        """Send the damping command for a while, then let go."""
         if self._closed:
             return
         self._closed = True
@@ -300,15 +295,17 @@ class RosPlatform:
             for said in self._out:
                 rest.callback(said.close)
             rest.callback(self._wait_set.close)
-            # A robot that was never heard is not there; a target of ours would be its first step.
-            if any(topic.heard for topic in self._in) and (self._sent or not self._hold):
-                last = self._last_target if self._sent else None
-                damping_command(self._states, self._robot, last, hold=self._hold)
-                repeated(self._send_again, self._period, self._damping)
+            # A robot that got nothing of ours is somebody else's.
+            if self._sent.any:
+                damping = Damping(self._states, self._robot, self._sent, self._period)
+                damped = self._sent.limp and not self._hold  # by whoever ticked, and told before
+                again = partial(self._send_again, damping)
+                repeated(again, self._period, 0.0 if damped else self._damping)
                 for out in self._out:
                     out.flush()
 
-    def _send_again(self) -> None:
+    def _send_again(self, damping: Damping) -> None:
+        damping()
         self._states["stamp_ns"][...] += round(self._period * 1e9)  # or a reader takes it for old
         for out in self._out:
             out.now()

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
+import threading
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
@@ -63,6 +65,9 @@ def add(commands: Any) -> None:
         action="append",
         default=[],
         help="go on with an error of `unicon check` of this code; may be repeated",
+    )
+    parser.add_argument(
+        "--yes", action="store_true", help="a robot moves once its gates hold, without being asked"
     )
     parser.add_argument("--quiet", action="store_true", help="no status line and no block table")
     parser.add_argument(
@@ -150,6 +155,7 @@ def _run(
             speed=arguments.speed,
             warn=console.warn,
             status=None if arguments.quiet or not console.terminal else console.status,
+            operator=not arguments.yes,
         )
         try:
             for line in refuse_errors(program, arguments.force):
@@ -157,6 +163,8 @@ def _run(
             runner = Runner(program, options)
             if session is not None:
                 session.attach(runner)
+            if runner.asks:
+                _listen(runner, session is not None)
             SIGNALS.check()
         except BaseException:
             program.close()
@@ -172,6 +180,30 @@ def _run(
             session.close()
         raise
     return _Ended(report, runner, picture, recording, session)
+
+
+def _listen(runner: Runner, with_ros: bool) -> None:
+    """Take the Enter key for the operator's go.
+
+    Raises:
+        UniconError: nobody could say it.
+    """
+    if not sys.stdin or not sys.stdin.isatty():
+        if with_ros:
+            return
+        raise UniconError(
+            f"platform {runner.program.platform.facts.name!r} is a robot, which waits for the "
+            "operator's go, and standard input is not a terminal: add --yes to let it move once "
+            "its gates hold, or --ros and call ~/start"
+        )
+
+    def listen() -> None:
+        with suppress(OSError):
+            while os.read(0, 1024):
+                if not runner.go() and runner.waits_for:
+                    runner.options.warn(f"not yet: it waits for {runner.waits_for}")
+
+    threading.Thread(target=listen, name="operator", daemon=True).start()
 
 
 def _close(session: Any, status: int) -> None:

@@ -1,0 +1,116 @@
+"""What brings a robot to where its flow begins, and the flow's first commands in without a jump."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.platforms.kit.damping import LastSent
+from unicon_core.states import States
+from unicon_core.states.standard import COMMAND_STATES
+
+__all__ = ["Approach", "Beginning", "Entry"]
+
+Float = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class Beginning:
+    """Where a flow begins, each of shape (..., n) in the robot's order.
+
+    Attributes:
+        joint_pos: in [rad].
+        stiffness: in [N·m/rad].
+        damping: in [N·m·s/rad].
+    """
+
+    joint_pos: Float
+    stiffness: Float
+    damping: Float
+
+
+class Approach:
+    """Moves all joints at once from where they were measured, while stiffness grows from zero.
+
+    Args:
+        states: whose command states are written.
+        beginning: where to.
+        period: of a tick in [s].
+        speed: of the fastest joint in [rad/s].
+        fade_in: how long stiffness grows in [s].
+    """
+
+    name = "approach"
+    reads = ("joint_pos",)
+    writes = COMMAND_STATES
+
+    def __init__(
+        self, states: States, beginning: Beginning, period: float, speed: float, fade_in: float
+    ) -> None:
+        self._states, self._beginning = states, beginning
+        self._from = states["joint_pos"].copy()
+        self._way = beginning.joint_pos - self._from
+        distance = float(np.abs(self._way).max(initial=0.0))
+        self._move = max(1, round(distance / speed / period))
+        self._fade = max(1, round(fade_in / period))
+        self._tick = 0
+        self.distance, self.duration = distance, max(self._move, self._fade) * period
+
+    def __call__(self) -> bool:
+        self._tick += 1
+        states, tick = self._states, self._tick
+        share = np.float32(min(tick / self._move, 1.0))
+        np.multiply(self._way, share, out=states["joint_pos_target"])
+        states["joint_pos_target"] += self._from
+        states["joint_vel_target"][...] = 0.0
+        states["joint_effort_ff"][...] = 0.0
+        grown = np.float32(min(tick / self._fade, 1.0))
+        np.multiply(self._beginning.stiffness, grown, out=states["joint_stiffness"])
+        states["joint_damping"][...] = self._beginning.damping
+        return tick >= max(self._move, self._fade)
+
+
+class Entry:
+    """Blends from what was sent last to what the flow commands; for a robot's first ticks.
+
+    The first action of a policy may be a radian away from the posture in which it is entered.
+
+    Args:
+        states: whose command states are amended.
+        last: what was sent last.
+        ticks: length of the blend.
+    """
+
+    name = "entry"
+    amends = COMMAND_STATES
+
+    def __init__(self, states: States, last: LastSent, ticks: int) -> None:
+        self._pairs = [(states[name], last.states[name].copy()) for name in COMMAND_STATES]
+        self._last, self._ticks, self._tick = last, ticks, 0
+
+    def __call__(self) -> None:
+        if self._tick >= self._ticks:
+            return
+        if self._tick == 0:
+            for (_, held), name in zip(self._pairs, COMMAND_STATES):
+                held[...] = self._last.states[name]
+        self._tick += 1
+        share = np.float32(self._tick / self._ticks)
+        for live, held in self._pairs:
+            live -= held
+            live *= share
+            live += held
+
+    def reset(self) -> None:
+        """Blend anew."""
+        self._tick = 0
+
+
+def beginning(program: Any) -> Beginning:
+    """TEMPORARY."""
+    r = program.robot
+    n = np.nan_to_num
+    return Beginning(program.states["joint_pos"].copy(), n(r.joint_stiffness), n(r.joint_damping))

@@ -1,0 +1,88 @@
+"""Waiting: what a robot's run waits for before anything is sent; for the runner."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+from unicon_core.errors import Fault
+
+__all__ = ["PATIENCE", "StartGate", "Waiting"]
+
+PATIENCE = 30.0
+"""How long gates may take to hold where no operator looks on, [s]."""
+
+REPEAT = 5.0
+"""How often what is waited for is told again, [s]."""
+
+GO = "go"
+
+
+class StartGate(Protocol):
+    """Must hold before a robot gets its first command.
+
+    Attributes:
+        name: in a word or two.
+    """
+
+    name: str
+
+    def __call__(self) -> str:
+        """Return "" where it holds, else what is missing and how to go on, in one line.
+
+        Raises:
+            Fault: it cannot come to hold.
+        """
+        ...
+
+
+class Waiting:
+    """The block of the waiting phase: asks the gates, then the operator.
+
+    Args:
+        gates: asked in every tick.
+        operator: somebody has to say go.
+        warn: takes what is waited for, one line each.
+
+    Attributes:
+        reason: what is waited for, "" once nothing is.
+    """
+
+    def __init__(
+        self, gates: Sequence[StartGate], operator: bool, warn: Callable[[str], None]
+    ) -> None:
+        self._gates, self._operator, self._warn = gates, operator, warn
+        self._go = not operator
+        self._began = self._told = 0.0
+        self._what = ""
+        self.reason = "the first data"
+
+    def go(self) -> bool:
+        """Say go; it counts where nothing else is waited for."""
+        ready = self._what == GO
+        self._go |= ready
+        return ready
+
+    def __call__(self) -> bool:
+        now = time.monotonic()
+        self._began = self._began or now
+        what, reason = self._missing()
+        self.reason = reason
+        if not reason:
+            return True
+        if not self._operator and now - self._began > PATIENCE:
+            raise Fault(f"not started, waited {PATIENCE:g} s for {reason}")
+        if what != self._what or now - self._told > REPEAT:
+            self._what, self._told = what, now
+            self._warn(f"waiting for {reason}")
+        return False
+
+    def _missing(self) -> tuple[str, str]:
+        """Return the name of the first gate that does not hold, and its reason."""
+        for gate in self._gates:
+            if reason := gate():
+                return gate.name, f"{gate.name}: {reason}"
+        if self._go:
+            return "", ""
+        return GO, "the operator's go: press Enter, call ~/start, or run with --yes"
