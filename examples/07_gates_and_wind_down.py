@@ -11,9 +11,10 @@ if __name__ == "__main__":
         wind_down=Chain(pose("rest", duration=2.0), block("damp", duration=0.5)),
     )
 
-    def upright() -> None:
+    def upright() -> str:
         if program.states.projected_gravity[2] > 0:
             raise Fault("the robot lies on its back; turn it over")
+        return ""
 
     program.gates.append(upright)
     report = run(program, speed="max")

@@ -176,10 +176,16 @@ def test_a_stop_before_the_run_ends_it_without_a_tick(where: str) -> None:
     stop = Battery(holds_at=1 << 62 if where == "wait" else 1)
     program.gates[:] = [stop]
     runner, _ = runs(program)
-    timer = threading.Timer(0.1, runner.stop)
-    timer.start()
+
+    def press() -> None:
+        while not (stop.asked if where == "wait" else sent.rows):
+            time.sleep(0.001)
+        runner.stop()
+
+    presser = threading.Thread(target=press)
+    presser.start()
     report = runner.run()
-    timer.join()
+    presser.join()
     assert (report.ticks, report.faults, report.ended) == (0, [], "stopped")
     if where == "wait":
         assert not sent.rows

@@ -112,7 +112,7 @@ def test_a_fault_stops_before_send_and_closes_everything(path: Path) -> None:
     assert np.all(np.diff(stiffness[1:]) <= 0.0)
     assert stiffness[2] < stiffness[1]
     assert stiffness[-1] == 0.0
-    assert report.ticks == 3
+    assert report.ticks == 2
     runner.close()
     assert calls.count("close") == 1
 

@@ -2,34 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.gates.beginning import Target
 from unicon_core.platforms.kit.damping import LastSent
 from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES
 
-__all__ = ["Approach", "Beginning", "Entry"]
-
-Float = NDArray[np.float32]
-
-
-@dataclass(frozen=True, eq=False)
-class Beginning:
-    """Where a flow begins, each of shape (..., n) in the robot's order.
-
-    Attributes:
-        joint_pos: in [rad].
-        stiffness: in [N·m/rad].
-        damping: in [N·m·s/rad].
-    """
-
-    joint_pos: Float
-    stiffness: Float
-    damping: Float
+__all__ = ["Approach", "Entry"]
 
 
 class Approach:
@@ -48,7 +28,7 @@ class Approach:
     writes = COMMAND_STATES
 
     def __init__(
-        self, states: States, beginning: Beginning, period: float, speed: float, fade_in: float
+        self, states: States, beginning: Target, period: float, speed: float, fade_in: float
     ) -> None:
         self._states, self._beginning = states, beginning
         self._from = states["joint_pos"].copy()
@@ -107,10 +87,3 @@ class Entry:
     def reset(self) -> None:
         """Blend anew."""
         self._tick = 0
-
-
-def beginning(program: Any) -> Beginning:
-    """TEMPORARY."""
-    r = program.robot
-    n = np.nan_to_num
-    return Beginning(program.states["joint_pos"].copy(), n(r.joint_stiffness), n(r.joint_damping))

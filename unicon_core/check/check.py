@@ -16,7 +16,7 @@ from unicon_core.check.parts import check_parts
 from unicon_core.check.pose import check_pose
 from unicon_core.check.result import CheckResult
 from unicon_core.check.safety import check_safety
-from unicon_core.check.start import check_start
+from unicon_core.check.start import check_gates, check_start
 from unicon_core.check.subject import Subject, build_subject
 from unicon_core.errors import (
     MissingDependencyError,
@@ -119,6 +119,7 @@ def static_checks(subject: Subject, result: CheckResult) -> None:
     check_commands(subject, result)
     check_pose(subject, result)
     check_start(subject, result)
+    check_gates(subject, result)
     check_safety(subject, result)
     check_parts(subject, result)
     check_robot(subject, result)

@@ -15,6 +15,13 @@ if TYPE_CHECKING:
 
 __all__ = ["refuse_errors"]
 
+TOLD = {
+    "safety.none": "commands are sent as they are, also those that are not finite or beyond the "
+    "limits of a joint",
+    "start.gates": "the robot is moved whatever it tells of itself",
+}
+"""Notes that every start tells, and what it means."""
+
 
 def refuse_errors(program: Program, force: Iterable[str] = ()) -> list[str]:
     """Check a workflow that was built to run; a simulator is left as it was.
@@ -27,7 +34,7 @@ def refuse_errors(program: Program, force: Iterable[str] = ()) -> list[str]:
 
     Returns:
         Warnings to be told at every start: errors that are forced or accepted, and a workflow
-        without safety blocks.
+        without safety blocks or gates.
 
     Raises:
         WorkflowError: an unknown code.
@@ -60,10 +67,5 @@ def refuse_errors(program: Program, force: Iterable[str] = ()) -> list[str]:
     told += [f"accepted by the workflow: {found}" for found in result.waived]
     decided = dict.fromkeys(found.code for found in [*result.findings, *result.waived])
     program.forced = tuple(decided)
-    told += [
-        f"{note.culprit}: commands are sent as they are, also those that are not finite or beyond "
-        "the limits of a joint"
-        for note in result.notes
-        if note.code == "safety.none"
-    ]
+    told += [f"{note.culprit}: {TOLD[note.code]}" for note in result.notes if note.code in TOLD]
     return told

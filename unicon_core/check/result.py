@@ -48,6 +48,7 @@ CODES = {
     "pose.feet": "in the default pose the robot does not stand on its feet",
     "pose.floor": "the simulation begins inside the floor or far above it",
     "pose.start": "a policy is the first to move a robot that lies (simulated: a note)",
+    "start.gates": "nothing is asked before a robot moves (a note)",
     "safety.none": "no safety block looks at commands (a note)",
     "safety.partial": "a safety block does not look at every command, or at nothing",
     "parts.writers": "two parts of a divided workflow write one state",

@@ -11,7 +11,7 @@ from unicon_core.policies import PolicyContract
 from unicon_core.policies.controller import controller_contract
 from unicon_core.robots import joint_index
 
-__all__ = ["check_start"]
+__all__ = ["check_gates", "check_start"]
 
 STEP = 0.3
 """In [rad]: a servo that is given a target farther away than this moves with a jerk."""
@@ -41,4 +41,17 @@ def check_start(subject: Subject, result: CheckResult) -> None:
         "let `pose: {to: stand}` go there first: flow: {chain: [{pose: …}, {policy: …}]}",
         subject.document.where("flow"),
         error=not subject.platform.simulated,
+    )
+
+
+def check_gates(subject: Subject, result: CheckResult) -> None:
+    """A robot that begins to move and nobody has looked at it."""
+    if subject.platform.simulated or subject.program.start.gates:
+        return
+    result.note(
+        "start.gates",
+        "start: {gates: false}",
+        "nobody asks whether data come, are plausible and of this robot before it is moved",
+        "",
+        subject.document.where("start", "gates"),
     )

@@ -46,9 +46,14 @@ def make(
 
 
 def make_robot(
-    states: States, robot: Robot, period: float, *, time_constant: float = 0.0
+    states: States,
+    robot: Robot,
+    period: float,
+    *,
+    time_constant: float = 0.0,
+    silent: bool = False,
 ) -> FakeRobot:
-    """Build a fake that counts as a robot; see `make`."""
+    """Build a fake that counts as a robot; see `make`. Its `close` sends nothing in any case."""
     return FakeRobot(states, robot, period, Scene(), time_constant)
 
 

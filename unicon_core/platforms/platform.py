@@ -10,8 +10,10 @@
     def make(states, robot, period, **options) -> MyRobot: ...
 
 Such a factory is named `module:make`, or registered in the entry point group `unicon.platforms`.
-It aligns joints by name at build, and imports what it needs inside. What a platform can do besides
-is said by methods, one protocol each, below.
+It aligns joints by name at build, and imports what it needs inside. A robot's factory with a
+parameter `silent` can be opened to receive only (`unicon preflight`, `unicon run --dry`): it then
+sends nothing, in `close` either. What a platform can do besides is said by methods, one protocol
+each, below.
 """
 
 from __future__ import annotations
@@ -34,8 +36,10 @@ __all__ = [
     "Pausable",
     "Platform",
     "Pushable",
+    "ReportsVariant",
     "RequiresStates",
     "Resettable",
+    "SeesCommanders",
     "Viewable",
     "WaitsForData",
     "WarmsUp",
@@ -139,6 +143,27 @@ class RequiresStates(Protocol):
 
     def require(self, states: Mapping[str, str]) -> None:
         """Take each state that a block on the critical path reads, and that block's name."""
+        ...
+
+
+@runtime_checkable
+class SeesCommanders(Protocol):
+    """A robot on a network, where others may command it too."""
+
+    def commanders(self) -> Mapping[str, int]:
+        """Return where it takes commands, with the number of others that send there."""
+        ...
+
+
+@runtime_checkable
+class ReportsVariant(Protocol):
+    """A robot that says which variant it is, for the gate that compares it with the robot file."""
+
+    def variant(self) -> Mapping[str, Any]:
+        """Return what it reports, under the keys of `transport` in the robot file.
+
+        Such as {"mode_machine": 5}; {} as long as it has not reported.
+        """
         ...
 
 

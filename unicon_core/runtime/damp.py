@@ -52,7 +52,7 @@ class Damp:
             damping()
             if gate.closed:
                 raise Fault("closed while it damped")
-            platform.send()
+            program.sending()
             gate.sent.note()
             states["tick"][...] += 1
             due += period

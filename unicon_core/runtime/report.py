@@ -41,6 +41,7 @@ class Report:
         fell: the base tilted by more than 60° from upright.
         tilt_deg: largest tilt of the base from upright.
         sha256_commands: SHA-256 over the command states of every tick.
+        dry: nothing was sent; the hash is of what would have been.
         blocks: block label to p50, p99, max.
         bridge: published and received messages, where ROS is on.
         ended: what ended the run: done, duration, stopped, fault, or the name of a signal.
@@ -66,6 +67,7 @@ class Report:
     fell: bool = False
     tilt_deg: float = 0.0
     sha256_commands: str = ""
+    dry: bool = False
     blocks: dict[str, dict[str, float]] = field(default_factory=dict)
     ended: str = ""
     traceback: str = ""
@@ -108,6 +110,8 @@ class Report:
                 f"ROS 2         published {self.bridge.get('published', 0)}, "
                 f"received {self.bridge.get('received', 0)} messages"
             )
+        if self.dry:
+            lines.append("dry           nothing was sent")
         if self.forced:
             lines.append(f"forced        {', '.join(self.forced)}")
         lines.append(f"ended         {self.ended}")
@@ -116,7 +120,12 @@ class Report:
 
 
 class Monitor:
-    """Watches a run for its report: displacement, fall, hash of the commands; after `send`."""
+    """Watches a run for its report: displacement, fall, hash of the commands; after `send`.
+
+    Args:
+        states: of the workflow.
+        dry: nothing is sent.
+    """
 
     FALL_COSINE = 0.5
     """Cosine of the tilt that counts as a fall: 60° from upright."""
@@ -124,7 +133,8 @@ class Monitor:
     name = "report"
     reads = ("base_pos_w", "projected_gravity", *COMMAND_STATES)
 
-    def __init__(self, states: States) -> None:
+    def __init__(self, states: States, *, dry: bool = False) -> None:
+        self._dry = dry
         self._pos = states["base_pos_w"].reshape(-1, 3)
         gravity = states["projected_gravity"].reshape(-1, 3)[:, 2]
         # `max` takes 1.3 µs where one number takes 0.1.
@@ -161,3 +171,4 @@ class Monitor:
         report.fell = self.fell
         report.tilt_deg = round(math.degrees(math.acos(max(-1.0, min(-self._worst, 1.0)))), 1)
         report.sha256_commands = self._hash.hexdigest()
+        report.dry = self._dry

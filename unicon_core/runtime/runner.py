@@ -11,9 +11,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
-from unicon_core.blocks.approach import Approach, beginning
+from unicon_core.blocks.approach import Approach
 from unicon_core.errors import Fault, PlatformError, UniconError
 from unicon_core.flow import Deferred, Node, Zip, as_block
+from unicon_core.gates.beginning import beginning
 from unicon_core.platforms.platform import Resettable, WaitsForData
 from unicon_core.runtime.damp import Damp
 from unicon_core.runtime.pacing import prepare_process, process_age_s
@@ -126,8 +127,9 @@ class Runner:
     @property
     def asks(self) -> bool:
         """Whether an operator has to say go before the flow ticks."""
-        robot = not self.program.platform.facts.simulated and self.program.has_platform
-        return robot and self.operator and self.program.start.operator
+        program = self.program
+        moves = not (program.platform.facts.simulated or program.silent) and program.has_platform
+        return moves and self.operator and program.start.operator
 
     def go(self) -> bool:
         """Say that the robot may move; it counts where the operator alone is waited for."""

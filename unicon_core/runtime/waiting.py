@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from typing import Protocol
 
 from unicon_core.errors import Fault
+from unicon_core.gates.gate import StartGate
 
-__all__ = ["PATIENCE", "StartGate", "Waiting"]
+__all__ = ["PATIENCE", "Waiting"]
 
 PATIENCE = 30.0
 """How long gates may take to hold where no operator looks on, [s]."""
@@ -17,24 +17,6 @@ REPEAT = 5.0
 """How often what is waited for is told again, [s]."""
 
 GO = "go"
-
-
-class StartGate(Protocol):
-    """Must hold before a robot gets its first command.
-
-    Attributes:
-        name: in a word or two.
-    """
-
-    name: str
-
-    def __call__(self) -> str:
-        """Return "" where it holds, else what is missing and how to go on, in one line.
-
-        Raises:
-            Fault: it cannot come to hold.
-        """
-        ...
 
 
 class Waiting:

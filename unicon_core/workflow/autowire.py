@@ -140,7 +140,7 @@ def refuse_options(
 def option_names(factory: Factory) -> list[str]:
     """Return the names of a factory's options, without states and context."""
     access, bundles = _annotated(factory)
-    taken = {*access, *bundles, *PARTS, "context", "scene"}
+    taken = {*access, *bundles, *PARTS, "context", "scene", "silent"}
     return sorted(
         name
         for name, parameter in inspect.signature(factory).parameters.items()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import replace
-from inspect import isclass
+from inspect import isclass, signature
 from typing import Any
 
 from unicon_core.errors import PlatformError, RobotError, alternatives
@@ -19,6 +19,7 @@ __all__ = [
     "checked",
     "declared_facts",
     "refuse_incomplete",
+    "refuse_loud",
     "refuse_protocol",
 ]
 
@@ -101,6 +102,20 @@ def refuse_incomplete(robot: Robot, platform: str) -> None:
             f"robot {robot.name} cannot be driven on platform {platform!r}: {robot.path} does not "
             f"say {', '.join(missing)}; find it in the vendor's documents and add it with its "
             "source, or simulate: platform=mujoco"
+        )
+
+
+def refuse_loud(factory: Factory, platform: str) -> None:
+    """Refuse to open a robot silently that would send at its end; nothing has been opened yet.
+
+    Raises:
+        PlatformError: its factory has no parameter `silent`.
+    """
+    if "silent" not in signature(factory).parameters:
+        raise PlatformError(
+            f"platform {platform!r} cannot be opened to receive only: its factory has no parameter "
+            "`silent`, so that its close() would damp the motors; give it one "
+            "(docs/platforms.md), or use a simulator"
         )
 
 

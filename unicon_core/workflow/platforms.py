@@ -24,6 +24,7 @@ from unicon_core.workflow.hardware import (
     checked,
     declared_facts,
     refuse_incomplete,
+    refuse_loud,
     refuse_protocol,
 )
 from unicon_core.workflow.platform_use import read_platform
@@ -34,7 +35,7 @@ __all__ = ["build_platform", "find_platform", "platform_options"]
 
 
 def build_platform(
-    document: WorkflowDocument, context: BuildContext, *, dry: bool = False
+    document: WorkflowDocument, context: BuildContext, *, dry: bool = False, silent: bool = False
 ) -> Platform:
     """Build the platform that a workflow names.
 
@@ -42,9 +43,11 @@ def build_platform(
         document: the workflow.
         context: what it is built with.
         dry: nothing is opened: in place of hardware stands `fake`, which reads and writes the same.
+        silent: of a robot nothing is opened that sends.
 
     Raises:
-        PlatformError: no such platform, it cannot be built, or it does not keep the contract.
+        PlatformError: no such platform, it cannot be built, it does not keep the contract, or it
+            cannot be silent.
         RobotError: it moves motors, and the robot file lacks facts for that (not if `dry`).
         WorkflowError: wrong options.
     """
@@ -59,7 +62,10 @@ def build_platform(
     arguments = platform_options(document, name, factory)
     scene = read_scene(document, context, facts)
     parameters = inspect.signature(factory).parameters
-    given = {"relative_to": context.relative_to, "scene": scene}
+    given: dict[str, Any] = {"relative_to": context.relative_to, "scene": scene}
+    if silent and not facts.simulated and not dry:
+        refuse_loud(factory, name)
+        given["silent"] = True
     arguments |= {key: value for key, value in given.items() if key in parameters}
     try:
         if dry and not facts.simulated:

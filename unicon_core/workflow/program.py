@@ -52,10 +52,12 @@ from unicon_core.workflow.parts import check_places, divided, publishers, read_p
 from unicon_core.workflow.platforms import build_platform
 from unicon_core.workflow.policies import controllers_reading, load_policies
 from unicon_core.workflow.settings import pacing_of, start_of
+from unicon_core.workflow.silent import refuse_parts, withheld
 from unicon_core.workflow.uses import EXPRESSION, Use
 from unicon_core.workflow.warm_ups import WarmUps
 
 if TYPE_CHECKING:
+    from unicon_core.gates.gate import StartGate
     from unicon_core.runtime.pacing import Pacing
 
 __all__ = ["GIVEN", "Hook", "Program", "load_workflow"]
@@ -77,11 +79,14 @@ class Program:
         hooks: give further blocks.
         part: of a divided workflow, which alone is built; "" for all of it.
         dry: open no hardware: its options are checked, and `fake` stands in its place.
+        silent: open the robot and send it nothing, at the end either; a simulator is sent limp
+            joints. The command states hold what would have been sent.
 
     Attributes:
         document: what it was built from, for messages and the check.
         name: of the workflow.
         dry: no hardware is open, and nothing is published.
+        silent: nothing is sent; see the argument.
         part: of a divided workflow, "" for all of it.
         parts: what the workflow says of its parts, or None.
         store: where its states go besides, or None.
@@ -101,7 +106,8 @@ class Program:
         critical: the blocks that the command depends on.
         monitor: watches the run for its report.
         gate: what every command passes last.
-        gates: what must hold before a robot gets its first command; `StartGate` of the runner.
+        gates: asked before anything is sent, until all hold.
+        sending: `send` of the platform, without the gate; of a silent run what stands for it.
         hearing: what a tick without commands runs: recv, estimate, input.
         looking: observers, but for the report.
         command_bounds: what the velocity command is held to; empty where nobody reads it.
@@ -121,12 +127,13 @@ class Program:
         hooks: Iterable[Hook] = (),
         part: str = "",
         dry: bool = False,
+        silent: bool = False,
         **described: Any,
     ) -> None:
         if document is None:
             caller = sys._getframe(1)
             document = document_of(described, Path(caller.f_code.co_filename), caller.f_lineno)
-        self.document, self.name, self.dry = document, document.name, dry
+        self.document, self.name, self.dry, self.silent = document, document.name, dry, silent
         self.robot = load_robot_of(document)
         self.policies = load_policies(document, self.robot)
         self.period = period_of(document, self.policies)
@@ -143,6 +150,8 @@ class Program:
         if self.parts is not None:
             self.parts.check(self.states.layout, document)
         check_places(sections, ending, self.parts)
+        if silent:
+            refuse_parts(self.parts, document)
         if part:
             sections, ending = self._of_part(sections, ending)
         self.context = BuildContext(
@@ -151,7 +160,7 @@ class Program:
         # Imported here: the runner's package imports this one.
         from unicon_core.runtime.report import Monitor
 
-        self.monitor = Monitor(self.states)
+        self.monitor = Monitor(self.states, dry=silent)
         self.warn: Callable[[str], None] = print
         self._arrivals: list[Incoming] = []
         if self.parts is not None and part:
@@ -161,7 +170,7 @@ class Program:
             self.platform = self.context.platform = (
                 PartPlatform(part, self.parts.first, self._arrivals)
                 if self.parts is not None and not self.has_platform
-                else build_platform(document, self.context, dry=dry)
+                else build_platform(document, self.context, dry=dry, silent=silent)
             )
         except BaseException:  # nobody else has them yet
             for arrival in self._arrivals:
@@ -169,7 +178,7 @@ class Program:
             raise
         self.stages: dict[Stage, list[Node]] = {stage: [] for stage in Stage}
         self.gate = Gate(LastSent(self.states))
-        self.gates: list[Any] = []
+        self.gates: list[StartGate] = []
         self.command_bounds: tuple[CommandBound, ...] = ()
         self.forced: tuple[str, ...] = ()
         self._closed = False
@@ -204,7 +213,8 @@ class Program:
         recv = Block("recv", platform.recv, writes=platform.facts.writes)
         warm_up = platform.warm_up if isinstance(platform, WarmsUp) else None
         recv.warm_up = warm_ups.refresh(warm_up)
-        send = Block("send", self.gate.before(platform.send), reads=platform.facts.reads)
+        sending = self.sending = withheld(platform, self.states) if self.silent else platform.send
+        send = Block("send", self.gate.before(sending), reads=platform.facts.reads)
         stages[Stage.RECV].insert(0, recv)
         stages[Stage.SEND].append(send)
         self.blocks += self._published()
@@ -220,6 +230,10 @@ class Program:
         if isinstance(platform, RequiresStates):
             ordered = sorted(self.critical, key=lambda block: block.name)
             platform.require({state: b.name for b in ordered for state in (*b.reads, *b.amends)})
+        # Imported here: some gates are safety blocks, which import this package.
+        from unicon_core.gates.build import gates_of
+
+        self.gates += gates_of(self)
 
     def _of_part(self, sections: Sections, ending: Node | None) -> tuple[Sections, Node | None]:
         """Return what of each stage, and of the wind-down, belongs to the part that is built."""
@@ -247,7 +261,7 @@ class Program:
         if self.part and self.parts is not None:
             groups = self.parts.groups(self.part, states.layout)
             return publishers(self.parts.store, self.part, groups, states, self.stages)
-        if self.store is None or self.dry or self.parts is not None:
+        if self.store is None or self.dry or self.silent or self.parts is not None:
             return []
         return publishers(self.store, "", groups_of(states.layout), states, self.stages)
 

@@ -34,6 +34,7 @@ from unicon_core.signals import SIGNALS
 from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_msgs_map import load_map
+from unicon_msgs_map.spec import TopicSpec
 from unicon_ros import compat
 from unicon_ros.bridge.map_fit import (
     ORIENTATION,
@@ -71,6 +72,7 @@ def make(
     connect: float = 5.0,
     damping: float = DAMPING_TIME,
     relative_to: Path | None = None,
+    silent: bool = False,
 ) -> RosPlatform:
     """Build the platform and wait for the robot.
 
@@ -84,6 +86,7 @@ def make(
         connect: how long to wait for the first message of each topic in [s].
         damping: how long the last command is repeated at the end in [s], at most 0.8.
         relative_to: folder of the workflow, for a relative map path.
+        silent: receive only: nothing is published, at the end either.
 
     Raises:
         MissingDependencyError: rclpy is not installed.
@@ -96,7 +99,7 @@ def make(
     path = find_config("maps", map, error=PlatformError, relative_to=relative_to)
     own = OwnNode(node_name, namespace, ros_args)
     try:
-        platform = RosPlatform(states, robot, period, path, own, connect, damping)
+        platform = RosPlatform(states, robot, period, path, own, connect, damping, silent)
     except MissingDependencyError:
         own.close()
         raise
@@ -129,6 +132,7 @@ class RosPlatform:
         own: OwnNode,
         connect: float,
         damping: float,
+        silent: bool,
     ) -> None:
         self._states, self._robot, self._own, self._path = states, robot, own, path
         self._period, self._patience, self._damping = period, connect, damping
@@ -149,16 +153,20 @@ class RosPlatform:
             message = message_class(decoder.spec)
             if message is not None:
                 self._in.append(TopicIn(own.node, decoder, message, False, group, warn))
+        said: list[TopicSpec] = []
         for encoder in encoders:
             message, every = message_class(encoder.spec), encoder.spec.every(period)
-            if message is not None:
+            if message is None:
+                continue
+            said.append(encoder.spec)
+            if not silent:  # without a publisher nothing can be sent
                 self._out.append(TopicOut(own.node, encoder, message, every, 0, group, warn))
+        self._commands = [own.node.resolve_topic_name(spec.topic) for spec in said]
         self._needed = [topic for topic in self._in if not topic.decoder.spec.optional]
-        said = [out.spec for out in self._out]
         self._exchange = Exchange(path, states, [topic.decoder for topic in self._in], said)
         if not all(topic.polled for topic in self._in):
             raise PlatformError("this rclpy cannot be polled; use one of Humble, Jazzy or Kilted")
-        self.topics = (*(topic.topic for topic in self._in), *(out.topic for out in self._out))
+        self.topics = (*(topic.topic for topic in self._in), *self._commands)
         self._stamped = any("stamp_ns" in topic.decoder.spec.states for topic in self._in)
         self._gravity: Callable[[], None] | None = None
         if self._exchange.turned:
@@ -290,8 +298,8 @@ class RosPlatform:
         self._closed = True
         with ExitStack() as rest:  # all of it, whatever fails
             rest.callback(self._own.close)
-            for heard in self._in:
-                rest.callback(heard.close)
+            for topic in self._in:
+                rest.callback(topic.close)
             for said in self._out:
                 rest.callback(said.close)
             rest.callback(self._wait_set.close)
@@ -309,6 +317,12 @@ class RosPlatform:
         self._states["stamp_ns"][...] += round(self._period * 1e9)  # or a reader takes it for old
         for out in self._out:
             out.now()
+
+    def commanders(self) -> Mapping[str, int]:
+        """Return the topics of the commands, with the number of others that publish there."""
+        own = {out.topic for out in self._out}
+        count = self._own.node.count_publishers
+        return {topic: count(topic) - (topic in own) for topic in self._commands}
 
     def info(self) -> Mapping[str, Any]:
         """Return map, topics and what came in."""

@@ -22,6 +22,7 @@ from unicon_core.errors import UniconError
 from unicon_core.flow import Block, Stage
 from unicon_core.resources import find_config
 from unicon_core.runtime import Runner
+from unicon_core.states.standard import COMMAND_STATES
 from unicon_core.workflow import Program
 from unicon_msgs_map import Decoder, Encoder, MapStateError, load_map
 from unicon_msgs_map.spec import PublishSpec, SubscribeSpec, TopicSpec
@@ -48,6 +49,7 @@ from unicon_ros.bridge.topics_out import TopicOut
 __all__ = ["RosSession"]
 
 CLOCK = "/clock"
+COMMANDED = frozenset(COMMAND_STATES)
 
 
 class RosSession:
@@ -169,6 +171,9 @@ class RosSession:
             taken = platform.topics if isinstance(platform, RosPlatform) else ()
             if taken and self.node.resolve_topic_name(spec.topic) in taken:
                 self._skip(spec, f"platform {platform.facts.name!r} has it already")
+                continue
+            if program.silent and not COMMANDED.isdisjoint(spec.states):
+                self._skip(spec, "it tells commands, and a silent run sends none")
                 continue
             every = spec.every(program.period)
             phase = phases.get(every, 0)

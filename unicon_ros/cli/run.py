@@ -69,6 +69,12 @@ def add(commands: Any) -> None:
     parser.add_argument(
         "--yes", action="store_true", help="a robot moves once its gates hold, without being asked"
     )
+    parser.add_argument(
+        "--dry",
+        action="store_true",
+        help="run everything on the live robot and send nothing, at the end either; a simulated "
+        "robot gets limp joints",
+    )
     parser.add_argument("--quiet", action="store_true", help="no status line and no block table")
     parser.add_argument(
         "--ros-args",
@@ -148,7 +154,7 @@ def _run(
             hooks.append(picture.hook)
         if arguments.view:
             hooks.append(_viewer)
-        program = Program(document, hooks=hooks, part=arguments.part)
+        program = Program(document, hooks=hooks, part=arguments.part, silent=arguments.dry)
         guard.damp = program.damp_now
         options = RunOptions(
             duration=arguments.duration,

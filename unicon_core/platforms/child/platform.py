@@ -101,6 +101,7 @@ class ChildPlatform:
             WATCHDOG[facts.simulated] if watchdog is None else watchdog, 3.0 * period
         )
         self._due, self._rest = 0, b""
+        self._reported: Mapping[str, Any] = {}
         self._closed = self._hung = self._done = False
         self._told = True  # its end, in an error: nothing is to be told twice
         name = f"{facts.name or 'platform'}-{os.getpid()}-{id(self) & 0xFFFF:x}"
@@ -247,6 +248,11 @@ class ChildPlatform:
     def _require(self, states: Mapping[str, str]) -> None:
         self._ask("require", dict(states))
 
+    def _variant(self) -> Mapping[str, Any]:
+        if not self._reported:  # then it does not change any more
+            self._reported = self._ask("variant").get("variant", {})
+        return self._reported
+
     def info(self) -> Mapping[str, Any]:
         """Return what the child's platform told when it was built, and the process."""
         return {**self._info, "process": self.process.pid}
@@ -330,9 +336,9 @@ class ChildPlatform:
         with suppress(BrokenPipeError):  # `recv` tells of a child that has died
             self.process.stdin.write(json.dumps([what, value]).encode() + b"\n")
 
-    def _ask(self, what: str, value: object = None) -> None:
+    def _ask(self, what: str, value: object = None) -> dict[str, Any]:
         self._tell(what, value)
-        self._answer(DAMPING)
+        return self._answer(DAMPING)
 
     def close(self) -> None:
         """Let the child damp and end; kill it where it hangs. Safe to call twice.

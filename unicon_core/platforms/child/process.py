@@ -20,7 +20,14 @@ from typing import Any
 
 from unicon_core.errors import Fault, UniconError
 from unicon_core.platforms.child.platform import START
-from unicon_core.platforms.platform import Platform, Pushable, RequiresStates, Resettable, info_of
+from unicon_core.platforms.platform import (
+    Platform,
+    Pushable,
+    ReportsVariant,
+    RequiresStates,
+    Resettable,
+    info_of,
+)
 from unicon_core.states import Layout, States
 from unicon_core.states.backends.shm import Segment, ShmReader, ShmWriter
 from unicon_core.states.groups import COMMAND, MEASURED, subset
@@ -70,7 +77,12 @@ def main() -> int:
         return 1
     signal.signal(signal.SIGTERM, driver.stop)
     platform = driver.platform
-    abilities = {"reset": Resettable, "push": Pushable, "require": RequiresStates}
+    abilities: dict[str, Any] = {
+        "reset": Resettable,
+        "push": Pushable,
+        "require": RequiresStates,
+        "variant": ReportsVariant,
+    }
     status = 0
     try:
         tell(
@@ -205,6 +217,10 @@ class _Driver:
                 platform.reset()
                 platform.recv()
                 self._writer.publish()
+            elif what == "variant":
+                assert isinstance(platform, ReportsVariant)
+                tell(variant=dict(platform.variant()))
+                return
             else:
                 assert isinstance(platform, RequiresStates)
                 platform.require(value)

@@ -1,0 +1,119 @@
+"""Where the flow of a program begins, and its first command; for the approach and for preflight."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.blocks.hold import Damp, Hold
+from unicon_core.blocks.joint_command import robot_gains
+from unicon_core.blocks.pose import Pose
+from unicon_core.flow import Block, Node, Switch, Zip, children_of, compile_graph
+from unicon_core.flow.nodes import chooser_of
+from unicon_core.flow.stage import Stage
+from unicon_core.policies.controller import controller_contract
+from unicon_core.robots import joint_index
+
+if TYPE_CHECKING:
+    from unicon_core.workflow import Program
+
+__all__ = ["Target", "beginning", "first_command"]
+
+Float = NDArray[np.float32]
+TARGET = "joint_pos_target"
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """Where joints are to be and how stiffly, in the robot's order, each of shape (n,).
+
+    Attributes:
+        joint_pos: in [rad].
+        stiffness: in [N·m/rad].
+        damping: in [N·m·s/rad].
+        source: who says so, for messages.
+    """
+
+    joint_pos: Float
+    stiffness: Float
+    damping: Float
+    source: str
+
+
+def beginning(program: Program) -> Target:
+    """Return where the flow of a program begins, from the present states on.
+
+    A controller begins at its default pose with its gains; joints that it does not know stay where
+    they were measured, with the robot file's. `pose` and `hold` begin wherever the robot is, and
+    `damp` without stiffness. Of any other block it is the first command.
+
+    Args:
+        program: whose platform has been received from.
+
+    Raises:
+        Fault: what the flow raises when it is asked for its first command.
+        RobotError: the robot file lacks a gain that is needed.
+    """
+    block = next((found for node in program.stages[Stage.FLOW] if (found := _acting(node))), None)
+    robot, measured = program.robot, np.array(program.states["joint_pos"])
+    if block is None or isinstance(block.tick, (Pose, Hold, Damp)):
+        stiffness, damping = robot_gains(robot, "start")
+        if block is not None and isinstance(block.tick, Damp):
+            stiffness = np.zeros_like(stiffness)
+        where = "the measured posture" + (f", where {block.name!r} begins" if block else "")
+        return Target(measured, stiffness, damping, where)
+    contract = controller_contract(block)
+    if contract is None:
+        return first_command(program)
+    stiffness, damping = robot_gains(robot, "start")
+    own = joint_index(contract.joints, robot.joint_names)
+    for gains, key in ((stiffness, "stiffness"), (damping, "damping")):
+        said = getattr(contract, key, None)  # a policy says its gains, other controllers need not
+        if said is not None:
+            gains[own] = said
+    default = np.asarray(contract.default_joint_pos, np.float32)
+    measured[own] = np.where(np.isnan(default), measured[own], default)
+    return Target(measured, stiffness, damping, f"the default pose of {contract.name!r}")
+
+
+def first_command(program: Program) -> Target:
+    """Return the first command that the flow would send from the present states on.
+
+    The flow and the safety blocks are evaluated once and made fresh again, and all states are put
+    back; nothing is sent. What a block keeps without a `reset` it has kept once more.
+
+    Args:
+        program: whose platform has been received from; between two ticks.
+
+    Raises:
+        Fault: a block raised it.
+    """
+    stages, states = program.stages, program.states
+    acting = [node for s in (Stage.COMMAND, Stage.FLOW, Stage.SAFETY) for node in stages[s]]
+    graph = compile_graph(Zip(*acting))
+    before = states.snapshot()
+    try:
+        graph.step()
+        commands = (TARGET, "joint_stiffness", "joint_damping")
+        target, stiffness, damping = (np.array(states[name]) for name in commands)
+    finally:
+        states.restore(before)
+        graph.reset()
+    return Target(target, stiffness, damping, "the flow's first command")
+
+
+def _acting(node: Node) -> Block | None:
+    """Return the block that is the first to give targets, None where none does."""
+    if isinstance(node, Block):
+        return node if TARGET in (*node.writes, *node.amends) else None
+    if isinstance(node, Switch):
+        chosen = node.index(node.selector.tick())
+        if node.selector.reset is not None:
+            node.selector.reset()
+        return _acting(node.children[chosen])
+    chooser = chooser_of(node)
+    children = (child for child in children_of(node) if child is not chooser)
+    return next((found for child in children if (found := _acting(child))), None)

@@ -1,0 +1,114 @@
+"""`gates_of`: the gates of a program, made of what its platform tells."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from unicon_core.blocks.safety.ranges import RangeStop
+from unicon_core.blocks.safety.stops import TiltStop
+from unicon_core.blocks.safety.stuck import ImuStop, imu_stop
+from unicon_core.bounds import POSITION
+from unicon_core.flow import blocks_of
+from unicon_core.flow.stage import Stage
+from unicon_core.gates.data import Changing, Rate, Told
+from unicon_core.gates.gate import Heeding, Passing, StartGate
+from unicon_core.gates.imu import Imu
+from unicon_core.gates.standing import NoCommand, Variant
+from unicon_core.platforms.platform import CountsArrivals, ReportsVariant
+from unicon_core.states.standard import JOINT_STATES
+
+if TYPE_CHECKING:
+    from unicon_core.workflow import Program
+
+__all__ = ["gates_of"]
+
+MARGIN = 0.05
+"""How far beyond its limits a joint may be measured at the start, [rad]: encoders have offsets."""
+TILT = 1.0
+"""The tilt of a robot that walks, where no `tilt_stop` says one, [rad]."""
+
+IMU = ("base_quat", "projected_gravity", "base_ang_vel", "base_lin_acc")
+
+
+def gates_of(program: Program) -> list[StartGate]:
+    """Return the gates of a program, each for what its platform tells.
+
+    None where the program says so (`start: {gates: false}`), where the robot is in another part,
+    and for a batch, which only simulators have.
+
+    Args:
+        program: whose platform, stages and critical blocks are there.
+    """
+    if not program.start.gates or not program.has_platform or program.states.num_robots is not None:
+        return []
+    gates = _gates(program)
+    return [Passing(gate) for gate in gates] if program.platform.facts.simulated else gates
+
+
+def _gates(program: Program) -> list[StartGate]:
+    states, robot, platform = program.states, program.robot, program.platform
+    period, facts = program.period, platform.facts
+    source = f"platform {facts.name!r}"
+    early = (*program.stages[Stage.RECV], *program.stages[Stage.ESTIMATE])
+    measured = {name for node in early for block in blocks_of(node) for name in block.writes}
+    readers = {
+        state: block.name
+        for block in sorted(program.critical, key=lambda block: block.name)
+        for state in (*block.reads, *block.amends)
+        if state in facts.writes and states[state].dtype.kind == "f"
+    }
+    told = {name: states[name] for name in (*IMU, *JOINT_STATES) if name in measured}
+    gates: list[StartGate] = []
+    if readers:
+        gates.append(Told(states, readers, source))
+    promised = robot.transport.get("rate_hz")
+    rate = float(promised) if isinstance(promised, (int, float)) and promised > 0 else None
+    if isinstance(platform, CountsArrivals):
+        gates.append(Rate(platform.arrivals, period, rate, source))
+    elif "stamp_ns" in facts.writes:
+        gates.append(Rate(states["stamp_ns"].item, period, rate, source))
+    imu = {name: told[name] for name in IMU if name in told}
+    joints = [told[name] for name in JOINT_STATES if name in told]
+    if imu and joints:
+        gates.append(Changing([*imu.values()], joints, told.get("joint_vel"), period))
+    if imu:
+        gates.append(Imu(imu, readers, period, _imu_stop(program, told)))
+    if "joint_pos" in told:
+        lower = np.nan_to_num(robot.lower, nan=-POSITION) - np.float32(MARGIN)
+        upper = np.nan_to_num(robot.upper, nan=POSITION) + np.float32(MARGIN)
+        gates.append(
+            Heeding(
+                "posture",
+                f"every joint is within its limits, or {MARGIN} rad beyond",
+                RangeStop(states, robot, {"joint_pos": (lower, upper)}),
+                f"move it there by hand, calibrate its encoder, or correct {robot.path.name}",
+            )
+        )
+    gates += _tilt(program, told)
+    if isinstance(platform, ReportsVariant):
+        gates.append(Variant(platform.variant, robot))
+    if program.command_bounds:
+        gates.append(NoCommand(states["velocity_command"]))
+    return gates
+
+
+def _imu_stop(program: Program, told: dict[str, np.typing.NDArray[np.float32]]) -> ImuStop | None:
+    needs = ("base_quat", "base_ang_vel", "projected_gravity", "joint_pos")
+    if any(name not in told for name in needs):
+        return None
+    quat, gyro, gravity, joints = (told[name] for name in needs)
+    return imu_stop(quat, gyro, gravity, joints, period=program.period)
+
+
+def _tilt(program: Program, told: dict[str, np.typing.NDArray[np.float32]]) -> list[StartGate]:
+    """The workflow's own `tilt_stop`, or that of a robot that walks."""
+    stops = [block.tick for block in program.blocks if isinstance(block.tick, TiltStop)]
+    if not stops and program.robot.walks and "projected_gravity" in told:
+        stops = [TiltStop(told["projected_gravity"], TILT)]
+    remedy = "set the robot upright, or correct the IMU's axes"
+    return [
+        Heeding("tilt", "the base leans no more than it may in the run", stop, remedy)
+        for stop in stops[:1]
+    ]

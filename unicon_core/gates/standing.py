@@ -1,0 +1,72 @@
+"""Gates on how things stand: the robot's variant, and that nobody commands it to move."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.errors import Fault
+from unicon_core.robots import Robot
+
+__all__ = ["NoCommand", "Variant"]
+
+
+class Variant:
+    """Gate `variant`: the robot says of itself what the robot file says of it.
+
+    Args:
+        told: what the robot reports, as of `ReportsVariant`.
+        robot: the robot file.
+    """
+
+    name = "variant"
+
+    def __init__(self, told: Callable[[], Mapping[str, Any]], robot: Robot) -> None:
+        self._told, self._robot = told, robot
+        self.about = f"what the robot reports of itself is what {robot.path.name} says"
+
+    def __call__(self) -> str:
+        """Compare.
+
+        Raises:
+            Fault: it is another variant.
+        """
+        told = self._told()
+        if not told:
+            return "the robot has not reported its variant yet; see whether its driver is on"
+        for key, value in told.items():
+            expected = self._robot.transport.get(key)
+            if expected is not None and value != expected:
+                raise Fault(
+                    f"the robot reports {key} {value!r}, and {self._robot.path.name} is of "
+                    f"{key} {expected!r}: limits, gains and joints may be others; choose the "
+                    "robot file of this variant"
+                )
+        return ""
+
+
+class NoCommand:
+    """Gate `command`: the velocity command is zero.
+
+    Args:
+        command: vx, vy [m/s] and wz [rad/s], shape (..., 3).
+    """
+
+    name = "command"
+    about = "velocity_command is zero"
+
+    def __init__(self, command: NDArray[Any]) -> None:
+        self._command = command
+
+    def __call__(self) -> str:
+        """Look."""
+        if not self._command.any():
+            return ""
+        vx, vy, wz = np.round(self._command.reshape(-1, 3)[0].astype(float), 3).tolist()
+        return (
+            f"velocity_command is vx {vx:g} m/s, vy {vy:g} m/s, wz {wz:g} rad/s, and a robot "
+            "begins at zero; let go of the stick, or stop whoever publishes it"
+        )
