@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Literal, Protocol
 
 from unicon_core.errors import Fault, PlatformError, UniconError
+from unicon_core.flow.compiler import CompiledGraph
 from unicon_core.platforms.platform import Resettable, WaitsForData
 from unicon_core.runtime.pacing import prepare_process, process_age_s
 from unicon_core.runtime.phases import WIND_DOWN, Phase
@@ -62,6 +63,7 @@ class Runner:
         statistics: of the run's ticks.
         faults: what went wrong, one line each; the first is why the run ended.
         traceback: where the first fault came from, if it was no `Fault`; else "".
+        at_fault: called where a fault ends the ticks, before the platform damps: microseconds.
         interrupted: a signal ended the run.
 
     Raises:
@@ -88,6 +90,7 @@ class Runner:
         self.pacing, self.period_ns = program.pacing, self._run.period_ns
         self.faults: list[str] = []
         self.traceback = ""
+        self.at_fault: list[Callable[[], object]] = []
         self.interrupted = False
         self._hurry = False
         self._closed = False
@@ -96,6 +99,11 @@ class Runner:
         self._started_ns = 0
         self._age_s: float | None = None
         self._ended_ns = 0
+
+    def graphs(self) -> dict[str, CompiledGraph]:
+        """Return the compiled ticks by phase."""
+        tickers = {"run": self._run, "wind-down": self._ending}
+        return {name: each.graph for name, each in tickers.items() if each is not None}
 
     @property
     def next_due_ns(self) -> int:
@@ -192,6 +200,8 @@ class Runner:
                     self._wind_down()
                 except BaseException as error:  # whatever it is, no further command is sent
                     fault = error
+                    for act in self.at_fault:
+                        act()
                 self._ended_ns = self._ended_ns or time.perf_counter_ns()
                 before = len(self.faults)
                 self._close()
