@@ -8,8 +8,9 @@ meaning of each node is said in `nodes.py`; an interpreter of the tree is the re
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from types import CellType, FunctionType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +27,7 @@ from unicon_core.flow.nodes import (
     Zip,
     children_of,
 )
-from unicon_core.flow.scope import Lines, Scope, indent
+from unicon_core.flow.scope import LABEL, Lines, Scope, indent
 
 __all__ = ["CompiledGraph", "compile_graph"]
 
@@ -57,6 +58,41 @@ class CompiledGraph:
     blocks: tuple[Block, ...]
     deferred_blocks: frozenset[int]
     stamps: NDArray[np.int64]
+
+    def memory(self) -> dict[str, int]:
+        """Return the variables that live from tick to tick: where chains and switches are."""
+        return {name: cell.cell_contents for name, cell in self._counters().items()}
+
+    def restore(self, memory: Mapping[str, int]) -> None:
+        """Go on where another graph of the same tree was, between two ticks.
+
+        Raises:
+            ValueError: it is of another tree.
+        """
+        counters = self._counters()
+        if set(memory) != set(counters):
+            raise ValueError("the flow is another one")
+        for name, cell in counters.items():
+            cell.cell_contents = memory[name]
+
+    def _counters(self) -> dict[str, CellType]:
+        """Return the generated functions' own variables: all else that they enclose are objects."""
+        found: dict[str, CellType] = {}
+        todo: list[object] = [self.step, self.deferred, self.reset]
+        seen: set[int] = set()
+        while todo:
+            function = todo.pop()
+            if not isinstance(function, FunctionType) or id(function) in seen:
+                continue
+            if function.__code__.co_filename != LABEL:
+                continue
+            seen.add(id(function))
+            for name, cell in zip(function.__code__.co_freevars, function.__closure__ or ()):
+                if type(cell.cell_contents) is int:
+                    found[name] = cell
+                else:
+                    todo.append(cell.cell_contents)
+        return found
 
 
 def compile_graph(root: Node, *, trace: bool = False) -> CompiledGraph:

@@ -9,9 +9,12 @@ from typing import Any, TypeAlias
 
 from unicon_core.generated import define
 
-__all__ = ["Lines", "Scope", "indent"]
+__all__ = ["LABEL", "Lines", "Scope", "indent"]
 
 Lines: TypeAlias = list[str]
+
+LABEL = "<unicon graph>"
+"""What Python calls generated code in a trace."""
 
 _WORD = re.compile(r"(?<![\w.])[A-Za-z_]\w*")
 
@@ -89,7 +92,7 @@ class Scope:
         for name, body in self.functions:
             lines += [f"    def {name}():", *indent([*nonlocals, *(body or ["pass"])], 2)]
         source = "\n".join([*lines, f"    return {', '.join(exported)}", ""])
-        namespace = define(source, {}, "<unicon graph>")
+        namespace = define(source, {}, LABEL)
         return source, namespace["build"](**self.names)
 
 

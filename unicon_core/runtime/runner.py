@@ -14,6 +14,7 @@ from typing import Any, Literal, Protocol
 from unicon_core.blocks.approach import Approach
 from unicon_core.errors import Fault, PlatformError, UniconError
 from unicon_core.flow import Deferred, Node, Zip, as_block
+from unicon_core.flow.compiler import CompiledGraph
 from unicon_core.gates.beginning import beginning
 from unicon_core.platforms.platform import Resettable, WaitsForData
 from unicon_core.runtime.damp import Damp
@@ -71,6 +72,7 @@ class Runner:
         statistics: of the run's ticks.
         faults: what went wrong, one line each; the first is why the run ended.
         traceback: where the first fault came from, if it was no `Fault`; else "".
+        at_fault: called where a fault ends the ticks, before the platform damps: microseconds.
         interrupted: a signal ended the run.
 
     Raises:
@@ -100,6 +102,7 @@ class Runner:
         self.pacing, self.period_ns = program.pacing, self._run.period_ns
         self.faults: list[str] = []
         self.traceback = ""
+        self.at_fault: list[Callable[[], object]] = []
         self.interrupted = False
         self._hurry = False
         self._closed = False
@@ -108,6 +111,11 @@ class Runner:
         self._started_ns = 0
         self._age_s: float | None = None
         self._ended_ns = 0
+
+    def graphs(self) -> dict[str, CompiledGraph]:
+        """Return the compiled ticks by phase."""
+        tickers = {"run": self._run, "wind-down": self._ending}
+        return {name: each.graph for name, each in tickers.items() if each is not None}
 
     @property
     def next_due_ns(self) -> int:
@@ -222,6 +230,8 @@ class Runner:
                     self._wind_down()
                 except BaseException as error:  # whatever it is, only damping is sent from now on
                     fault = error
+                    for act in self.at_fault:
+                        act()
                 self._ended_ns = self._ended_ns or time.perf_counter_ns()
                 before = len(self.faults)
                 self._damped(well=fault is None and not SIGNALS.asked)

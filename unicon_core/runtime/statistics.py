@@ -145,12 +145,20 @@ class TickStatistics:
         return "\n".join(lines)
 
     def write_trace(self, path: str | Path, process: str) -> None:
-        """Write the kept ticks as Chrome trace JSON, which Perfetto opens.
+        """Write the kept ticks as Chrome trace JSON, which Perfetto opens."""
+        Path(path).write_text(self.trace(process), encoding="utf-8")
+
+    def trace(self, process: str, last: int = 0) -> str:
+        """Return the kept ticks as Chrome trace JSON.
 
         Source of the format: Chrome's "Trace Event Format", complete events (`ph: X`, times in µs).
+
+        Args:
+            process: what is said to have run.
+            last: so many ticks at most; 0 for all.
         """
-        starts, ends = self._spans()
-        rows = self.kept()
+        starts, ends = (each[-last:] for each in self._spans())
+        rows = self.kept()[-last:]
         origin = int(rows[0, 2]) if len(rows) else 0
         events: list[dict[str, Any]] = [
             {"ph": "M", "pid": 1, "tid": 1, "name": "process_name", "args": {"name": process}},
@@ -168,5 +176,4 @@ class TickStatistics:
             for i, name in enumerate(self.names):
                 if ends[tick, i]:
                     events.append(span(name, int(starts[tick, i]), int(ends[tick, i])))
-        text = json.dumps({"traceEvents": events, "displayTimeUnit": "ns"})
-        Path(path).write_text(text, encoding="utf-8")
+        return json.dumps({"traceEvents": events, "displayTimeUnit": "ns"})

@@ -99,6 +99,7 @@ class Program:
         states: all states.
         platform: the built platform.
         blocks: all blocks in order of building, for closing.
+        outside: those of `blocks` that hooks gave.
         stages: the nodes of each stage, as they were given.
         root: the whole tree of a tick: what the command does not depend on is put off, and
             neighbouring copies are fused.
@@ -166,6 +167,7 @@ class Program:
         if self.parts is not None and part:
             self._arrivals = self.parts.incoming(part, self.states, self.tell)
         self.blocks: list[Block] = []
+        self.outside: list[Block] = []
         try:
             self.platform = self.context.platform = (
                 PartPlatform(part, self.parts.first, self._arrivals)
@@ -208,6 +210,7 @@ class Program:
         for hook in hooks:  # one by one: what a hook has opened is closed when the next one fails
             for stage, blocks in hook(self).items():
                 self.blocks += blocks
+                self.outside += blocks
                 stages[stage] += blocks
         self._bound_commands()
         recv = Block("recv", platform.recv, writes=platform.facts.writes)

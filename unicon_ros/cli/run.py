@@ -9,6 +9,7 @@ import threading
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from unicon_core.errors import UniconError
@@ -55,6 +56,12 @@ def add(commands: Any) -> None:
         "--part", metavar="NAME", default="", help="run one part of a workflow that has parts"
     )
     parser.add_argument("--record", metavar="FILE.mcap", help="record the states' messages")
+    parser.add_argument(
+        "--faults",
+        metavar="DIR",
+        help="where the record of a fault goes, or off (default: $UNICON_FAULTS, else "
+        "~/.local/state/unicon/faults)",
+    )
     parser.add_argument("--trace", metavar="FILE.json", help="write every block of every tick")
     parser.add_argument("--report", metavar="FILE.json", help="write the report")
     parser.add_argument("--picture", metavar="FILE.png", help="draw path, velocities and joints")
@@ -113,6 +120,7 @@ class _Ended:
     picture: Any
     recording: Any
     session: Any
+    fault: Path | None
 
 
 def _run(
@@ -121,6 +129,7 @@ def _run(
     from unicon_core.check import refuse_errors
     from unicon_core.runtime import Runner, RunOptions
     from unicon_core.workflow import Program
+    from unicon_ros.fault_record import FaultRecord
 
     hooks: list[Hook] = []
     with_ros = document.get("ros", bool, False) if arguments.ros is None else arguments.ros
@@ -154,6 +163,8 @@ def _run(
             hooks.append(picture.hook)
         if arguments.view:
             hooks.append(_viewer)
+        record = FaultRecord(arguments.faults, console.warn)
+        hooks.append(record.hook)  # the last one: it looks behind the others
         program = Program(document, hooks=hooks, part=arguments.part, silent=arguments.dry)
         guard.damp = program.damp_now
         options = RunOptions(
@@ -171,6 +182,7 @@ def _run(
                 session.attach(runner)
             if runner.asks:
                 _listen(runner, session is not None)
+            record.attach(runner)
             SIGNALS.check()
         except BaseException:
             program.close()
@@ -181,11 +193,12 @@ def _run(
             report.bridge = session.counts()
         if recording is not None:
             report.extra["recording"] = recording.counts()
+        fault = record.write(report)
     except BaseException:
         if session is not None:
             session.close()
         raise
-    return _Ended(report, runner, picture, recording, session)
+    return _Ended(report, runner, picture, recording, session, fault)
 
 
 def _listen(runner: Runner, with_ros: bool) -> None:
@@ -281,6 +294,8 @@ def _write(arguments: argparse.Namespace, ended: _Ended) -> tuple[list[str], lis
             )
         except UniconError as error:
             problems.append(str(error))
+    if ended.fault is not None:
+        written.append(f"fault record  {ended.fault}")
     if ended.recording is not None:
         written.append(f"recording     {ended.recording.summary()}")
     return written, problems

@@ -24,6 +24,7 @@ from unicon_ros.recording.records import (
     Chunk,
     chunk_head,
     header,
+    index_of,
     message_indexes,
     summary,
 )
@@ -64,6 +65,7 @@ class McapFile:
         self._schemas: list[bytes] = []
         self._channels: list[bytes] = []
         self._chunks: list[Chunk] = []
+        self._others: list[bytes] = []
         # Names are looked up in this folder even if it is moved or its path is taken away.
         self._folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
         self._file = -1
@@ -91,11 +93,17 @@ class McapFile:
             os.fsync(self._folder)
 
     def adopt(
-        self, size: int, schemas: Sequence[bytes], channels: Sequence[bytes], chunks: list[Chunk]
+        self,
+        size: int,
+        schemas: Sequence[bytes],
+        channels: Sequence[bytes],
+        chunks: list[Chunk],
+        others: Sequence[bytes],
     ) -> None:
         """Go on with what stands there up to `size`; the rest is cut away."""
         self._cut(size)
         self._schemas, self._channels, self._chunks = list(schemas), list(channels), chunks
+        self._others = list(others)
         self.messages = sum(sum(chunk.counts.values()) for chunk in chunks)
 
     def add(self, channel: Channel) -> None:
@@ -104,6 +112,12 @@ class McapFile:
         self._append([schema, described])
         self._schemas.append(schema)
         self._channels.append(described)
+
+    def add_record(self, written: bytes) -> None:
+        """Add an attachment or metadata, as of `records.attachment` and `records.metadata`."""
+        entry = index_of(written, self.size)
+        self._append([written])
+        self._others.append(entry)
 
     def write(self, records: Buffer, rows: NDArray[np.void]) -> None:
         """Write messages as one chunk; after an error the file ends as before.
@@ -146,7 +160,8 @@ class McapFile:
         try:
             while True:
                 try:
-                    self._append([summary(self.size, self._schemas, self._channels, self._chunks)])
+                    kinds = self._schemas, self._channels, self._chunks, self._others
+                    self._append([summary(self.size, *kinds)])
                     os.fsync(self._file)
                     break
                 except OSError as error:

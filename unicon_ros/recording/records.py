@@ -7,6 +7,7 @@ and a tick costs no compression.
 from __future__ import annotations
 
 import struct
+import zlib
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -21,17 +22,21 @@ __all__ = [
     "ROW",
     "Channel",
     "Chunk",
+    "attachment",
     "chunk_head",
     "chunk_index",
     "header",
+    "index_of",
     "message_indexes",
+    "metadata",
     "summary",
 ]
 
 MAGIC = b"\x89MCAP0\r\n"
 
 HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = range(1, 9)
-STATISTICS, SUMMARY_OFFSET, DATA_END = 0x0B, 0x0E, 0x0F
+ATTACHMENT, ATTACHMENT_INDEX, STATISTICS, METADATA, METADATA_INDEX = range(9, 14)
+SUMMARY_OFFSET, DATA_END = 0x0E, 0x0F
 
 MESSAGE_HEAD = struct.Struct("<BQHIQQ")
 """Opcode, length, channel, sequence, log time and publish time in [ns]; the bytes follow."""
@@ -157,8 +162,50 @@ def chunk_index(chunk: Chunk) -> bytes:
     return record(CHUNK_INDEX, content)
 
 
+def attachment(name: str, media_type: str, stamp_ns: int, data: bytes) -> bytes:
+    """Return the record of a file that goes along, such as a trace."""
+    content = struct.pack("<QQ", stamp_ns, stamp_ns) + _text(name) + _text(media_type)
+    content += struct.pack("<Q", len(data)) + data
+    return record(ATTACHMENT, content + struct.pack("<I", zlib.crc32(content)))
+
+
+def metadata(name: str, values: Mapping[str, str]) -> bytes:
+    """Return the record of facts under a name."""
+    return record(METADATA, _text(name) + _map(values))
+
+
+def index_of(written: bytes, position: int) -> bytes:
+    """Return the entry in the summary of an attachment or metadata record.
+
+    Args:
+        written: the record.
+        position: where it stands in the file.
+
+    Raises:
+        struct.error: it is not whole.
+    """
+    place = struct.pack("<QQ", position, len(written))
+    if written[0] == METADATA:
+        return record(METADATA_INDEX, place + _texts(written, 9, 1)[0])
+    names, after = _texts(written, 25, 2)
+    size = struct.pack("<Q", *struct.unpack_from("<Q", written, after))
+    return record(ATTACHMENT_INDEX, place + written[9:25] + size + names)
+
+
+def _texts(raw: bytes, at: int, count: int) -> tuple[bytes, int]:
+    """Return texts as they stand in a record, and where they end."""
+    begin = at
+    for _ in range(count):
+        at += 4 + int(struct.unpack_from("<I", raw, at)[0])
+    return raw[begin:at], at
+
+
 def summary(
-    start: int, schemas: Sequence[bytes], channels: Sequence[bytes], chunks: Sequence[Chunk]
+    start: int,
+    schemas: Sequence[bytes],
+    channels: Sequence[bytes],
+    chunks: Sequence[Chunk],
+    others: Sequence[bytes] = (),
 ) -> bytes:
     """Return all that stands behind the last chunk, the closing magic included.
 
@@ -166,13 +213,17 @@ def summary(
         start: where it will stand in the file.
         schemas, channels: the records of the file.
         chunks: of the file.
+        others: entries of attachments and metadata, see `index_of`.
     """
+    attachments = [entry for entry in others if entry[0] == ATTACHMENT_INDEX]
+    described = [entry for entry in others if entry[0] == METADATA_INDEX]
     counts: Counter[int] = Counter()
     for chunk in chunks:
         counts.update(chunk.counts)
     statistics = struct.pack(
         "<QHIIIIQQI",
-        *(counts.total(), len(schemas), len(channels), 0, 0, len(chunks)),
+        *(counts.total(), len(schemas), len(channels)),
+        *(len(attachments), len(described), len(chunks)),
         min((chunk.first for chunk in chunks), default=0),
         max((chunk.last for chunk in chunks), default=0),
         10 * len(counts),
@@ -184,6 +235,8 @@ def summary(
         (SCHEMA, schemas),
         (CHANNEL, channels),
         (CHUNK_INDEX, [chunk_index(chunk) for chunk in chunks]),
+        (ATTACHMENT_INDEX, attachments),
+        (METADATA_INDEX, described),
         (STATISTICS, [record(STATISTICS, statistics)]),
     ):
         group = b"".join(records)

@@ -18,6 +18,7 @@ import numpy as np
 from unicon_core.errors import UniconError
 from unicon_ros.recording.mcap_file import McapFile, Taken
 from unicon_ros.recording.records import (
+    ATTACHMENT,
     CHANNEL,
     CHUNK,
     CHUNK_HEAD,
@@ -25,9 +26,11 @@ from unicon_ros.recording.records import (
     MAGIC,
     MESSAGE,
     MESSAGE_HEAD,
+    METADATA,
     ROW,
     SCHEMA,
     Chunk,
+    index_of,
     message_indexes,
 )
 
@@ -35,6 +38,8 @@ __all__ = ["recover", "salvage"]
 
 LONGEST = 1 << 30
 """No record of ours is longer; a length beyond is rubble of a power loss."""
+
+_OURS = (HEADER, SCHEMA, CHANNEL, CHUNK, ATTACHMENT, METADATA)
 
 
 def salvage(file: McapFile) -> None:
@@ -49,13 +54,14 @@ def salvage(file: McapFile) -> None:
     schemas: list[bytes] = []
     channels: list[bytes] = []
     chunks: list[Chunk] = []
+    others: list[bytes] = []
     whole = 0
     while True:
         head = file.read(9, position)
         if len(head) < 9:
             break
         opcode, length = struct.unpack("<BQ", head)
-        if opcode not in (HEADER, SCHEMA, CHANNEL, CHUNK) or length > LONGEST:
+        if opcode not in _OURS or length > LONGEST:
             break
         record = file.read(9 + length, position)
         if len(record) < 9 + length:
@@ -66,13 +72,18 @@ def salvage(file: McapFile) -> None:
                 break
             chunks.append(chunk)
             position += chunk.indexes_length
+        elif opcode in (ATTACHMENT, METADATA):
+            try:
+                others.append(index_of(record, position))
+            except struct.error:
+                break
         elif opcode != HEADER:
             (schemas if opcode == SCHEMA else channels).append(record)
         position += len(record)
         whole = position
     if not whole:
         raise ValueError
-    file.adopt(whole, schemas, channels, chunks)
+    file.adopt(whole, schemas, channels, chunks, others)
 
 
 def _chunk(file: McapFile, record: bytes, start: int) -> Chunk | None:

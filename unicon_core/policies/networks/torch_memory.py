@@ -10,6 +10,8 @@ from __future__ import annotations
 import copy
 from typing import Any
 
+import numpy as np
+
 __all__ = ["TorchMemory"]
 
 
@@ -75,6 +77,39 @@ class TorchMemory:
             for _, kept, initial in self._in_place:
                 kept.copy_(initial)
             self._kept = [copy.deepcopy(value) for _, _, value in self._set]
+
+    def memory(self) -> Any:
+        """Return what is kept, as arrays; `restore` takes it back."""
+        fixed = [kept.detach().cpu().numpy().copy() for _, kept, _ in self._in_place]
+        return [fixed, [_plain(self._torch, value) for value in self._kept]]
+
+    def restore(self, memory: Any) -> None:
+        """Keep what another one did."""
+        fixed, kept = memory
+        with self._torch.inference_mode():
+            for (_, tensor, _), values in zip(self._in_place, fixed):
+                tensor.copy_(self._torch.from_numpy(values))
+        self._kept = [_tensors(self._torch, value) for value in kept]
+
+
+def _plain(torch: Any, value: Any) -> Any:
+    if isinstance(value, torch.Tensor):
+        return value.detach().cpu().numpy().copy()
+    if isinstance(value, (list, tuple)):
+        return type(value)(_plain(torch, each) for each in value)
+    if isinstance(value, dict):
+        return {key: _plain(torch, each) for key, each in value.items()}
+    return value
+
+
+def _tensors(torch: Any, value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return torch.from_numpy(value.copy())
+    if isinstance(value, (list, tuple)):
+        return type(value)(_tensors(torch, each) for each in value)
+    if isinstance(value, dict):
+        return {key: _tensors(torch, each) for key, each in value.items()}
+    return value
 
 
 def _written(module: Any) -> dict[tuple[str, ...], bool]:

@@ -1,0 +1,245 @@
+"""TickRing: the last ticks to the bit, in memory, for a record of why a run was cut off.
+
+A tick is kept as the whole buffer of the states at each *moment* at which something came from
+outside, and at its end: `received` (behind recv), `input` and `tuned` (behind blocks that a hook
+put into these stages), `sent` (behind send and all that was put off). With what the blocks
+remembered before a tick, everything between two moments follows from the first one.
+"""
+
+from __future__ import annotations
+
+import struct
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from unicon_core.flow import Block, Node, Stage, Switch
+from unicon_core.flow.nodes import children_of
+from unicon_core.memory import Memory, Remembered
+from unicon_core.runtime.phases import Phase
+
+if TYPE_CHECKING:
+    from unicon_core.runtime.runner import Runner
+    from unicon_core.workflow import Program
+
+__all__ = ["HEAD", "PHASES", "KeptMemory", "TickRing"]
+
+KEPT_S = 10.0
+"""Of ticks that are kept at least in [s]; up to half as much more, since it begins at a memory."""
+STRIDES = 2
+"""Memories that are taken in that time."""
+LARGEST = 64 << 20
+"""Bytes of a ring; with larger states it goes back less far."""
+FEWEST = 16
+"""Ticks; where not even so many have room nothing is kept."""
+
+HEAD = struct.Struct("<4sqqII")
+"""What a kept tick begins with: the head of CDR, time [ns], number, phase, 1 where it has ended."""
+_CDR = bytes((0, 1, 0, 0))
+_ENDED_AT = 24
+
+PHASES = tuple(Phase)
+"""The phases in the order of their numbers."""
+
+
+@dataclass(frozen=True)
+class KeptMemory:
+    """What the blocks remembered before a tick.
+
+    Attributes:
+        row: number of the tick, counted from the first one that was kept in the run.
+        anew: it was not what the tick before had left: the flow was reset.
+        remembered: the memory.
+    """
+
+    row: int
+    anew: bool
+    remembered: Remembered
+
+
+class TickRing:
+    """Keeps the last ticks of a program; its blocks are a hook's.
+
+    Args:
+        program: whose hooks before have given their blocks already.
+
+    Attributes:
+        moments: names of what is kept of a tick, in order.
+        capacity: ticks; 0 where the states are too large.
+        row_bytes: of a tick: `HEAD`, then the states at each moment.
+        rows: ticks that were kept since the beginning.
+        trouble: why memories are missing, or "".
+    """
+
+    def __init__(self, program: Program) -> None:
+        states = program.states
+        self._program, self._states = program, states.buffer.data.cast("B")
+        self._tick = states["tick"].reshape(-1)
+        self._stamp = states["stamp_ns"].reshape(-1) if program.platform.facts.simulated else None
+        given = [stage for stage in (Stage.INPUT, Stage.TUNE) if program.stages[stage]]
+        names = {Stage.INPUT: "input", Stage.TUNE: "tuned"}
+        self.moments = ("received", *(names[stage] for stage in given), "sent")
+        self._given = given
+        self._size = states.layout.nbytes
+        self.row_bytes = HEAD.size + len(self.moments) * self._size
+        stride = max(round(KEPT_S / STRIDES / program.period), 1)
+        self._stride = min(stride, LARGEST // self.row_bytes // (STRIDES + 1))
+        self.capacity = self._stride * (STRIDES + 1)
+        if self.capacity < FEWEST:
+            self.capacity = 0
+        self.rows = 0
+        self.trouble = ""
+        # Written once, so that no page of it is new to a tick.
+        self._data = memoryview(np.full(self.capacity * self.row_bytes, 0xFF, np.uint8).data)
+        self._at = 0  # of the present row
+        self._open = self._anew = self._frozen = False
+        self._runner: Runner | None = None
+        self._phase, self._phase_number = PHASES[0], 0
+        self._memory: Memory | None = None
+        self._memories: deque[KeptMemory] = deque(maxlen=STRIDES + 2)
+
+    def blocks(self) -> dict[Stage, list[Block]]:
+        """Return the blocks that keep the ticks; none where there is no room."""
+        if not self.capacity:
+            return {}
+        received = Block("ring received", self._received, endless=True, reset=self._was_reset)
+        stages = {Stage.RECV: [received]}
+        for number, stage in enumerate(self._given, 1):
+            take = self._taker(number)
+            stages[stage] = [Block(f"ring {self.moments[number]}", take, endless=True)]
+        return stages | {Stage.OBSERVE: [Block("ring", self._sent, endless=True)]}
+
+    def attach(self, runner: Runner) -> None:
+        """Get to know the runner, and what its blocks remember, before the first tick."""
+        self._runner = runner
+        if not self.capacity:
+            return
+        try:
+            self._memory = memory_of(self._program, runner)
+        except Exception as error:  # a block of somebody's, which cannot be looked into
+            self.trouble = f"what the blocks remember was not kept: {error!r}"
+        self._remember(False)
+        runner.at_fault.append(self.freeze)
+
+    # -- in the tick ----------------------------------------------------------------------------
+
+    def _received(self) -> None:
+        if self._anew:
+            self._anew = False
+            self._remember(True)
+        self._begin()
+
+    def _begin(self) -> None:
+        runner, stamp = self._runner, self._stamp
+        if runner is not None and runner.phase is not self._phase:
+            self._phase = runner.phase
+            self._phase_number = PHASES.index(self._phase)
+        now = time.time_ns() if stamp is None else int(stamp[0])
+        at, data = self._at, self._data
+        HEAD.pack_into(data, at, _CDR, now, int(self._tick[0]), self._phase_number, 0)
+        at += HEAD.size
+        data[at : at + self._size] = self._states
+        self._open = True
+
+    def _taker(self, number: int) -> Callable[[], None]:
+        size, states, data = self._size, self._states, self._data
+        offset = HEAD.size + number * size
+
+        def take() -> None:
+            at = self._at + offset
+            data[at : at + size] = states
+
+        return take
+
+    def _sent(self) -> None:
+        at = self._at
+        end = at + self.row_bytes
+        data = self._data
+        data[end - self._size : end] = self._states
+        data[at + _ENDED_AT] = 1
+        self._next()
+        if self.rows % self._stride == 0:
+            self._remember(False)
+
+    def _next(self) -> None:
+        self._open = False
+        self.rows += 1
+        self._at = self.rows % self.capacity * self.row_bytes
+
+    def _remember(self, anew: bool) -> None:
+        if self._memory is None:
+            return
+        try:
+            self._memories.append(KeptMemory(self.rows, anew, self._memory.take()))
+        except Exception as error:  # a run does not end because of its record
+            self._memory = None
+            self.trouble = f"what the blocks remembered in tick {self.rows} was not kept: {error!r}"
+
+    def _was_reset(self) -> None:
+        self._anew = True
+
+    # -- at the end -----------------------------------------------------------------------------
+
+    def freeze(self) -> None:
+        """Keep the states as they are now in a tick that does not end, once; 1 µs."""
+        if self._frozen or not self.capacity:
+            return
+        self._frozen = True
+        if not self._open:
+            self._begin()
+        at = self._at + HEAD.size + self._size
+        for _ in self.moments[1:]:
+            self._data[at : at + self._size] = self._states
+            at += self._size
+        self._next()
+
+    def memories(self) -> list[KeptMemory]:
+        """Return the memories of the ticks that are still there, the oldest first."""
+        oldest = self.rows - self.capacity
+        return [each for each in self._memories if each.row >= oldest]
+
+    def kept(self) -> Iterator[memoryview]:
+        """Yield the ticks from the oldest memory on, each as CDR."""
+        memories = self.memories()
+        for row in range(memories[0].row if memories else 0, self.rows):
+            at = row % self.capacity * self.row_bytes
+            yield self._data[at : at + self.row_bytes]
+
+
+def memory_of(program: Program, runner: Runner) -> Memory:
+    """Return the memory of a program's own blocks and of the flow's nodes, all phases together.
+
+    What came from outside is left out: the platform and the hooks, whose doing is in the ticks.
+    """
+    trees = [tree for tree in (program.root, program.wind_down) if tree is not None]
+    nodes = list(dict.fromkeys(node for tree in trees for node in _nodes(tree)))
+    foreign = (Stage.RECV, Stage.SEND, Stage.OBSERVE)
+    roots: dict[str, Any] = {}
+    leave: list[Any] = [program, program.platform, program.robot, program.context, runner, *nodes]
+    for node in nodes:
+        if isinstance(node, Switch) and node.blender is not None:
+            roots[_label("blend", roots)] = node.blender
+        if isinstance(node, Block):
+            if node.stage in foreign or node in program.outside:
+                leave.append(node.tick)
+            else:
+                roots[_label(node.name, roots)] = node.tick
+    return Memory(roots | runner.graphs(), program.states, leave)
+
+
+def _nodes(node: Node) -> Iterator[Node]:
+    yield node
+    for child in children_of(node):
+        yield from _nodes(child)
+
+
+def _label(name: str, taken: dict[str, Any]) -> str:
+    number, label = 1, name
+    while label in taken:
+        number += 1
+        label = f"{name} {number}"
+    return label
