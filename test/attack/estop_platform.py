@@ -12,7 +12,7 @@ from unicon_core.states import States
 
 
 class Recorded(FakePlatform):
-    """Appends `send NS` and `close NS` to a file, in [ns] of the machine's monotonic clock."""
+    """Appends `send NS`, `damp NS` and `close NS` to a file, in [ns] of the machine's monotonic clock."""
 
     def __init__(
         self, states: States, robot: Robot, period: float, log: str, recv_s: float, fails: str
@@ -20,6 +20,7 @@ class Recorded(FakePlatform):
         super().__init__(states, robot, period, Scene(), 0.0)
         self._log = open(log, "a", buffering=1)  # noqa: SIM115
         self._recv_s, self._fails = recv_s, fails
+        self._states, self._stiffest = states, 0.0
         self._sends = 0
         self._say("open")
 
@@ -36,7 +37,9 @@ class Recorded(FakePlatform):
     def send(self) -> bool | None:
         """Write down that a command left."""
         self._sends += 1
-        self._say("send")
+        stiffness = float(self._states.joint_stiffness.max())
+        self._say("damp" if stiffness < self._stiffest else "send")
+        self._stiffest = max(stiffness, self._stiffest)
         return super().send()
 
     def close(self) -> None:

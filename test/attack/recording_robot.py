@@ -3,7 +3,8 @@
     platform: recording_robot:make
     platforms: {"recording_robot:make": {log: FILE, fault: NAME, at: TICK}}
 
-Each line: `send TICK TIME_NS` or `close TIME_NS`; what was written survives the process.
+Each line: `send TICK TIME_NS`, `damp TICK TIME_NS` of a command with less stiffness than the one
+before, or `close TIME_NS`; what was written survives the process.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ class RecordingRobot:
         self._log = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
         self._fault, self._where, self._at = FAULTS[fault], where, at
         self._ticks = 0
+        self._stiffest = 0.0
         self._closed = False
 
     def recv(self) -> bool | None:
@@ -43,7 +45,10 @@ class RecordingRobot:
 
     def send(self) -> bool | None:
         self._now("send")
-        self._write(f"send {self._ticks} {time.monotonic_ns()}")
+        stiffness = float(self._states.joint_stiffness.max())
+        word = "damp" if stiffness < self._stiffest else "send"
+        self._stiffest = max(stiffness, self._stiffest)
+        self._write(f"{word} {self._ticks} {time.monotonic_ns()}")
         self._ticks += 1
         return None
 

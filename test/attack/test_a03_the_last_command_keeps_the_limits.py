@@ -74,10 +74,7 @@ def test_the_last_target_of_an_absurd_measurement_is_what_was_sent_before(
         repeats, command = last(peer, 30)
     target, damping, stiffness = command
     go2 = load_robot("go2")
-    assert target[2] == pytest.approx(sent[2])
-    assert target[5] == pytest.approx(go2.upper[5])
-    others = [0, 1, 3, 4, 6, 7, 8, 9, 10, 11]
-    assert target[others] == pytest.approx(states.joint_pos[others])
+    assert target == pytest.approx(np.clip(sent, go2.lower, go2.upper))
     assert (stiffness == 0.0).all()
     assert damping == pytest.approx(go2.joint_damping)
     assert not states.joint_vel_target.any()

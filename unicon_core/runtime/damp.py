@@ -8,6 +8,7 @@ from unicon_core.errors import Fault
 from unicon_core.flow import Tick, Zip, compile_graph
 from unicon_core.platforms.kit.damping import DAMPING_TIME, Damping
 from unicon_core.runtime.pacing import WallClock
+from unicon_core.signals import Interrupted
 from unicon_core.workflow import Program
 
 __all__ = ["Damp"]
@@ -68,6 +69,8 @@ def _tried(step: Tick | None) -> Tick | None:
     if step is not None:
         try:
             step()
-        except Exception:
+        except Interrupted:  # a second signal has damped already
+            raise
+        except BaseException:  # a vendor's code may raise anything
             return None
     return step

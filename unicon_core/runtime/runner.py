@@ -6,7 +6,7 @@ import threading
 import time
 import traceback
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, Protocol
@@ -389,8 +389,12 @@ class Runner:
             return
         self.phase = Phase.DAMP
         self.monitor.finish()
-        with suppress(Exception):  # `close` damps by its own means, and tells
+        try:
             self._damp.run()
+        except Interrupted:
+            raise
+        except BaseException:  # `close` damps by its own means, and tells
+            pass
 
     def _wind_down(self) -> None:
         """Tick the flow that follows the run; commands are zero from here on."""
