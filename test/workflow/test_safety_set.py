@@ -109,9 +109,7 @@ def test_a_robot_has_what_its_workflow_does_not_list(
     values = {} if safety is None else {"safety": safety}
     program = built(tmp_path, **values)
     assert list(program.safety) == labels
-    assert program.safety_left_out == {
-        "hardware_stop": "the platform tells nothing of motors and battery"
-    }
+    assert program.safety_left_out == {}
     child = built(tmp_path, **values, platform={"child": "fake_robot"})
     assert child.safety == program.safety
     simulated = built(tmp_path, **values, platform="fake")
@@ -137,7 +135,7 @@ def test_what_is_left_out_is_told_at_every_start_and_in_the_report(
         assert "safety        without " in said.out
     told = json.loads(report.read_text(encoding="utf-8"))
     assert told["safety"] == kept
-    left = dict.fromkeys([name for name in ROBOT_SAFETY if name not in kept], words)
+    left = dict.fromkeys([name for name in STRICT if name not in kept], words)
     assert told["safety_left_out"] == left
     codes = {note.code for note in check_workflow(path).notes}
     assert ("safety.none" if safety == "none" else "safety.less") in codes
@@ -155,7 +153,6 @@ def test_a_block_that_sees_nothing_is_left_out_and_told(tmp_path: Path) -> None:
     program.close()
     assert line == (
         "safety: this robot does not have tilt_stop (nothing measures projected_gravity); "
-        "hardware_stop (the platform tells nothing of motors and battery); "
         "stale_stop (nothing measures stamp_ns); "
         "imu_stop (nothing measures base_quat, base_ang_vel, projected_gravity)"
     )

@@ -220,7 +220,8 @@ class Program:
             changed = {Stage.COMMAND: [], Stage.FLOW: [last], Stage.OBSERVE: looking}
             self.wind_down, _ = self._graph(stages | changed)
         if isinstance(platform, RequiresStates):
-            ordered = sorted(self.critical, key=lambda block: block.name)
+            needing = [block for block in self.critical if getattr(block.tick, "needs", True)]
+            ordered = sorted(needing, key=lambda block: block.name)
             platform.require({state: b.name for b in ordered for state in (*b.reads, *b.amends)})
 
     def _safety(self, builder: Builder, listed: Sequence[Node]) -> list[Node]:
@@ -229,7 +230,7 @@ class Program:
         if self.platform.facts.simulated or not self.has_platform:
             return [builder.built(node) for node in listed]
         if said.exact:
-            self.safety_left_out = dict.fromkeys(left_out(listed), said.words)
+            self.safety_left_out = dict.fromkeys(left_out(listed, self.platform), said.words)
             return [builder.built(node) for node in listed]
         nodes, self.safety_left_out = completed(self, builder, listed)
         return nodes

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 
 from unicon_core.errors import UniconError, WorkflowError
 from unicon_core.flow import Node, blocks_of
-from unicon_core.states.standard import BASE_STATES, COMMAND_STATES
+from unicon_core.platforms.platform import Platform
+from unicon_core.states.standard import BASE_STATES, COMMAND_STATES, HARDWARE_STATES
 from unicon_core.workflow.autowire import state_names
 from unicon_core.workflow.build import Builder, factory_of
 from unicon_core.workflow.registry import find_factory
@@ -23,12 +24,13 @@ if TYPE_CHECKING:
 __all__ = ["ROBOT_SAFETY", "completed", "left_out"]
 
 FIRST = "finite"
+HARDWARE = "hardware_stop"
 STOPS = (
     "command_stop",
     "range_stop",
     "velocity_stop",
     "tilt_stop",
-    "hardware_stop",
+    HARDWARE,
 )
 """Behind `finite`, before what the workflow lists: they look at ranges, and neighbours which do so
 become one comparison (`flow/fuse.py`)."""
@@ -40,11 +42,16 @@ ROBOT_SAFETY = (FIRST, *STOPS, *LAST)
 """What stands between the flow and `send` of anything that is not a simulator."""
 
 
-def left_out(nodes: Iterable[Node]) -> list[str]:
-    """Return the names of a robot's safety blocks that are not among the nodes."""
+def left_out(nodes: Iterable[Node], platform: Platform) -> list[str]:
+    """Return the names of a robot's safety blocks that are not among the nodes.
+
+    Those for its hardware belong to a robot that tells of it.
+    """
     uses = [b for n in nodes for b in blocks_of(n) if isinstance(b, Use) and b.word != EXPRESSION]
     there = {factory_of(use) for use in uses}
-    return [n for n in ROBOT_SAFETY if find_factory("blocks", n, WorkflowError) not in there]
+    told = not {*HARDWARE_STATES}.isdisjoint(platform.facts.writes)
+    names = [name for name in ROBOT_SAFETY if told or name != HARDWARE]
+    return [n for n in names if find_factory("blocks", n, WorkflowError) not in there]
 
 
 def completed(
@@ -60,7 +67,7 @@ def completed(
         builder: of the program.
         listed: what the workflow lists, not built yet.
     """
-    missing = left_out(listed)
+    missing = left_out(listed, program.platform)
     told = {*program.platform.facts.writes, *COMMAND_STATES}
     if program.robot.imu is None:
         told -= {*BASE_STATES}
@@ -84,7 +91,8 @@ def completed(
         return made
 
     own = [builder.built(node) for node in listed]
-    is_first = [isinstance(node, Use) and FIRST not in left_out([node]) for node in listed]
+    finite = find_factory("blocks", FIRST, WorkflowError)
+    is_first = [isinstance(node, Use) and factory_of(node) is finite for node in listed]
     begin = is_first.index(True) + 1 if True in is_first else 0
     front = [*own[:begin], *(add([FIRST]) if not begin else []), *add(STOPS)]
     return [*front, *own[begin:], *add(LAST)], why

@@ -68,7 +68,9 @@ def range_stop(context: BuildContext, *, margin: float = 0.5, factor: float = 3.
         "base_ang_vel": (-ANGULAR_VELOCITY, ANGULAR_VELOCITY),
         "projected_gravity": (-QUATERNION, QUATERNION),
     }
-    return RangeStop(states, robot, {n: bounds.get(n, (-UNBOUNDED, UNBOUNDED)) for n in names})
+    made = RangeStop(states, robot, {n: bounds.get(n, (-UNBOUNDED, UNBOUNDED)) for n in names})
+    made.needs = False  # it looks at what is there: who else reads an optional topic needs it
+    return made
 
 
 def command_stop(
@@ -118,6 +120,9 @@ def command_stop(
 class RangeStop:
     """The tick of blocks that trip where states leave their bounds; neighbours are asked at once.
 
+    Attributes:
+        needs: what it reads has to come, whatever a message map calls optional.
+
     Args:
         states: of the workflow.
         robot: names the joints.
@@ -126,6 +131,7 @@ class RangeStop:
     """
 
     stage = Stage.SAFETY
+    needs = True
 
     def __init__(
         self,
