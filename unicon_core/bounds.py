@@ -27,6 +27,7 @@ __all__ = [
     "STALE",
     "STIFFNESS",
     "TILT",
+    "TRIP_SHARE",
     "VELOCITY",
     "VELOCITY_FACTOR",
     "within",
@@ -49,6 +50,8 @@ SCALE = 1e6
 
 SHARE = 1.0
 """Of the effort limits that `effort_limits` may allow: more than all is no limit."""
+TRIP_SHARE = 10.0
+"""The same where it trips: a servo may ask for more than its motor gives, and does at a touch."""
 VELOCITY_FACTOR = 3.0
 """Of the velocity limits at which `velocity_stop` trips: 1.5 unless given; a joint of 20 rad/s
 seen at more than 60 is a broken encoder."""

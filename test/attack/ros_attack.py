@@ -79,7 +79,10 @@ def behind_topics(
     path = folder / "behind_topics.yaml"
     path.write_text(
         BEHIND.format(
-            make=MAKE, safety=f"[{safety}]" if safety else "none", map=map, connect=connect
+            make=MAKE,
+            safety=f"{{only: [{safety}]}}" if safety else "none",
+            map=map,
+            connect=connect,
         )
     )
     return path

@@ -52,7 +52,7 @@ def test_a_condition_over_an_orientation_that_nobody_tells_is_refused(tmp_path: 
 def test_half_a_state_is_refused_by_check_as_by_run(tmp_path: Path) -> None:
     half = {f"orientation.{axis}": f"base_quat[{i}]" for i, axis in enumerate("wx")}
     (found,) = findings(tmp_path, orientation=half)
-    assert "writes 2 of 4 elements of base_quat, which block 'tilt_stop' reads" in found
+    assert "writes 2 of 4 elements of base_quat, which block 'imu_stop' reads" in found
 
 
 def test_half_a_state_that_nobody_reads_is_fine(tmp_path: Path) -> None:

@@ -21,7 +21,8 @@ CHILD = f'platform={{child: "recording_robot:make", silence: {SILENCE}, watchdog
 
 
 def run(folder: Path) -> Run:
-    attacked = Run(folder, arguments=["--quiet", "--set", CHILD])
+    alone = "safety={only: [finite, joint_limits]}"  # stale_stop would tell of it before
+    attacked = Run(folder, arguments=["--quiet", "--set", CHILD, "--set", alone])
     attacked.start().until_sent(5)
     return attacked
 

@@ -47,7 +47,8 @@ def test_gains_are_scaled_between_flow_and_the_first_safety_node(
     tmp_path: Path, safety: str
 ) -> None:
     workflow = built(tmp_path, Tuning(), safety)
-    names = [block.name for block in Runner(workflow).graph.blocks]
+    blocks = Runner(workflow).graph.blocks
+    names = [each.name for block in blocks for each in (block.parts or (block,))]
     workflow.close()
     order = [name for name in names if name in ("hold", "gain scale", "finite", "joint_limits")]
     assert order[:2] == ["hold", "gain scale"]

@@ -211,8 +211,9 @@ def test_imu_stop_finds_gravity_that_the_quaternion_denies(bench: Build) -> None
     block = it.block("imu_stop")
     block.tick()
     it.states.projected_gravity = (0.0, 0.0, 1.0)
-    with pytest.raises(Fault, match="contradicts itself: gravity by base_quat"):
-        block.tick()
+    k, fault = tripped(block, lambda _: None)
+    assert k < 3  # every second tick is enough at a time-out of ten
+    assert "contradicts itself: gravity by base_quat" in fault
 
 
 def test_imu_stop_is_for_one_robot(bench: Build) -> None:

@@ -14,6 +14,8 @@ from unicon_core.workflow import load_workflow
 DRIVER = """
 from unicon_core.platforms.platform import Facts, Platform
 
+POSE = 4 * (0.0, 0.8, -1.5)  # hip, thigh, calf
+
 
 class Robot:
     {facts}
@@ -22,7 +24,7 @@ class Robot:
         self.states, self.options, self.sent = states, options, 0
 
     def recv(self):
-        self.states.joint_pos[...] = 0.1
+        self.states.joint_pos[...] = POSE
 
     def send(self):
         self.sent += 1

@@ -169,8 +169,9 @@ class Motors:
         writes=(*JOINT_STATES, "base_quat", "base_ang_vel", "projected_gravity", "stamp_ns"),
     )
 
-    def __init__(self, states: States) -> None:
+    def __init__(self, states: States, robot: Robot) -> None:
         self.states, self.sent = states, 0
+        states["joint_pos"][...] = robot.rest_joint_pos
         states["base_quat"][...] = (1.0, 0.0, 0.0, 0.0)
         states["projected_gravity"][...] = (0.0, 0.0, -1.0)
 
@@ -188,7 +189,7 @@ opened: list[str] = []
 
 def motors(states: States, robot: Robot, period: float) -> Motors:
     opened.append(robot.name)
-    return Motors(states)
+    return Motors(states, robot)
 
 
 @pytest.fixture

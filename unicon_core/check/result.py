@@ -50,6 +50,7 @@ CODES = {
     "pose.start": "a policy is the first to move a robot that lies (simulated: a note)",
     "start.gates": "nothing is asked before a robot moves (a note)",
     "safety.none": "no safety block looks at commands (a note)",
+    "safety.less": "a robot lacks safety blocks that others have (a note)",
     "safety.partial": "a safety block does not look at every command, or at nothing",
     "parts.writers": "two parts of a divided workflow write one state",
     "parts.published": "a state does not reach the part that reads it, or nothing writes it",

@@ -45,6 +45,11 @@ def check_safety(subject: Subject, result: CheckResult) -> None:
             "",
             where,
         )
+    elif less := subject.program.safety_left_out:
+        reasons = {why: [n for n in less if less[n] == why] for why in less.values()}
+        parts = [f"{', '.join(names)} ({why})" for why, names in reasons.items()]
+        evidence = f"this robot does not have {'; '.join(parts)}"
+        result.note("safety.less", "safety", evidence, "", where)
     for node in subject.program.stages[Stage.SAFETY]:
         for block, under in _conditional(node, ""):
             result.find(

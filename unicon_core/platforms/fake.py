@@ -152,9 +152,30 @@ class FakePlatform:
 
 
 class FakeRobot(FakePlatform):
-    """The same where a robot is meant: real time, the machine's clock, and a robot's rules."""
+    """The same where a robot is meant: real time, the machine's clock, and a robot's rules.
+
+    Its IMU has the noise that every real one has: one without counts as frozen (`imu_stop`).
+    """
 
     facts = replace(FakePlatform.facts, name="fake_robot", simulated=False, batch=False)
+
+    def __init__(
+        self, states: States, robot: Robot, period: float, scene: Scene, time_constant: float
+    ) -> None:
+        super().__init__(states, robot, period, scene, time_constant)
+        rng, noise = np.random.default_rng(0), {"base_ang_vel": 1e-3, "base_lin_acc": 1e-2}
+        self._noise = [
+            (states[name], rng.normal(0.0, scale, (1000, 3)).astype(np.float32))
+            for name, scale in noise.items()  # [rad/s] and [m/s²], of a MEMS sensor
+            if name in states
+        ]
+
+    def recv(self) -> bool | None:
+        """Write the same, with noise in the IMU."""
+        super().recv()
+        for view, values in self._noise:
+            view += values[self._ticks % len(values)]
+        return None
 
     def _now_ns(self) -> int:
         return time.monotonic_ns()

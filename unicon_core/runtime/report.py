@@ -36,6 +36,7 @@ class Report:
         late_us: p50, p99, max of start minus deadline.
         faults: what went wrong, one line each.
         safety: labels of the blocks between the flow and `send`; empty with `safety: none`.
+        safety_left_out: safety blocks that this robot does not have, each with the reason.
         forced: codes of the check's errors that it was run with.
         base_displacement_m: base position at the end minus at the start, world frame.
         fell: the base tilted by more than 60° from upright.
@@ -62,6 +63,7 @@ class Report:
     late_us: dict[str, float] = field(default_factory=dict)
     faults: list[str] = field(default_factory=list)
     safety: list[str] = field(default_factory=list)
+    safety_left_out: dict[str, str] = field(default_factory=dict)
     forced: list[str] = field(default_factory=list)
     base_displacement_m: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
     fell: bool = False
@@ -110,8 +112,13 @@ class Report:
                 f"ROS 2         published {self.bridge.get('published', 0)}, "
                 f"received {self.bridge.get('received', 0)} messages"
             )
+<<<<<<< HEAD
         if self.dry:
             lines.append("dry           nothing was sent")
+=======
+        if self.safety_left_out:
+            lines.append(f"safety        without {', '.join(self.safety_left_out)}")
+>>>>>>> s15a
         if self.forced:
             lines.append(f"forced        {', '.join(self.forced)}")
         lines.append(f"ended         {self.ended}")

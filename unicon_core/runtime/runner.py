@@ -332,6 +332,7 @@ class Runner:
         report.faults = list(self.faults)
         report.traceback = self.traceback
         report.safety, report.forced = list(program.safety), list(program.forced)
+        report.safety_left_out = dict(program.safety_left_out)
         self.monitor.fill(report)
         return report
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["flat", "stacked"]
+__all__ = ["flat", "places", "stacked"]
 
 
 def stacked(views: Sequence[NDArray[Any]]) -> NDArray[Any] | None:
@@ -40,3 +40,17 @@ def flat(views: Sequence[NDArray[Any]]) -> list[NDArray[Any]]:
         return flats
     size = (sum(view.size for view in flats),)
     return [np.lib.stride_tricks.as_strided(flats[0], size, writeable=False)]
+
+
+def places(view: NDArray[Any], packed: NDArray[Any]) -> NDArray[np.intp] | None:
+    """Return the place of each element of a view in the packed buffer, or None if outside."""
+    start = view.__array_interface__["data"][0] - packed.__array_interface__["data"][0]
+    if view.dtype != packed.dtype or start % packed.itemsize:
+        return None
+    found: NDArray[np.intp] = np.array(start // packed.itemsize, dtype=np.intp)
+    for length, stride in zip(view.shape, view.strides):
+        if stride % packed.itemsize:
+            return None
+        found = found[..., None] + np.arange(length) * (stride // packed.itemsize)
+    inside = found.size and found.min() >= 0 and found.max() < packed.size
+    return found if inside else None

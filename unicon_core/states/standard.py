@@ -9,7 +9,14 @@ from collections.abc import Sequence
 
 from unicon_core.states.spec import StateSpec
 
-__all__ = ["BASE_STATES", "COMMAND_STATES", "JOINT_STATES", "standard_states"]
+__all__ = [
+    "BASE_STATES",
+    "COMMAND_STATES",
+    "HARDWARE_STATES",
+    "JOINT_STATES",
+    "hardware_states",
+    "standard_states",
+]
 
 JOINT_STATES = ("joint_pos", "joint_vel", "joint_effort")
 """What the motors tell of the joints."""
@@ -32,6 +39,32 @@ COMMAND_STATES = (
     "joint_damping",
 )
 """What leaves for the motors: the states that a platform's `send` reads."""
+
+
+HARDWARE_STATES = ("motor_temperature", "motor_error", "battery_charge", "battery_voltage")
+"""What a robot may tell of itself: states only of workflows whose platform writes them."""
+
+
+def hardware_states(joint_names: Sequence[str]) -> dict[str, StateSpec]:
+    """Return the states of hardware, which a workflow has where its platform writes them.
+
+    Args:
+        joint_names: names in the robot's (vendor's) order, length n.
+    """
+    names = tuple(joint_names)
+    joints = (len(names),)
+    return {
+        "motor_temperature": StateSpec(
+            joints, "float32", "°C", "", names, "of the windings, or the hottest that is measured"
+        ),
+        "motor_error": StateSpec(
+            joints, "int32", "", "", names, "the vendor's error code, 0 for none"
+        ),
+        "battery_charge": StateSpec(
+            (), "float32", "", "", (), "what is left, as a share of 1", 1.0
+        ),
+        "battery_voltage": StateSpec((), "float32", "V", "", (), "of the battery"),
+    }
 
 
 def standard_states(joint_names: Sequence[str]) -> dict[str, StateSpec]:

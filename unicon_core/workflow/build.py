@@ -19,11 +19,13 @@ from unicon_core.robots import Robot, load_robot, robot_names
 from unicon_core.signals import SIGNALS
 from unicon_core.states import StateSpec, standard_states
 from unicon_core.states.spec import check_name
-from unicon_core.states.standard import COMMAND_STATES
+from unicon_core.states.standard import COMMAND_STATES, hardware_states
 from unicon_core.workflow.autowire import BuildContext, autowire, option_names
 from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.expression import expression
 from unicon_core.workflow.flow_yaml import FlowReader
+from unicon_core.workflow.hardware import declared_facts
+from unicon_core.workflow.platforms import find_platform
 from unicon_core.workflow.policies import declared_states, policy_factory
 from unicon_core.workflow.registry import Factory, find_factory
 from unicon_core.workflow.settings import safety_of
@@ -33,7 +35,15 @@ from unicon_core.workflow.warm_ups import WarmUps
 if TYPE_CHECKING:
     from unicon_core.workflow.program import Program
 
-__all__ = ["Builder", "Sections", "finite_first", "load_robot_of", "period_of", "specs_of"]
+__all__ = [
+    "Builder",
+    "Sections",
+    "factory_of",
+    "finite_first",
+    "load_robot_of",
+    "period_of",
+    "specs_of",
+]
 
 Sections = dict[Stage, list[Node]]
 """What a workflow says for each stage."""
@@ -49,12 +59,13 @@ def sections_of(document: WorkflowDocument) -> tuple[Sections, Node | None]:
     """Return what a workflow says for each stage, and the flow of its wind-down or None."""
     reader = FlowReader(document)
 
-    def read(key: str, items: Sequence[Any]) -> list[Node]:
-        return [reader.node(item, (key, i)) for i, item in enumerate(items)]
+    def read(items: Sequence[Any], *path: str) -> list[Node]:
+        return [reader.node(item, (*path, i)) for i, item in enumerate(items)]
 
-    sections = {stage: read(key, document.get(key, list, [])) for stage, key in _KEYS.items()}
+    sections = {stage: read(document.get(key, list, []), key) for stage, key in _KEYS.items()}
     sections[Stage.FLOW] = [reader.node(document.values["flow"], ("flow",))]
-    sections[Stage.SAFETY] = read("safety", safety_of(document))
+    safety = safety_of(document)
+    sections[Stage.SAFETY] = read(safety.blocks, *safety.path)
     ending = document.values.get("wind_down")
     return sections, None if ending is None else reader.node(ending, ("wind_down",))
 
@@ -108,7 +119,7 @@ class Builder:
         if use.word == EXPRESSION:
             return expression(str(use.first), self._program.states, use.where)
         is_policy = use.word == "policy"
-        factory = policy_factory(use, self._context.policies) if is_policy else _factory(use)
+        factory = policy_factory(use, self._context.policies) if is_policy else factory_of(use)
         options = _options(factory, use)
 
         def build(context: BuildContext) -> Block:
@@ -194,14 +205,16 @@ def specs_of(
     uses: Iterable[Use],
 ) -> dict[str, StateSpec]:
     specs = standard_states(robot.joint_names)
+    hardware = hardware_states(robot.joint_names)
+    specs |= {name: spec for name, spec in hardware.items() if name in _declared(document)}
     given = document.get("states", dict, {})
     for name, values in given.items():
+        standard = specs.get(name) or hardware.get(name)
         try:
-            spec = StateSpec.from_dict(values or {})
+            spec = StateSpec.from_dict(values or {}) if values or not standard else standard
             check_name(name)
         except UniconError as error:
             raise document.error(f"state {name!r}: {error}", "states", name) from error
-        standard = specs.get(name)
         if standard is not None and (spec.shape, spec.dtype) != (standard.shape, standard.dtype):
             raise document.error(
                 f"state {name!r} is a standard one of shape {list(standard.shape)} and "
@@ -215,7 +228,7 @@ def specs_of(
         if use.word == "policy":
             specs |= declared_states(use, policies, robot, extra)
             continue
-        factory = _factory(use)
+        factory = factory_of(use)
         declares = getattr(factory, "declares", None)
         if declares is not None:
             for name, spec in declares(robot=robot, **_options(factory, use)).items():
@@ -223,7 +236,21 @@ def specs_of(
     return specs
 
 
-def _factory(use: Use) -> Factory:
+def _declared(document: WorkflowDocument) -> tuple[str, ...]:
+    """Return what the platform says that it writes, before it is built."""
+    try:
+        name, factory = find_platform(document)
+    except UniconError:  # told when it is built; a part elsewhere may lack its package
+        return ()
+    return declared_facts(factory, name).writes
+
+
+def factory_of(use: Use) -> Factory:
+    """Return the factory behind a use.
+
+    Raises:
+        WorkflowError: no block of that name; with its place.
+    """
     if use.factory is not None:
         return use.factory
     name = use.options.get("function", use.first) if use.word == "call" else use.word

@@ -40,7 +40,7 @@ KEYS = {
     "start": "{gates, operator, approach, fade_in}: before a robot moves",
     "flow": "the graph",
     "wind_down": "the graph after the run, before the platform damps and closes; at most 5 s",
-    "safety": "blocks between the flow and send, or none",
+    "safety": "blocks between the flow and send, or only: and blocks, or none",
     "deferred": "blocks after send",
     "pacing": "{trigger, overrun, hang, spin_us, dry_run_us, priority, cpu, lock_memory}",
     "check": "settings of the preflight check",

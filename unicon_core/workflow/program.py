@@ -51,8 +51,13 @@ from unicon_core.workflow.gate import Gate
 from unicon_core.workflow.parts import check_places, divided, publishers, read_parts, read_store
 from unicon_core.workflow.platforms import build_platform
 from unicon_core.workflow.policies import controllers_reading, load_policies
+<<<<<<< HEAD
 from unicon_core.workflow.settings import pacing_of, start_of
 from unicon_core.workflow.silent import refuse_parts, withheld
+=======
+from unicon_core.workflow.safety_set import completed, left_out
+from unicon_core.workflow.settings import pacing_of, safety_of, start_of
+>>>>>>> s15a
 from unicon_core.workflow.uses import EXPRESSION, Use
 from unicon_core.workflow.warm_ups import WarmUps
 
@@ -113,6 +118,7 @@ class Program:
         looking: observers, but for the report.
         command_bounds: what the velocity command is held to; empty where nobody reads it.
         safety: labels of the blocks of its own between the flow and `send`.
+        safety_left_out: of a robot, safety blocks that it does not have, each with the reason.
         warn: takes what blocks tell while they tick, one line each; the runner sets its own.
         forced: codes of the check's errors that somebody decided to run with.
 
@@ -183,6 +189,7 @@ class Program:
         self.gates: list[StartGate] = []
         self.command_bounds: tuple[CommandBound, ...] = ()
         self.forced: tuple[str, ...] = ()
+        self.safety_left_out: dict[str, str] = {}
         self._closed = False
         try:
             with SIGNALS.guard(damp=self.damp_now):
@@ -199,7 +206,9 @@ class Program:
         warm_ups = WarmUps(self.context)
         builder = Builder(self, warm_ups)
         for stage, nodes in sections.items():
-            stages[stage] += [builder.built(node) for node in nodes]
+            if stage is not Stage.SAFETY:
+                stages[stage] += [builder.built(node) for node in nodes]
+        stages[Stage.SAFETY] += self._safety(builder, sections[Stage.SAFETY])
         finite_first(self.document, stages[Stage.SAFETY])
         self.safety = tuple(b.name for node in stages[Stage.SAFETY] for b in blocks_of(node))
         last = None if ending is None else builder.built(ending)
@@ -231,12 +240,24 @@ class Program:
         self.root, self.critical = self._graph(stages | self._entry())
         self.wind_down = None if last is None else self.with_flow(last)
         if isinstance(platform, RequiresStates):
-            ordered = sorted(self.critical, key=lambda block: block.name)
+            needing = [block for block in self.critical if getattr(block.tick, "needs", True)]
+            ordered = sorted(needing, key=lambda block: block.name)
             platform.require({state: b.name for b in ordered for state in (*b.reads, *b.amends)})
         # Imported here: some gates are safety blocks, which import this package.
         from unicon_core.gates.build import gates_of
 
         self.gates += gates_of(self)
+
+    def _safety(self, builder: Builder, listed: Sequence[Node]) -> list[Node]:
+        """Return the safety blocks: of a robot also those that the workflow does not list."""
+        said = safety_of(self.document)
+        if self.platform.facts.simulated or not self.has_platform:
+            return [builder.built(node) for node in listed]
+        if said.exact:
+            self.safety_left_out = dict.fromkeys(left_out(listed, self.platform), said.words)
+            return [builder.built(node) for node in listed]
+        nodes, self.safety_left_out = completed(self, builder, listed)
+        return nodes
 
     def _of_part(self, sections: Sections, ending: Node | None) -> tuple[Sections, Node | None]:
         """Return what of each stage, and of the wind-down, belongs to the part that is built."""

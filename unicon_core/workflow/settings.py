@@ -6,6 +6,7 @@ been opened; what is wrong in them has to be told before.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from unicon_core.bounds import DURATION
@@ -17,12 +18,33 @@ if TYPE_CHECKING:
     from unicon_core.runtime.pacing import Pacing
     from unicon_core.workflow.document import WorkflowDocument
 
-__all__ = ["DEFAULT_SAFETY", "check_settings", "pacing_of", "safety_of", "start_of"]
+__all__ = ["DEFAULT_SAFETY", "Safety", "check_settings", "pacing_of", "safety_of", "start_of"]
 
 DEFAULT_SAFETY: tuple[Any, ...] = ("finite", "joint_limits")
-"""What stands between the flow and `send` where a workflow does not say."""
+"""What stands between the flow and `send` of a simulator where a workflow does not say."""
 
 NO_SAFETY = "none"
+ONLY = "only"
+
+
+@dataclass(frozen=True)
+class Safety:
+    """What a workflow says of its safety blocks.
+
+    Attributes:
+        blocks: as they are written.
+        path: where they stand in the document.
+        exact: `none` or `only`: a robot gets no others.
+    """
+
+    blocks: list[Any]
+    path: tuple[str, ...] = ("safety",)
+    exact: bool = False
+
+    @property
+    def words(self) -> str:
+        """How it is written, for messages."""
+        return f"safety: {NO_SAFETY if not self.blocks else ONLY}" if self.exact else "safety"
 
 
 def check_settings(document: WorkflowDocument) -> None:
@@ -77,23 +99,27 @@ def start_of(document: WorkflowDocument) -> StartSettings:
         raise document.error(str(error), "start") from error
 
 
-def safety_of(document: WorkflowDocument) -> list[Any]:
-    """Return the blocks of `safety:` as they are written; `safety: none` has none.
+def safety_of(document: WorkflowDocument) -> Safety:
+    """Return what is said under `safety:`; `safety: none` has no blocks.
 
     Raises:
-        WorkflowError: it is neither a list nor `none`, or an empty list.
+        WorkflowError: it is neither a list, nor `{only: [...]}`, nor `none`, or an empty list.
     """
     value = document.values.get("safety")
     if value is None:
-        return list(DEFAULT_SAFETY)
+        return Safety(list(DEFAULT_SAFETY))
     if value == NO_SAFETY:
-        return []
+        return Safety([], exact=True)
+    if isinstance(value, dict) and list(value) == [ONLY]:
+        if isinstance(value[ONLY], list) and value[ONLY]:
+            return Safety(value[ONLY], ("safety", ONLY), exact=True)
+        value = value[ONLY]
     if not isinstance(value, list) or not value:
         default = ", ".join(map(str, DEFAULT_SAFETY))
         error: WorkflowError = document.error(
-            f"safety: {value!r} is not a list of blocks; write [{default}], or `none` to send "
-            "every command as it is",
+            f"safety: {value!r} is not a list of blocks; write [{default}], {{only: [{default}]}} "
+            "for no others on a robot, or `none` to send every command as it is",
             "safety",
         )
         raise error
-    return value
+    return Safety(value)

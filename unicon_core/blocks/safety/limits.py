@@ -1,4 +1,8 @@
-"""Safety blocks that amend commands: `joint_limits`, `effort_limits`, `rate_limit`."""
+"""Limits of commands, which clamp or trip: `joint_limits`, `effort_limits`, `rate_limit`.
+
+Each takes `beyond: clamp`, which amends the command, or `beyond: trip`, which raises a fault and
+leaves commands alone; behind a limit that clamps the same one may trip with a wider bound.
+"""
 
 from __future__ import annotations
 
@@ -8,32 +12,63 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.bounds import POSITION, SHARE, VELOCITY, within
-from unicon_core.errors import RobotError, WorkflowError
+from unicon_core.bounds import POSITION, SHARE, TRIP_SHARE, VELOCITY, within
+from unicon_core.errors import Fault, RobotError, WorkflowError
 from unicon_core.flow.block import Amends, Bundle, Reads
 from unicon_core.flow.stage import Stage
 from unicon_core.robots import Robot
+from unicon_core.states.screen import Range
 
 __all__ = [
+    "Beyond",
     "EffortLimits",
     "JointLimits",
     "RateLimit",
     "Servo",
     "effort_limits",
+    "first_of",
     "joint_limits",
     "rate_limit",
+    "trips",
     "velocity_limits",
 ]
 
 Float = NDArray[np.float32]
 
+ROUNDING = np.float32(1.0001)
+"""A target that `rate_limit` has held back is not beyond the same limit."""
 
-def joint_limits(joint_pos_target: Amends, *, robot: Robot, margin: float = 0.0) -> JointLimits:
-    """Clip position targets to the robot's limits; an unknown limit does not bind.
+Beyond = Literal["clamp", "trip"]
+"""What a limit does with a command that is beyond it."""
+
+
+def trips(beyond: Beyond) -> bool:
+    """Return whether a limit trips.
+
+    Raises:
+        WorkflowError: it is neither of the two words.
+    """
+    if beyond not in ("clamp", "trip"):
+        raise WorkflowError(f"beyond is {beyond!r}; give clamp or trip")
+    return beyond == "trip"
+
+
+def first_of(wrong: NDArray[np.bool_], robot: Robot) -> tuple[tuple[int, ...], str]:
+    """Return index and name of the first joint that is wrong, shape (..., n), for a fault."""
+    index = tuple(int(i) for i in np.argwhere(wrong)[0])
+    who = f"robot {index[0]}, " if len(index) > 1 else ""
+    return index, f"{who}joint {robot.joint_names[index[-1]]}"
+
+
+def joint_limits(
+    joint_pos_target: Amends, *, robot: Robot, margin: float = 0.0, beyond: Beyond = "clamp"
+) -> JointLimits:
+    """Hold position targets within the robot's limits; an unknown limit does not bind.
 
     Args:
         joint_pos_target: in [rad], shape (..., n).
         margin: distance kept from the limits in [rad].
+        beyond: `clamp` clips the target, `trip` is a fault.
 
     Raises:
         WorkflowError: the margin is negative or leaves a joint nothing.
@@ -44,7 +79,8 @@ def joint_limits(joint_pos_target: Amends, *, robot: Robot, margin: float = 0.0)
     if (lower > upper).any():
         joint = robot.joint_names[int(np.argmax(lower > upper))]
         raise WorkflowError(f"margin {margin} rad leaves joint {joint} no range; give less")
-    return JointLimits(joint_pos_target, lower, upper)
+    made = JointLimitStop if trips(beyond) else JointLimits
+    return made(joint_pos_target, lower, upper, robot)
 
 
 class JointLimits:
@@ -53,13 +89,29 @@ class JointLimits:
     stage = Stage.SAFETY
     clamps = True
 
-    def __init__(self, target: Float, lower: Float, upper: Float) -> None:
-        self._target, self._lower, self._upper = target, lower, upper
+    def __init__(self, target: Float, lower: Float, upper: Float, robot: Robot) -> None:
+        self._target, self._lower, self._upper, self._robot = target, lower, upper, robot
+        self.ranges = [Range(target, lower, upper)]
 
     def __call__(self) -> None:
         # Two ufuncs take 0.9 µs for 12 joints, np.clip 1.7: it goes through Python first.
         np.maximum(self._target, self._lower, out=self._target)
         np.minimum(self._target, self._upper, out=self._target)
+
+
+class JointLimitStop(JointLimits):
+    """The tick of `joint_limits` with `beyond: trip`."""
+
+    clamps = False
+
+    def __call__(self) -> None:
+        inside = (self._target >= self._lower) & (self._target <= self._upper)
+        if not inside.all():
+            index, who = first_of(~inside, self._robot)
+            raise Fault(
+                f"{who} is sent to {self._target[index]:.3f} rad, allowed are "
+                f"{self._lower[index[-1]]:.3f} to {self._upper[index[-1]]:.3f}"
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,18 +127,24 @@ class Servo(Bundle):
     joint_effort_ff: Amends
 
 
-def effort_limits(servo: Servo, *, robot: Robot, scale: float = 1.0) -> EffortLimits:
+def effort_limits(
+    servo: Servo, *, robot: Robot, scale: float | None = None, beyond: Beyond = "clamp"
+) -> EffortLimits:
     """Move targets so that the servo's torque stays within the effort limits.
 
     tau = kp (q* - q) + kd (qd* - qd) + tau_ff is clipped to ±scale·effort; where it was beyond, q*
     becomes the target that gives the limit (tau_ff where kp is 0). Other joints keep their bits.
 
     Args:
-        scale: share of the robot's effort limits [N·m] that may be used, up to 1.
+        scale: of the robot's effort limits [N·m]: 1, and at most that, where it clamps; 2 where it
+            trips, since what the motor cannot do does not hurt, and at most 10.
+        beyond: `clamp` moves the target, `trip` is a fault.
     """
-    scale = within(scale, "scale", "", SHARE, what="effort_limits")
+    trip = trips(beyond)
+    most, usual = (TRIP_SHARE, 2.0) if trip else (SHARE, 1.0)
+    scale = within(usual if scale is None else scale, "scale", "", most, what="effort_limits")
     limit = np.nan_to_num(robot.effort_limit, nan=np.inf) * np.float32(scale)
-    return EffortLimits(servo, limit)
+    return (EffortStop if trip else EffortLimits)(servo, limit, robot)
 
 
 class EffortLimits:
@@ -95,8 +153,8 @@ class EffortLimits:
     stage = Stage.SAFETY
     clamps = True
 
-    def __init__(self, servo: Servo, limit: Float) -> None:
-        self._servo, self._lower, self._upper = servo, -limit, limit
+    def __init__(self, servo: Servo, limit: Float, robot: Robot) -> None:
+        self._servo, self._lower, self._upper, self._robot = servo, -limit, limit, robot
         target = servo.joint_pos_target
         self._torque, self._rest, self._clipped = (np.zeros_like(target) for _ in range(3))
         self._beyond = np.zeros(target.shape, np.bool_)
@@ -114,8 +172,11 @@ class EffortLimits:
         np.maximum(torque, self._lower, out=clipped)
         np.minimum(clipped, self._upper, out=clipped)
         np.not_equal(torque, clipped, out=beyond)
-        if not beyond.any():
-            return
+        if beyond.any():
+            self._act()
+
+    def _act(self) -> None:
+        servo, rest, clipped, beyond = self._servo, self._rest, self._clipped, self._beyond
         np.greater(servo.joint_stiffness, 0.0, out=self._stiff)
         np.logical_not(self._stiff, out=self._limp)
         self._stiff &= beyond
@@ -126,6 +187,19 @@ class EffortLimits:
         np.divide(clipped, servo.joint_stiffness, out=clipped, where=self._stiff)
         clipped += servo.joint_pos
         np.copyto(servo.joint_pos_target, clipped, where=self._stiff)
+
+
+class EffortStop(EffortLimits):
+    """The tick of `effort_limits` with `beyond: trip`."""
+
+    clamps = False
+
+    def _act(self) -> None:
+        index, who = first_of(self._beyond, self._robot)
+        raise Fault(
+            f"{who} is asked for {self._torque[index]:.1f} N·m by its target, allowed are "
+            f"{self._upper[index[-1]]:.1f}"
+        )
 
 
 def velocity_limits(robot: Robot, remedy: str) -> Float:
@@ -150,11 +224,13 @@ def rate_limit(
     robot: Robot,
     period: float,
     max_rate: float | Literal["robot"] = "robot",
+    beyond: Beyond = "clamp",
 ) -> RateLimit:
     """Let position targets move no faster than a speed, beginning at the measured positions.
 
     Args:
         max_rate: in [rad/s], or `robot` for the robot file's velocity limits.
+        beyond: `clamp` holds the target back, `trip` makes a larger step a fault.
 
     Raises:
         RobotError: the robot file does not say them.
@@ -166,7 +242,8 @@ def rate_limit(
     else:
         most = within(max_rate, "max_rate", "rad/s", VELOCITY, what="rate_limit")
         rate = np.full(robot.num_joints, most, np.float32)
-    return RateLimit(joint_pos, joint_pos_target, rate * np.float32(period))
+    made = RateStop if trips(beyond) else RateLimit
+    return made(joint_pos, joint_pos_target, rate * np.float32(period), robot)
 
 
 class RateLimit:
@@ -175,8 +252,8 @@ class RateLimit:
     stage = Stage.SAFETY
     clamps = True
 
-    def __init__(self, pos: Float, target: Float, step: Float) -> None:
-        self._pos, self._target, self._step = pos, target, step
+    def __init__(self, pos: Float, target: Float, step: Float, robot: Robot) -> None:
+        self._pos, self._target, self._step, self._robot = pos, target, step, robot
         self._last, self._bound = np.zeros_like(target), np.zeros_like(target)
         self._fresh = True
 
@@ -184,12 +261,32 @@ class RateLimit:
         if self._fresh:
             self._last[...] = self._pos
             self._fresh = False
+        self._act()
+        self._last[...] = self._target
+
+    def _act(self) -> None:
         np.subtract(self._last, self._step, out=self._bound)
         np.maximum(self._target, self._bound, out=self._target)
         np.add(self._last, self._step, out=self._bound)
         np.minimum(self._target, self._bound, out=self._target)
-        self._last[...] = self._target
 
     def reset(self) -> None:
         """Begin anew at the measured positions."""
         self._fresh = True
+
+
+class RateStop(RateLimit):
+    """The tick of `rate_limit` with `beyond: trip`."""
+
+    clamps = False
+
+    def _act(self) -> None:
+        np.subtract(self._target, self._last, out=self._bound)
+        np.abs(self._bound, out=self._bound)
+        inside = self._bound <= self._step * ROUNDING
+        if not inside.all():
+            index, who = first_of(~inside, self._robot)
+            raise Fault(
+                f"{who} is sent {self._bound[index]:.3f} rad on in one tick, allowed are "
+                f"{self._step[index[-1]]:.3f}"
+            )

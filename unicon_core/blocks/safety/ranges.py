@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from unicon_core.bounds import DAMPING, EFFORT, POSITION, STIFFNESS, VELOCITY, within
 from unicon_core.errors import Fault, WorkflowError
@@ -14,13 +13,11 @@ from unicon_core.flow.block import Reads
 from unicon_core.flow.stage import Stage
 from unicon_core.robots import Robot
 from unicon_core.states import States
-from unicon_core.states.stacked import flat
-from unicon_core.states.standard import COMMAND_STATES
+from unicon_core.states.screen import Range, Screen
+from unicon_core.states.standard import BASE_STATES, COMMAND_STATES
 from unicon_core.workflow.autowire import BuildContext
 
 __all__ = ["MEASURED", "RangeStop", "command_stop", "range_stop"]
-
-Float = NDArray[np.float32]
 
 ANGULAR_VELOCITY = 70.0
 """Of a base in [rad/s]: MEMS gyroscopes end at 2000 or 4000 °/s, 35 or 70 rad/s."""
@@ -45,7 +42,7 @@ def range_stop(context: BuildContext, *, margin: float = 0.5, factor: float = 3.
     """Stop where what was measured is NaN, infinite, or more than any robot of this kind does.
 
     Args:
-        context: the platform says what is measured.
+        context: the platform says what is measured; a robot without an IMU has no base states.
         margin: beyond the position limits in [rad]: 0.5 unless given; an encoder is off by more.
         factor: of the robot file's velocity limits.
 
@@ -57,6 +54,8 @@ def range_stop(context: BuildContext, *, margin: float = 0.5, factor: float = 3.
     factor = within(factor, "factor", "", 10.0, 1.0, above=False, what="range_stop")
     told = MEASURED if platform is None else platform.facts.writes
     names = [name for name in MEASURED if name in told and name in states]
+    if robot.imu is None:
+        names = [name for name in names if name not in BASE_STATES]
     if not names:
         raise WorkflowError("the platform measures nothing that it looks at; leave it out")
     lower = np.nan_to_num(robot.lower, nan=-POSITION) - np.float32(margin)
@@ -69,7 +68,9 @@ def range_stop(context: BuildContext, *, margin: float = 0.5, factor: float = 3.
         "base_ang_vel": (-ANGULAR_VELOCITY, ANGULAR_VELOCITY),
         "projected_gravity": (-QUATERNION, QUATERNION),
     }
-    return RangeStop(states, robot, {n: bounds.get(n, (-UNBOUNDED, UNBOUNDED)) for n in names})
+    made = RangeStop(states, robot, {n: bounds.get(n, (-UNBOUNDED, UNBOUNDED)) for n in names})
+    made.needs = False  # it looks at what is there: who else reads an optional topic needs it
+    return made
 
 
 def command_stop(
@@ -117,31 +118,35 @@ def command_stop(
 
 
 class RangeStop:
-    """The tick of `range_stop` and `command_stop`.
+    """The tick of blocks that trip where states leave their bounds; neighbours are asked at once.
+
+    Attributes:
+        needs: what it reads has to come, whatever a message map calls optional.
 
     Args:
         states: of the workflow.
         robot: names the joints.
-        bounds: state to its lowest and highest value, numbers or of shape (n,).
+        bounds: state to its lowest and highest value, numbers or of its shape.
+        said: what a value beyond them is not: "plausible", unless given.
     """
 
     stage = Stage.SAFETY
+    needs = True
 
-    def __init__(self, states: States, robot: Robot, bounds: Mapping[str, tuple[Any, Any]]) -> None:
+    def __init__(
+        self,
+        states: States,
+        robot: Robot,
+        bounds: Mapping[str, tuple[Any, Any]],
+        said: str = "which is not plausible:",
+    ) -> None:
         self.reads = tuple(bounds)
-        self._states, self._joints = states, robot.joint_names
-        self._bounds = {
-            name: tuple(np.broadcast_to(np.float32(bound), states[name].shape) for bound in pair)
+        self.ranges = [
+            Range(states[name], *(np.broadcast_to(each, states[name].shape) for each in pair))
             for name, pair in bounds.items()
-        }
-        lower, upper = (
-            np.concatenate([pair[k].ravel() for pair in self._bounds.values()]).astype(np.float64)
-            for k in (0, 1)
-        )
-        self._views = flat([states[name] for name in bounds])
-        self._middle = (0.5 * (lower + upper)).astype(np.float32)
-        self._scale = (2.0 / (upper - lower)).astype(np.float32)
-        self._values = np.zeros(lower.size, np.float32)
+        ]
+        self._states, self._joints, self._said = states, robot.joint_names, said
+        self._screen = Screen(states, self.ranges)
 
     def __call__(self) -> None:
         """Look.
@@ -149,27 +154,23 @@ class RangeStop:
         Raises:
             Fault: a value is out of range; with state, element, value and range.
         """
-        values, views = self._values, self._views
-        whole = views[0] if len(views) == 1 else np.concatenate(views, out=values)
-        np.subtract(whole, self._middle, out=values)
-        np.multiply(values, self._scale, out=values)
-        np.abs(values, out=values)
-        if not values.max() <= 1.00001:  # true for NaN too; rounding is no fault
+        if not self._screen():
             self._raise()
 
     def _raise(self) -> None:
-        for name, (lower, upper) in self._bounds.items():
-            view = self._states[name]
-            wrong = np.argwhere(~((view >= lower - 1e-4) & (view <= upper + 1e-4)))
+        for name, (view, lower, upper) in zip(self.reads, self.ranges):
+            within = (view >= lower.astype(view.dtype)) & (view <= upper.astype(view.dtype))
+            wrong = np.argwhere(~within)
             if not len(wrong):
                 continue
             index = tuple(int(i) for i in wrong[0])
             who = f"robot {index[0]}: " if self._states.num_robots is not None else ""
             names: Sequence[str] = self._states.spec(name).names or self._joints
-            which = names[index[-1]] if index and len(names) == view.shape[-1] else ""
-            low, high = float(lower[index]), float(upper[index])
-            unit = self._states.spec(name).unit
+            shape = self._states.spec(name).shape
+            named = bool(shape) and len(names) == shape[-1]
+            which = f" of {names[index[-1]]}" if named else ""
+            unit = f" {self._states.spec(name).unit}".rstrip()
             raise Fault(
-                f"{who}{name} of {which} is {view[index]:g} {unit}, which is not plausible: "
-                f"{low:.4g} to {high:.4g}"
+                f"{who}{name}{which} is {view[index]:g}{unit}, {self._said} "
+                f"{lower[index]:.4g} to {upper[index]:.4g}"
             )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,12 +11,15 @@ from numpy.typing import NDArray
 from unicon_core.blocks.joint_command import ticks_of
 from unicon_core.blocks.predicates import largest
 from unicon_core.blocks.safety.limits import velocity_limits
+from unicon_core.blocks.safety.ranges import RangeStop
 from unicon_core.bounds import STALE, TILT, VELOCITY, VELOCITY_FACTOR, within
 from unicon_core.errors import Fault
 from unicon_core.flow.block import Reads
 from unicon_core.flow.stage import Stage
 from unicon_core.platforms.kit.command import FiniteCheck
 from unicon_core.robots import Robot
+from unicon_core.states import States
+from unicon_core.states.screen import Range, Screen
 
 __all__ = [
     "Finite",
@@ -23,10 +27,16 @@ __all__ = [
     "TiltStop",
     "VelocityStop",
     "finite",
+    "height_stop",
     "stale_stop",
     "tilt_stop",
     "velocity_stop",
 ]
+
+Float = NDArray[np.float32]
+
+HEIGHT = 10_000.0
+"""In [m]: what stands on a mountain."""
 
 
 def finite(
@@ -54,6 +64,11 @@ class Finite(FiniteCheck):
 
     stage = Stage.SAFETY
 
+    def __init__(self, commands: dict[str, NDArray[np.float32]], joint_names: Sequence[str]):
+        super().__init__(commands, joint_names)
+        most = np.finfo(np.float32).max
+        self.ranges = [Range(view, -most, most) for view in commands.values()]
+
 
 def tilt_stop(projected_gravity: Reads, *, angle: float = 1.0) -> TiltStop:
     """Stop when the base leans too far.
@@ -73,6 +88,7 @@ class TiltStop:
     def __init__(self, projected_gravity: NDArray[np.float32], angle: float) -> None:
         self._down, self._angle = projected_gravity[..., 2], angle
         self._bound = -math.cos(angle)
+        self.ranges = [Range(self._down, -np.inf, self._bound)]
         self._largest = largest(self._down)
 
     def __call__(self) -> None:
@@ -86,8 +102,34 @@ class TiltStop:
             raise Fault(f"{who}the base leans by {lean:.2f} rad, allowed are {self._angle:.2f}")
 
 
+def height_stop(
+    base_pos_w: Reads,
+    *,
+    states: States,
+    robot: Robot,
+    lowest: float,
+    highest: float = HEIGHT,
+) -> RangeStop:
+    """Stop where the base is too low or too high; for platforms that know where it is.
+
+    Args:
+        base_pos_w: in the world frame in [m], shape (..., 3).
+        lowest: height of the base in [m].
+        highest: the same.
+    """
+    highest = within(highest, "highest", "m", HEIGHT, -HEIGHT, what="height_stop")
+    lowest = within(lowest, "lowest", "m", highest, -HEIGHT, what="height_stop")
+    bounds = (-np.inf, -np.inf, lowest), (np.inf, np.inf, highest)
+    return RangeStop(states, robot, {"base_pos_w": bounds}, "allowed are")
+
+
 def velocity_stop(
-    joint_vel: Reads, *, robot: Robot, factor: float = 1.5, limit: float | None = None
+    joint_vel: Reads,
+    *,
+    states: States,
+    robot: Robot,
+    factor: float = 1.5,
+    limit: float | None = None,
 ) -> VelocityStop:
     """Stop when a joint is too fast.
 
@@ -106,7 +148,7 @@ def velocity_stop(
         factor = within(factor, "factor", "", VELOCITY_FACTOR, what="velocity_stop")
         limits = velocity_limits(robot, "give velocity_stop a limit in [rad/s]")
         bound = limits * np.float32(factor)
-    return VelocityStop(joint_vel, bound, robot.joint_names)
+    return VelocityStop(joint_vel, bound, states, robot.joint_names)
 
 
 class VelocityStop:
@@ -115,17 +157,16 @@ class VelocityStop:
     stage = Stage.SAFETY
 
     def __init__(
-        self, vel: NDArray[np.float32], bound: NDArray[np.float32], joint_names: tuple[str, ...]
+        self, vel: Float, bound: Float, states: States, joint_names: Sequence[str]
     ) -> None:
         self._vel, self._bound, self._names = vel, bound, joint_names
-        self._share = np.zeros_like(vel)
+        self.ranges = [Range(vel, -bound, bound)]
+        self._screen = Screen(states, self.ranges)
 
     def __call__(self) -> None:
-        np.abs(self._vel, out=self._share)
-        self._share /= self._bound
-        if not self._share.max() <= 1.0:
-            worst = np.argmax(np.nan_to_num(self._share, nan=np.inf))
-            index = tuple(int(i) for i in np.unravel_index(worst, self._share.shape))
+        if not self._screen():
+            worst = np.argmax(np.nan_to_num(np.abs(self._vel) / self._bound, nan=np.inf))
+            index = tuple(int(i) for i in np.unravel_index(worst, self._vel.shape))
             joint, allowed = self._names[index[-1]], self._bound[index[-1]]
             who = f"robot {index[0]}, " if len(index) > 1 else ""
             raise Fault(
@@ -152,12 +193,13 @@ class StaleStop:
     stage = Stage.SAFETY
 
     def __init__(self, stamp: NDArray[np.int64], ticks: int, timeout: float) -> None:
-        self._stamp, self._ticks, self._timeout = stamp, ticks, timeout
+        self._ticks, self._timeout = ticks, timeout
+        self._oldest = stamp.min if stamp.ndim else stamp.item  # `min` takes 1.3 µs
         self._last: int | None = None
         self._same = 0
 
     def __call__(self) -> None:
-        stamp = int(self._stamp.min())
+        stamp = int(self._oldest())
         if stamp != self._last:
             self._last, self._same = stamp, 0
             return

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -18,16 +19,17 @@ class Servo:
         tau = kp (q* - q) + kd (qd* - qd) + tau_ff,   clipped to the effort limits.
 
     Args:
-        rows: q*, qd*, tau_ff, kp, kd as of `Command.rows`, shape (5, ..., n); read at each call.
+        rows: q*, qd*, tau_ff, kp, kd as of `Command.rows`, shape (5, ..., n), or five arrays of
+            shape (..., n); read at each call.
         effort_limit: largest torque of each joint in [N·m], NaN for none, shape (n,).
 
     Attributes:
         torque: of the last call in [N·m], shape (..., n).
     """
 
-    def __init__(self, rows: Array, effort_limit: ArrayLike) -> None:
+    def __init__(self, rows: Array | Sequence[Array], effort_limit: ArrayLike) -> None:
         self._rows = rows
-        self._limit = np.nan_to_num(np.asarray(effort_limit, rows.dtype), nan=np.inf)
+        self._limit = np.nan_to_num(np.asarray(effort_limit, rows[0].dtype), nan=np.inf)
         self.torque: Array = np.zeros_like(rows[0])
         self._part = np.zeros_like(rows[0])
 

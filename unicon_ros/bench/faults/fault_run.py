@@ -153,6 +153,8 @@ class FaultRun:
             "safety": ["finite", "joint_limits", "tilt_stop"],
             **case.workflow,
         }
+        if isinstance(values["safety"], list):  # what a robot has besides hides what is asked
+            values["safety"] = {"only": values["safety"]}
         if not case.uses_policy:
             del values["policies"]
         text = json.dumps(values).replace("{log}", log)

@@ -1,0 +1,59 @@
+"""Stop for motors that are too hot or in error, and for an empty battery: `hardware_stop`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from unicon_core.blocks.safety.ranges import RangeStop
+from unicon_core.bounds import within
+from unicon_core.errors import WorkflowError
+from unicon_core.states.standard import HARDWARE_STATES
+from unicon_core.workflow.autowire import BuildContext
+
+__all__ = ["hardware_stop"]
+
+HOTTEST = 150.0
+"""In [°C]: magnets and windings of class F end there."""
+COLDEST = -40.0
+"""In [°C]: a sensor that tells less is broken."""
+HIGHEST_VOLTAGE = 1000.0
+"""In [V]: legged robots have 20 to 60."""
+
+
+def hardware_stop(
+    context: BuildContext,
+    *,
+    temperature: float = 90.0,
+    charge: float = 0.05,
+    voltage: float | None = None,
+) -> RangeStop:
+    """Stop where a motor is too hot or tells an error, or where the battery is empty.
+
+    It looks at those of the hardware states that the platform writes: `motor_temperature`,
+    `motor_error`, `battery_charge` and, where a bound is given, `battery_voltage`.
+
+    Args:
+        temperature: highest of a motor in [°C].
+        charge: lowest of the battery, as a share of 1.
+        voltage: lowest of the battery in [V]; None does not look.
+
+    Raises:
+        WorkflowError: an option is not plausible, or the platform tells nothing of this.
+    """
+    what = "hardware_stop"
+    temperature = within(temperature, "temperature", "°C", HOTTEST, what=what)
+    charge = within(charge, "charge", "", 1.0, above=False, what=what)
+    bounds: dict[str, tuple[Any, Any]] = {
+        "motor_temperature": (COLDEST, temperature),
+        "motor_error": (0, 0),
+        "battery_charge": (charge, 1.0),
+    }
+    if voltage is not None:
+        voltage = within(voltage, "voltage", "V", HIGHEST_VOLTAGE, what=what)
+        bounds["battery_voltage"] = (voltage, HIGHEST_VOLTAGE)
+    states, platform = context.states, context.platform
+    told = HARDWARE_STATES if platform is None else platform.facts.writes
+    seen = {name: pair for name, pair in bounds.items() if name in states and name in told}
+    if not seen:
+        raise WorkflowError("the platform tells nothing of motors and battery; leave it out")
+    return RangeStop(states, context.robot, seen, "allowed are")

@@ -1,0 +1,174 @@
+"""Stops for joints that do not follow, or take too much: `tracking_stop`, `power_stop`."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.blocks.joint_command import ticks_of
+from unicon_core.blocks.safety.limits import first_of
+from unicon_core.bounds import POSITION, STALE, within
+from unicon_core.errors import Fault
+from unicon_core.flow.block import Reads
+from unicon_core.flow.stage import Stage
+from unicon_core.platforms.kit.servo import Servo
+from unicon_core.robots import Robot
+
+__all__ = ["PowerStop", "TrackingStop", "power_stop", "tracking_stop"]
+
+Float = NDArray[np.float32]
+
+POWER = 100_000.0
+"""In [W]: a humanoid's battery gives some 5,000 at most."""
+LOSS = 10.0
+"""In [W/(N·m)²]: small motors have some 0.5, geared legs 0.01 to 0.1."""
+
+
+def tracking_stop(
+    joint_pos: Reads,
+    joint_pos_target: Reads,
+    joint_stiffness: Reads,
+    *,
+    robot: Robot,
+    period: float,
+    bound: float = 1.0,
+    timeout: float = 0.5,
+) -> TrackingStop:
+    """Stop where a joint with stiffness stays far from its target.
+
+    Args:
+        bound: between target and measured position in [rad]. A policy that uses soft joints as
+            springs asks for 0.5 and more in a healthy run: look at yours before you give less.
+        timeout: for which it is beyond without a break in [s]; at least one tick.
+    """
+    bound = within(bound, "bound", "rad", POSITION, what="tracking_stop")
+    timeout = within(timeout, "timeout", "s", STALE, what="tracking_stop")
+    ticks = ticks_of(timeout, period, "timeout") or 1
+    return TrackingStop(joint_pos, joint_pos_target, joint_stiffness, robot, ticks, bound)
+
+
+class TrackingStop:
+    """The tick of `tracking_stop`."""
+
+    stage = Stage.SAFETY
+
+    def __init__(
+        self, pos: Float, target: Float, stiffness: Float, robot: Robot, ticks: int, bound: float
+    ) -> None:
+        self._pos, self._target, self._stiffness = pos, target, stiffness
+        self._robot, self._ticks, self._bound = robot, ticks, bound
+        self._apart = np.zeros_like(pos)
+        self._count = np.zeros(pos.shape, np.int64)
+        self._counting = False
+
+    def __call__(self) -> None:
+        """Look.
+
+        Raises:
+            Fault: a joint does not follow, or a position is not a number.
+        """
+        apart = np.subtract(self._target, self._pos, out=self._apart).reshape(-1)
+        if apart.dot(apart) <= self._bound**2:  # then none of them is beyond: the usual tick
+            if self._counting:
+                self.reset()
+            return
+        self._counting = True
+        far = ~(np.abs(self._apart) <= self._bound)  # true for NaN too
+        far &= ~(self._stiffness <= 0.0)
+        self._count += 1
+        self._count *= far
+        late = self._count >= self._ticks
+        if late.any():
+            index, who = first_of(late, self._robot)
+            raise Fault(
+                f"{who} does not follow: {self._apart[index]:+.2f} rad from its target for "
+                f"{self._count[index]} ticks, allowed are {self._bound:.2f}; is it blocked?"
+            )
+
+    def reset(self) -> None:
+        """Count anew."""
+        self._count[...] = 0
+        self._counting = False
+
+
+def power_stop(
+    joint_pos: Reads,
+    joint_vel: Reads,
+    joint_pos_target: Reads,
+    joint_vel_target: Reads,
+    joint_effort_ff: Reads,
+    joint_stiffness: Reads,
+    joint_damping: Reads,
+    *,
+    robot: Robot,
+    period: float,
+    limit: float,
+    loss: float = 0.0,
+    timeout: float = 0.1,
+) -> PowerStop:
+    """Stop where the servos would take more power than is allowed.
+
+    tau = kp (q* - q) + kd (qd* - qd) + tau_ff, clipped to the effort limits, gives
+    P = sum(max(tau qd, 0) + loss tau²) in [W]: what the joints do, and what their windings lose.
+
+    Args:
+        limit: of all joints together in [W].
+        loss: of a winding in [W/(N·m)²]; 0 leaves only what the joints do.
+        timeout: for which it is beyond without a break in [s]; at least one tick.
+    """
+    limit = within(limit, "limit", "W", POWER, what="power_stop")
+    loss = within(loss, "loss", "W/(N·m)²", LOSS, above=False, what="power_stop")
+    timeout = within(timeout, "timeout", "s", STALE, what="power_stop")
+    measured = joint_pos, joint_vel
+    command = joint_pos_target, joint_vel_target, joint_effort_ff, joint_stiffness, joint_damping
+    ticks = ticks_of(timeout, period, "timeout") or 1
+    return PowerStop(measured, command, robot, ticks, limit, loss)
+
+
+class PowerStop:
+    """The tick of `power_stop`."""
+
+    stage = Stage.SAFETY
+
+    def __init__(
+        self,
+        measured: tuple[Float, Float],
+        command: tuple[Float, ...],
+        robot: Robot,
+        ticks: int,
+        limit: float,
+        loss: float,
+    ) -> None:
+        self._measured, self._servo = measured, Servo(command, robot.effort_limit)
+        self._ticks, self._limit, self._loss = ticks, limit, loss
+        self._work = np.zeros_like(measured[0])
+        self._count = 0
+
+    def __call__(self) -> None:
+        """Look.
+
+        Raises:
+            Fault: too much power for too long, or it is not a number.
+        """
+        torque = self._servo(*self._measured)
+        work = np.multiply(torque, self._measured[1], out=self._work)
+        np.maximum(work, 0.0, out=work)
+        torque *= torque
+        torque *= self._loss
+        work += torque
+        power = work.sum(axis=-1)
+        most = float(power.max())
+        if most <= self._limit:
+            self._count = 0
+            return
+        self._count += 1
+        if self._count >= self._ticks:
+            who = f"robot {int(np.argmax(power))}: " if power.ndim else ""
+            raise Fault(
+                f"{who}the joints would take {most:.0f} W for {self._count} ticks, allowed are "
+                f"{self._limit:.0f}"
+            )
+
+    def reset(self) -> None:
+        """Count anew."""
+        self._count = 0

@@ -1,0 +1,98 @@
+"""The safety blocks that a robot has whatever its workflow lists; for `Program`.
+
+A workflow adds to them by listing others, and sets their options by listing them. `safety: {only:
+[…]}` and `safety: none` leave the rest out, which is told at every start and stands in the report.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
+
+from unicon_core.errors import UniconError, WorkflowError
+from unicon_core.flow import Node, blocks_of
+from unicon_core.platforms.platform import Platform
+from unicon_core.states.standard import BASE_STATES, COMMAND_STATES, HARDWARE_STATES
+from unicon_core.workflow.autowire import state_names
+from unicon_core.workflow.build import Builder, factory_of
+from unicon_core.workflow.registry import find_factory
+from unicon_core.workflow.uses import EXPRESSION, Use
+
+if TYPE_CHECKING:
+    from unicon_core.workflow.program import Program
+
+__all__ = ["ROBOT_SAFETY", "completed", "left_out"]
+
+FIRST = "finite"
+HARDWARE = "hardware_stop"
+STOPS = (
+    "command_stop",
+    "range_stop",
+    "velocity_stop",
+    "tilt_stop",
+    HARDWARE,
+)
+"""Behind `finite`, before what the workflow lists: they look at ranges, and neighbours which do so
+become one comparison (`flow/fuse.py`)."""
+LAST = ("joint_limits", "stale_stop", "imu_stop", "encoder_stop")
+"""Behind what the workflow lists: an encoder that stands at its joint's limit is not stuck, and the
+target that it follows is the one within the limits."""
+
+ROBOT_SAFETY = (FIRST, *STOPS, *LAST)
+"""What stands between the flow and `send` of anything that is not a simulator."""
+
+
+def left_out(nodes: Iterable[Node], platform: Platform) -> list[str]:
+    """Return the names of a robot's safety blocks that are not among the nodes.
+
+    Those for its hardware belong to a robot that tells of it.
+    """
+    uses = [b for n in nodes for b in blocks_of(n) if isinstance(b, Use) and b.word != EXPRESSION]
+    there = {factory_of(use) for use in uses}
+    told = not {*HARDWARE_STATES}.isdisjoint(platform.facts.writes)
+    names = [name for name in ROBOT_SAFETY if told or name != HARDWARE]
+    return [n for n in names if find_factory("blocks", n, WorkflowError) not in there]
+
+
+def completed(
+    program: Program, builder: Builder, listed: Sequence[Node]
+) -> tuple[list[Node], dict[str, str]]:
+    """Return a robot's safety blocks, built, and why others are left out.
+
+    A block that could not see anything is left out: nothing writes what it reads, or the robot
+    file does not say its bounds.
+
+    Args:
+        program: its platform and the blocks of all other stages are built.
+        builder: of the program.
+        listed: what the workflow lists, not built yet.
+    """
+    missing = left_out(listed, program.platform)
+    told = {*program.platform.facts.writes, *COMMAND_STATES}
+    if program.robot.imu is None:
+        told -= {*BASE_STATES}
+    told |= {state for block in program.blocks for state in block.writes}
+    why: dict[str, str] = {}
+
+    def add(names: Iterable[str]) -> list[Node]:
+        made: list[Node] = []
+        for name in names:
+            if name not in missing:
+                continue
+            factory = find_factory("blocks", name, WorkflowError)
+            untold = [state for state in state_names(factory) if state not in told]
+            if untold:
+                why[name] = f"nothing measures {', '.join(untold)}"
+                continue
+            try:
+                made.append(builder.built(Use(name)))
+            except UniconError as error:
+                why[name] = str(error).removeprefix(f"block {name!r}: ").partition("; ")[0]
+        return made
+
+    own = [builder.built(node) for node in listed]
+    finite = find_factory("blocks", FIRST, WorkflowError)
+    is_first = [isinstance(node, Use) and factory_of(node) is finite for node in listed]
+    begin = is_first.index(True) + 1 if True in is_first else 0
+    front = [*own[:begin], *(add([FIRST]) if not begin else []), *add(STOPS)]
+    return [*front, *own[begin:], *add(LAST)], why
