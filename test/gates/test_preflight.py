@@ -87,7 +87,8 @@ def test_the_size_of_the_first_command_is_told_joint_by_joint(
     assert "an approach of 0.6 s at 0.5 rad/s" in rows(told, None)["begins at"]
     assert set(told["first_command"]) >= set(JOINTS)
     assert max(told["first_command"].values()) > 0.1
-    assert "rad away (" in rows(told, True)["first command"]
+    assert "; from where it begins: 0." in rows(told, True)["first command"]
+    assert max(told["first_step"].values()) < max(told["first_command"].values())
 
 
 @pytest.mark.parametrize(

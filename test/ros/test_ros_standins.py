@@ -139,3 +139,31 @@ def test_postures_drawn_at_random_are_within_the_limits() -> None:
         drawn = [random_posture(robot, np.random.default_rng(seed)) for seed in range(50)]
         assert all((robot.lower < pos).all() and (pos < robot.upper).all() for pos in drawn)
         assert np.ptp(drawn, axis=0).min() > 0.2
+
+
+def test_a_silent_session_leaves_out_the_topics_that_tell_commands(tmp_path: Path) -> None:
+    from unicon_core import Program, block
+    from unicon_ros.bridge import RosSession
+
+    path = tmp_path / "mirror.yaml"
+    text = "  - {{topic: {}, type: sensor_msgs/msg/JointState, fields: {{position: {}}}}}\n"
+    entries = (("told", "joint_pos"), ("targets", "joint_pos_target"))
+    path.write_text("publish:\n" + "".join(text.format(*entry) for entry in entries))
+    for silent, left in ((True, ["/told"]), (False, ["/told", "/targets"])):
+        warnings: list[str] = []
+        session = RosSession(map=path, warn=warnings.append)
+        try:
+            program = Program(
+                robot="go2",
+                platform="fake",
+                rate=50,
+                flow=block("hold"),
+                hooks=[session.hook],
+                silent=silent,
+            )
+            topics = [out.topic for out in session.outgoing if out.topic in ("/told", "/targets")]
+            assert topics == left
+            assert any("a silent run sends none" in line for line in warnings) is silent
+            program.close()
+        finally:
+            session.close()

@@ -9,12 +9,12 @@ import time
 
 import numpy as np
 
-from unicon_core.errors import Fault, UniconError
+from unicon_core.errors import Fault
 from unicon_core.flow import Node, Zip, compile_graph
 from unicon_core.flow.stage import Stage
-from unicon_core.gates.beginning import Target, beginning, first_command
 from unicon_core.gates.data import Rate
 from unicon_core.platforms.platform import ReportsVariant, SeesCommanders, info_of
+from unicon_core.preflight.first import tell_first_command
 from unicon_core.preflight.result import PreflightResult
 from unicon_core.signals import SIGNALS
 from unicon_core.workflow import Program
@@ -62,7 +62,7 @@ def look(program: Program, seconds: float) -> PreflightResult:
     if not program.gates:
         result.add("gates", None, "none are asked (start: {gates: false})")
     if not result.fault:
-        _first_command(program, result)
+        tell_first_command(program, result)
     _around(program, result)
     return result
 
@@ -164,37 +164,6 @@ def _posture(program: Program) -> str:
     order = np.argsort(np.nan_to_num(room, nan=np.inf))[:NEAREST]
     named = [f"{robot.joint_names[i]} {room[i]:.2f} rad" for i in order if not np.isnan(room[i])]
     return f"nearest to a limit: {', '.join(named)}" if named else ""
-
-
-def _first_command(program: Program, result: PreflightResult) -> None:
-    measured = np.array(program.states["joint_pos"])
-    try:
-        begins, first = beginning(program), first_command(program)
-    except (Fault, UniconError) as error:
-        result.add("first command", False, f"{error}; nothing would be sent")
-        return
-    way, joint = _farthest(program, begins, measured)
-    speed = program.start.approach
-    approach = f"{begins.source}, {way:.2f} rad away ({joint})"
-    if not program.platform.facts.simulated and way > 0.0:
-        approach += f": an approach of {way / speed:.1f} s at {speed:g} rad/s"
-    result.add("begins at", None, approach)
-    size, joint = _farthest(program, first, measured)
-    away = np.abs(first.joint_pos - measured).tolist()
-    result.first_command = dict(zip(program.robot.joint_names, np.round(away, 6).tolist()))
-    finite = bool(np.isfinite(first.joint_pos).all())
-    told = f"of the flow from here: {size:.2f} rad away ({joint}) at {_gain(program, first, joint)}"
-    result.add("first command", finite, told if finite else f"{joint} is not finite; mend the flow")
-
-
-def _farthest(program: Program, target: Target, measured: np.ndarray) -> tuple[float, str]:
-    away = np.abs(target.joint_pos - measured)
-    worst = int(np.argmax(np.nan_to_num(away, nan=np.inf)))
-    return float(away[worst]), program.robot.joint_names[worst]
-
-
-def _gain(program: Program, target: Target, joint: str) -> str:
-    return f"{target.stiffness[program.robot.joint_names.index(joint)]:g} N·m/rad"
 
 
 def _around(program: Program, result: PreflightResult) -> None:

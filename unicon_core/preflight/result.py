@@ -44,6 +44,7 @@ class PreflightResult:
         rows: what was looked at.
         first_command: joint to how far the flow's first command is from where the joint was
             measured in [rad]; empty where there was none.
+        first_step: likewise, from where the flow begins: what is left once the approach has ended.
         fault: what ended the reception early; else empty.
     """
 
@@ -54,6 +55,7 @@ class PreflightResult:
     ticks: int = 0
     rows: list[Row] = field(default_factory=list)
     first_command: dict[str, float] = field(default_factory=dict)
+    first_step: dict[str, float] = field(default_factory=dict)
     fault: str = ""
 
     def add(self, name: str, ok: bool | None, told: str) -> None:
