@@ -33,9 +33,10 @@ safety: [finite, joint_limits, tilt_stop]
 
 @pytest.fixture(autouse=True)
 def nothing_sent(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Begin anew; what is looked at takes half a second here."""
+    """Begin anew; a look takes 0.2 s here."""
     gate_robots.SENT.clear()
-    monkeypatch.setattr("unicon_ros.cli.preflight.SHORTEST", 0.6)
+    monkeypatch.setattr("unicon_ros.cli.preflight.SHORTEST", 0.2)
+    monkeypatch.setattr("unicon_core.gates.data.Rate.WINDOW", 0.1)
 
 
 @pytest.fixture
@@ -50,7 +51,7 @@ def preflight(tmp_path: Path) -> Callable[..., tuple[int, dict[str, Any]]]:
         flow = "{policy: walk}" if policy else "hold"
         path.write_text(WORKFLOW.format(robot=robot, policies=policies, flow=flow))
         keys = [f"--set=platforms.{ROBOT}.{key}={value}" for key, value in options.items()]
-        seconds = "--seconds=0.6"
+        seconds = "--seconds=0.2"
         status = main(["preflight", str(path), seconds, f"--json={told}", *keys, *arguments])
         return status, json.loads(told.read_text()) if told.exists() else {}
 
@@ -126,7 +127,7 @@ def test_a_fault_of_the_platform_is_told_and_nothing_is_sent(
     def silent(robot: Any, states: Any) -> None:
         from unicon_core.errors import Fault
 
-        if robot.ticks > 20:
+        if robot.ticks > 5:
             raise Fault("topic /joint_states: no message for 0.5 s")
 
     monkeypatch.setitem(gate_robots.WRONG, "gone", silent)
