@@ -35,6 +35,7 @@ class Driven:
         report: its report; empty where it wrote none.
         output: what it said.
         first: how far the first command was from where the joints were, [rad]; None for none.
+        last_first: likewise of the last command after a silence.
         count: commands that the robot got.
     """
 
@@ -42,6 +43,7 @@ class Driven:
     report: dict[str, Any]
     output: str
     first: float | None
+    last_first: float | None
     count: int
 
 
@@ -67,21 +69,40 @@ def drive(
         seconds: of the flow.
         more: further arguments of `unicon run`.
     """
-    path = folder / "report.json"
+    return ended(begun(workflow, folder, seconds=seconds, more=more), peer, folder)
+
+
+def begun(
+    workflow: str, folder: Path, *, seconds: float, more: Sequence[str] = ()
+) -> subprocess.Popen[str]:
+    """Begin such a run, in a process."""
     command = [sys.executable, "-m", "unicon_ros", "run", workflow, *PLATFORM]
     command += ["--set", "start.operator=false", f"--duration={seconds}", "--quiet"]
-    done = subprocess.run(
-        [*command, f"--report={path}", *more], capture_output=True, text=True, timeout=120
+    return subprocess.Popen(
+        [*command, f"--report={folder / 'report.json'}", *more],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
     )
-    first, count = seen(peer)
+
+
+def ended(run: subprocess.Popen[str], peer: Peer, folder: Path) -> Driven:
+    """Wait for a run to end, end its stand-in, and return what both saw."""
+    try:
+        output, _ = run.communicate(timeout=120)
+    finally:
+        run.kill()
+    firsts, count = seen(peer)
+    path = folder / "report.json"
     report = json.loads(path.read_text()) if path.exists() else {}
-    return Driven(done.returncode, report, done.stdout + done.stderr, first, count)
+    first, last = (firsts[0], firsts[-1]) if firsts else (None, None)
+    return Driven(run.returncode, report, output, first, last, count)
 
 
-def seen(peer: Peer) -> tuple[float | None, int]:
-    """End a stand-in; return how far its first command was, and how many it got."""
+def seen(peer: Peer) -> tuple[list[float], int]:
+    """End a stand-in; return how far its first commands were, and how many it got."""
     peer.process.terminate()
     peer.end()
     firsts = [line["distance"] for line in peer.of("first")]
     counts = [line["count"] for line in peer.of("commands")]
-    return (firsts or [None])[0], (counts or [len(firsts)])[-1]
+    return firsts, (counts or [len(firsts)])[-1]

@@ -9,9 +9,10 @@ from typing import Any
 
 import pytest
 from ros_helpers import Peer
-from standin_runs import ROS_MAP_WITH_GAINS, drive, seen, stand_in
+from standin_runs import ROS_MAP_WITH_GAINS, begun, drive, ended, seen, stand_in
 
 from unicon_core.robots import load_robot
+from unicon_core.runtime.phases import Phase
 from unicon_core.workflow import load_workflow
 from unicon_ros.cli.main import main
 
@@ -58,7 +59,7 @@ def test_preflight_sees_all_and_the_robot_hears_nothing(
     loud_map.write_text(missing)
     connect = ["--set", "platforms.ros.connect=0.5"]
     assert main(["preflight", "go2_walk", "--set", "platform=ros", *given, *connect]) == 1
-    assert seen(peer) == (None, 0)
+    assert seen(peer) == ([], 0)
 
 
 def test_opened_to_send_the_same_map_damps(processes: Callable[..., Peer], loud_map: Path) -> None:
@@ -97,8 +98,7 @@ def test_wiggle_over_topics_names_swapped_joints(
     wrong = {each["joint"]: each["wrong"] for each in told["wiggle"] if each["wrong"]}
     assert set(wrong) == {"FL_hip_joint", "FR_hip_joint"}
     assert "FL_hip_joint moved instead of FR_hip_joint" in wrong["FR_hip_joint"]
-    first, _ = seen(peer)
-    assert first is not None
+    (first, *_), _ = seen(peer)
     assert first < 0.25  # of exchanged encoders the first target is of the other joint
 
 
@@ -127,6 +127,54 @@ def test_a_go2_in_any_posture_is_driven_by_the_workflow_of_the_simulation(
     assert driven.count >= 50
     assert driven.first is not None
     assert driven.first <= FIRST
+
+
+APPROACH = pytest.mark.skipif(
+    not hasattr(Phase, "APPROACH"), reason="this runner has no approach before the flow"
+)
+
+
+@APPROACH
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_g1_in_any_posture_is_never_entered_with_a_jump(
+    processes: Callable[..., Peer], tmp_path: Path, assets: Path, seed: int
+) -> None:
+    """A policy is the first to act: the approach goes to its default pose before."""
+    peer = stand_in(processes, "g1_29dof", f"--seed={seed}")
+    driven = drive(peer, "g1_walk", tmp_path, more=["--force=pose.start"])
+    assert driven.status == 0, driven.output
+    assert driven.first is not None
+    assert driven.first <= FIRST
+
+
+@pytest.mark.slow
+def test_a_robot_that_is_killed_ends_the_run_with_its_reason(
+    processes: Callable[..., Peer], tmp_path: Path
+) -> None:
+    peer = stand_in(processes, "go2", "--seed=4")
+    run = begun("go2_walk", tmp_path, seconds=60.0)
+    peer.wait_for(lambda: bool(peer.of("commands")), "50 commands", timeout=60.0)
+    peer.kill()
+    driven = ended(run, peer, tmp_path)
+    assert driven.status == 3
+    assert any("no message for 0.5 s" in fault for fault in driven.report["faults"])
+
+
+@pytest.mark.slow
+def test_after_a_run_that_was_killed_the_next_one_begins_where_the_robot_is(
+    processes: Callable[..., Peer], tmp_path: Path
+) -> None:
+    peer = stand_in(processes, "go2", "--seed=5")
+    run = begun("go2_walk", tmp_path, seconds=60.0)
+    peer.wait_for(lambda: bool(peer.of("commands")), "50 commands", timeout=60.0)
+    run.kill()
+    run.communicate()
+    again = drive(peer, "go2_walk", tmp_path, seconds=2.0)
+    assert again.status == 0, again.output
+    assert len(peer.of("first")) == 2  # after a silence the next command is a first one again
+    assert again.last_first is not None
+    assert again.last_first <= FIRST
 
 
 def test_postures_drawn_at_random_are_within_the_limits() -> None:

@@ -9,14 +9,17 @@ the positions of `joint_commands` with a first-order response, within their limi
 posture drawn at random, and its sensors have noise. It knows nothing of unicon but the robot file.
 
 On standard output it says JSON lines: `ready` with its posture, `first` with how far the first
-command was from where the joints were, `commands` after every 50 of them.
+command, and each after a silence, was from where the joints were, `commands` after every 50 of
+them.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
+import time
 from contextlib import suppress
 from typing import Any
 
@@ -36,6 +39,8 @@ LEAN = 0.1
 SPARE = 0.05
 """Share of a joint's range that a posture drawn at random keeps from either limit."""
 TOLD_EVERY = 50
+SILENCE = 0.5
+"""After so long without one a command is a first one again, [s]."""
 
 
 def random_posture(robot: Robot, random: np.random.Generator) -> NDArray[np.float64]:
@@ -87,7 +92,7 @@ class StandIn:
         lean = self._random.uniform(-LEAN, LEAN, 2)
         self._quat = np.array((1.0, *(0.5 * lean), 0.0))  # wxyz, small angles
         self._quat /= np.linalg.norm(self._quat)
-        self.commands, self._worst = 0, 0.0
+        self.commands, self._worst, self._heard = 0, 0.0, -math.inf
         self.node: Any = rclpy.create_node("stand_in")
         self._states = self.node.create_publisher(JointState, "joint_states", 10)
         self._imu = self.node.create_publisher(Imu, "imu/data", 10)
@@ -105,8 +110,10 @@ class StandIn:
         away = np.abs(target - self.pos)
         self._worst = max(self._worst, float(away.max()))
         self.commands += 1
-        if self.commands == 1:
+        now = time.monotonic()
+        if now - self._heard > SILENCE:
             say("first", distance=float(away.max()), joint=self._names[int(away.argmax())])
+        self._heard = now
         if self.commands % TOLD_EVERY == 0:
             say("commands", count=self.commands, worst=self._worst)
         self._target[...] = np.clip(target, self._lower, self._upper)
