@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import gate_robots
+import numpy as np
 import pytest
 from gate_robots import reasons
 
@@ -160,3 +161,23 @@ def test_a_gate_of_ones_own_needs_a_name_and_a_call() -> None:
     program = program_of()
     program.gates.append(gate)
     assert reasons(program, 1)["battery"] == "the battery is at 3 %; charge it"
+
+
+@pytest.mark.filterwarnings("error")
+def test_garbage_in_any_state_is_a_reason_and_never_an_exception() -> None:
+    program = program_of(flow=block("hold"), policies={})
+    random, states = np.random.default_rng(0), program.states
+    garbage = np.array([np.nan, np.inf, -np.inf, 1e30, -1e30, 0.0, 1e-40, 1.0], np.float32)
+    tick = gate_robots.waiting(program)
+    names = [name for name in program.platform.facts.writes if states[name].dtype.kind == "f"]
+    for _ in range(300):
+        with np.errstate(all="ignore"):
+            tick()
+        for name in random.choice(names, 2):
+            states[name].flat[random.integers(states[name].size)] = random.choice(garbage)
+        states.stamp_ns[...] = random.integers(-(2**62), 2**62)
+        for gate in program.gates:
+            said = gate()
+            assert isinstance(said, str)
+            assert "\n" not in said
+    assert not any(reasons(program).values())  # and no garbage stays behind

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -24,12 +25,19 @@ class Counting(FakeRobot):
 
     def send(self) -> None:
         """Count."""
-        SENT.append("command")
+        self.note("command")
         super().send()
 
     def close(self) -> None:
         """Damp."""
-        SENT.append("damping")
+        self.note("damping")
+
+    def note(self, what: str) -> None:
+        """Keep it, in a file too, where another process is to see it."""
+        SENT.append(what)
+        if log := os.environ.get("UNICON_TEST_SENT"):
+            with open(log, "a") as file:
+                file.write(f"{what}\n")
 
 
 class Quiet(Counting):
@@ -125,6 +133,26 @@ def test_whatever_goes_wrong_nothing_is_sent(when: str) -> None:
         runner = Runner(program_of("test_silent:quiet", **keys))
         assert runner.run().faults
     assert SENT == []
+
+
+@pytest.mark.parametrize("silent", [True, False])
+def test_a_robot_in_a_child_process_is_silent_too(
+    silent: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log = tmp_path / "sent"
+    log.touch()
+    monkeypatch.setenv("UNICON_TEST_SENT", str(log))
+    monkeypatch.syspath_prepend(str(Path(__file__).parent))
+    platform: Any = {"child": "test_silent:quiet", "silence": 20.0, "watchdog": 20.0}
+    program = program_of(platform, silent=silent)
+    report = Runner(program, RunOptions(duration=0.2)).run()
+    assert report.faults == []
+    sent = log.read_text().split()
+    if silent:
+        assert sent == []
+    else:
+        assert sent.count("command") >= 5
+        assert sent[-1] == "damping"
 
 
 def test_a_closed_workflow_passes_nothing_silently_either() -> None:

@@ -79,6 +79,9 @@ class Rate:
         period: of a tick in [s].
         promised: what the robot file says in [Hz], or None.
         source: who tells them, for messages.
+
+    Attributes:
+        count: as given.
     """
 
     name = "rate"
@@ -91,7 +94,7 @@ class Rate:
     def __init__(
         self, count: Callable[[], int], period: float, promised: float | None, source: str
     ) -> None:
-        self._count, self._source, self._tick_hz = count, source, 1.0 / period
+        self.count, self._source, self._tick_hz = count, source, 1.0 / period
         self._promised = min(promised or self._tick_hz, self._tick_hz)
         self._fresh: deque[bool] = deque(maxlen=max(round(self.WINDOW / period), 10))
         self._last: int | None = None
@@ -109,7 +112,7 @@ class Rate:
 
     def __call__(self) -> str:
         """Count once more."""
-        count = self._count()
+        count = self.count()
         if self._last is not None:
             self._fresh.append(count > self._last)
         self._last = count

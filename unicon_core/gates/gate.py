@@ -52,10 +52,14 @@ class Heeding:
 
 
 class Passing:
-    """A gate of a simulator: it is shown and holds."""
+    """A gate of a simulator: it is shown and holds.
+
+    Attributes:
+        gate: what a robot would be asked.
+    """
 
     def __init__(self, gate: StartGate) -> None:
-        self.name = gate.name
+        self.gate, self.name = gate, gate.name
         self.about = f"{getattr(gate, 'about', '')} (passes by itself in a simulator)"
 
     def __call__(self) -> str:

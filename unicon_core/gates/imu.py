@@ -18,6 +18,8 @@ GRAVITY = 9.81
 """In [m/s²]."""
 ACCELERATION = 1.5
 """How far |accelerometer| may be from it at rest in [m/s²]: MEMS sensors are off by up to 0.5."""
+NONSENSE = 500.0
+"""No accelerometer of a robot shows more, [m/s²]; it would stay in the average for ever."""
 ANGLE = 0.2
 """Largest angle between measured and reported gravity at rest, [rad]; a wrong axis gives π/2."""
 TURNING = 0.5
@@ -58,7 +60,7 @@ class Imu:
 
     def __call__(self) -> str:
         """Look at what is told."""
-        gyro = 0.0 if self._gyro is None else float(np.linalg.norm(self._gyro))
+        gyro = 0.0 if self._gyro is None else _norm(self._gyro)
         if not gyro <= TURNING:
             self._mean = None
             return (
@@ -69,7 +71,7 @@ class Imu:
 
     def _orientation(self) -> str:
         if self._quat is not None:
-            norm = float(np.linalg.norm(self._quat))
+            norm = _norm(self._quat)
             if not abs(norm - 1.0) <= NORM:
                 return (
                     f"base_quat has length {norm:.3f} instead of 1; correct the map's fields, or "
@@ -87,10 +89,17 @@ class Imu:
         measured = self._acceleration
         if measured is None or not (measured.any() or self._need_acceleration):
             return ""
+        now = _norm(measured)
+        if not now <= NONSENSE:
+            self._mean = None
+            return (
+                f"|base_lin_acc| is {now:g} m/s², which no sensor measures; correct the driver or "
+                "the unit in the map"
+            )
         if self._mean is None:
             self._mean = measured.astype(np.float64)
         self._mean += self._draw * (measured - self._mean)
-        size = float(np.linalg.norm(self._mean))
+        size = _norm(self._mean)
         if not abs(size - GRAVITY) <= ACCELERATION:
             return (
                 f"|base_lin_acc| is {size:.2f} m/s² at rest, gravity is {GRAVITY} ± "
@@ -99,7 +108,7 @@ class Imu:
             )
         if self._down is None:
             return ""
-        cosine = -float(self._mean @ self._down) / (size * float(np.linalg.norm(self._down)) or 1.0)
+        cosine = -float(self._mean @ self._down) / (size * _norm(self._down) or 1.0)
         angle = math.acos(max(-1.0, min(cosine, 1.0))) if math.isfinite(cosine) else math.pi
         if angle <= ANGLE:
             return ""
@@ -107,3 +116,8 @@ class Imu:
             f"gravity by base_lin_acc is {angle:.2f} rad away from projected_gravity, at most "
             f"{ANGLE} rad are plausible; correct axes and signs of the IMU in the driver or the map"
         )
+
+
+def _norm(vector: NDArray[Any]) -> float:
+    """Return the length; in double precision, which a float's garbage does not overflow."""
+    return float(np.linalg.norm(vector.astype(np.float64)))

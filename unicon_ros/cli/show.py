@@ -25,6 +25,7 @@ def add(commands: Any) -> None:
 
 def show(arguments: argparse.Namespace) -> int:
     """Run the command."""
+    from unicon_core.aligned import aligned
     from unicon_core.flow import compile_graph
     from unicon_core.runtime.phases import describe
     from unicon_core.show import parts_table, show_mermaid, show_svg, show_text
@@ -49,6 +50,10 @@ def show(arguments: argparse.Namespace) -> int:
             print("\nPhases")
             for phase, what in describe(program):
                 print(f"  {phase:<10} {what}")
+            if program.gates:
+                print("\nGates")
+                gates = [(f"  {g.name}", getattr(g, "about", "")) for g in program.gates]
+                print("\n".join(aligned(gates, underlined=False)))
             if program.parts is not None:
                 print("\nParts")
                 print("\n".join(f"  {line}" for line in parts_table(program.parts, program.states)))

@@ -1,0 +1,182 @@
+"""`look`: receives from a live platform for some seconds and says what it saw; it sends nothing."""
+
+from __future__ import annotations
+
+import math
+import os
+import shutil
+import time
+
+import numpy as np
+
+from unicon_core.errors import Fault
+from unicon_core.flow import Node, Zip, compile_graph
+from unicon_core.flow.stage import Stage
+from unicon_core.gates.data import Rate
+from unicon_core.platforms.platform import ReportsVariant, SeesCommanders, info_of
+from unicon_core.preflight.first import tell_first_command
+from unicon_core.preflight.result import PreflightResult
+from unicon_core.signals import SIGNALS
+from unicon_core.workflow import Program
+
+__all__ = ["look", "waiting"]
+
+FREE_BYTES = 1 << 30
+"""Free disk that a run should have: a recording grows by 1 to 10 MB a minute."""
+NEAREST = 3
+"""So many joints are named that are nearest to a limit."""
+
+
+def waiting(program: Program) -> Node:
+    """Return the tree of a tick that only receives: recv, estimate and the commands of others."""
+    stages = (Stage.RECV, Stage.ESTIMATE, Stage.INPUT)
+    return Zip(*(node for stage in stages for node in program.stages[stage]))
+
+
+def look(program: Program, seconds: float) -> PreflightResult:
+    """Receive for some seconds, ask all gates in every tick, and judge what was seen.
+
+    Where a gate does not hold at the end it is asked for as long again, as a run would.
+
+    Args:
+        program: built silently; it stays open.
+        seconds: at least 1, which the gates need.
+
+    Raises:
+        Interrupted: a signal asked to end.
+    """
+    facts = program.platform.facts
+    result = PreflightResult(program.name, program.robot.name, facts.name)
+    said: dict[str, str] = {}
+    gaps = _Gaps(program)
+    try:
+        _receive(program, seconds, said, gaps, result)
+    except Fault as fault:
+        result.fault = str(fault)
+    _of_robot(program, result)
+    seen = {"rate": gaps.told(), "imu": _imu(program), "posture": _posture(program)}
+    for gate in program.gates:
+        reason = said.get(gate.name, "it was not asked")
+        figures = seen.get(gate.name, "") or getattr(gate, "about", "")
+        result.add(gate.name, not reason, reason or figures)
+    if not program.gates:
+        result.add("gates", None, "none are asked (start: {gates: false})")
+    if not result.fault:
+        tell_first_command(program, result)
+    _around(program, result)
+    return result
+
+
+def _receive(
+    program: Program, seconds: float, said: dict[str, str], gaps: _Gaps, result: PreflightResult
+) -> None:
+    step = compile_graph(waiting(program)).step
+    begun = due = time.perf_counter()
+    refused: set[str] = set()
+    while due - begun < seconds or (any(said.values()) and due - begun < 2.0 * seconds):
+        SIGNALS.check()
+        if step():
+            raise Fault("the platform has gone")
+        gaps.note()
+        for gate in program.gates:
+            if gate.name in refused:
+                continue
+            try:
+                said[gate.name] = gate()
+            except Fault as fault:  # it does not help to ask it again
+                said[gate.name] = str(fault)
+                refused.add(gate.name)
+        result.ticks += 1
+        due += program.period
+        time.sleep(max(0.0, due - time.perf_counter()))
+        due = max(due, time.perf_counter() - program.period)  # a busy machine looks less often
+        result.seconds = round(time.perf_counter() - begun, 3)
+
+
+class _Gaps:
+    """How often there were new data, and the longest time without."""
+
+    def __init__(self, program: Program) -> None:
+        gates = (getattr(gate, "gate", gate) for gate in program.gates)
+        self._rate = next((gate for gate in gates if isinstance(gate, Rate)), None)
+        self._last, self._new = -1, 0
+        self._at = self._first = time.perf_counter()
+        self._longest = 0.0
+
+    def note(self) -> None:
+        """Look whether the data are new."""
+        count = -1 if self._rate is None else self._rate.count()
+        now = time.perf_counter()
+        if count != self._last:
+            self._longest = max(self._longest, now - self._at if self._new else 0.0)
+            self._first = self._first if self._new else now
+            self._last, self._at, self._new = count, now, self._new + 1
+
+    def told(self) -> str:
+        """Return the figures; "" where nothing tells."""
+        if self._rate is None or self._new < 2:
+            return ""
+        hz = (self._new - 1) / max(self._at - self._first, 1e-9)
+        age = time.perf_counter() - self._at
+        return (
+            f"new data {hz:.3g} times a second, longest gap {1e3 * self._longest:.0f} ms, age "
+            f"{1e3 * age:.0f} ms"
+        )
+
+
+def _of_robot(program: Program, result: PreflightResult) -> None:
+    """What was opened: protocol, map, topics, variant."""
+    platform, robot = program.platform, program.robot
+    info = dict(info_of(platform))
+    protocol = robot.transport.get("protocol")
+    told = f"{robot.path.name}, protocol {protocol}"
+    told += f", map {info['map']}" if info.get("map") else ""
+    result.add("robot", None, told)
+    for topic, count in dict(info.get("received") or {}).items():
+        result.add("received", None, f"{topic}: {count} messages taken")
+    for note in info.get("notes") or ():
+        result.add("platform", None, str(note))
+    if isinstance(platform, ReportsVariant):
+        reported = ", ".join(f"{key} {value}" for key, value in platform.variant().items())
+        result.add("reported", None, reported or "nothing yet")
+    elif "mode_machine" in robot.transport:
+        mode = robot.transport["mode_machine"]
+        result.add("reported", None, f"no variant; the robot file is of mode_machine {mode}")
+
+
+def _imu(program: Program) -> str:
+    states, writes = program.states, program.platform.facts.writes
+    figures = []
+    if "base_lin_acc" in writes:
+        size = float(np.linalg.norm(states["base_lin_acc"]))
+        figures.append(f"accelerometer {size:.2f} m/s²")
+    if "base_ang_vel" in writes:
+        figures.append(f"gyroscope {float(np.linalg.norm(states['base_ang_vel'])):.3f} rad/s")
+    if "projected_gravity" in writes:
+        down = float(np.clip(-states["projected_gravity"].reshape(-1, 3)[0, 2], -1.0, 1.0))
+        figures.append(f"leans by {math.acos(down):.2f} rad")
+    return ", ".join(figures)
+
+
+def _posture(program: Program) -> str:
+    robot, pos = program.robot, program.states["joint_pos"]
+    room = np.fmin(pos - robot.lower, robot.upper - pos)  # NaN where no limit is known
+    order = np.argsort(np.nan_to_num(room, nan=np.inf))[:NEAREST]
+    named = [f"{robot.joint_names[i]} {room[i]:.2f} rad" for i in order if not np.isnan(room[i])]
+    return f"nearest to a limit: {', '.join(named)}" if named else ""
+
+
+def _around(program: Program, result: PreflightResult) -> None:
+    """What is around: others who command, room for a recording."""
+    platform = program.platform
+    if isinstance(platform, SeesCommanders):
+        for where, count in platform.commanders().items():
+            told = f"nobody else sends to {where}"
+            if count:
+                told = f"{count} others send to {where}; end them, one alone may command a robot"
+            result.add("commanders", not count, told)
+    free = shutil.disk_usage(os.getcwd()).free
+    told = f"{free / 1e9:.1f} GB free in this folder"
+    if free < FREE_BYTES:
+        told += f", {FREE_BYTES / 1e9:.1f} GB are advised; make room, or record elsewhere"
+    result.add("disk", free >= FREE_BYTES, told)

@@ -1,0 +1,189 @@
+"""`unicon preflight WORKFLOW`: looks at the live robot, sends nothing; pass or fail, with remedy.
+
+It opens the platform to receive only. With `--wiggle` it then moves each joint a little, after an
+explicit yes, to prove order and signs: the robot hangs on a gantry or lies.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from typing import TYPE_CHECKING, Any
+
+from unicon_core.errors import CheckError, Fault, UniconError
+from unicon_ros.cli.workflow_arguments import add_workflow, positive
+
+if TYPE_CHECKING:
+    from unicon_core.preflight.result import PreflightResult
+    from unicon_core.workflow import Program
+    from unicon_core.workflow.document import WorkflowDocument
+
+__all__ = ["add", "preflight"]
+
+SHORTEST = 1.0
+"""Of `--seconds`: the gates look at half a second, and at a whole one for what is frozen."""
+
+QUESTION = (
+    "Every joint of robot {robot} will move by {angle:g} rad, one after the other. It hangs on a "
+    "gantry or lies, and nobody is near it. Type yes to go on: "
+)
+
+
+def add(commands: Any) -> None:
+    """Add the command to the parser."""
+    parser = commands.add_parser(
+        "preflight", help="look at the live robot, sending nothing", description=__doc__
+    )
+    add_workflow(parser)
+    parser.add_argument(
+        "--seconds", type=positive, default=3.0, metavar="S", help="receive for S seconds (3)"
+    )
+    parser.add_argument(
+        "--ros",
+        action=argparse.BooleanOptionalAction,
+        default=None,
+        help="also open the node of a run, with its topics and ~/estop (default: what the "
+        "workflow says, else no)",
+    )
+    parser.add_argument("--map", metavar="MAP", help="of that: name in config/maps/, or a path")
+    parser.add_argument("--json", metavar="FILE", help="write all of it as JSON")
+    parser.add_argument(
+        "--wiggle", action="store_true", help="then move each joint a little, after a yes"
+    )
+    parser.add_argument(
+        "--angle", type=positive, default=0.05, metavar="RAD", help="of these moves (0.05)"
+    )
+    parser.add_argument("--yes", action="store_true", help="do not ask before them")
+    parser.set_defaults(function=preflight)
+
+
+def preflight(arguments: argparse.Namespace) -> int:
+    """Run the command; exit status 0 all in order, 1 something fails, 3 fault."""
+    # Imported here so that `unicon --help` stays fast and free of optional packages.
+    from unicon_core.preflight.result import PreflightResult
+    from unicon_core.workflow import load_document
+
+    if arguments.seconds < SHORTEST:
+        raise UniconError(f"--seconds {arguments.seconds:g}: give {SHORTEST:g} or more")
+    document = load_document(arguments.workflow, arguments.overrides)
+    result = _looked(arguments, document, silent=True)
+    print(result.text(), flush=True)
+    told = result.to_dict()
+    status = 3 if result.fault else 0 if result.ok else 1
+    if arguments.wiggle and status:
+        print("\nno joint is moved before all of this passes")
+    elif arguments.wiggle:
+        status = _wiggle(arguments, document, told)
+    if arguments.json:
+        PreflightResult.write(told, arguments.json)
+    return status
+
+
+def _looked(
+    arguments: argparse.Namespace, document: WorkflowDocument, *, silent: bool
+) -> PreflightResult:
+    from unicon_core.preflight.look import look
+    from unicon_core.signals import SIGNALS
+    from unicon_core.workflow import Program
+
+    with_ros = document.get("ros", bool, False) if arguments.ros is None else arguments.ros
+    session: Any = None
+    if with_ros:
+        from unicon_ros.bridge import RosSession
+
+        session = RosSession(
+            map=arguments.map or document.get("map", str), node_name="unicon", warn=_warn
+        )
+    try:
+        with SIGNALS.guard() as guard:
+            hooks = [] if session is None else [session.hook]
+            program = Program(document, hooks=hooks, silent=silent)
+            guard.damp = program.damp_now
+            try:
+                program.warn = _warn
+                result = look(program, arguments.seconds)
+                _static(program, result)
+                if session is not None:
+                    _estop(session, result)
+            finally:
+                program.close()
+                guard.damp = None
+    finally:
+        if session is not None:
+            session.close()
+    return result
+
+
+def _static(program: Program, result: PreflightResult) -> None:
+    """What `unicon run` would refuse, and what it would tell at its start."""
+    from unicon_core.check import refuse_errors
+
+    try:
+        told = refuse_errors(program)
+    except CheckError as error:
+        for finding in error.findings:
+            result.add("check", False, finding)
+        return
+    result.add("check", True, "no error that a run would refuse")
+    for line in told:
+        result.add("check", None, line)
+
+
+def _estop(session: Any, result: PreflightResult) -> None:
+    latched = session.estop is not None and bool(session.estop.refusal())
+    name = f"{session.node.get_fully_qualified_name()}/estop"
+    told = "somebody presses it; let go, then call ~/clear_estop" if latched else "not pressed"
+    result.add("estop", not latched, f"{name}: {told}")
+
+
+def _wiggle(arguments: argparse.Namespace, document: WorkflowDocument, told: dict[str, Any]) -> int:
+    """Move each joint and tell what followed; exit status."""
+    from unicon_core.aligned import aligned
+    from unicon_core.preflight.look import look
+    from unicon_core.preflight.wiggle import verdicts, wiggle
+    from unicon_core.signals import SIGNALS
+    from unicon_core.workflow import Program
+
+    if not arguments.yes and not _agreed(str(told["robot"]), arguments.angle):
+        print("no joint was moved")
+        return 1
+    with SIGNALS.guard() as guard:
+        program = Program(document)
+        guard.damp = program.damp_now
+        program.warn = _warn
+        try:
+            again = look(program, SHORTEST)  # the yes may have taken its time
+            if not again.ok:
+                print(again.text())
+                return 3 if again.fault else 1
+            moved = wiggle(program, arguments.angle)
+        except Fault as fault:
+            print(f"fault: {fault}; the platform damped")
+            told["fault"] = str(fault)
+            return 3
+        finally:
+            program.close()
+    heads = ("moved", "followed", "by", "share", "verdict")
+    print()
+    print("\n".join(aligned([heads, *verdicts(moved, arguments.angle)])))
+    told["wiggle"] = [{**vars(each), "wrong": each.wrong} for each in moved]
+    SIGNALS.check()
+    return int(any(each.wrong for each in moved))
+
+
+def _agreed(robot: str, angle: float) -> bool:
+    """Ask on the terminal.
+
+    Raises:
+        UniconError: there is none.
+    """
+    if not sys.stdin.isatty():
+        raise UniconError(
+            "--wiggle moves the robot and asks on the terminal, and standard input is none; give "
+            "--yes if the robot hangs or lies and nobody is near it"
+        )
+    return input(QUESTION.format(robot=robot, angle=angle)).strip().lower() == "yes"
+
+
+def _warn(message: str) -> None:
+    print(f"unicon: warning: {message}", file=sys.stderr)
