@@ -52,7 +52,7 @@ SCHEMA = "unicon.record/1"
 OFF = "off"
 KEPT = 10
 """Records in a folder; older ones make room."""
-CHUNK_BYTES = 1 << 20
+CHUNK_BYTES = 1 << 18
 VERSIONS = ("numpy", "onnxruntime", "torch", "mujoco", "pybullet", "rclpy")
 
 

@@ -71,7 +71,7 @@ def cut_off(
         return stages
 
     program = _program(workflow, overrides, [outside, record.hook])
-    runner = Runner(program, RunOptions(speed="max", warn=_unwanted))
+    runner = Runner(program, RunOptions(speed="max", warn=str))
     record.attach(runner)
     report = runner.run()
     path = record.write(report)
@@ -83,7 +83,7 @@ def replay(workflow: Any, record: Record, overrides: Mapping[str, Any] | None = 
     """Feed what a record's ticks received to a fresh program; return in what it differs."""
     feed = Feed(record)
     program = _program(workflow, overrides, [feed.hook])
-    runner = Runner(program, RunOptions(speed="max", warn=_unwanted))
+    runner = Runner(program, RunOptions(speed="max", warn=str))
     memory, graphs = memory_of(program, runner), runner.graphs()
     before = {each["before"]: each for each in record.memories}
     try:

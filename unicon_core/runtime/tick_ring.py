@@ -100,7 +100,7 @@ class TickRing:
         self._runner: Runner | None = None
         self._phase, self._phase_number = PHASES[0], 0
         self._memory: Memory | None = None
-        self._memories: deque[KeptMemory] = deque(maxlen=STRIDES + 2)
+        self._memories: deque[KeptMemory] = deque()
 
     def blocks(self) -> dict[Stage, list[Block]]:
         """Return the blocks that keep the ticks; none where there is no room."""
@@ -175,6 +175,8 @@ class TickRing:
             return
         try:
             self._memories.append(KeptMemory(self.rows, anew, self._memory.take()))
+            while self._memories[0].row < self.rows - self.capacity:
+                self._memories.popleft()
         except Exception as error:  # a run does not end because of its record
             self._memory = None
             self.trouble = f"what the blocks remembered in tick {self.rows} was not kept: {error!r}"
