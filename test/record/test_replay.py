@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import random
 from collections.abc import Callable
 from pathlib import Path
@@ -73,6 +74,26 @@ def test_a_torchscript_policy_that_remembers(tmp_path: Path) -> None:
     held(workflow, tmp_path / "faults", 130)
 
 
+def test_a_platform_in_a_process_of_its_own(tmp_path: Path) -> None:
+    workflow = written(tmp_path, {"chain": [{"pose": {"duration": 1.0}}, "hold"]})
+    child = {"platform": {"child": "fake", "silence": 10}}
+    told = cut_off(workflow, tmp_path / "faults", 60, overrides=child)
+    assert len(told.record.ticks) == 61
+    assert replay(workflow, told.record) == []  # in one process
+
+
+def test_a_part_keeps_what_it_received(tmp_path: Path) -> None:
+    parts = {"robot": {"publishes": ["joint_pos"]}, "desk": {"publishes": ["velocity_command"]}}
+    commands = [{"on": "desk", "velocity_command": {"constant": [0.1, 0.0, 0.0]}}]
+    flow = {"chain": [{"pose": {"duration": 1.0}}, "hold"]}
+    workflow = written(
+        tmp_path, flow, parts=parts, commands=commands, store="shm", name=f"record-{os.getpid()}"
+    )
+    told = cut_off(workflow, tmp_path / "faults", 60, part="robot")
+    assert told.record.facts["part"] == "robot"
+    assert replay(workflow, told.record, part="robot") == []
+
+
 def test_a_batch(tmp_path: Path) -> None:
     workflow = written(tmp_path, {"chain": [{"pose": {"duration": 1.0}}, "hold"]}, num_robots=3)
     held(workflow, tmp_path / "faults", 120)
@@ -122,7 +143,7 @@ def written(folder: Path, flow: Any, **more: Any) -> Path:
         "flow": flow,
     }
     path = folder / "workflow.yaml"
-    path.write_text(yaml.safe_dump(values | more), "utf-8")
+    path.write_text(yaml.safe_dump(values | more, sort_keys=False), "utf-8")
     return path
 
 
