@@ -21,6 +21,7 @@ from unicon_core.workflow import Program
 
 pytestmark = pytest.mark.usefixtures("short_ring")
 
+MORE = ("phase", "time_step")  # of the kinds of policies, in the slow tests
 UNSAFE = {"safety": ["finite", "joint_limits", "rate_limit"]}  # noise would trip the others
 
 
@@ -36,7 +37,7 @@ def held(workflow: Any, folder: Path, ticks: int, **options: Any) -> None:
     assert replay(workflow, record, overrides) == []
 
 
-@pytest.mark.parametrize("ticks", [10, 149, 150, 337])
+@pytest.mark.parametrize("ticks", [10, 149, 337])
 def test_go2_walk(ticks: int, tmp_path: Path) -> None:
     held("go2_walk", tmp_path, ticks, overrides=UNSAFE | {"wind_down": None})
 
@@ -49,7 +50,7 @@ def test_without_its_memory_a_replay_differs(tmp_path: Path) -> None:
     assert replay("go2_walk", record, overrides)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind not in MORE])
 def test_a_policy_of_every_kind(kind: str, tmp_path: Path) -> None:
     folder = write_policy(tmp_path / kind, kind)
     workflow = written(tmp_path, {"policy": "walk"}, policies={"walk": str(folder)})
@@ -99,7 +100,20 @@ def test_a_batch(tmp_path: Path) -> None:
     held(workflow, tmp_path / "faults", 120)
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", MORE)
+def test_a_policy_of_every_other_kind(kind: str, tmp_path: Path) -> None:
+    test_a_policy_of_every_kind(kind, tmp_path)
+
+
+@pytest.mark.slow
+def test_many_random_flows(tmp_path: Path) -> None:
+    for seed in range(4, 44):
+        (tmp_path / str(seed)).mkdir()
+        test_random_flows(seed, tmp_path / str(seed))
+
+
+@pytest.mark.parametrize("seed", range(4))
 def test_random_flows(seed: int, tmp_path: Path) -> None:
     """Chains, loops, switches that blend, every, when; ramps and schedules; a topic beside."""
     rng = random.Random(seed)
