@@ -21,6 +21,7 @@ os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 if os.environ.get("ROS_DISTRO") == "humble":
     os.environ["ROS_LOCALHOST_ONLY"] = "1"
 os.environ["ROS_LOG_DIR"] = LOG_DIR
+os.environ["UNICON_FAULTS"] = f"{LOG_DIR}/faults"  # not the user's
 for name in ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"):
     os.environ[name] = str(ROOT / "config" / "dds" / "fast_discovery.xml")
 

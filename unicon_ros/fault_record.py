@@ -18,6 +18,7 @@ import os
 import platform
 import re
 import sys
+import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -52,7 +53,9 @@ SCHEMA = "unicon.record/1"
 OFF = "off"
 KEPT = 10
 """Records in a folder; older ones make room."""
-CHUNK_BYTES = 1 << 20
+PATIENCE = 10.0
+"""For the medium in [s]: nobody is to wait for ever for the report of a fault."""
+CHUNK_BYTES = 1 << 18
 VERSIONS = ("numpy", "onnxruntime", "torch", "mujoco", "pybullet", "rclpy")
 
 
@@ -118,17 +121,30 @@ class FaultRecord:
     def write(self, report: Report) -> Path | None:
         """Write the record of a run with a fault, and return where; never raises.
 
-        What goes wrong is one warning.
+        What goes wrong is one warning; a medium that takes nothing is waited for 10 s.
         """
-        if not report.faults or self._ring is None or self._folder is None:
+        ring, folder = self._ring, self._folder
+        if not report.faults or ring is None or folder is None:
             return None
-        try:
-            return self._write(self._ring, self._folder, report)
-        except OSError as error:
-            reason = f"{error.strerror or error}; give a folder with room in UNICON_FAULTS"
-        except Exception as error:  # the run has ended: whatever it is, the report still comes
-            reason = f"{type(error).__name__}: {error}"
-        self._warn(f"no fault record in {self._folder}: {' '.join(reason.split())}")
+        written: list[Path] = []
+        troubles: list[str] = []
+
+        def work() -> None:
+            try:
+                written.append(self._write(ring, folder, report))
+            except OSError as error:
+                reason = error.strerror or str(error)
+                troubles.append(f"{reason}; give a folder with room in UNICON_FAULTS")
+            except Exception as error:  # the run has ended: the report still comes
+                troubles.append(" ".join(f"{type(error).__name__}: {error}".split()))
+
+        thread = threading.Thread(target=work, name="fault record", daemon=True)
+        thread.start()
+        thread.join(PATIENCE)
+        if written:
+            return written[0]
+        silence = f"the medium took nothing for {PATIENCE:g} s"
+        self._warn(f"no fault record in {folder}: {troubles[0] if troubles else silence}")
         return None
 
     def _write(self, ring: TickRing, folder: Path, report: Report) -> Path:

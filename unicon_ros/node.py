@@ -36,6 +36,7 @@ from unicon_ros.bridge.estop import FAULT, EmergencyStop
 from unicon_ros.bridge.node_log import NodeLog
 from unicon_ros.bridge.services import Answer, add_services, explained
 from unicon_ros.bridge.tuning import Tuning
+from unicon_ros.fault_record import FaultRecord
 from unicon_ros.parameters import Parameters
 
 __all__ = ["UniconNode"]
@@ -65,6 +66,7 @@ class UniconNode(LifecycleNode):
         self.settings = Parameters(self, self.tuning)
         self.runner: Runner | None = None
         self.session: RosSession | None = None
+        self._record = FaultRecord()
         self.error = self.fault = ""
         self._executor: Any = None
         self._fresh = False  # the runner was built and has not run
@@ -160,6 +162,8 @@ class UniconNode(LifecycleNode):
         try:
             report = runner.run()
             faults = report.faults
+            if (path := self._record.write(report)) is not None:
+                self.log.info(f"fault record: {path}")
             counts = session.counts()
             self.log.info(
                 f"ended after {report.ticks} ticks, {report.overruns} overruns; "
@@ -273,6 +277,8 @@ class UniconNode(LifecycleNode):
             patient = settings.speed == "max"
             recording = Recording(settings["record"], map_name, session, warn, patient)
             hooks.append(recording.hook)
+        self._record = FaultRecord(warn=warn)
+        hooks.append(self._record.hook)  # the last one: it looks behind the others
         program = Program(document, hooks=hooks, part=settings["part"])
         try:
             for line in refuse_errors(program, settings.force):
@@ -282,6 +288,7 @@ class UniconNode(LifecycleNode):
             program.close()
             raise
         session.attach(self.runner)
+        self._record.attach(self.runner)
         self.diagnostics.outgoing, self.diagnostics.incoming = session.outgoing, session.incoming
 
     def _release(self) -> None:

@@ -30,21 +30,23 @@ class Told:
 
 
 def cut_off(
-    workflow: Any,
+    workflow: str | Path,
     folder: Path,
     ticks: int,
     *,
     noise: float = 0.05,
     overrides: Mapping[str, Any] | None = None,
+    part: str = "",
     inputs: Callable[[Program, np.random.Generator], Callable[[], object]] | None = None,
 ) -> Told:
     """Run a workflow with sensors that are noise, and let it be cut off in a tick.
 
     Args:
-        workflow: its name, or the keywords of a program.
+        workflow: its name or path.
         ticks: that end; the next one does not.
         noise: of the sensors' floats.
         overrides: of the workflow.
+        part: of a divided workflow.
         inputs: makes what writes states from outside in stage `input`, such as a topic.
     """
     rng = np.random.default_rng(ticks)
@@ -70,8 +72,8 @@ def cut_off(
             stages[Stage.INPUT] = [Block("given", inputs(program, rng))]
         return stages
 
-    program = _program(workflow, overrides, [outside, record.hook])
-    runner = Runner(program, RunOptions(speed="max", warn=_unwanted))
+    program = _program(workflow, overrides, [outside, record.hook], part)
+    runner = Runner(program, RunOptions(speed="max", warn=str))
     record.attach(runner)
     report = runner.run()
     path = record.write(report)
@@ -79,11 +81,13 @@ def cut_off(
     return Told(path, report, open_record(path))
 
 
-def replay(workflow: Any, record: Record, overrides: Mapping[str, Any] | None = None) -> list[str]:
+def replay(
+    workflow: str | Path, record: Record, overrides: Mapping[str, Any] | None = None, part: str = ""
+) -> list[str]:
     """Feed what a record's ticks received to a fresh program; return in what it differs."""
     feed = Feed(record)
-    program = _program(workflow, overrides, [feed.hook])
-    runner = Runner(program, RunOptions(speed="max", warn=_unwanted))
+    program = _program(workflow, overrides, [feed.hook], part)
+    runner = Runner(program, RunOptions(speed="max", warn=str))
     memory, graphs = memory_of(program, runner), runner.graphs()
     before = {each["before"]: each for each in record.memories}
     try:
@@ -141,11 +145,11 @@ class Feed:
 GIVEN = ("velocity_command", "joint_stiffness", "joint_damping")
 
 
-def _program(workflow: Any, overrides: Mapping[str, Any] | None, hooks: list[Any]) -> Program:
-    if isinstance(workflow, (str, Path)):
-        document = load_document(workflow, {"platform": "fake"} | dict(overrides or {}))
-        return Program(document, hooks=hooks)
-    return Program(hooks=hooks, **workflow())
+def _program(
+    workflow: str | Path, overrides: Mapping[str, Any] | None, hooks: list[Any], part: str
+) -> Program:
+    document = load_document(workflow, {"platform": "fake"} | dict(overrides or {}))
+    return Program(document, hooks=hooks, part=part)
 
 
 def _unwanted(message: str) -> None:

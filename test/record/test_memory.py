@@ -68,7 +68,7 @@ def bits(value: Any) -> Any:
     return type(value), value
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=50, deadline=None)
 @given(VALUES)
 def test_a_value_is_the_same_to_the_bit_after_json(value: Any) -> None:
     text = json.dumps(to_json(copied(value)))
@@ -220,6 +220,29 @@ def test_what_cannot_be_kept_is_named() -> None:
     counter, steps, huge = itertools.count(), (i for i in range(3)), list(range(1 << 15))
     content = Memory({"a": lambda: (next(counter), next(steps), huge)}, states).take().content()
     assert sorted(content["unkept"]) == ["a.counter", "a.huge", "a.steps"]
+
+
+def test_tensors_are_kept_as_the_memory_that_they_share() -> None:
+    class Tensor:  # as torch's, which need not be installed
+        def __init__(self, array: Any) -> None:
+            self.array = array
+
+        def detach(self) -> Tensor:
+            return self
+
+        def numpy(self) -> Any:
+            if self.array is None:
+                raise TypeError("it lies on a device")
+            return self.array
+
+    Tensor.__module__ = "torch"
+    states = States({"out": StateSpec((5,))})
+    tensors = [Tensor(np.arange(3.0)), Tensor(None)]
+    content = Memory({"a": lambda: tensors}, states).take().content()
+    assert content["unkept"] == ["a.tensors[1]"]
+    tensors[0].array[:] = 7.0
+    Memory({"a": lambda: tensors}, states).restore(content)
+    assert tensors[0].array.tolist() == [0.0, 1.0, 2.0]
 
 
 def test_a_long_chain_of_objects_and_one_that_holds_too_much_are_no_trouble() -> None:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import signal
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
+
+from unicon_ros.recording import open_record
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]
 
@@ -132,9 +135,16 @@ def test_a_fault_is_exit_status_3_where_it_is_asked_for(
     nodes: Start, peers: Start, react: Path
 ) -> None:
     node = nodes(*ros_args(f"workflow:={react}", "exit_on_fault:=true"))
+    watcher = peers("robot_watcher")
+    watcher.wait_for(lambda: len(watcher.of("joints")) > 5, "joint_states")
     assert peers("caller", "unicon", "estop").end()[0] == 0
     status, errors = node.end()
     assert status == 3, errors
+    said = next(line for line in errors.splitlines() if "fault record: " in line)
+    record = open_record(said.split("fault record: ")[1])
+    assert record.facts["reason"] == "emergency stop by the service ~/estop"
+    assert record.moments == ("received", "input", "tuned", "sent")
+    assert json.loads(record.files["memory.json"])["trouble"] == ""
 
 
 def test_command_limits_and_gain_scales_may_be_set_while_it_runs(

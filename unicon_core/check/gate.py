@@ -33,13 +33,8 @@ def refuse_errors(program: Program, force: Iterable[str] = ()) -> list[str]:
         force: codes of errors to go on with.
 
     Returns:
-<<<<<<< HEAD
-        Warnings to be told at every start: errors that are forced or accepted, and a workflow
-        without safety blocks or gates.
-=======
         Warnings to be told at every start: errors that are forced or accepted, a workflow without
-        safety blocks, and safety blocks that a robot does not have.
->>>>>>> s15a
+        safety blocks or gates, and safety blocks that a robot does not have.
 
     Raises:
         WorkflowError: an unknown code.
@@ -72,17 +67,8 @@ def refuse_errors(program: Program, force: Iterable[str] = ()) -> list[str]:
     told += [f"accepted by the workflow: {found}" for found in result.waived]
     decided = dict.fromkeys(found.code for found in [*result.findings, *result.waived])
     program.forced = tuple(decided)
-<<<<<<< HEAD
     told += [f"{note.culprit}: {TOLD[note.code]}" for note in result.notes if note.code in TOLD]
-=======
     told += [
         f"{note.culprit}: {note.evidence}" for note in result.notes if note.code == "safety.less"
     ]
-    told += [
-        f"{note.culprit}: commands are sent as they are, also those that are not finite or beyond "
-        "the limits of a joint"
-        for note in result.notes
-        if note.code == "safety.none"
-    ]
->>>>>>> s15a
     return told

@@ -92,8 +92,13 @@ class Memory:
             values = self._values()
             assert values is not None
         found = self._found
-        kept = {path: copied(keeper.memory()) for path, keeper in found.keepers.items()}
-        return Remembered(found.places, values, kept, found.unkept)
+        kept, unkept = {}, list(found.unkept)
+        for path, keeper in found.keepers.items():
+            try:
+                kept[path] = copied(keeper.memory())
+            except Exception:  # whatever it is, the others' memory is kept
+                unkept.append(path)
+        return Remembered(found.places, values, kept, unkept)
 
     def _values(self) -> list[Any] | None:
         """Return copies of the values, None where an object stands in a value's place."""

@@ -61,7 +61,7 @@ class Found:
         parts: owner, key and the object there, which has parts of its own.
         sizes: dictionaries and lists, and how many elements they had.
         keepers: path to objects that say themselves what they remember.
-        unkept: paths of iterators, generators and tensors, whose memory cannot be had.
+        unkept: paths of iterators, generators and tensors of a device, whose memory cannot be had.
     """
 
     owners: dict[Path, Any] = field(default_factory=dict)
@@ -214,7 +214,12 @@ class _Walker:
             return
         elif _keeps(value):
             self.found.keepers[path] = value
-        elif hasattr(type(value), "__next__") or _is_tensor(value):
+        elif _is_tensor(value):
+            try:
+                self.fixed(f"{path}.numpy", value.detach().numpy())  # the same memory
+            except (RuntimeError, TypeError):  # it lies on a device, or NumPy has no such type
+                self.found.unkept.append(path)
+        elif hasattr(type(value), "__next__"):
             self.found.unkept.append(path)
         else:
             self.attributes(path, value)

@@ -112,13 +112,10 @@ class Report:
                 f"ROS 2         published {self.bridge.get('published', 0)}, "
                 f"received {self.bridge.get('received', 0)} messages"
             )
-<<<<<<< HEAD
         if self.dry:
             lines.append("dry           nothing was sent")
-=======
         if self.safety_left_out:
             lines.append(f"safety        without {', '.join(self.safety_left_out)}")
->>>>>>> s15a
         if self.forced:
             lines.append(f"forced        {', '.join(self.forced)}")
         lines.append(f"ended         {self.ended}")

@@ -40,7 +40,6 @@ FEWEST = 16
 HEAD = struct.Struct("<4sqqII")
 """What a kept tick begins with: the head of CDR, time [ns], number, phase, 1 where it has ended."""
 _CDR = bytes((0, 1, 0, 0))
-_ENDED_AT = 24
 
 PHASES = tuple(Phase)
 """The phases in the order of their numbers."""
@@ -95,12 +94,14 @@ class TickRing:
         self.trouble = ""
         # Written once, so that no page of it is new to a tick.
         self._data = memoryview(np.full(self.capacity * self.row_bytes, 0xFF, np.uint8).data)
-        self._at = 0  # of the present row
+        starts = range(HEAD.size, len(self._data), self.row_bytes)
+        self._received_rows = [self._data[at : at + self._size] for at in starts]
+        self._slot = self._at = 0  # of the present row
         self._open = self._anew = self._frozen = False
         self._runner: Runner | None = None
         self._phase, self._phase_number = PHASES[0], 0
         self._memory: Memory | None = None
-        self._memories: deque[KeptMemory] = deque(maxlen=STRIDES + 2)
+        self._memories: deque[KeptMemory] = deque()
 
     def blocks(self) -> dict[Stage, list[Block]]:
         """Return the blocks that keep the ticks; none where there is no room."""
@@ -131,19 +132,17 @@ class TickRing:
         if self._anew:
             self._anew = False
             self._remember(True)
-        self._begin()
+        self._received_rows[self._slot][:] = self._states  # all that the command waits for
+        self._open = True
 
-    def _begin(self) -> None:
+    def _head(self, ended: int) -> None:
         runner, stamp = self._runner, self._stamp
         if runner is not None and runner.phase is not self._phase:
             self._phase = runner.phase
             self._phase_number = PHASES.index(self._phase)
         now = time.time_ns() if stamp is None else int(stamp[0])
-        at, data = self._at, self._data
-        HEAD.pack_into(data, at, _CDR, now, int(self._tick[0]), self._phase_number, 0)
-        at += HEAD.size
-        data[at : at + self._size] = self._states
-        self._open = True
+        number = int(self._tick[0])
+        HEAD.pack_into(self._data, self._at, _CDR, now, number, self._phase_number, ended)
 
     def _taker(self, number: int) -> Callable[[], None]:
         size, states, data = self._size, self._states, self._data
@@ -156,11 +155,9 @@ class TickRing:
         return take
 
     def _sent(self) -> None:
-        at = self._at
-        end = at + self.row_bytes
-        data = self._data
-        data[end - self._size : end] = self._states
-        data[at + _ENDED_AT] = 1
+        end = self._at + self.row_bytes
+        self._data[end - self._size : end] = self._states
+        self._head(1)
         self._next()
         if self.rows % self._stride == 0:
             self._remember(False)
@@ -168,13 +165,16 @@ class TickRing:
     def _next(self) -> None:
         self._open = False
         self.rows += 1
-        self._at = self.rows % self.capacity * self.row_bytes
+        self._slot = self.rows % self.capacity
+        self._at = self._slot * self.row_bytes
 
     def _remember(self, anew: bool) -> None:
         if self._memory is None:
             return
         try:
             self._memories.append(KeptMemory(self.rows, anew, self._memory.take()))
+            while self._memories[0].row < self.rows - self.capacity:
+                self._memories.popleft()
         except Exception as error:  # a run does not end because of its record
             self._memory = None
             self.trouble = f"what the blocks remembered in tick {self.rows} was not kept: {error!r}"
@@ -190,7 +190,8 @@ class TickRing:
             return
         self._frozen = True
         if not self._open:
-            self._begin()
+            self._received_rows[self._slot][:] = self._states
+        self._head(0)
         at = self._at + HEAD.size + self._size
         for _ in self.moments[1:]:
             self._data[at : at + self._size] = self._states

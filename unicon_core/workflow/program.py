@@ -51,13 +51,9 @@ from unicon_core.workflow.gate import Gate
 from unicon_core.workflow.parts import check_places, divided, publishers, read_parts, read_store
 from unicon_core.workflow.platforms import build_platform
 from unicon_core.workflow.policies import controllers_reading, load_policies
-<<<<<<< HEAD
-from unicon_core.workflow.settings import pacing_of, start_of
-from unicon_core.workflow.silent import refuse_parts, withheld
-=======
 from unicon_core.workflow.safety_set import completed, left_out
 from unicon_core.workflow.settings import pacing_of, safety_of, start_of
->>>>>>> s15a
+from unicon_core.workflow.silent import refuse_parts, withheld
 from unicon_core.workflow.uses import EXPRESSION, Use
 from unicon_core.workflow.warm_ups import WarmUps
 

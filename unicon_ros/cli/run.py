@@ -194,6 +194,8 @@ def _run(
         if recording is not None:
             report.extra["recording"] = recording.counts()
         fault = record.write(report)
+        if fault is not None:
+            report.extra["fault_record"] = str(fault)
     except BaseException:
         if session is not None:
             session.close()

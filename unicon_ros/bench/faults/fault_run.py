@@ -53,7 +53,7 @@ class FaultRun:
         self.terminal = self.stream = -1
         self.process: subprocess.Popen[bytes]
         self._peer: subprocess.Popen[bytes] | None = None
-        self._environment = loopback_environment()
+        self._environment = loopback_environment() | {"UNICON_FAULTS": str(folder / "faults")}
 
     @property
     def motors(self) -> CommandLog:

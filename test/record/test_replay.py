@@ -1,0 +1,190 @@
+"""Replay: a fresh program that gets a record's memory and inputs sends the same bytes."""
+
+from __future__ import annotations
+
+import os
+import random
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+pytest.importorskip("onnxruntime", reason="the policies are ONNX networks")
+
+from policies_of_all_kinds import KINDS, write_policy
+from replaying import cut_off, replay
+
+from unicon_core.workflow import Program
+
+pytestmark = pytest.mark.usefixtures("short_ring")
+
+MORE = ("phase", "time_step")  # of the kinds of policies, in the slow tests
+UNSAFE = {"safety": ["finite", "joint_limits", "rate_limit"]}  # noise would trip the others
+
+
+def held(workflow: Any, folder: Path, ticks: int, **options: Any) -> None:
+    """Cut a workflow off, and hold its replay against the record."""
+    overrides = options.pop("overrides", UNSAFE)
+    told = cut_off(workflow, folder, ticks, overrides=overrides, **options)
+    record = told.record
+    assert told.report.faults == ["tripped by the test"]
+    assert all(not each["unkept"] for each in record.memories)
+    assert int(record.ended.sum()) == len(record.ticks) - 1
+    assert record.ticks.tolist() == list(range(ticks + 1))[-len(record.ticks) :]
+    assert replay(workflow, record, overrides) == []
+
+
+@pytest.mark.parametrize("ticks", [10, 149, 337])
+def test_go2_walk(ticks: int, tmp_path: Path) -> None:
+    held("go2_walk", tmp_path, ticks, overrides=UNSAFE | {"wind_down": None})
+
+
+def test_without_its_memory_a_replay_differs(tmp_path: Path) -> None:
+    overrides = UNSAFE | {"flow.chain.0.pose.duration": 9.0}
+    record = cut_off("go2_walk", tmp_path, 200, overrides=overrides).record
+    for memory in record.memories:
+        memory |= {"owners": {}, "kept": {}}
+    assert replay("go2_walk", record, overrides)
+
+
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind not in MORE])
+def test_a_policy_of_every_kind(kind: str, tmp_path: Path) -> None:
+    folder = write_policy(tmp_path / kind, kind)
+    workflow = written(tmp_path, {"policy": "walk"}, policies={"walk": str(folder)})
+    held(workflow, tmp_path / "faults", 160)
+
+
+@pytest.mark.parametrize("workflow", ["g1_walk", "g1_holosoma", "go1_walk", "go2_teleop"])
+def test_other_peoples_policies(
+    workflow: str, assets: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("UNICON_ASSETS", str(assets))
+    safety = {"safety": ["finite", "joint_limits"], "wind_down": None}
+    held(workflow, tmp_path, 130, overrides=safety, inputs=velocities)
+
+
+def test_a_torchscript_policy_that_remembers(tmp_path: Path) -> None:
+    pytest.importorskip("torch")
+    from torch_modules import Lstm, write_torchscript  # type: ignore[import-not-found]
+
+    folder = write_torchscript(tmp_path / "lstm", Lstm)
+    workflow = written(tmp_path, {"policy": "walk"}, policies={"walk": str(folder)})
+    held(workflow, tmp_path / "faults", 130)
+
+
+def test_a_platform_in_a_process_of_its_own(tmp_path: Path) -> None:
+    workflow = written(tmp_path, {"chain": [{"pose": {"duration": 1.0}}, "hold"]})
+    child = {"platform": {"child": "fake", "silence": 10}}
+    told = cut_off(workflow, tmp_path / "faults", 60, overrides=child)
+    assert len(told.record.ticks) == 61
+    assert replay(workflow, told.record) == []  # in one process
+
+
+def test_a_part_keeps_what_it_received(tmp_path: Path) -> None:
+    parts = {"robot": {"publishes": ["joint_pos"]}, "desk": {"publishes": ["velocity_command"]}}
+    commands = [{"on": "desk", "velocity_command": {"constant": [0.1, 0.0, 0.0]}}]
+    flow = {"chain": [{"pose": {"duration": 1.0}}, "hold"]}
+    workflow = written(
+        tmp_path, flow, parts=parts, commands=commands, store="shm", name=f"record-{os.getpid()}"
+    )
+    told = cut_off(workflow, tmp_path / "faults", 60, part="robot")
+    assert told.record.facts["part"] == "robot"
+    assert replay(workflow, told.record, part="robot") == []
+
+
+def test_a_batch(tmp_path: Path) -> None:
+    workflow = written(tmp_path, {"chain": [{"pose": {"duration": 1.0}}, "hold"]}, num_robots=3)
+    held(workflow, tmp_path / "faults", 120)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", MORE)
+def test_a_policy_of_every_other_kind(kind: str, tmp_path: Path) -> None:
+    test_a_policy_of_every_kind(kind, tmp_path)
+
+
+@pytest.mark.slow
+def test_many_random_flows(tmp_path: Path) -> None:
+    for seed in range(4, 44):
+        (tmp_path / str(seed)).mkdir()
+        test_random_flows(seed, tmp_path / str(seed))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_random_flows(seed: int, tmp_path: Path) -> None:
+    """Chains, loops, switches that blend, every, when; ramps and schedules; a topic beside."""
+    rng = random.Random(seed)
+    policy = write_policy(tmp_path / "policy", rng.choice(KINDS))
+    schedule = [[0.3 * i, *(round(rng.uniform(-0.3, 0.3), 2) for _ in range(3))] for i in range(9)]
+    workflow = written(
+        tmp_path,
+        {
+            "loop": {
+                "do": {"chain": [*(some_flow(rng) for _ in range(3)), "hold"]},
+                "until": {"elapsed": 99},
+            }
+        },
+        policies={"walk": str(policy)},
+        commands=[{"velocity_command": {"schedule": schedule, "ramp": rng.choice([0.5, None])}}],
+    )
+    ticks = rng.randint(60, 260)
+    held(workflow, tmp_path / "faults", ticks, inputs=velocities if seed % 2 else None)
+
+
+def velocities(program: Program, rng: np.random.Generator) -> Callable[[], object]:
+    """Return a topic's work: now and then another velocity command."""
+    command = program.states["velocity_command"]
+    wanted = np.zeros(3, np.float32)
+
+    def given() -> None:
+        if rng.random() < 0.05:
+            wanted[:] = rng.normal(0.0, 0.4, 3)
+        command[...] = wanted
+
+    return given
+
+
+def written(folder: Path, flow: Any, **more: Any) -> Path:
+    """Write a workflow for the fake go2."""
+    values = {
+        "schema": "unicon.workflow/1",
+        "robot": "go2",
+        "platform": "fake",
+        "rate": 50,
+        "flow": flow,
+    }
+    path = folder / "workflow.yaml"
+    path.write_text(yaml.safe_dump(values | more, sort_keys=False), "utf-8")
+    return path
+
+
+def some_flow(rng: random.Random, depth: int = 0) -> Any:
+    """Return a random flow of postures, policies and every kind of node."""
+    kinds = ["pose", "hold", "sway", "policy", "damp"]
+    if depth < 3:
+        kinds += ["chain", "chain", "loop", "switch", "every", "when"] * (2 if depth < 2 else 1)
+    kind = rng.choice(kinds)
+    seconds = round(rng.uniform(0.1, 0.8), 2)
+    if kind == "pose":
+        return {"pose": {"to": rng.choice(["stand", "rest"]), "duration": seconds}}
+    if kind in ("hold", "damp"):
+        return {kind: {"duration": seconds}}
+    if kind == "sway":
+        gains = {"*_thigh_joint": [0.1, 0.0, 0.0]}
+        return {"sway": {"gains": gains, "amplitude": [0.3, 0.0, 0.1], "duration": seconds}}
+    if kind == "policy":
+        return {"loop": {"do": {"policy": "walk"}, "until": {"elapsed": seconds}}}
+    below = [some_flow(rng, depth + 1) for _ in range(rng.randint(2, 3))]
+    if kind == "chain":
+        return {"chain": below}
+    if kind == "loop":
+        return {"loop": {"do": below[0], "until": {"elapsed": seconds}}}
+    if kind == "every":
+        return {"every": {"n": rng.randint(2, 4), "do": below[0]}}
+    if kind == "when":
+        return {"when": {"if": "commanded", "do": below[0]}}
+    blend = rng.choice([0, 0.1, 0.2])
+    return {"switch": {"on": "commanded", "blend": blend, "cases": {"a": below[0], "b": below[1]}}}
