@@ -11,6 +11,7 @@
     ├── MissingDependencyError     an optional package is absent (names the install command)
     └── MapError                   a message map is wrong (`unicon_msgs_map/errors.py`)
     Fault                          raised inside a tick: the runner damps, closes, exit status 3
+    └── Hung                       a tick took too long, or none ran: nothing that may hang is asked
 
 A message names the culprit, the alternatives and the remedy, in one line.
 """
@@ -23,6 +24,7 @@ from collections.abc import Iterable, Sequence
 __all__ = [
     "CheckError",
     "Fault",
+    "Hung",
     "MissingDependencyError",
     "ModelError",
     "PlatformError",
@@ -111,7 +113,11 @@ class MissingDependencyError(UniconError):
 
 
 class Fault(Exception):
-    """Raised by a block inside a tick: nothing else is sent, the runner damps and closes."""
+    """Raised by a block inside a tick: the runner damps, sends nothing else and closes."""
+
+
+class Hung(Fault):
+    """A tick took too long, or the process stood still: what hung may do so again."""
 
 
 def alternatives(wrong: str, known: Iterable[str], *, limit: int = 24) -> str:

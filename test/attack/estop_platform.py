@@ -12,7 +12,7 @@ from unicon_core.states import States
 
 
 class Recorded(FakePlatform):
-    """Appends `send NS`, `damp NS` and `close NS` to a file, in [ns] of the machine's monotonic clock."""
+    """Appends `send NS`, `damp NS` and `close NS` to a file; NS of the monotonic clock."""
 
     def __init__(
         self, states: States, robot: Robot, period: float, log: str, recv_s: float, fails: str

@@ -36,8 +36,11 @@ class Damp:
         if program.looking:
             self._look = compile_graph(Zip(*program.looking)).step
 
-    def run(self) -> None:
+    def run(self, *, hear: bool) -> None:
         """Damp, at the program's rate; a simulator as fast as it goes.
+
+        Args:
+            hear: receive besides; what hung once is not asked again.
 
         Raises:
             Exception: what `send` raised; the platform is left to its own `close`.
@@ -47,15 +50,15 @@ class Damp:
         damping = Damping(states, program.robot, gate.sent, program.period)
         paced = not platform.facts.simulated
         clock, period = WallClock(0), round(program.period * 1e9)
-        due, hear, look = now(), self._hear, self._look
+        due, hears, look = now(), self._hear if hear else None, self._look
         for _ in range(max(1, round(DAMPING_TIME / program.period))):
-            hear = _tried(hear)
             damping()
             if gate.closed:
                 raise Fault("closed while it damped")
             program.sending()
             gate.sent.note()
             states["tick"][...] += 1
+            hears = _tried(hears)
             due += period
             self.next_due_ns = due if paced else 0
             look = _tried(look)

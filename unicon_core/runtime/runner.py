@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Literal, Protocol
 
 from unicon_core.blocks.approach import Approach
-from unicon_core.errors import Fault, PlatformError, UniconError
+from unicon_core.errors import Fault, Hung, PlatformError, UniconError
 from unicon_core.flow import Deferred, Node, Zip, as_block
 from unicon_core.flow.compiler import CompiledGraph
 from unicon_core.gates.beginning import beginning
@@ -234,7 +234,7 @@ class Runner:
                         act()
                 self._ended_ns = self._ended_ns or time.perf_counter_ns()
                 before = len(self.faults)
-                self._damped(well=fault is None and not SIGNALS.asked)
+                self._damped(fault)
                 self._close()
             except Interrupted as error:  # a second signal came just here; it has damped
                 fault = fault or error
@@ -378,7 +378,7 @@ class Runner:
         self.program.states["tick"][...] = 0
         return ticker.done
 
-    def _damped(self, *, well: bool) -> None:
+    def _damped(self, fault: BaseException | None) -> None:
         """Send the damping command for its time, where anything was sent at all.
 
         A simulation that ended well is left as it is.
@@ -386,12 +386,13 @@ class Runner:
         program = self.program
         if self._damp is None or not program.gate.sent.any or program.gate.closed:
             return
+        well = fault is None and not SIGNALS.asked
         if well and program.platform.facts.simulated:
             return
         self.phase = Phase.DAMP
         self.monitor.finish()
         try:
-            self._damp.run()
+            self._damp.run(hear=not isinstance(fault, Hung))
         except Interrupted:
             raise
         except BaseException:  # `close` damps by its own means, and tells

@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from unicon_core.errors import Fault
+from unicon_core.errors import Fault, Hung
 from unicon_core.flow import Node, compile_graph
 from unicon_core.platforms.platform import CountsArrivals
 from unicon_core.runtime.arrivals import Arrivals
@@ -132,7 +132,7 @@ class Ticker:
                 statistics.overruns += max(dropped, 1)
                 due += dropped * period
                 if late > self._hang_ns:
-                    raise Fault(self._hung())
+                    raise Hung(self._hung())
             if statistics.count % status_every == 0:
                 self._tell()
 
@@ -143,7 +143,7 @@ class Ticker:
             Fault: always.
         """
         self.statistics.overruns += late_ns // self.period_ns
-        raise Fault(
+        raise Hung(
             f"no tick ran for {late_ns * 1e-9:.2f} s: the process was stopped or starved between "
             f"two ticks; more than {self._hang_ns * 1e-9:g} s are a fault (pacing.hang)"
         )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from unicon_core.errors import Fault
+from unicon_core.errors import Fault, Hung
 from unicon_core.platforms.kit.damping import LastSent
 
 __all__ = ["CLOSED", "NEVER_NS", "Gate"]
@@ -47,7 +47,7 @@ class Gate:
 
         def guarded() -> bool | None:
             if self.closed or now() > self.until_ns:
-                raise Fault(CLOSED if self.closed else self.hung())
+                raise Fault(CLOSED) if self.closed else Hung(self.hung())
             done = send()
             note()
             return done

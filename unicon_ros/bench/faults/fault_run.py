@@ -144,6 +144,7 @@ class FaultRun:
         options: dict[str, Any] = {"log": log, "fault": case.fault, "at": case.at}
         values: dict[str, Any] = {
             "robot": "go2",
+            "start": "none",  # faults count from the first command on
             "platform": platform,
             "platforms": {} if case.topics else {PLATFORM: options},
             "rate": 50,

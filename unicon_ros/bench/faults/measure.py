@@ -39,15 +39,16 @@ def measure(run: FaultRun, status: int | None) -> Measured:
         got.reason = got.reason or "the fault was never reached"
         return got
     after = sent[sent["time"] > fault]
-    moving = _moving(sent, fault) if run.case.topics else after[after["stiffness"].any(axis=1)]
+    damping = _damping(sent)[len(sent) - len(after) :]
+    moving = _moving(sent, fault) if run.case.topics else after[~damping]
     got.commands, got.wild = len(moving), _wild(after)
-    closed = run.log.of(CLOSE)
-    late = closed[closed["time"] > fault]
+    ends = np.concatenate((after["time"][damping], run.log.of(CLOSE)["time"]))
+    late = ends[ends > fault]
     if run.case.topics:
         got.ms = (int(moving["time"][-1]) - fault) * 1e-6 if len(moving) else 0.0
         got.ticks = round(got.ms / 20.0)
     elif len(late):
-        end = int(late["time"][0])
+        end = int(late[0])
         begun = run.log.of(RECV)["time"]
         got.ms = (end - fault) * 1e-6
         got.ticks = int(np.count_nonzero((begun > fault) & (begun < end)))
@@ -69,6 +70,20 @@ def _fault_ns(run: FaultRun) -> int:
         if len(marks):
             return int(marks[0])
     return 0
+
+
+def _damping(sent: NDArray[Any]) -> NDArray[np.bool_]:
+    """Return which commands do not exceed the damping command, of all that were sent.
+
+    Stiffness is gone, or less than before; targets stand, and nothing else pushes.
+    """
+    stiffness, target = sent["stiffness"], sent["target"]
+    limp = ~stiffness.any(axis=1)
+    less = (stiffness[1:] < stiffness[:-1]) | (stiffness[1:] == 0.0)
+    stands = np.abs(target[1:] - target[:-1]) <= _TOLERANCE
+    falls = np.concatenate(([False], (less & stands).all(axis=1)))[: len(sent)]
+    found: NDArray[np.bool_] = limp | falls
+    return found
 
 
 def _moving(sent: NDArray[Any], fault: int) -> NDArray[Any]:
