@@ -121,6 +121,13 @@ def test_what_a_run_would_refuse_fails(preflight: Callable[..., Any]) -> None:
     assert "[pose.start" in rows(told, False)["check"]
 
 
+def test_whatever_the_flow_raises_is_a_reason(preflight: Callable[..., Any]) -> None:
+    status, told = preflight("--set=flow={call: gate_robots:broken}")
+    assert status == 1
+    assert rows(told, False)["first command"] == "ValueError: broken; nothing would be sent"
+    assert gate_robots.SENT == []
+
+
 def test_a_fault_of_the_platform_is_told_and_nothing_is_sent(
     preflight: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -235,7 +242,9 @@ def test_a_move_is_small_and_a_short_look_is_refused(
 ) -> None:
     assert preflight("--wiggle", "--yes", "--angle=0.5")[0] == 1
     assert "give a number above 0 to 0.2 [rad]" in capsys.readouterr().err
+    assert preflight("--set=num_robots=2", "--set=platform=fake")[0] == 1
+    assert "preflight looks at one robot; leave num_robots out" in capsys.readouterr().err
     monkeypatch.undo()
     assert preflight("--seconds=0.2")[0] == 1
-    assert "--seconds 0.2: give 1 or more" in capsys.readouterr().err
+    assert "--seconds 0.2: give 1 to 600" in capsys.readouterr().err
     assert "command" not in gate_robots.SENT
