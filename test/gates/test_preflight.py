@@ -7,6 +7,7 @@ import json
 from collections.abc import Callable
 from functools import partialmethod
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import gate_robots
@@ -121,6 +122,14 @@ def test_what_a_run_would_refuse_fails(preflight: Callable[..., Any]) -> None:
     assert "[pose.start" in rows(told, False)["check"]
 
 
+def test_a_full_disk_fails(preflight: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    usage = SimpleNamespace(free=5_000_000)
+    monkeypatch.setattr("unicon_core.preflight.look.shutil.disk_usage", lambda _: usage)
+    status, told = preflight()
+    assert status == 1
+    assert "0.0 GB free in this folder, 1.1 GB are advised; make room" in rows(told, False)["disk"]
+
+
 def test_whatever_the_flow_raises_is_a_reason(preflight: Callable[..., Any]) -> None:
     status, told = preflight("--set=flow={call: gate_robots:broken}")
     assert status == 1
@@ -171,6 +180,17 @@ def test_each_joint_moves_a_little_and_its_own_encoder_follows(
         assert each["wrong"] == ""
     assert gate_robots.SENT[-1] == "damping"
     assert gate_robots.SENT.count("damping") <= 2
+
+
+@pytest.mark.usefixtures("quickly")
+def test_a_simulated_robot_on_the_floor_moves_each_joint() -> None:
+    pytest.importorskip("mujoco")
+    from unicon_core.preflight.wiggle import wiggle
+    from unicon_core.workflow import load_workflow
+
+    showed = wiggle(load_workflow("go2_walk"))
+    assert [each.follower for each in showed] == [each.joint for each in showed]
+    assert not any(each.wrong for each in showed)
 
 
 @pytest.mark.usefixtures("quickly")
