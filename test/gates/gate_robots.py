@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from unicon_core.flow import Zip, compile_graph
+from unicon_core.flow.block import Writes
 from unicon_core.flow.stage import Stage
 from unicon_core.platforms.fake import FakeRobot
 from unicon_core.platforms.kit.scene import Scene
@@ -194,3 +195,18 @@ def reasons(program: Program, ticks: int = 80) -> dict[str, str]:
         said = {gate.name: gate() for gate in program.gates}
         time.sleep(0)
     return said
+
+
+def broken(
+    joint_pos_target: Writes,
+    joint_vel_target: Writes,
+    joint_effort_ff: Writes,
+    joint_stiffness: Writes,
+    joint_damping: Writes,
+) -> Callable[[], None]:
+    """Build a block that raises."""
+
+    def tick() -> None:
+        raise ValueError("broken")
+
+    return tick

@@ -75,6 +75,19 @@ def test_a_tilt_stop_of_the_workflow_says_how_far_the_base_may_lean() -> None:
     assert reasons(program)["tilt"] == ""
 
 
+def test_a_stop_of_the_workflow_that_would_trip_is_a_reason() -> None:
+    safety = ["finite", "joint_limits", "tilt_stop", "range_stop", "encoder_stop", "stale_stop"]
+    program = program_of("beyond its limit", safety=safety)
+    said = reasons(program)
+    assert "encoder_stop" not in said  # it looks at commands
+    assert said["stale_stop"] == ""
+    assert said["range_stop"].endswith("; it would end the run at once")
+    program.platform.wrong = "silent"  # type: ignore[attr-defined]
+    assert "the robot's data is stale" in reasons(program)["stale_stop"]
+    program.platform.wrong = ""  # type: ignore[attr-defined]
+    assert not any(reasons(program).values())
+
+
 def test_a_velocity_command_has_to_be_zero_where_somebody_reads_it() -> None:
     program = program_of()
     program.states.velocity_command[0] = 0.6

@@ -7,6 +7,7 @@ import json
 from collections.abc import Callable
 from functools import partialmethod
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import gate_robots
@@ -121,6 +122,21 @@ def test_what_a_run_would_refuse_fails(preflight: Callable[..., Any]) -> None:
     assert "[pose.start" in rows(told, False)["check"]
 
 
+def test_a_full_disk_fails(preflight: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    usage = SimpleNamespace(free=5_000_000)
+    monkeypatch.setattr("unicon_core.preflight.look.shutil.disk_usage", lambda _: usage)
+    status, told = preflight()
+    assert status == 1
+    assert "0.0 GB free in this folder, 1.1 GB are advised; make room" in rows(told, False)["disk"]
+
+
+def test_whatever_the_flow_raises_is_a_reason(preflight: Callable[..., Any]) -> None:
+    status, told = preflight("--set=flow={call: gate_robots:broken}")
+    assert status == 1
+    assert rows(told, False)["first command"] == "ValueError: broken; nothing would be sent"
+    assert gate_robots.SENT == []
+
+
 def test_a_fault_of_the_platform_is_told_and_nothing_is_sent(
     preflight: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -164,6 +180,17 @@ def test_each_joint_moves_a_little_and_its_own_encoder_follows(
         assert each["wrong"] == ""
     assert gate_robots.SENT[-1] == "damping"
     assert gate_robots.SENT.count("damping") <= 2
+
+
+@pytest.mark.usefixtures("quickly")
+def test_a_simulated_robot_on_the_floor_moves_each_joint() -> None:
+    pytest.importorskip("mujoco")
+    from unicon_core.preflight.wiggle import wiggle
+    from unicon_core.workflow import load_workflow
+
+    showed = wiggle(load_workflow("go2_walk"))
+    assert [each.follower for each in showed] == [each.joint for each in showed]
+    assert not any(each.wrong for each in showed)
 
 
 @pytest.mark.usefixtures("quickly")
@@ -235,7 +262,9 @@ def test_a_move_is_small_and_a_short_look_is_refused(
 ) -> None:
     assert preflight("--wiggle", "--yes", "--angle=0.5")[0] == 1
     assert "give a number above 0 to 0.2 [rad]" in capsys.readouterr().err
+    assert preflight("--set=num_robots=2", "--set=platform=fake")[0] == 1
+    assert "preflight looks at one robot; leave num_robots out" in capsys.readouterr().err
     monkeypatch.undo()
     assert preflight("--seconds=0.2")[0] == 1
-    assert "--seconds 0.2: give 1 or more" in capsys.readouterr().err
+    assert "--seconds 0.2: give 1 to 600" in capsys.readouterr().err
     assert "command" not in gate_robots.SENT

@@ -20,6 +20,7 @@ MAKE = "unicon_ros.bridge.ros_platform:make"
 WORKFLOW = """\
 schema: unicon.workflow/1
 robot: go2
+start: none
 platform: {make}
 platforms: {{"{make}": {{connect: {connect}{more}}}}}
 rate: 200

@@ -100,8 +100,8 @@ def first_command(program: Program) -> Target:
         commands = (TARGET, "joint_stiffness", "joint_damping")
         target, stiffness, damping = (np.array(states[name]) for name in commands)
     finally:
-        states.restore(before)
         graph.reset()
+        states.restore(before)  # last: blocks that are made fresh may write states
     return Target(target, stiffness, damping, "the flow's first command")
 
 

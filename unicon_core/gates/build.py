@@ -8,9 +8,9 @@ import numpy as np
 
 from unicon_core.blocks.safety.ranges import RangeStop
 from unicon_core.blocks.safety.stops import TiltStop
-from unicon_core.blocks.safety.stuck import ImuStop, imu_stop
+from unicon_core.blocks.safety.stuck import imu_stop
 from unicon_core.bounds import POSITION
-from unicon_core.flow import blocks_of
+from unicon_core.flow import Block, blocks_of
 from unicon_core.flow.stage import Stage
 from unicon_core.gates.data import Changing, Rate, Told
 from unicon_core.gates.gate import Heeding, Passing, StartGate
@@ -28,6 +28,8 @@ MARGIN = 0.05
 """How far beyond its limits a joint may be measured at the start, [rad]: encoders have offsets."""
 TILT = 1.0
 """The tilt of a robot that walks, where no `tilt_stop` says one, [rad]."""
+LASTING = 0.5
+"""How long the reason of a stop stays that counts before it trips, [s]."""
 
 IMU = ("base_quat", "projected_gravity", "base_ang_vel", "base_lin_acc")
 
@@ -87,6 +89,7 @@ def _gates(program: Program) -> list[StartGate]:
             )
         )
     gates += _tilt(program, told)
+    gates += _stops(program, measured)
     if isinstance(platform, ReportsVariant):
         gates.append(Variant(platform.variant, robot))
     if program.command_bounds:
@@ -94,12 +97,39 @@ def _gates(program: Program) -> list[StartGate]:
     return gates
 
 
-def _imu_stop(program: Program, told: dict[str, np.typing.NDArray[np.float32]]) -> ImuStop | None:
+def _stops(program: Program, measured: set[str]) -> list[StartGate]:
+    """The workflow's own stops, as far as they look at nothing but what is measured."""
+    stops = [
+        block
+        for block in program.stages[Stage.SAFETY]
+        if isinstance(block, Block) and not isinstance(block.tick, TiltStop)
+        if block.reads and measured.issuperset(block.reads) and not (block.amends or block.writes)
+    ]
+    return [
+        Heeding(
+            block.name,
+            "this safety block would not trip",
+            block.tick,
+            "it would end the run at once",
+            block.reset,
+            _lasting(program),
+        )
+        for block in stops
+    ]
+
+
+def _lasting(program: Program) -> int:
+    return round(LASTING / program.period)
+
+
+def _imu_stop(program: Program, told: dict[str, np.typing.NDArray[np.float32]]) -> Heeding | None:
     needs = ("base_quat", "base_ang_vel", "projected_gravity", "joint_pos")
     if any(name not in told for name in needs):
         return None
     quat, gyro, gravity, joints = (told[name] for name in needs)
-    return imu_stop(quat, gyro, gravity, joints, period=program.period)
+    stop = imu_stop(quat, gyro, gravity, joints, period=program.period)
+    remedy = "correct the IMU's axes and signs in the driver or the map"
+    return Heeding("imu_stop", "", stop, remedy, stop.reset, _lasting(program))
 
 
 def _tilt(program: Program, told: dict[str, np.typing.NDArray[np.float32]]) -> list[StartGate]:

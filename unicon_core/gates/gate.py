@@ -36,19 +36,35 @@ class Heeding:
         about: what it looks at, in a few words.
         stop: raises a Fault.
         remedy: ends the line.
+        reset: makes the stop fresh once it has tripped, or None.
+        lasting: so many ticks the reason stays: a stop that was made fresh counts anew before it
+            trips again.
     """
 
-    def __init__(self, name: str, about: str, stop: Callable[[], object], remedy: str) -> None:
+    def __init__(
+        self,
+        name: str,
+        about: str,
+        stop: Callable[[], object],
+        remedy: str,
+        reset: Callable[[], object] | None = None,
+        lasting: int = 0,
+    ) -> None:
         self.name, self.about = name, about
-        self._stop, self._remedy = stop, remedy
+        self._stop, self._remedy, self._reset = stop, remedy, reset
+        self._lasting, self._left, self._reason = lasting, 0, ""
 
     def __call__(self) -> str:
         """Return what the stop raised, with the remedy."""
         try:
             self._stop()
         except Fault as fault:
-            return f"{fault}; {self._remedy}"
-        return ""
+            if self._reset is not None:
+                self._reset()
+            self._reason, self._left = f"{fault}; {self._remedy}", self._lasting
+            return self._reason
+        self._left = max(self._left - 1, 0)
+        return self._reason if self._left else ""
 
 
 class Passing:

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.blocks.safety.stuck import ImuStop
-from unicon_core.errors import Fault
+from unicon_core.gates.gate import StartGate
 
 __all__ = ["Imu"]
 
@@ -39,7 +38,7 @@ class Imu:
         needed: those of them that the command depends on. An accelerometer that is not, and says
             0 in all axes, is none.
         period: of a tick in [s].
-        stop: contradictions that a safety block looks for, or None.
+        stop: tells of contradictions that a safety block looks for, or None.
     """
 
     name = "imu"
@@ -49,7 +48,7 @@ class Imu:
         views: Mapping[str, NDArray[Any]],
         needed: Collection[str],
         period: float,
-        stop: ImuStop | None,
+        stop: StartGate | None,
     ) -> None:
         self._quat, self._down = views.get("base_quat"), views.get("projected_gravity")
         self._gyro, self._acceleration = views.get("base_ang_vel"), views.get("base_lin_acc")
@@ -77,13 +76,7 @@ class Imu:
                     f"base_quat has length {norm:.3f} instead of 1; correct the map's fields, or "
                     "wait until the IMU has found its orientation"
                 )
-        if self._stop is not None:
-            try:
-                self._stop()
-            except Fault as fault:
-                self._stop.reset()
-                return f"{fault}; correct the IMU's axes and signs in the driver or the map"
-        return ""
+        return "" if self._stop is None else self._stop()
 
     def _gravity(self) -> str:
         measured = self._acceleration

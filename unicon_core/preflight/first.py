@@ -26,8 +26,9 @@ def tell_first_command(program: Program, result: PreflightResult) -> None:
     try:
         begins, first = beginning(program), first_command(program)
         entry = _entered(program, begins)
-    except (Fault, UniconError) as error:
-        result.add("first command", False, f"{error}; nothing would be sent")
+    except Exception as error:  # of a block, which may raise anything
+        kind = "" if isinstance(error, (UniconError, Fault)) else f"{type(error).__name__}: "
+        result.add("first command", False, f"{kind}{error}; nothing would be sent")
         return
     way, joint = _farthest(program, begins, measured)
     approach = f"{begins.source}, {way:.2f} rad away ({joint})"

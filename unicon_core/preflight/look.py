@@ -9,7 +9,7 @@ import time
 
 import numpy as np
 
-from unicon_core.errors import Fault
+from unicon_core.errors import Fault, UniconError
 from unicon_core.flow import Node, Zip, compile_graph
 from unicon_core.flow.stage import Stage
 from unicon_core.gates.data import Rate
@@ -44,8 +44,11 @@ def look(program: Program, seconds: float) -> PreflightResult:
 
     Raises:
         Interrupted: a signal asked to end.
+        UniconError: there are several robots.
     """
     facts = program.platform.facts
+    if program.states.num_robots is not None:
+        raise UniconError("preflight looks at one robot; leave num_robots out")
     result = PreflightResult(program.name, program.robot.name, facts.name)
     said: dict[str, str] = {}
     gaps = _Gaps(program)

@@ -22,6 +22,7 @@ __all__ = ["add", "preflight"]
 
 SHORTEST = 1.0
 """Of `--seconds`: the gates look at half a second, and at a whole one for what is frozen."""
+LONGEST = 600.0
 
 QUESTION = (
     "Every joint of robot {robot} will move by {angle:g} rad, one after the other. It hangs on a "
@@ -63,8 +64,8 @@ def preflight(arguments: argparse.Namespace) -> int:
     from unicon_core.preflight.result import PreflightResult
     from unicon_core.workflow import load_document
 
-    if arguments.seconds < SHORTEST:
-        raise UniconError(f"--seconds {arguments.seconds:g}: give {SHORTEST:g} or more")
+    if not SHORTEST <= arguments.seconds <= LONGEST:
+        raise UniconError(f"--seconds {arguments.seconds:g}: give {SHORTEST:g} to {LONGEST:g}")
     document = load_document(arguments.workflow, arguments.overrides)
     result = _looked(arguments, document, silent=True)
     print(result.text(), flush=True)
