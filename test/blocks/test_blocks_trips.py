@@ -286,6 +286,17 @@ def test_encoder_stop_looks_at_each_robot(bench: Build, num_robots: int | None) 
     assert fault.startswith(f"{who}joint RL_calf_joint is stuck")
 
 
+def test_a_joint_that_has_followed_is_not_stuck_when_it_rests_beside_one_that_idles(
+    bench: Build,
+) -> None:
+    it = made(bench)
+    block = it.block("encoder_stop")
+    block.tick()
+    for k in range(40):  # joint 5 follows for 20 ticks and then rests; all others never move
+        it.states.joint_pos[5] = it.states.joint_pos_target[5] = -1.0 - 0.02 * min(k, 20)
+        block.tick()
+
+
 def test_imu_stop_lets_noise_pass_and_faults_at_nan(bench: Build) -> None:
     it = made(bench)
     block = it.block("imu_stop")
@@ -561,6 +572,19 @@ def test_fused_blocks_trip_and_clamp_as_each_does_alone(bench: Build) -> None:
         seen.add(said.split(" ")[0] if said else f"passes {name} {not left}")
     assert "passes joint_pos_target True" in seen  # it was clamped
     assert len(seen) > 8
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_a_command_that_is_not_finite_is_seen_beside_another_look(
+    bench: Build, value: float
+) -> None:
+    it = made(bench)
+    graph = compile_graph(fuse(Zip(it.block("finite"), it.block("tilt_stop")), it.states))
+    assert "2_fused" in graph.source
+    graph.step()
+    it.states.joint_effort_ff[7] = value
+    with pytest.raises(Fault, match=f"joint_effort_ff of joint RR_thigh_joint is {value}"):
+        graph.step()
 
 
 def test_what_stands_behind_a_clamp_sees_what_it_left(bench: Build) -> None:
