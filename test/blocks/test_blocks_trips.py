@@ -72,6 +72,18 @@ EDGES = [
     ("hardware_stop", {"voltage": 24.0}, "battery_voltage", None, 24.0, 23.9, "is 23.9 V, allowed"),
     ("action_stop", {"limit": 8.0}, "action", 1, -8.0, -8.01, "action is -8.01, allowed are -8"),
     ("joint_limits", {"beyond": "trip"}, "joint_pos_target", 3, 1.047, 1.0473, "FL_hip_joint is"),
+    # what holds where the workflow says nothing
+    ("command_stop", {}, "joint_stiffness", 3, 2000.0, 2000.1, "joint_stiffness of FL_hip"),
+    ("command_stop", {}, "joint_damping", 3, 200.0, 200.1, "joint_damping of FL_hip"),
+    ("command_stop", {}, "joint_vel_target", 3, 60.1, 60.3, "joint_vel_target of FL_hip"),
+    ("command_stop", {}, "joint_effort_ff", 3, 47.3, 47.5, "joint_effort_ff of FL_hip"),
+    ("range_stop", {}, "joint_pos", 3, -1.547, -1.548, "joint_pos of FL_hip"),
+    ("range_stop", {}, "joint_vel", 3, 90.2, 90.4, "joint_vel of FL_hip"),
+    ("velocity_stop", {}, "joint_vel", 3, 45.1, 45.2, "FL_hip_joint moves at"),
+    ("tilt_stop", {}, "projected_gravity", 2, -0.5405, -0.5400, "leans by 1.00"),
+    ("action_stop", {}, "action", 1, 50.0, 50.1, "action is 50.1"),
+    ("effort_limits", {"beyond": "trip"}, "joint_effort_ff", 3, 47.3, 47.5, "asked for 47.5"),
+    ("rate_limit", {"beyond": "trip"}, "joint_pos_target", 3, 0.701, 0.703, "0.603 rad on in"),
     (
         "joint_limits",
         {"beyond": "trip", "margin": 0.2},
@@ -274,6 +286,17 @@ def test_encoder_stop_looks_at_each_robot(bench: Build, num_robots: int | None) 
     assert fault.startswith(f"{who}joint RL_calf_joint is stuck")
 
 
+def test_a_joint_that_has_followed_is_not_stuck_when_it_rests_beside_one_that_idles(
+    bench: Build,
+) -> None:
+    it = made(bench)
+    block = it.block("encoder_stop")
+    block.tick()
+    for k in range(40):  # joint 5 follows for 20 ticks and then rests; all others never move
+        it.states.joint_pos[5] = it.states.joint_pos_target[5] = -1.0 - 0.02 * min(k, 20)
+        block.tick()
+
+
 def test_imu_stop_lets_noise_pass_and_faults_at_nan(bench: Build) -> None:
     it = made(bench)
     block = it.block("imu_stop")
@@ -298,6 +321,57 @@ def test_imu_stop_trips_at_its_time_out_and_motion(bench: Build) -> None:
             block.reset()
         for _ in range(9 if trips else 30):
             block.tick()
+
+
+def test_time_outs_that_hold_where_the_workflow_says_nothing(
+    bench: Build, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    it = made(bench)
+    s = it.states
+    tracking, stale, encoder, imu = (
+        it.block(name) for name in ("tracking_stop", "stale_stop", "encoder_stop", "imu_stop")
+    )
+    power = it.block("power_stop", limit=100.0)
+    for block in (stale, encoder, imu):
+        block.tick()
+    imu.tick()
+    s.joint_pos[2] -= 0.99
+    for _ in range(60):
+        tracking.tick()
+    s.joint_pos[2] -= 0.02  # 1.01 rad from its target; and by more than 0.3 from where it was
+    assert ticks_until_fault(tracking)[0] == 24  # 0.5 s
+    assert ticks_until_fault(stale)[0] == 4  # 0.1 s
+    assert ticks_until_fault(imu)[0] == 8  # 0.2 s with the first two
+    encoder.tick()  # it has moved
+    s.joint_pos_target[2] += 0.11
+    assert ticks_until_fault(encoder)[0] == 4  # 0.1 s
+    s.joint_effort_ff, s.joint_vel = 20.0, 5.0
+    assert ticks_until_fault(power)[0] == 4  # 0.1 s
+    clock, overrun = Clock(monkeypatch), it.block("overrun_stop")
+    overrun.tick()
+    for _ in range(4):
+        clock.tick(overrun, 3)
+    clock.tick(overrun, 2)
+    with pytest.raises(Fault, match="10 ticks were missed within 1 s"):
+        clock.tick(overrun, 2)
+
+
+@pytest.mark.parametrize(("rate", "trips"), [(0.65, False), (0.85, True)])
+def test_imu_stop_believes_a_gyroscope_within_its_angle(
+    bench: Build, rate: float, trips: bool
+) -> None:
+    """Gravity stands still at a rate: within 0.5 s it should have turned by 0.33 or 0.43 rad."""
+    it = made(bench)
+    it.states.base_ang_vel = (0.0, rate, 0.0)
+    assert (ticks_until_fault(it.block("imu_stop"), limit=200)[0] < 200) == trips
+
+
+@pytest.mark.parametrize(("lean", "trips"), [(0.80, False), (0.86, True)])
+def test_imu_stop_compares_quaternion_and_gravity(bench: Build, lean: float, trips: bool) -> None:
+    it = made(bench)
+    it.states.projected_gravity = (0.0, -np.sin(lean), -np.cos(lean))
+    k, fault = ticks_until_fault(it.block("imu_stop"))
+    assert (k, "gravity by base_quat" in fault) == ((0, True) if trips else (60, False))
 
 
 # -- overruns --------------------------------------------------------------------------------------
@@ -498,6 +572,19 @@ def test_fused_blocks_trip_and_clamp_as_each_does_alone(bench: Build) -> None:
         seen.add(said.split(" ")[0] if said else f"passes {name} {not left}")
     assert "passes joint_pos_target True" in seen  # it was clamped
     assert len(seen) > 8
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_a_command_that_is_not_finite_is_seen_beside_another_look(
+    bench: Build, value: float
+) -> None:
+    it = made(bench)
+    graph = compile_graph(fuse(Zip(it.block("finite"), it.block("tilt_stop")), it.states))
+    assert "2_fused" in graph.source
+    graph.step()
+    it.states.joint_effort_ff[7] = value
+    with pytest.raises(Fault, match=f"joint_effort_ff of joint RR_thigh_joint is {value}"):
+        graph.step()
 
 
 def test_what_stands_behind_a_clamp_sees_what_it_left(bench: Build) -> None:

@@ -52,6 +52,22 @@ CALLS = """\
 robot: go2
 platform: fake
 rate: 50
+states: {battery_charge: {}, motor_temperature: , observation: {shape: [3]}, action: {shape: [2]}}
+safety:
+  only:
+    - finite
+    - joint_limits: {margin: 0.02, beyond: trip}
+    - rate_limit: {max_rate: 10.0, beyond: trip}
+    - effort_limits: {scale: 2.0, beyond: trip}
+    - tracking_stop: {bound: 0.5, timeout: 0.2}
+    - power_stop: {limit: 500.0, loss: 0.1, timeout: 0.1}
+    - height_stop: {lowest: -0.1, highest: 2.0}
+    - overrun_stop: {count: 5, window: 0.5}
+    - action_stop: {limit: 10.0}
+commands:
+  - copy: {source: joint_pos, target: action, index: [0, 1]}
+  - copy: {source: joint_vel, target: observation, index: [0, 1, 2]}
+deferred: [{observation_range: {file: good.npz}}]
 flow:
   zip:
     - call: "unicon_core.blocks.hold:hold"

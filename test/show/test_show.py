@@ -167,7 +167,9 @@ def test_blocks_fused_from_critical_ones_are_critical() -> None:
     root = fuse(found.root, STATES)
     text = show_text(root, STATES, found.critical)
     assert "├─ ● copy joint_pos … copy joint_vel (2 fused)" in text
-    assert show_svg(root, STATES, found.critical).count('class="critical"') == 3 + 1
+    assert (
+        show_svg(root, STATES, found.critical).count('class="critical"') == 3 + 2 + 1
+    )  # with the two that were fused, and the legend
     assert re.findall(r"class (.*) critical;", show_mermaid(root, STATES, found.critical)) == [
         "n1,n2,n3"
     ]

@@ -106,7 +106,7 @@ def test_each_part_has_its_own_blocks_and_they_exchange_states(build):
     robot = build("robot", tell=told.append)
     names = [block.name for block in blocks_of(robot.root)]
     assert "velocity_command" not in names
-    assert "joint_limits" in names
+    assert "joint_limits" in robot.safety
     tick(robot)
     assert robot.states.velocity_command[0] == 0.0
     desk = build("desk")

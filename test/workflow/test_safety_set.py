@@ -14,6 +14,7 @@ from unicon_core.check import check_workflow
 from unicon_core.check.gate import refuse_errors
 from unicon_core.errors import WorkflowError
 from unicon_core.platforms.platform import Facts, Platform
+from unicon_core.resources import find_config
 from unicon_core.robots import Robot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.states import States
@@ -154,6 +155,21 @@ def test_a_block_that_sees_nothing_is_left_out_and_told(tmp_path: Path) -> None:
     assert line == (
         "safety: this robot does not have tilt_stop (nothing measures projected_gravity); "
         "stale_stop (nothing measures stamp_ns); "
+        "imu_stop (nothing measures base_quat, base_ang_vel, projected_gravity)"
+    )
+
+
+def test_a_message_map_without_an_imu_is_one_line_and_no_refusal(tmp_path: Path) -> None:
+    pytest.importorskip("rosbags", reason="maps are read with rosbags")
+    values = yaml.safe_load(find_config("maps", "ros_robot").read_text(encoding="utf-8"))
+    values["subscribe"] = [each for each in values["subscribe"] if each["topic"] != "imu/data"]
+    (tmp_path / "map.yaml").write_text(yaml.safe_dump(values), encoding="utf-8")
+    options = {"platform": "ros", "platforms": {"ros": {"map": "./map.yaml"}}}
+    result = check_workflow(document(tmp_path, **options))
+    assert result.clean
+    (note,) = [note.evidence for note in result.notes if note.code == "safety.less"]
+    assert note == (
+        "this robot does not have tilt_stop (nothing measures projected_gravity); "
         "imu_stop (nothing measures base_quat, base_ang_vel, projected_gravity)"
     )
 

@@ -43,7 +43,12 @@ def title(node: Node) -> str:
 
 
 def branches(node: Node) -> list[tuple[str, Node]]:
-    """Return the children that hang below a node, each with the label of its branch."""
+    """Return the children that hang below a node, each with the label of its branch.
+
+    Those of a fused block are what it was fused of.
+    """
+    if isinstance(node, Block):
+        return [("", part) for part in node.parts]
     if isinstance(node, Zip):
         return [("", child) for child in node.children]
     if isinstance(node, Chain):

@@ -94,7 +94,7 @@ class FlowReader:
         options = dict(body)
         rename = options.pop("states", None) or {}
         label = options.pop("name", "")
-        if not isinstance(rename, dict):
+        if not isinstance(rename, dict) or not all(isinstance(v, str) for v in rename.values()):
             raise self._error(
                 path, f"block {name!r}: states: needs a mapping of parameter to state"
             )

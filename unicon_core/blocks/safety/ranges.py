@@ -14,7 +14,7 @@ from unicon_core.flow.stage import Stage
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.states.screen import Range, Screen
-from unicon_core.states.standard import BASE_STATES, COMMAND_STATES
+from unicon_core.states.standard import COMMAND_STATES
 from unicon_core.workflow.autowire import BuildContext
 
 __all__ = ["MEASURED", "RangeStop", "command_stop", "range_stop"]
@@ -42,7 +42,7 @@ def range_stop(context: BuildContext, *, margin: float = 0.5, factor: float = 3.
     """Stop where what was measured is NaN, infinite, or more than any robot of this kind does.
 
     Args:
-        context: the platform says what is measured; a robot without an IMU has no base states.
+        context: the platform says what is measured.
         margin: beyond the position limits in [rad]: 0.5 unless given; an encoder is off by more.
         factor: of the robot file's velocity limits.
 
@@ -54,8 +54,6 @@ def range_stop(context: BuildContext, *, margin: float = 0.5, factor: float = 3.
     factor = within(factor, "factor", "", 10.0, 1.0, above=False, what="range_stop")
     told = MEASURED if platform is None else platform.facts.writes
     names = [name for name in MEASURED if name in told and name in states]
-    if robot.imu is None:
-        names = [name for name in names if name not in BASE_STATES]
     if not names:
         raise WorkflowError("the platform measures nothing that it looks at; leave it out")
     lower = np.nan_to_num(robot.lower, nan=-POSITION) - np.float32(margin)
