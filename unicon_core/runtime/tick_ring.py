@@ -185,8 +185,11 @@ class TickRing:
     # -- at the end -----------------------------------------------------------------------------
 
     def freeze(self) -> None:
-        """Keep the states as they are now in a tick that does not end, once; 1 µs."""
-        if self._frozen or not self.capacity:
+        """Keep the states as they are now in a tick that does not end; 1 µs.
+
+        Between two ticks it is a tick of its own, the first time.
+        """
+        if not self.capacity or (self._frozen and not self._open):
             return
         self._frozen = True
         if not self._open:
