@@ -34,6 +34,7 @@ from unicon_core.errors import UniconError
 from unicon_core.flow import Block, Stage
 from unicon_core.runtime.tick_ring import HEAD, PHASES, TickRing
 from unicon_ros.recording import McapFile, recover
+from unicon_ros.recording.mcap_file import Taken
 from unicon_ros.recording.records import (
     MESSAGE,
     MESSAGE_HEAD,
@@ -152,7 +153,7 @@ class FaultRecord:
         ring.freeze()  # where nobody did: damped in the middle of a tick
         folder.mkdir(parents=True, exist_ok=True)
         _recover(folder)
-        file = McapFile(_free_name(folder, report.workflow))
+        file = _new_file(folder, report.workflow)
         try:
             file.begin()
             _fill(file, ring, self._runner, report, self._policies)
@@ -266,13 +267,16 @@ def _yaml(values: dict[str, Any]) -> str:
         return ""
 
 
-def _free_name(folder: Path, workflow: str) -> Path:
+def _new_file(folder: Path, workflow: str) -> McapFile:
     stamp = time.strftime("%Y%m%dT%H%M%S", time.gmtime())
     clean = re.sub(r"[^A-Za-z0-9_-]+", "_", workflow)[:60]
-    name, number = f"fault-{stamp}-{clean}-{os.getpid()}", 1
-    while (path := folder / f"{name}-{number}.mcap").exists():
+    name, number = f"fault-{stamp}-{clean}-{os.getpid()}", 0
+    while True:
         number += 1
-    return path
+        path = folder / f"{name}-{number}.mcap"
+        if not path.exists():
+            with suppress(Taken):  # by another run of this process
+                return McapFile(path)
 
 
 def _recover(folder: Path) -> None:

@@ -191,6 +191,42 @@ def test_a_run_without_a_fault_leaves_nothing(tmp_path: Path) -> None:
     assert not (tmp_path / "faults").exists()
 
 
+def test_two_runs_of_a_process_that_end_at_once(tmp_path: Path) -> None:
+    workflow, folder = written(tmp_path), tmp_path / "faults"
+    paths: list[Path | None] = []
+    runs = [
+        threading.Thread(target=lambda: paths.append(faulty(workflow, folder, 60)[1]))
+        for _ in range(4)
+    ]
+    for run in runs:
+        run.start()
+    for run in runs:
+        run.join(30)
+    assert len(set(paths)) == 4
+    assert all(path is not None and len(open_record(path).ticks) == 61 for path in paths)
+
+
+def test_a_robot_has_the_time_of_the_wall(tmp_path: Path) -> None:
+    before = time.time_ns()
+    record = FaultRecord(str(tmp_path / "faults"))
+    options = {"platform": "fake_robot", "safety": "none", "flow": "hold", "duration": 0.3}
+
+    def outside(program: Program) -> dict[Stage, list[Block]]:
+        def broken() -> None:
+            if program.states["tick"] >= 10:
+                raise ValueError("the fault")
+
+        return {Stage.SAFETY: [Block("broken", broken)]}
+
+    program = load_workflow(written(tmp_path), options, hooks=[outside, record.hook])
+    runner = Runner(program, RunOptions(warn=str))
+    record.attach(runner)
+    path = record.write(runner.run())
+    assert path is not None
+    stamps = open_record(path).stamps
+    assert before < stamps[0] < stamps[10] < time.time_ns()
+
+
 def test_a_second_fault_keeps_the_first_ones_record_and_old_ones_make_room(tmp_path: Path) -> None:
     workflow, folder = written(tmp_path), tmp_path / "faults"
     paths = [faulty(workflow, folder, 2)[1] for _ in range(KEPT + 3)]
@@ -332,6 +368,8 @@ def test_kill_9_while_writing_leaves_what_the_next_record_finishes(tmp_path: Pat
     for cut in range(0, len(raw), len(raw) // 9):
         torn = folder / "fault-19700101T000000-torn-1-1.mcap.partial"
         torn.write_bytes(raw[:cut])
+        if cut > len(raw) // 2:
+            assert open_record(torn).facts == whole.facts  # as it is
         assert faulty(written(tmp_path), folder, 2)[1] is not None
         for recovered in folder.glob("fault-*torn*"):
             if recovered.suffix == ".partial":

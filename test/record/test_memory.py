@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import json
 import math
 import random
+import sys
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,6 +22,7 @@ from hypothesis.extra import numpy as hnp
 
 from unicon_core.errors import StateError
 from unicon_core.memory import Memory, from_json, to_json
+from unicon_core.memory.attributes import attributes_of
 from unicon_core.memory.values import copied
 from unicon_core.states import States, StateSpec
 
@@ -270,3 +273,52 @@ def test_the_memory_of_another_block_is_refused() -> None:
         Memory({"a": Filter(1.0)}, states).restore(content)
     with pytest.raises(StateError, match="not a memory"):
         Memory({"a": Filter(1.0)}, states).restore({"owners": 3})
+
+
+class Asked:
+    """Attributes that its methods name, and a property that must not be asked."""
+
+    def __init__(self) -> None:
+        self.one, self.two, self.__three = 1, None, [3]
+
+    @property
+    def trap(self) -> int:
+        raise RuntimeError("asked")
+
+    @functools.cached_property
+    def late(self) -> int:
+        raise RuntimeError("asked")
+
+    def tick(self) -> None:
+        self.four = [self.__three]
+
+
+def test_attributes_are_found_without_the_dictionary() -> None:
+    asked = Asked()
+    if sys.version_info >= (3, 11):
+        assert attributes_of(asked) == {"one": 1, "two": None, "_Asked__three": [3]}
+        asked.tick()
+        found = attributes_of(asked)
+        assert found is not None
+        assert found["four"] == [[3]]
+        assert found == vars(asked)
+
+
+def test_where_not_all_are_found_it_is_the_dictionary() -> None:
+    class Default:
+        count = 0
+
+        def __init__(self) -> None:
+            self.count = Default.count  # the class's own value: nobody can tell whose it is
+
+    class Strange:
+        def __getattr__(self, name: str) -> int:
+            return 7
+
+    given = Asked()
+    setattr(given, "from outside", 5)
+    states = States({"out": StateSpec((5,))})
+    for each in (given, Default(), Strange()):
+        assert attributes_of(each) is None
+    content = Memory({"a": given}, states).take().content()
+    assert ["from outside", 5] in content["owners"]["a"]

@@ -75,6 +75,15 @@ def test_a_torchscript_policy_that_remembers(tmp_path: Path) -> None:
     held(workflow, tmp_path / "faults", 130)
 
 
+def test_a_fault_in_the_wind_down(tmp_path: Path) -> None:
+    ending = {"chain": [{"pose": {"to": "rest", "duration": 1.0}}, "hold"]}
+    flow = {"chain": [{"pose": {"duration": 0.5}}, "hold"]}
+    workflow = written(tmp_path, flow, duration=0.8, wind_down=ending)
+    told = cut_off(workflow, tmp_path / "faults", 70)
+    assert told.record.phases == ("run",) * 40 + ("wind-down",) * 31
+    assert replay(workflow, told.record) == []
+
+
 def test_a_platform_in_a_process_of_its_own(tmp_path: Path) -> None:
     workflow = written(tmp_path, {"chain": [{"pose": {"duration": 1.0}}, "hold"]})
     child = {"platform": {"child": "fake", "silence": 10}}

@@ -8,6 +8,7 @@ fresh.restore(before.content())        # another program, built of the same work
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -76,8 +77,11 @@ class Memory:
     def _as_before(self) -> bool:
         """Return whether every object stands where it was found."""
         try:
-            return all(len(each) == size for each, size in self._found.sizes) and all(
-                owner[key] is part for owner, key, part in self._found.parts
+            found = self._found
+            return (
+                all(len(each) == size for each, size in found.sizes)
+                and all(len(gc.get_referents(each)) == size for each, size in found.objects)
+                and all(owner[key] is part for owner, key, part in found.parts)
             )
         except (LookupError, ValueError):
             return False

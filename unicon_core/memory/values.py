@@ -22,6 +22,8 @@ __all__ = ["ATOMS", "NotPlain", "copied", "from_json", "put", "to_json"]
 ATOMS = frozenset({type(None), bool, int, float, complex, str, bytes})
 """Types whose values cannot change."""
 
+_WRONG = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
+
 
 class NotPlain(Exception):
     """An object that has parts of its own."""
@@ -97,7 +99,7 @@ def from_json(value: Any) -> Any:
     """
     try:
         return _read(value)
-    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+    except _WRONG as error:
         raise StateError(f"not a memory of blocks: {error}; write it with to_json") from error
 
 

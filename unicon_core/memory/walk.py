@@ -7,6 +7,7 @@ and what is not the block's own: modules, classes, networks' runtimes, files, so
 
 from __future__ import annotations
 
+import gc
 import sys
 from collections import deque
 from collections.abc import Collection, Iterable, Iterator, Mapping
@@ -18,6 +19,7 @@ from typing import Any, Protocol, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from unicon_core.memory.attributes import Attributes, attributes_of
 from unicon_core.memory.values import ATOMS, NotPlain, copied
 
 __all__ = ["Found", "Keeps", "Key", "walk"]
@@ -60,6 +62,7 @@ class Found:
         places: path of the owner and key of each value.
         parts: owner, key and the object there, which has parts of its own.
         sizes: dictionaries and lists, and how many elements they had.
+        objects: others, and how many objects they refer to.
         keepers: path to objects that say themselves what they remember.
         unkept: paths of iterators, generators and tensors of a device, whose memory cannot be had.
     """
@@ -68,6 +71,7 @@ class Found:
     places: list[tuple[Path, Key]] = field(default_factory=list)
     parts: list[tuple[Any, Key, Any]] = field(default_factory=list)
     sizes: list[tuple[Any, int]] = field(default_factory=list)
+    objects: list[tuple[Any, int]] = field(default_factory=list)
     keepers: dict[Path, Keeps] = field(default_factory=dict)
     unkept: list[Path] = field(default_factory=list)
 
@@ -92,22 +96,6 @@ class _Cells:
                     yield name, cell.cell_contents
                 except ValueError:  # nothing was put into it yet
                     continue
-
-
-class _Slots:
-    """The attributes of an object that has no dictionary."""
-
-    def __init__(self, owner: Any) -> None:
-        self._owner = owner
-
-    def __getitem__(self, name: Key) -> Any:
-        try:
-            return getattr(self._owner, str(name))
-        except AttributeError:
-            raise KeyError(name) from None
-
-    def __setitem__(self, name: Key, value: Any) -> None:
-        object.__setattr__(self._owner, str(name), value)
 
 
 def walk(roots: Mapping[str, Any], buffer: Array, leave: Collection[Any]) -> Found:
@@ -242,14 +230,22 @@ class _Walker:
             if name not in ("__dict__", "__weakref__") and hasattr(value, name)
         ]
         if names:
-            slots = _Slots(value)
+            slots = Attributes(value)
             self.owner(f"{path}.slots", slots, [(name, slots[name]) for name in names])
-        if isinstance(own := getattr(value, "__dict__", None), dict):
-            self.found.sizes.append((own, len(own)))
+        own = None if names else attributes_of(value)
+        if own is not None:
+            owner: Any = Attributes(value)
+            self.found.objects.append((value, len(gc.get_referents(value))))
+        else:
+            owner = own = getattr(value, "__dict__", None)
+            if own is not None:
+                self.found.sizes.append((own, len(own)))
+        if own:
             fixed = getattr(getattr(value, "__dataclass_params__", None), "frozen", False)
             # Numbers and texts of a frozen one stay as they are.
-            items = [item for item in own.items() if not (fixed and _is_atom(item[1]))]
-            self.owner(path, own, items)
+            items = sorted(own.items(), key=lambda item: str(item[0]))
+            items = [item for item in items if not (fixed and _is_atom(item[1]))]
+            self.owner(path, owner, items)
 
     def owner(self, path: Path, owner: Any, items: Iterable[tuple[Key, Any]]) -> None:
         while path in self.found.owners:  # of a method: what its function encloses, and its object

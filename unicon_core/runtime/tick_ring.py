@@ -108,6 +108,7 @@ class TickRing:
         if not self.capacity:
             return {}
         received = Block("ring received", self._received, endless=True, reset=self._was_reset)
+        received.warm_up = self._copy  # 2 µs less in a loop of 50 Hz
         stages = {Stage.RECV: [received]}
         for number, stage in enumerate(self._given, 1):
             take = self._taker(number)
@@ -132,8 +133,11 @@ class TickRing:
         if self._anew:
             self._anew = False
             self._remember(True)
-        self._received_rows[self._slot][:] = self._states  # all that the command waits for
+        self._copy()  # all that the command waits for
         self._open = True
+
+    def _copy(self) -> None:
+        self._received_rows[self._slot][:] = self._states
 
     def _head(self, ended: int) -> None:
         runner, stamp = self._runner, self._stamp
@@ -185,12 +189,15 @@ class TickRing:
     # -- at the end -----------------------------------------------------------------------------
 
     def freeze(self) -> None:
-        """Keep the states as they are now in a tick that does not end, once; 1 µs."""
-        if self._frozen or not self.capacity:
+        """Keep the states as they are now in a tick that does not end; 1 µs.
+
+        Between two ticks it is a tick of its own, the first time.
+        """
+        if not self.capacity or (self._frozen and not self._open):
             return
         self._frozen = True
         if not self._open:
-            self._received_rows[self._slot][:] = self._states
+            self._copy()
         self._head(0)
         at = self._at + HEAD.size + self._size
         for _ in self.moments[1:]:

@@ -29,6 +29,16 @@ from unicon_ros.recording.records import (
 
 __all__ = ["Record", "open_record"]
 
+_WRONG = (
+    ArithmeticError,
+    LookupError,
+    RecursionError,
+    StateError,
+    TypeError,
+    ValueError,
+    struct.error,
+)
+
 
 @dataclass(frozen=True)
 class Record:
@@ -87,7 +97,7 @@ def open_record(path: str | Path) -> Record:
         raise UniconError(f"cannot read {path}: {error.strerror}") from error
     try:
         return _record(raw)
-    except (ArithmeticError, LookupError, TypeError, ValueError, struct.error) as error:
+    except _WRONG as error:
         raise UniconError(
             f"{path} is not a fault record: {error}; give one that unicon wrote"
         ) from error
