@@ -133,7 +133,7 @@ def folder(tmp_path: Path) -> Path:
 
 def test_a_policy_that_moves_a_lying_robot_first_is_an_error_on_hardware(folder: Path) -> None:
     path = write_workflow(folder)
-    line = text_of(check_workflow(path, ["platform=ros"]), "pose.start")
+    line = text_of(check_workflow(path, ["platform=ros", "start=none"]), "pose.start")
     assert "rad from where it is when the robot lies: the motors would make a step" in line
     assert "the motors would make a step" in note_of(check_workflow(path), "pose.start")
     risen = ["platform=ros", "flow={chain: [{pose: {to: stand}}, {policy: walk}]}"]

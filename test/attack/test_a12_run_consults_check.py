@@ -113,7 +113,7 @@ def test_on_hardware_a_refused_workflow_is_closed_and_nothing_is_sent(
     import toy_motors  # type: ignore[import-not-found]
 
     assert toy_motors.make.touched == ["closed"]
-    assert "pose.start" in codes(check_workflow(path, ["platform=toy_motors:make"]))
+    assert "pose.start" in codes(check_workflow(path, ["platform=toy_motors:make", "start=none"]))
 
 
 def test_the_gate_leaves_the_commands_as_they_are(folder: Path) -> None:

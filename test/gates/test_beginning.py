@@ -97,7 +97,7 @@ def test_any_other_block_begins_with_its_first_command() -> None:
         program.states.joint_pos_target[...] = 0.25
         program.states.joint_stiffness[...] = 20.0
 
-    program = program_of(Block("wave", wave, writes=COMMAND_STATES), safety=["finite"])
+    program = program_of(Block("wave", wave, writes=COMMAND_STATES), safety={"only": ["finite"]})
     assert beginning(program).joint_pos.tolist() == [0.25] * 12
     assert beginning(program).stiffness.tolist() == [20.0] * 12
 

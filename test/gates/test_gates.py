@@ -21,6 +21,7 @@ def program_of(wrong: str = "", **described: Any) -> Program:
     """Build a Go2 that walks under its policy, on a robot of which one thing is wrong."""
     keys = {"robot": "go2", "rate": 50, "policies": {"walk": "go2_velocity"}} | described
     keys.setdefault("flow", policy("walk"))
+    keys.setdefault("safety", {"only": ["finite", "joint_limits"]})  # stops are gates besides
     return Program(platform=ROBOT, platforms={ROBOT: {"wrong": wrong}}, **keys)
 
 

@@ -12,8 +12,8 @@ from ros_helpers import Peer
 from standin_runs import ROS_MAP_WITH_GAINS, begun, drive, ended, seen, stand_in
 
 from unicon_core.robots import load_robot
-from unicon_core.runtime.phases import Phase
 from unicon_core.runtime import Runner
+from unicon_core.runtime.phases import Phase
 from unicon_core.workflow import load_workflow
 from unicon_ros.cli.main import main
 

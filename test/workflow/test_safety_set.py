@@ -127,7 +127,7 @@ def test_what_is_left_out_is_told_at_every_start_and_in_the_report(
     kept = [] if safety == "none" else ["finite", "joint_limits"]
     words = "safety: none" if safety == "none" else "safety: only"
     for _ in range(2):
-        assert main(["run", str(path), "--duration", "0.06", "--report", str(report)]) == 0
+        assert main(["run", str(path), "--yes", "--duration=0.06", "--report", str(report)]) == 0
         said = capsys.readouterr()
         assert ("warning: safety: this robot does not have command_stop, " in said.err) == bool(
             kept
@@ -192,7 +192,7 @@ def test_a_robot_file_without_an_imu_has_no_blocks_that_look_at_it(tmp_path: Pat
 def test_states_of_hardware_are_there_where_the_platform_writes_them(tmp_path: Path) -> None:
     plain = built(tmp_path)
     assert "motor_temperature" not in plain.states
-    program = load_workflow(document(tmp_path, platform=f"{HERE}:hot"))
+    program = load_workflow(document(tmp_path, platform=f"{HERE}:hot", start="none"))
     assert "hardware_stop" in program.safety
     assert "battery_charge" not in program.states
     assert program.states.motor_temperature.shape == (12,)

@@ -200,7 +200,7 @@ def hardware() -> str:
 
 
 def test_a_workflow_runs_on_a_platform_with_motors_by_one_word(hardware: str) -> None:
-    report, workflow = run("go2_walk", {"platform": hardware}, 0.2)
+    report, workflow = run("go2_walk", {"platform": hardware, "start": "none"}, 0.2)
     assert report.platform == "motors"
     assert opened == ["go2"]
     assert workflow.platform.sent >= 10  # type: ignore[attr-defined]

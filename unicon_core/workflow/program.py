@@ -253,7 +253,12 @@ class Program:
             self.safety_left_out = dict.fromkeys(left_out(listed, self.platform), said.words)
             return [builder.built(node) for node in listed]
         nodes, self.safety_left_out = completed(self, builder, listed)
-        return nodes
+        if not self.silent:
+            return nodes
+        awaits = [n for n in nodes if isinstance(n, Block) and getattr(n.tick, "awaits", False)]
+        for node in awaits:
+            self.safety_left_out[node.name] = "a robot that is sent nothing does not follow"
+        return [node for node in nodes if node not in awaits]
 
     def _of_part(self, sections: Sections, ending: Node | None) -> tuple[Sections, Node | None]:
         """Return what of each stage, and of the wind-down, belongs to the part that is built."""

@@ -51,6 +51,7 @@ class TrackingStop:
     """The tick of `tracking_stop`."""
 
     stage = Stage.SAFETY
+    awaits = True  # that the robot follows its commands
 
     def __init__(
         self, pos: Float, target: Float, stiffness: Float, robot: Robot, ticks: int, bound: float

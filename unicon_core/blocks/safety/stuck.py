@@ -53,6 +53,7 @@ class EncoderStop:
     """The tick of `encoder_stop`."""
 
     stage = Stage.SAFETY
+    awaits = True  # that the robot follows its commands
 
     def __init__(
         self,
