@@ -52,6 +52,7 @@ robot: go2
 platform: my_robot.driver:make
 rate: 50
 duration: 0.1
+start: none
 flow: hold
 """
 
@@ -90,7 +91,7 @@ def test_recv_send_and_close_are_enough(
     report = Runner(workflow, RunOptions()).run()
     assert report.faults == []
     assert report.ticks == 5
-    assert workflow.platform.sent == 5  # type: ignore[attr-defined]
+    assert workflow.platform.sent == 5 + 25  # type: ignore[attr-defined]  # 0.5 s of damping
     assert workflow.platform.closed  # type: ignore[attr-defined]
 
 

@@ -88,7 +88,7 @@ def test_the_record_of_nan_says_what_where_and_why(tmp_path: Path) -> None:
     assert json.loads(record.facts["versions"])["numpy"] == np.__version__
     assert json.loads(record.files["report.json"])["faults"] == report.faults
     events = json.loads(record.files["trace.json"])["traceEvents"]
-    assert {"range_stop", "recv"} <= {event["name"] for event in events}
+    assert {"finite … range_stop (2 fused)", "recv"} <= {event["name"] for event in events}
     assert record.facts["layout_hash"] == record.layout.hash
     with pytest.raises(StateError, match="no state 'nope' at 'sent' in the record; states: joint_"):
         record.states("nope")

@@ -80,7 +80,7 @@ def test_a_fault_in_the_wind_down(tmp_path: Path) -> None:
     flow = {"chain": [{"pose": {"duration": 0.5}}, "hold"]}
     workflow = written(tmp_path, flow, duration=0.8, wind_down=ending)
     told = cut_off(workflow, tmp_path / "faults", 70)
-    assert told.record.phases == ("run",) * 40 + ("wind-down",) * 31
+    assert told.record.phases == ("run",) * 40 + ("soft",) * 31
     assert replay(workflow, told.record) == []
 
 

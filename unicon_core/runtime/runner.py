@@ -114,7 +114,7 @@ class Runner:
 
     def graphs(self) -> dict[str, CompiledGraph]:
         """Return the compiled ticks by phase."""
-        tickers = {"run": self._run, "wind-down": self._ending}
+        tickers = {Phase.RUN.value: self._run, Phase.SOFT.value: self._ending}
         return {name: each.graph for name, each in tickers.items() if each is not None}
 
     @property

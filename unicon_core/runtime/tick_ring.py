@@ -130,6 +130,8 @@ class TickRing:
     # -- in the tick ----------------------------------------------------------------------------
 
     def _received(self) -> None:
+        if self._frozen:  # it is damped
+            return
         if self._anew:
             self._anew = False
             self._remember(True)
@@ -159,6 +161,8 @@ class TickRing:
         return take
 
     def _sent(self) -> None:
+        if self._frozen:
+            return
         end = self._at + self.row_bytes
         self._data[end - self._size : end] = self._states
         self._head(1)

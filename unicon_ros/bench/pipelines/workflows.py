@@ -112,6 +112,7 @@ def _workflow(platform: str, options: str, rate: float, trigger: str, every: int
         f"pacing: {{trigger: {trigger}, hang: {HELD}}}",
         f"flow: {identity if every == 1 else f'{{every: {{n: {every}, do: {identity}}}}}'}",
         "safety: none",
+        "start: none",
     ]
     return "\n".join(lines) + "\n"
 
