@@ -30,11 +30,10 @@ from unicon_core.signals import SIGNALS
 from unicon_core.workflow import Hook, Program, load_document
 from unicon_ros import compat
 from unicon_ros.bridge import RosSession
-from unicon_ros.bridge.controls import SERVICES
 from unicon_ros.bridge.diagnostics import Diagnostics
-from unicon_ros.bridge.estop import FAULT, EmergencyStop
+from unicon_ros.bridge.estop import FAULT, STOP_SERVICES, EmergencyStop
 from unicon_ros.bridge.node_log import NodeLog
-from unicon_ros.bridge.services import Answer, add_services, explained
+from unicon_ros.bridge.services import SERVICES, Answer, add_services, explained
 from unicon_ros.bridge.tuning import Tuning
 from unicon_ros.fault_record import FaultRecord
 from unicon_ros.parameters import Parameters
@@ -74,7 +73,9 @@ class UniconNode(LifecycleNode):
         self._activations = 0
         self._told_to_go = False  # by ~/start, which is the operator's go
         handlers: dict[str, Callable[[], Answer]] = {
-            word: getattr(self, f"_{word}", None) or self._delegate(word) for word in SERVICES
+            word: getattr(self, f"_{word}", None) or self._delegate(word)
+            for word in SERVICES
+            if word not in STOP_SERVICES
         }
         self.log = NodeLog(self.get_logger())
         self.estop = EmergencyStop(self, lambda: self._running, self.log.warning)

@@ -92,17 +92,14 @@ def test_a_workflow_with_a_camera_runs(tmp_path: Path) -> None:
     assert report.faults == []
 
 
-def test_parameters_and_services_are_those_of_the_node() -> None:
+def test_parameters_are_those_of_the_node() -> None:
     pytest.importorskip("rclpy")
-    from unicon_ros.bridge.controls import SERVICES
-    from unicon_ros.bridge.estop import STOP_SERVICES
     from unicon_ros.parameters import DECLARED
 
     section = TEXT.partition("## The node")[2].partition("## Images")[0]
     rows = [line.split("|")[1] for line in section.splitlines() if line.startswith("| `")]
     named = {word for row in rows for word in re.findall(r"`([~/a-z_]+)`", row)}
-    parameters = {name for name, *_ in DECLARED}
-    assert named == parameters | {f"~/{service}" for service in (*SERVICES, *STOP_SERVICES)}
+    assert named == {name for name, *_ in DECLARED}
 
 
 def test_the_variables_are_those_of_a_workflow(tmp_path: Path) -> None:

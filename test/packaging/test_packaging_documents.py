@@ -113,12 +113,11 @@ def test_every_topic_of_the_default_map_is_in_the_table_with_its_type() -> None:
     assert topics <= told
 
 
-def test_every_service_is_in_the_table() -> None:
-    from unicon_ros.bridge.controls import SERVICES
-    from unicon_ros.bridge.estop import STOP_SERVICES
+def test_the_table_of_services_is_that_of_the_code() -> None:
+    from unicon_ros.bridge.services import SERVICES
 
-    rows = re.findall(r"^\| `~/.*?\|", text_of("docs/ros.md"), re.MULTILINE)
-    assert set(re.findall(r"~/(\w+)", "".join(rows))) == {*SERVICES, *STOP_SERVICES}
+    rows = re.findall(r"^\| `~/(\w+)` \| (.*) \|$", text_of("docs/ros.md"), re.MULTILINE)
+    assert dict(rows) == SERVICES
 
 
 def test_every_parameter_of_the_node_is_in_the_table() -> None:

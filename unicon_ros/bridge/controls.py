@@ -10,10 +10,7 @@ from unicon_core.runtime import Runner
 from unicon_ros.bridge.estop import EmergencyStop
 from unicon_ros.bridge.services import Answer
 
-__all__ = ["SERVICES", "Controls"]
-
-SERVICES = ("stop", "start", "reset", "pause", "step")
-"""Names of the services, each `~/<name>` of type std_srvs/srv/Trigger."""
+__all__ = ["Controls"]
 
 
 class Controls:

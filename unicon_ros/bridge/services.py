@@ -5,7 +5,21 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-__all__ = ["Answer", "add_services", "explained"]
+__all__ = ["SERVICES", "Answer", "add_services", "explained"]
+
+SERVICES = {
+    "start": "the operator's go: a robot whose gates hold begins to move; goes on after a pause; "
+    "where nothing runs, the node configures and activates as needed",
+    "stop": "ends the run after the present tick: the workflow winds down if it says how, then the "
+    "platform damps",
+    "estop": "stops before the next command is sent, looked at in every tick; the platform damps; "
+    "counts as a fault; latches",
+    "clear_estop": "lets go of that latch once the run has ended; until then nothing starts",
+    "reset": "brings a simulator and the flow back to their beginning",
+    "pause": "lets a simulator stand still until `~/start` or `~/step`",
+    "step": "runs one tick of a simulator that stands still",
+}
+"""Each `~/<name>`, and what it does."""
 
 Answer = tuple[bool, str]
 """Success, and a line for the caller."""

@@ -34,13 +34,13 @@ from unicon_ros.bridge.bindings import (
     names_of,
     variables_of,
 )
-from unicon_ros.bridge.controls import SERVICES, Controls
-from unicon_ros.bridge.estop import EmergencyStop
+from unicon_ros.bridge.controls import Controls
+from unicon_ros.bridge.estop import STOP_SERVICES, EmergencyStop
 from unicon_ros.bridge.middleware_threads import calm_middleware_threads
 from unicon_ros.bridge.own_node import OwnNode, one_line
 from unicon_ros.bridge.robot_frames import RobotFrames
 from unicon_ros.bridge.ros_platform import RosPlatform
-from unicon_ros.bridge.services import add_services
+from unicon_ros.bridge.services import SERVICES, add_services
 from unicon_ros.bridge.slack import SlackServer
 from unicon_ros.bridge.stamps import WallStamp
 from unicon_ros.bridge.topics_in import TopicIn
@@ -109,7 +109,8 @@ class RosSession:
         self._closed = False
         self._started_ns = time.perf_counter_ns()
         if self._own is not None:
-            add_services(node, {name: getattr(self.controls, name) for name in SERVICES}, warn)
+            handlers = {n: getattr(self.controls, n) for n in SERVICES if n not in STOP_SERVICES}
+            add_services(node, handlers, warn)
 
     # -- hooks ----------------------------------------------------------------------------------
 
