@@ -174,3 +174,56 @@ def test_two_nodes_run_in_two_namespaces(nodes: Start, peers: Start, react: Path
         status, errors = caller.end()
         assert status == 0, errors
         assert caller.lines[0]["state"] == "active"
+
+
+ROBOT = """\
+robot: go2
+platform: fake_robot
+rate: 100
+start: {fade_in: 0.2}
+flow: hold
+wind_down: {hold: {duration: 0.2}}
+pacing: {hang: 20}
+"""
+
+
+def test_a_robot_waits_for_the_operator_and_start_is_his_go(
+    nodes: Start, peers: Start, tmp_path: Path
+) -> None:
+    path = tmp_path / "robot.yaml"
+    path.write_text(ROBOT)
+    node = nodes(*ros_args(f"workflow:={path}"))
+    words = ["?", "wait=3", "pause", "start", "wait=1", "start", "stop", "wait=2", "?"]
+    again = ["start", "wait=2", "start", "estop", "wait=2", "start", "?"]
+    caller = peers("caller", "unicon", *words, *again)
+    assert caller.end(60)[0] == 0
+    told = [(line["word"], line.get("message", line.get("state"))) for line in caller.lines]
+    assert told[0] == ("?", "active")
+    assert "is a real robot, which has no pause" in told[1][1]
+    assert told[2:5] == [
+        ("start", "go"),
+        ("start", "it runs already"),
+        ("stop", "stopping: it winds down, then the platform damps"),
+    ]
+    assert told[5:8] == [("?", "inactive"), ("start", "started"), ("start", "it runs already")]
+    assert "latched until ~/clear_estop" in told[8][1]
+    assert "~/clear_estop" in told[9][1]
+    assert told[10] == ("?", "inactive")
+    node.process.send_signal(signal.SIGINT)
+    status, errors = node.end()
+    assert status == 0, errors
+    waits = [line for line in errors.splitlines() if "waiting for the operator's go" in line]
+    assert len(waits) == 1, errors  # ~/start of an inactive node is the go of that run
+
+
+def test_an_estop_in_the_wait_ends_it_and_nothing_is_sent(
+    nodes: Start, peers: Start, tmp_path: Path
+) -> None:
+    path = tmp_path / "robot.yaml"
+    path.write_text(ROBOT)
+    node = nodes(*ros_args(f"workflow:={path}", "exit_on_fault:=true"))
+    caller = peers("caller", "unicon", "wait=3", "estop")
+    assert caller.end(60)[0] == 0
+    status, errors = node.end()
+    assert status == 3, errors
+    assert "ended after 0 ticks" in errors

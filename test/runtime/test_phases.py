@@ -130,6 +130,7 @@ def test_a_robot_waits_approaches_runs_winds_down_and_damps() -> None:
     approach = sent.of(Phase.APPROACH)
     assert np.all(np.diff(approach[:20, 1]) > 0.0)
     assert runner.phase is Phase.OFF
+    assert not runner.go()  # there is nothing to begin any more
     falls(sent)
 
 

@@ -141,7 +141,8 @@ class Runner:
 
     def go(self) -> bool:
         """Say that the robot may move; it counts where the operator alone is waited for."""
-        return self._waiting is not None and self._waiting.go()
+        waiting = self._waiting if self.phase is Phase.WAIT else None
+        return waiting is not None and waiting.go()
 
     @property
     def done(self) -> bool:
