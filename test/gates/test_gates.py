@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import gate_robots
@@ -10,7 +11,7 @@ import pytest
 from gate_robots import reasons
 
 from unicon_core import Program, block, policy
-from unicon_core.check import refuse_errors
+from unicon_core.check import check_workflow, refuse_errors
 from unicon_core.errors import Fault
 from unicon_core.gates.gate import StartGate
 
@@ -199,3 +200,16 @@ def test_garbage_in_any_state_is_a_reason_and_never_an_exception() -> None:
             assert isinstance(said, str)
             assert "\n" not in said
     assert not any(reasons(program).values())  # and no garbage stays behind
+
+
+def test_who_outlives_the_process_that_ticks_is_asked(tmp_path: Path) -> None:
+    path = tmp_path / "robot.yaml"
+    path.write_text("robot: go2\nplatform: fake_robot\nrate: 50\nflow: hold\n")
+
+    def told(*overrides: str) -> str:
+        notes = check_workflow(path, overrides).notes
+        return "".join(str(note) for note in notes if note.code == "start.watchdog")
+
+    assert "platform: {child: fake_robot}" in told()
+    assert not told("platform={child: fake_robot}")
+    assert not told("platform=fake")

@@ -49,6 +49,7 @@ CODES = {
     "pose.floor": "the simulation begins inside the floor or far above it",
     "pose.start": "a policy is the first to move a robot that lies (simulated: a note)",
     "start.gates": "nothing is asked before a robot moves (a note)",
+    "start.watchdog": "nothing damps a robot whose process is killed (a note)",
     "safety.none": "no safety block looks at commands (a note)",
     "safety.less": "a robot lacks safety blocks that others have (a note)",
     "safety.partial": "a safety block does not look at every command, or at nothing",

@@ -46,8 +46,20 @@ def check_start(subject: Subject, result: CheckResult) -> None:
 
 
 def check_gates(subject: Subject, result: CheckResult) -> None:
-    """A robot that begins to move and nobody has looked at it."""
-    if subject.platform.simulated or subject.program.start.gates:
+    """A robot that begins to move and nobody has looked at it, or outlives who ticks."""
+    if subject.platform.simulated or not subject.program.has_platform:
+        return
+    word = subject.document.values["platform"]
+    if not isinstance(word, dict):
+        result.note(
+            "start.watchdog",
+            f"platform: {word}",
+            "it runs in the process that ticks: where that is killed or hangs for ever, nothing of "
+            "ours damps the robot",
+            f"platform: {{child: {word}}}",
+            subject.document.where("platform"),
+        )
+    if subject.program.start.gates:
         return
     result.note(
         "start.gates",
