@@ -191,8 +191,7 @@ def test_a_stop_before_the_run_ends_it_without_a_tick(where: str) -> None:
     if where == "wait":
         assert not sent.rows
     else:
-        assert sent.phases[0] is Phase.APPROACH
-        assert sent.phases[-1] is Phase.DAMP
+        assert sent.phases == [Phase.APPROACH, Phase.DAMP]
 
 
 @pytest.mark.parametrize("error", [Fault("tripped"), ValueError("a block"), SystemExit(7)])

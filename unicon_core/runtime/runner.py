@@ -5,11 +5,11 @@ from __future__ import annotations
 import threading
 import time
 import traceback
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 from unicon_core.blocks.approach import Approach
 from unicon_core.errors import Fault, Hung, PlatformError, UniconError
@@ -26,7 +26,7 @@ from unicon_core.runtime.waiting import Waiting
 from unicon_core.signals import SIGNALS, Interrupted, signal_name
 from unicon_core.workflow import Program
 
-__all__ = ["RunOptions", "Runner", "run"]
+__all__ = ["RunOptions", "Runner"]
 
 
 @dataclass(frozen=True)
@@ -231,8 +231,9 @@ class Runner:
                     self._wind_down()
                 except BaseException as error:  # whatever it is, only damping is sent from now on
                     fault = error
-                    for act in self.at_fault:
-                        act()
+                    with suppress(Exception):  # whatever it is, the robot is damped
+                        for act in self.at_fault:
+                            act()
                 self._ended_ns = self._ended_ns or time.perf_counter_ns()
                 before = len(self.faults)
                 self._damped(fault)
@@ -404,7 +405,7 @@ class Runner:
         ending = self._ending
         if ending is None or self._hurry or self.program.gate.closed:
             return
-        if not self.program.gate.sent.any:
+        if self.phase is not Phase.RUN:  # it waited, or came from where it was before
             return
         self.phase = Phase.SOFT
         self.monitor.finish()
@@ -427,50 +428,6 @@ class Runner:
                 "faults": len(self.faults),
             }
         )
-
-
-class Attached(Protocol):
-    """What comes along with a run, such as a ROS session."""
-
-    def attach(self, runner: Runner) -> None:
-        """Get to know the runner, before the first tick."""
-        ...
-
-    def close(self) -> None:
-        """Let go, after the run."""
-        ...
-
-
-def run(program: Program, *attached: Attached, force: Sequence[str] = (), **options: Any) -> Report:
-    """Check a program, run it to the end and return the report; a fault is in it.
-
-        session = RosSession(map="default")
-        report = run(Program(…, hooks=[session.hook]), session)
-
-    Args:
-        program: what to run.
-        attached: what comes along, told before the first tick and closed after the last.
-        force: codes of errors of `unicon check` to go on with.
-        options: of `RunOptions`: duration, speed, warn.
-
-    Raises:
-        CheckError: what `unicon check` calls an error.
-        UniconError: it cannot be run.
-    """
-    # Imported here: the check builds programs itself.
-    from unicon_core.check import refuse_errors
-
-    wishes = RunOptions(**options)
-    with ExitStack() as rest:
-        for each in attached:
-            rest.callback(each.close)
-        rest.callback(program.close)
-        for line in refuse_errors(program, force):
-            wishes.warn(line)
-        runner = Runner(program, wishes)
-        for each in attached:
-            each.attach(runner)
-        return runner.run()
 
 
 def _refuse_pace(program: Program, options: RunOptions) -> None:
