@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from dataclasses import dataclass, field
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -12,10 +13,13 @@ import pytest
 
 from unicon_core import Block, Program, Stage, block, policy, pose
 from unicon_core.errors import Fault, UniconError
+from unicon_core.platforms.fake import FakeRobot, make_robot
 from unicon_core.platforms.kit.damping import BLEND, DAMPING_TIME
+from unicon_core.robots import Robot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.runtime.phases import Phase, describe
 from unicon_core.runtime.waiting import Waiting
+from unicon_core.states import States
 
 RATE = 50
 ROBOT = {"robot": "go2", "rate": RATE, "platform": "fake_robot"}
@@ -276,3 +280,39 @@ def test_phases_are_told() -> None:
 def test_wrong_settings_are_refused(start: Any, message: str) -> None:
     with pytest.raises(UniconError, match=message.replace("?", r"\?")):
         Program(flow=block("hold"), **(ROBOT | {"start": start}))
+
+
+def test_a_stall_while_it_waits_harms_nobody() -> None:
+    sent = Sent()
+    program = made(sent, flow=pose("stand", duration=0.2), pacing={"hang": 0.05})
+
+    class Slow(Battery):
+        def __call__(self) -> str:
+            time.sleep(0.2)
+            return super().__call__()
+
+    program.gates[:] = [Slow(holds_at=3)]
+    runs(program)[0].run()
+    assert sent.rows
+
+
+def test_a_robot_that_goes_while_it_waits_is_a_fault() -> None:
+    sent = Sent()
+    program = made(sent, flow=pose("stand"), platform=f"{__name__}:leaving")
+    program.gates[:] = [Battery()]
+    report = runs(program)[0].run()
+    (fault,) = report.faults
+    assert "has gone while it was waited for battery: it is at 3 %" in fault
+    assert not sent.rows
+
+
+def leaving(states: States, robot: Robot, period: float) -> FakeRobot:
+    platform = make_robot(states, robot, period)
+    recv, asked = platform.recv, count()
+
+    def received() -> bool:
+        recv()
+        return next(asked) > 3
+
+    platform.recv = received  # type: ignore[method-assign]
+    return platform

@@ -25,6 +25,7 @@ from unicon_core.runtime.ticker import Ticker
 from unicon_core.runtime.waiting import Waiting
 from unicon_core.signals import SIGNALS, Interrupted, signal_name
 from unicon_core.workflow import Program
+from unicon_core.workflow.gate import NEVER_NS
 
 __all__ = ["RunOptions", "Runner"]
 
@@ -354,7 +355,12 @@ class Runner:
             return True
         waiting = self._waiting = Waiting(program.gates, self.asks, self.options.warn)
         tree = Zip(*program.hearing, as_block(waiting), *map(Deferred, program.looking))
-        return self._ticked(tree) and not waiting.reason and self._approached()
+        if not self._ticked(tree, NEVER_NS):
+            return False
+        if waiting.reason:
+            name = program.platform.facts.name
+            raise Fault(f"platform {name!r} has gone while it was waited for {waiting.reason}")
+        return self._approached()
 
     def _approached(self) -> bool:
         program, start = self.program, self.program.start
@@ -366,10 +372,17 @@ class Runner:
         self.phase = Phase.APPROACH
         return self._ticked(program.with_flow(as_block(approach)))
 
-    def _ticked(self, tree: Node) -> bool:
-        """Tick another tree before the run until it is done; False where the run is to end."""
+    def _ticked(self, tree: Node, hang_ns: int | None = None) -> bool:
+        """Tick another tree before the run until it is done; False where the run is to end.
+
+        Args:
+            tree: of a tick.
+            hang_ns: how late ticks may be, where that is not as in the run.
+        """
         run = self._run
         ticker = self._ticker = Ticker(self.program, tree, self.options.capacity, None)
+        if hang_ns is not None:
+            ticker.hang_ns = hang_ns
         if run.stop:  # what a signal sets at any moment counts
             ticker.stop = True
         ticker.run(1 << 62)

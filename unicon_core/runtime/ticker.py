@@ -38,6 +38,7 @@ class Ticker:
             ticks are not paced.
         between: actions to be called between two ticks.
         arrivals: when the platform's data come, as far as it was measured.
+        hang_ns: how late a tick may be; later ones are a fault.
     """
 
     def __init__(
@@ -52,7 +53,7 @@ class Ticker:
         self.next_due_ns = 0
         self.between: deque[Callable[[], object]] = deque()
         self.arrivals: Arrivals | None = None
-        self._hang_ns = self.pacing.hang_ns(self.period_ns, program.platform.facts.simulated)
+        self.hang_ns = self.pacing.hang_ns(self.period_ns, program.platform.facts.simulated)
         self._tick = program.states["tick"]
 
     def step(self, due_ns: int) -> bool:
@@ -111,7 +112,7 @@ class Ticker:
                 if self.stop:
                     break
                 due = max(due, now())
-            gate.until_ns = due + self._hang_ns
+            gate.until_ns = due + self.hang_ns
             if wait(due) > gate.until_ns:
                 self._missed(now() - due)
             self.next_due_ns = due + period
@@ -131,7 +132,7 @@ class Ticker:
                 # Each deadline that no tick met counts, those caught up when they run.
                 statistics.overruns += max(dropped, 1)
                 due += dropped * period
-                if late > self._hang_ns:
+                if late > self.hang_ns:
                     raise Hung(self._hung())
             if statistics.count % status_every == 0:
                 self._tell()
@@ -145,7 +146,7 @@ class Ticker:
         self.statistics.overruns += late_ns // self.period_ns
         raise Hung(
             f"no tick ran for {late_ns * 1e-9:.2f} s: the process was stopped or starved between "
-            f"two ticks; more than {self._hang_ns * 1e-9:g} s are a fault (pacing.hang)"
+            f"two ticks; more than {self.hang_ns * 1e-9:g} s are a fault (pacing.hang)"
         )
 
     def _hung(self) -> str:
@@ -161,7 +162,7 @@ class Ticker:
             slowest, longest = "what ran last", time.perf_counter_ns() - before
         return (
             f"a tick hung: {slowest} took {longest * 1e-9:.2f} s; ticks that are late by more than "
-            f"{self._hang_ns * 1e-9:g} s are a fault (pacing.hang)"
+            f"{self.hang_ns * 1e-9:g} s are a fault (pacing.hang)"
         )
 
     def _triggered(self, limit: int, status_every: int, wait: Callable[[float], bool]) -> None:
@@ -180,7 +181,7 @@ class Ticker:
         arrivals = self.arrivals = self.arrivals or self._arrivals(wait, patience)
         due = last = now()
         hasty, gate = 0, self._program.gate
-        silence = round(1e9 * patience) + 2 * period + self._hang_ns
+        silence = round(1e9 * patience) + 2 * period + self.hang_ns
         while not self.stop and statistics.count < limit:
             if self.between:
                 self._act()
@@ -199,7 +200,7 @@ class Ticker:
                 statistics.overruns += 1
             if last - before > silence:
                 self._missed(last - before)
-            gate.until_ns = last + self._hang_ns
+            gate.until_ns = last + self.hang_ns
             hasty = hasty + 1 if last - before < 0.6 * period else 0
             if hasty >= 5:  # they come faster than was measured
                 arrivals = self.arrivals = self._arrivals(wait, patience)
