@@ -41,6 +41,11 @@ class Sent:
         return list(dict.fromkeys(row[0] for row in self.rows))
 
 
+@pytest.fixture(autouse=True)
+def told_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("unicon_core.runtime.waiting.GRACE", 0.0)
+
+
 class Battery:
     """A gate: holds from the so-many-th question on, or never can."""
 

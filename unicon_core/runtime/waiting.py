@@ -16,6 +16,9 @@ PATIENCE = 30.0
 REPEAT = 5.0
 """How often what is waited for is told again, [s]."""
 
+GRACE = 1.0
+"""What is waited for in the first moments is not told, [s]: gates take half a second to measure."""
+
 GO = "go"
 
 
@@ -55,7 +58,8 @@ class Waiting:
             return True
         if not self._operator and now - self._began > PATIENCE:
             raise Fault(f"not started, waited {PATIENCE:g} s for {reason}")
-        if what != self._what or now - self._told > REPEAT:
+        heard = what == GO or now - self._began >= GRACE
+        if heard and (what != self._what or now - self._told > REPEAT):
             self._what, self._told = what, now
             self._warn(f"waiting for {reason}")
         return False
