@@ -39,7 +39,7 @@ class Phase(Enum):
 def describe(program: Program) -> list[tuple[str, str]]:
     """Return what each phase of a program does, for tables."""
     start, simulated = program.start, program.platform.facts.simulated
-    gates = ", ".join(gate.name for gate in program.gates) or "none"
+    gates = ", ".join(getattr(gate, "name", "gate") for gate in program.gates) or "none"
     if simulated:
         wait, approach = f"nothing: a simulator passes its gates ({gates})", "nothing"
     else:

@@ -68,7 +68,8 @@ class Waiting:
         """Return the name of the first gate that does not hold, and its reason."""
         for gate in self._gates:
             if reason := gate():
-                return gate.name, f"{gate.name}: {reason}"
+                name = getattr(gate, "name", "gate")  # it may be a plain function
+                return name, f"{name}: {reason}"
         if self._go:
             return "", ""
         return GO, "the operator's go: press Enter, call ~/start, or run with --yes"
