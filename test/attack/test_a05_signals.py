@@ -11,9 +11,7 @@ from pathlib import Path
 import pytest
 from runs import Run
 
-ENDING = [
-    signal.SIGHUP,
-    signal.SIGINT,
+RARE = [
     signal.SIGQUIT,
     signal.SIGABRT,
     signal.SIGUSR1,
@@ -21,11 +19,16 @@ ENDING = [
     signal.SIGALRM,
     signal.SIGVTALRM,
     signal.SIGPROF,
-    signal.SIGTERM,
     signal.SIGXCPU,
     signal.SIGIO,
     signal.SIGPWR,
     signal.SIGRTMIN + 3,
+]
+ENDING = [
+    signal.SIGHUP,
+    signal.SIGINT,
+    signal.SIGTERM,
+    *(pytest.param(number, marks=pytest.mark.slow) for number in RARE),
 ]
 
 SLOW_BLOCK = """

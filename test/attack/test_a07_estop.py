@@ -58,7 +58,7 @@ def ticking(log: Path, count: int = 30) -> None:
 
 
 @pytest.mark.parametrize("recv_s", TICKS.values(), ids=TICKS)
-@pytest.mark.parametrize("kind", ["run", "node"])
+@pytest.mark.parametrize("kind", ["run", pytest.param("node", marks=pytest.mark.slow)])
 def test_no_command_leaves_once_the_tick_of_the_press_is_over(
     start: Start, caller: Caller, tmp_path: Path, kind: str, recv_s: float
 ) -> None:

@@ -20,7 +20,7 @@ REASONS = {
 }
 
 
-@pytest.mark.parametrize("where", ["recv", "send"])
+@pytest.mark.parametrize("where", ["recv", pytest.param("send", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("fault", REASONS)
 def test_an_exception_is_a_fault_with_its_reason(tmp_path: Path, fault: str, where: str) -> None:
     trace = tmp_path / "trace.json"
