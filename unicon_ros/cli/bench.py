@@ -17,6 +17,7 @@ BENCHES = {
     "faults": "unicon_ros.bench.faults.bench_faults",
     "latency": "unicon_ros.bench.latency",
     "policy": "unicon_ros.bench.policy",
+    "safety": "unicon_ros.bench.safety",
     "sloc": "unicon_ros.bench.sloc",
     "stores": "unicon_ros.bench.stores",
     "tick": "unicon_ros.bench.tick",
