@@ -17,7 +17,7 @@ from unicon_core.errors import WorkflowError, alternatives
 __all__ = ["StartSettings"]
 
 LONGEST_FADE = 10.0
-"""Of `fade_in` and `damp` in [s]."""
+"""Of `fade_in` in [s]."""
 
 
 @dataclass(frozen=True)

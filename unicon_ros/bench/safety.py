@@ -1,8 +1,8 @@
 """`unicon bench safety`: what a robot's safety blocks add to its tick, at real rate.
 
-Two graphs of a robot with 29 joints and a policy tick in turns at 50 Hz each, 10 ms apart, each with
-warm-ups before its deadline as a run has them: one with the set of safety blocks that a robot has,
-one without any. What is timed is the way from recv to the end of send.
+Two graphs of a robot with 29 joints and a policy tick in turns, 10 ms apart, each with warm-ups
+before its deadline as a run has them: one with the set of safety blocks that a robot has, one
+without any. What is timed is the way from recv to the end of send.
 """
 
 from __future__ import annotations
