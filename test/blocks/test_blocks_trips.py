@@ -59,7 +59,7 @@ EDGES = [
     ("range_stop", {}, "base_quat", 0, 1.009, 1.011, "base_quat of w"),
     ("range_stop", {}, "base_ang_vel", 1, -69.9, -70.1, "base_ang_vel of y"),
     ("range_stop", {}, "base_lin_acc", 1, 1e6, 1.1e6, "base_lin_acc of y"),
-    ("range_stop", {}, "projected_gravity", 2, -1.009, -1.011, "projected_gravity of z"),
+    ("range_stop", {}, "projected_gravity", 2, -1.249, -1.251, "projected_gravity of z"),
     ("velocity_stop", {"factor": 1.0}, "joint_vel", 3, -30.1, -30.2, "FL_hip_joint moves at"),
     ("velocity_stop", {"limit": 2.0}, "joint_vel", 3, 2.0, 2.01, "allowed are 2.00"),
     ("tilt_stop", {"angle": 0.8}, "projected_gravity", 2, -0.697, -0.696, "leans by 0.80"),
