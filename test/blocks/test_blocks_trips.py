@@ -47,6 +47,10 @@ def made(bench: Build, num_robots: int | None = None) -> Any:
 # block, its options, state, element, a value just inside, one just beyond, what the fault says
 EDGES = [
     ("finite", {}, "joint_pos_target", 3, 3e38, np.inf, "joint_pos_target of joint FL_hip"),
+    ("finite", {}, "joint_vel_target", 3, -3e38, -np.inf, "joint_vel_target of joint FL_hip"),
+    ("finite", {}, "joint_effort_ff", 3, 3e38, np.inf, "joint_effort_ff of joint FL_hip"),
+    ("finite", {}, "joint_stiffness", 3, 3e38, np.inf, "joint_stiffness of joint FL_hip"),
+    ("finite", {}, "joint_damping", 3, 3e38, np.inf, "joint_damping of joint FL_hip"),
     ("command_stop", {}, "joint_pos_target", 3, 25.1, 25.2, "joint_pos_target of FL_hip"),
     ("command_stop", {"stiffness": 80}, "joint_stiffness", 3, 80.0, 80.1, "joint_stiffness of"),
     ("command_stop", {}, "joint_stiffness", 3, 0.0, -0.01, "joint_stiffness of FL_hip"),

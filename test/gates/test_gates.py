@@ -36,7 +36,11 @@ def test_a_robot_in_order_passes_all_gates_and_they_are_all_there() -> None:
 @pytest.mark.parametrize(
     ("wrong", "gate", "words"),
     [
-        ("silent", "data", "joint_pos of FR_hip_joint has not been told, and block 'policy' reads it"),
+        (
+            "silent",
+            "data",
+            "joint_pos of FR_hip_joint has not been told, and block 'policy' reads it",
+        ),
         ("silent", "rate", "new data come at 0 Hz, needed are 40 Hz"),
         ("slow", "rate", "new data come at 16 Hz, needed are 40 Hz; see whether platform 'wrong'"),
         ("never joint_vel", "data", "joint_vel of RL_calf_joint has not been told"),

@@ -162,7 +162,8 @@ def test_a_robot_that_is_killed_ends_the_run_with_its_reason(
     peer.kill()
     driven = ended(run, peer, tmp_path)
     assert driven.status == 3
-    assert any("no message for 0.5 s" in fault for fault in driven.report["faults"])
+    # Whichever looks first: the set of a robot at its stamps, the bridge at its topics.
+    assert any("data is stale" in f or "no message for" in f for f in driven.report["faults"])
 
 
 @pytest.mark.slow

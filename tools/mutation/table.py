@@ -10,12 +10,15 @@ from typing import NamedTuple
 
 __all__ = ["ROWS", "Row"]
 
-BLOCKS = "test/blocks/test_blocks_trips.py", "test/blocks/test_blocks_detectors.py"
-LIMITS = *BLOCKS, "test/blocks/test_blocks_safety.py"
+BLOCKS = (
+    "test/blocks/test_blocks_trips.py",
+    "test/blocks/test_blocks_safety.py",
+    "test/blocks/test_blocks_detectors.py",
+)
 LEARNED = ("test/blocks/test_blocks_trips.py",)
 GATES = "test/gates/test_gates.py", "test/gates/test_gates_edges.py"
 BEGINNING = ("test/gates/test_beginning.py",)
-PHASES = "test/runtime/test_phases.py", "test/runtime/test_transitions.py"
+PHASES = "test/runtime/test_transitions.py", "test/runtime/test_phases.py"
 ENDS = *PHASES, "test/attack/test_c24_threads.py", "test/attack/test_c20_exceptions.py"
 SIGNALS = *PHASES, "test/attack/test_a05_signals.py", "test/runtime/test_runner.py"
 DAMPING = *PHASES, "test/platforms/test_damping.py"
@@ -91,7 +94,7 @@ ROWS = [
     ),
     *_rows(
         "blocks/safety/limits.py",
-        LIMITS,
+        BLOCKS,
         ("JointLimits.__call__", REMOVED),
         ("JointLimits.__call__", "np.maximum(self._target, self._lower, out=self._target)", "pass"),
         ("JointLimits.__call__", "np.minimum(self._target, self._upper, out=self._target)", "pass"),
