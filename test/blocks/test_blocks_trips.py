@@ -220,6 +220,11 @@ def test_power_stop_adds_up_work_and_losses(bench: Build, num_robots: int | None
     assert fault == f"{who}the joints would take 40 W for 3 ticks, allowed are 40"
     block.reset()
     assert ticks_until_fault(block)[0] == 2
+    block.reset()
+    for _ in range(10):  # a break in every third tick: it counts anew
+        for speed in (4.0, 4.0, 0.0):
+            s.joint_vel[..., 0] = speed
+            block.tick()
     s.joint_vel = 0.0  # what is left is lost in two windings: 2 · 0.1 · 10²
     for limit, trips in ((20.1, False), (19.9, True)):
         lossy = it.block("power_stop", limit=limit, loss=0.1, timeout=0.02)
@@ -468,6 +473,12 @@ def test_a_good_run_gives_the_bounds_of_the_next(
         it.states.observation = bad
         with pytest.raises(Fault, match=r"observation is .*, which no good run has shown"):
             block.tick()
+    usual = it.block("observation_stop", file=file)  # half of what lies between
+    it.states.observation = (2.49, -1, 5)
+    usual.tick()
+    it.states.observation = (2.51, -1, 5)
+    with pytest.raises(Fault, match="which no good run has shown"):
+        usual.tick()
     again = it.block("observation_range", file=file)  # a second run adds to the first
     it.states.observation = (9.0, -1.5, 5.0)
     again.tick()
