@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import threading
 import time
 from typing import Any
@@ -9,14 +10,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from unicon_core import Program, block
+from unicon_core import Program, block, policy, pose
 from unicon_core.blocks.approach import Approach, Entry
 from unicon_core.errors import Fault, Hung, PlatformError
-from unicon_core.gates.beginning import Target
+from unicon_core.gates.beginning import Target, first_command
 from unicon_core.platforms.child.platform import SILENCE, WATCHDOG
 from unicon_core.platforms.kit.damping import BLEND, DAMPING_TIME, Damping, LastSent
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner, RunOptions
+from unicon_core.runtime.damp import Damp as DampPhase
 from unicon_core.runtime.phases import WIND_DOWN
 from unicon_core.runtime.waiting import PATIENCE, REPEAT, Waiting
 from unicon_core.states import States, standard_states
@@ -124,6 +126,32 @@ def test_go_counts_only_where_nothing_else_is_waited_for() -> None:
         "waiting for warm",
         "waiting for the operator's go",
     ]
+
+
+def test_what_looks_at_the_policy_is_left_out_of_approach_and_wind_down() -> None:
+    program = Program(
+        robot="go2",
+        platform="fake_robot",
+        rate=50,
+        policies={"walk": "go2_velocity"},
+        flow=policy("walk"),
+        wind_down=pose("rest", duration=0.1),
+        safety=["finite", block("action_stop", limit=8.5)],
+        start={"operator": False, "fade_in": 0.1, "approach": 10.0},
+    )
+    program.gates[:] = []
+    runner = Runner(program, RunOptions(duration=0.1, warn=lambda _: None))
+    fused = {
+        phase: int(
+            next(
+                re.findall(r"\((\d+) fused\)", b.name)[0] for b in graph.blocks if "fused" in b.name
+            )
+        )
+        for phase, graph in runner.graphs().items()
+    }
+    assert fused["wind-down"] == fused["run"] - 1
+    report = runner.run()
+    assert (report.faults, report.ticks) == ([], 5)
 
 
 # -- the run ---------------------------------------------------------------------------------------
@@ -237,6 +265,50 @@ def test_a_pause_between_ticks_is_no_hang() -> None:
     runner.call_soon(lambda: time.sleep(0.3))
     assert runner.run().faults == []
     assert len(sent) == 10
+
+
+# -- damping ---------------------------------------------------------------------------------------
+
+
+def damped(sending: Any = None) -> tuple[Program, list[str]]:
+    done: list[str] = []
+
+    def watch(program: Program) -> dict[Any, Any]:
+        platform: Any = program.platform
+        recv = platform.recv
+        platform.recv = lambda: (done.append("recv"), recv())[1]
+        platform.send = lambda: (done.append("send"), sending and sending(program, done))[1]
+        return {}
+
+    program = Program(
+        robot="go2", platform="fake_robot", rate=50, flow=block("hold"), hooks=[watch]
+    )
+    return program, done
+
+
+def test_damping_hears_and_takes_its_time_on_a_robot() -> None:
+    program, done = damped()
+    began = time.monotonic()
+    DampPhase(program).run(hear=True)
+    assert time.monotonic() - began >= DAMPING_TIME - 2 * PERIOD
+    assert done.count("send") == done.count("recv") == round(DAMPING_TIME / PERIOD)
+    program.close()
+
+
+def test_a_program_that_is_closed_while_it_damps_sends_nothing_more() -> None:
+    program, done = damped(lambda program, done: len(done) >= 5 and program.gate.close())
+    with pytest.raises(Fault, match="closed while it damped"):
+        DampPhase(program).run(hear=False)
+    assert done == ["send"] * 5
+    program.close()
+
+
+def test_the_first_command_is_the_same_however_often_it_is_asked_for() -> None:
+    program = Program(robot="go2", platform="fake_robot", rate=50, flow=pose("rest", duration=0.2))
+    program.platform.recv()
+    first, again = (first_command(program).joint_pos.tolist() for _ in range(2))
+    assert first == again
+    program.close()
 
 
 # -- the last gate ---------------------------------------------------------------------------------
