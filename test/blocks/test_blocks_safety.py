@@ -38,6 +38,9 @@ def test_joint_limits_clip_in_place(bench: Build) -> None:
     block = it.block("joint_limits", margin=0.1)
     block.tick()
     np.testing.assert_allclose(it.states.joint_pos_target, it.robot.upper - 0.1, rtol=1e-6)
+    it.states.joint_pos_target = -9.0
+    block.tick()
+    np.testing.assert_allclose(it.states.joint_pos_target, it.robot.lower + 0.1, rtol=1e-6)
     assert block.amends == ("joint_pos_target",)
     it.stand()
     before = it.states.snapshot().data
@@ -97,6 +100,9 @@ def test_rate_limit_bounds_the_speed_of_targets(bench: Build) -> None:
     it.states.joint_pos = -1.0
     block.tick()
     assert it.states.joint_pos_target[0] == pytest.approx(-0.9)
+    it.states.joint_pos_target = -3.0
+    block.tick()
+    assert it.states.joint_pos_target[0] == pytest.approx(-1.0)
 
 
 def test_fade_in_scales_the_stiffness_then_stops(bench: Build) -> None:

@@ -18,9 +18,21 @@ from typing import Any
 import numpy as np
 import yaml
 from mutate import mutate_bytes, mutate_mcap, mutate_onnx, mutate_text, mutate_tree, to_text
-from seeds import DEPLOY, ENV, LEGGED_GYM, SET_PATHS, WORKFLOWS
+from seeds import (
+    DEPLOY,
+    ENV,
+    LEGGED_GYM,
+    SET_PATHS,
+    STARTS,
+    URDF,
+    WORKFLOWS,
+    XML_SNIPPETS,
+)
 
 from unicon_core.check import check_workflow
+from unicon_core.errors import Fault
+from unicon_core.models.load import load_model
+from unicon_core.models.loaded import import_mujoco
 from unicon_core.policies import Policy, load_policy, policy_states, policy_table
 from unicon_core.robots import load_robot, robot_table
 from unicon_core.runtime import Runner, RunOptions
@@ -29,7 +41,7 @@ from unicon_core.states import Layout, States, standard_states
 from unicon_core.workflow import load_workflow
 from unicon_msgs_map import Decoder, Encoder, load_map
 from unicon_ros.recorder import Recorder
-from unicon_ros.recording import recover
+from unicon_ros.recording import open_record, recover
 
 __all__ = ["KINDS"]
 
@@ -76,9 +88,9 @@ def write(path: Path, text: str, dice: random.Random) -> None:
     path.write_bytes(raw if way < 0.92 else mutate_bytes(raw, dice))
 
 
-def whole(path: Path, overrides: tuple[str, ...] = ()) -> object:
+def whole(path: Path, overrides: tuple[str, ...] = (), platform: str = "fake") -> object:
     """Check a workflow, and build it as `show` and `run` do."""
-    overrides = (*overrides, "platform=fake")
+    overrides = (*overrides, f"platform={platform}")
     check_workflow(path, overrides)
     workflow = load_workflow(path, overrides)
     try:
@@ -89,7 +101,10 @@ def whole(path: Path, overrides: tuple[str, ...] = ()) -> object:
             robot=workflow.robot,
             policies=workflow.policies,
         )
-        Runner(workflow, RunOptions(speed="max", capacity=16)).graph.warm_up()
+        speed = "max" if platform == "fake" else "real"
+        Runner(workflow, RunOptions(speed=speed, capacity=16)).graph.warm_up()  # type: ignore[arg-type]
+        for gate in workflow.gates:
+            gate()
     finally:
         workflow.close()
     return workflow
@@ -231,6 +246,88 @@ def recording(dice: random.Random, folder: Path) -> Reader:
     return lambda: recover(path)
 
 
+def bounds(folder: Path) -> Path:
+    """Write the bounds that `observation_stop` of the seed reads."""
+    path = folder / "good.npz"
+    np.savez(path, lower=np.full(3, -1.0, np.float32), upper=np.full(3, 1.0, np.float32))
+    return path
+
+
+def start(dice: random.Random, folder: Path) -> Reader:
+    """A robot's workflow, with gates, approach and the stops of its set."""
+    path, file = folder / "workflow.yaml", bounds(folder)
+    if dice.random() < 0.3:
+        path.write_text(STARTS, "utf-8")
+        raw = mutate_bytes(file.read_bytes(), dice)
+        file.write_bytes(raw)
+    else:
+        write(path, STARTS, dice)
+    return lambda: whole(path, platform="fake_robot")
+
+
+@cache
+def cut_off() -> bytes:
+    """Return a small fault record."""
+    from unicon_core import Program, block
+    from unicon_ros.fault_record import FaultRecord
+
+    with tempfile.TemporaryDirectory() as folder:
+        record = FaultRecord(folder, warn=str)
+        program = Program(
+            robot="go2", platform="fake", rate=50, flow=block("hold"), hooks=[record.hook]
+        )
+        runner = Runner(program, RunOptions(speed="max", duration=0.2, warn=str))
+        record.attach(runner)
+
+        def trip() -> None:
+            raise Fault("tripped by the fuzz")
+
+        program.platform.close = trip  # type: ignore[method-assign]
+        path = record.write(runner.run())
+        assert path is not None
+        return path.read_bytes()
+
+
+def fault_record(dice: random.Random, folder: Path) -> Reader:
+    raw, way = cut_off(), dice.random()
+    raw = mutate_mcap(raw, dice) if way < 0.6 else mutate_bytes(raw, dice)
+    path = folder / "fault.mcap"
+    path.write_bytes(raw[: dice.randrange(len(raw) + 1)] if dice.random() < 0.4 else raw)
+
+    def read() -> object:
+        record = open_record(path)
+        record.states("joint_pos", "received")
+        return record.facts, record.ticks, record.ended
+
+    return read
+
+
+@cache
+def models() -> tuple[tuple[str, str], ...]:
+    mjcf = next((CONFIG / "models" / "go2").glob("*.xml")).read_text("utf-8")
+    return (("model.xml", mjcf), ("model.urdf", URDF))
+
+
+def model(dice: random.Random, folder: Path) -> Reader:
+    """A model file whose XML asks for what no model needs."""
+    name, text = dice.choice(models())
+    path = folder / name
+    for _ in range(dice.choice((1, 1, 2, 3))):
+        places = [at + 1 for at, mark in enumerate(text) if mark == ">"]
+        at = dice.choice((0, *places, dice.randrange(len(text))))
+        snippet = dice.choice(XML_SNIPPETS)
+        if snippet.startswith("<!DOCTYPE"):
+            at = text.index("?>") + 2 if text.startswith("<?xml") else 0
+            text = text[:at] + snippet + text[at:].replace('name="', 'name="&l11;&e;', 1)
+        else:
+            text = text[:at] + snippet + text[at:]
+    raw = text.encode("utf-8")
+    path.write_bytes(mutate_bytes(raw, dice) if dice.random() < 0.2 else raw)
+    import_mujoco()  # loads its libraries before anybody watches
+    go2 = load_robot("go2")
+    return lambda: load_model(path, go2, quiet=True)
+
+
 KINDS: dict[str, Callable[[random.Random, Path], Reader]] = {
     "workflow": workflow,
     "set": set_values,
@@ -240,4 +337,7 @@ KINDS: dict[str, Callable[[random.Random, Path], Reader]] = {
     "map": message_map,
     "onnx": onnx_model,
     "recording": recording,
+    "start": start,
+    "record": fault_record,
+    "model": model,
 }

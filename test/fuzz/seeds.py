@@ -4,7 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
-__all__ = ["DEPLOY", "ENV", "LEGGED_GYM", "SET_PATHS", "WORKFLOWS"]
+__all__ = [
+    "DEPLOY",
+    "ENV",
+    "LEGGED_GYM",
+    "SET_PATHS",
+    "STARTS",
+    "URDF",
+    "WORKFLOWS",
+    "XML_SNIPPETS",
+]
 
 _CONFIG = Path(__file__).resolve().parents[2] / "config" / "workflows"
 
@@ -88,7 +97,61 @@ flow:
     - loop: {do: {policy: walk}, until: {elapsed: 10.0}}
 """
 
+STARTS = """\
+robot: go2
+platform: fake_robot
+rate: 50
+states: {observation: {shape: [3]}, battery_charge: {initial: 1.0}, motor_temperature: }
+start: {gates: true, operator: false, approach: 0.3, fade_in: 2.0}
+commands:
+  - copy: {source: joint_vel, target: observation, index: [0, 1, 2]}
+flow: {pose: {to: stand, duration: 1.0}}
+wind_down: {chain: [{pose: {to: rest, duration: 2.0}}, {damp: {duration: 0.5}}]}
+safety:
+  - finite
+  - range_stop: {margin: 0.5, factor: 3.0}
+  - command_stop: {stiffness: 100.0, damping: 10.0, factor: 2.0}
+  - imu_stop: {timeout: 0.2, motion: 0.3, angle: 0.35}
+  - encoder_stop: {timeout: 0.1, motion: 0.1}
+  - stale_stop: {timeout: 0.1}
+  - tilt_stop: {angle: 1.0}
+  - observation_stop: {file: good.npz, margin: 0.5}
+"""
+
+URDF = """\
+<?xml version="1.0"?>
+<robot name="one">
+  <link name="base"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0"
+    iyz="0"/></inertial><visual><geometry><mesh filename="base.stl"/></geometry></visual></link>
+  <link name="leg"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0"
+    iyz="0"/></inertial><collision><geometry><sphere radius="0.1"/></geometry></collision></link>
+  <joint name="a_joint" type="revolute"><parent link="base"/><child link="leg"/>
+    <axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="10" velocity="10"/></joint>
+</robot>
+"""
+
+_LAUGHS = "".join(f'<!ENTITY l{k} "{f"&l{k - 1};" * 10}">' for k in range(1, 12))
+
+XML_SNIPPETS = (
+    f'<!DOCTYPE l [<!ENTITY l0 "ha">{_LAUGHS}]>',
+    '<!DOCTYPE x [<!ENTITY e SYSTEM "file:///etc/passwd">]>',
+    '<!DOCTYPE x SYSTEM "http://127.0.0.1:1/x.dtd">',
+    '<!DOCTYPE x [<!ENTITY % p SYSTEM "file:///dev/zero"> %p;]>',
+    "&l11;", "&e;", "&lt;", "&#0;", "&#x110000;",
+    '<include file="model.xml"/>', '<include file="/etc/passwd"/>', '<include file="/dev/zero"/>',
+    '<include file="../../../x.xml"/>',
+    '<compiler meshdir="/" texturedir="/proc/self"/>',
+    '<extension><plugin plugin="mujoco.elasticity.cable"/></extension>',
+    '<asset><mesh name="m" file="/dev/zero.stl"/></asset>',
+    '<worldbody><replicate count="100000000"><geom size="1"/></replicate></worldbody>',
+    '<worldbody><body><composite type="grid" count="1000 1000 1000"/></body></worldbody>',
+    '<size memory="1000000000000P"/>', '<size njmax="2000000000" nconmax="2000000000"/>',
+    '<option timestep="nan"/>', '<option timestep="-1"/>', '<option timestep="1e-300"/>',
+    "<body>" * 500, "<a " + 'b="1" ' * 200 + "/>", "<![CDATA[", "<!--", "]]>", "\x00",
+)  # fmt: skip
+
 WORKFLOWS = (
+    STARTS,
     POSTURES,
     CALLS,
     WALK,
@@ -96,6 +159,8 @@ WORKFLOWS = (
 )
 
 SET_PATHS = (
+    "start", "start.gates", "start.operator", "start.approach", "start.fade_in", "wind_down",
+    "safety.only", "safety.1", "safety.7.observation_stop.file",
     "rate", "duration", "robot", "platform", "platforms", "scene", "flow", "safety",
     "safety.0", "commands", "commands.0", "states", "states.x", "states.tick", "policies",
     "policies.walk", "policies.walk.given", "check", "check.accept", "pacing", "num_robots", "map",

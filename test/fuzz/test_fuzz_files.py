@@ -17,7 +17,19 @@ from typing import Any
 import pytest
 
 WORKER = Path(__file__).with_name("worker.py")
-KINDS = ("workflow", "set", "robot", "policy", "deploy", "map", "onnx", "recording")
+KINDS = (
+    "workflow",
+    "set",
+    "robot",
+    "policy",
+    "deploy",
+    "map",
+    "onnx",
+    "recording",
+    "start",
+    "record",
+    "model",
+)
 QUICK, THOROUGH = 300, 5000
 SEED = 7
 STUCK_S = 120.0

@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import psutil
 import pytest
 from ros_helpers import Peer
 from standin_runs import ROS_MAP_WITH_GAINS, begun, drive, ended, seen, stand_in
 
+from unicon_core.platforms.child.platform import WATCHDOG
+from unicon_core.platforms.kit.damping import DAMPING_TIME
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner
-from unicon_core.runtime.phases import Phase
 from unicon_core.workflow import load_workflow
 from unicon_ros.cli.main import main
 
@@ -22,6 +27,13 @@ pytestmark = [pytest.mark.ros, pytest.mark.timeout(300)]
 ROOT = Path(__file__).resolve().parents[2]
 FIRST = 0.05
 """How far a first command may be from where the joints are, [rad]."""
+APPROACH_STEP = 0.5 * 0.02 * 1.01
+"""Largest step between two commands of an approach in [rad]: 0.5 rad/s, unless a workflow says."""
+STEP = 0.25
+"""The same while a flow comes in. What a policy does later on a robot that hangs on nothing and
+falls nowhere is its own."""
+ROOM = 1.0
+"""For a busy machine in [s]."""
 
 
 @pytest.fixture
@@ -133,12 +145,6 @@ def test_a_go2_in_any_posture_is_driven_by_the_workflow_of_the_simulation(
     assert driven.first <= FIRST
 
 
-APPROACH = pytest.mark.skipif(
-    not hasattr(Phase, "APPROACH"), reason="this runner has no approach before the flow"
-)
-
-
-@APPROACH
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_g1_in_any_posture_is_never_entered_with_a_jump(
@@ -150,6 +156,51 @@ def test_a_g1_in_any_posture_is_never_entered_with_a_jump(
     assert driven.status == 0, driven.output
     assert driven.first is not None
     assert driven.first <= FIRST
+    steps = [line["step"] for line in peer.of("commands") if "step" in line]
+    approach = [step for step in steps if step <= APPROACH_STEP]
+    assert steps[: len(approach)] == approach
+    entered = steps[len(approach)]  # 50 commands, of which the last are the policy's first
+    assert entered <= STEP, steps
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP], ids=lambda n: n.name)
+@pytest.mark.parametrize("gains", [True, False], ids=["gains", "positions"])
+def test_a_robot_in_a_child_is_damped_when_the_run_dies_or_stands_still(
+    processes: Callable[..., Peer],
+    tmp_path: Path,
+    loud_map: Path,
+    number: signal.Signals,
+    gains: bool,
+) -> None:
+    """The child has the robot: without its parent it damps within its watchdog, and ends."""
+    peer = stand_in(processes, "go2", "--seed=6")
+    more = ["--set", "platform={child: ros}"]
+    if gains:
+        more += ["--set", f"platforms.ros.map={loud_map}"]
+    run = begun("go2_walk", tmp_path, seconds=60.0, more=more)
+    try:
+        peer.wait_for(lambda: bool(peer.of("commands")), "50 commands", timeout=60.0)
+        count = peer.of("commands")[-1]["count"]
+        (child,) = (each for each in psutil.Process(run.pid).children(recursive=True))
+        began = time.monotonic()
+        os.kill(run.pid, number)
+        if gains:
+            peer.wait_for(lambda: bool(peer.of("limp")), "that stiffness is gone", timeout=20.0)
+            assert peer.of("limp")[0]["after"] - began < WATCHDOG[False] + DAMPING_TIME + ROOM
+        end = time.monotonic() + 20.0
+        while child.is_running() and child.status() != psutil.STATUS_ZOMBIE:
+            assert time.monotonic() < end, "the child goes on"
+            time.sleep(0.05)
+    finally:
+        run.kill()
+        run.communicate()
+    firsts, heard = seen(peer)
+    assert firsts[0] <= FIRST
+    assert len(firsts) == 1
+    limit = (WATCHDOG[False] + DAMPING_TIME + ROOM) / 0.02
+    assert heard - count < limit + 50  # then nothing comes any more
+    assert max(line["step"] for line in peer.of("commands") if "step" in line) <= STEP
 
 
 @pytest.mark.slow
@@ -162,7 +213,8 @@ def test_a_robot_that_is_killed_ends_the_run_with_its_reason(
     peer.kill()
     driven = ended(run, peer, tmp_path)
     assert driven.status == 3
-    assert any("no message for 0.5 s" in fault for fault in driven.report["faults"])
+    # Whichever looks first: the set of a robot at its stamps, the bridge at its topics.
+    assert any("data is stale" in f or "no message for" in f for f in driven.report["faults"])
 
 
 @pytest.mark.slow

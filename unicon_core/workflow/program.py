@@ -291,8 +291,28 @@ class Program:
         return publishers(self.store, "", groups_of(states.layout), states, self.stages)
 
     def with_flow(self, flow: Node) -> Node:
-        """Return the tree of a tick with another flow, which nobody commands or reports."""
-        changed = {Stage.COMMAND: [], Stage.FLOW: [flow], Stage.OBSERVE: self.looking}
+        """Return the tree of a tick with another flow, which nobody commands or reports.
+
+        Safety blocks that look at what the flow of the run writes, such as an observation, are left
+        out: nobody writes it here.
+        """
+        stages = self.stages
+        left = [n for s in stages for n in stages[s] if s not in (Stage.COMMAND, Stage.FLOW)]
+        ours = {state for node in (*left, flow) for b in blocks_of(node) for state in b.writes}
+        acted = (*stages[Stage.COMMAND], *stages[Stage.FLOW])
+        gone = {state for node in acted for b in blocks_of(node) for state in b.writes}
+        gone -= {*ours, *GIVEN}
+        safety = [
+            node
+            for node in stages[Stage.SAFETY]
+            if gone.isdisjoint(state for b in blocks_of(node) for state in b.reads)
+        ]
+        changed = {
+            Stage.COMMAND: [],
+            Stage.FLOW: [flow],
+            Stage.SAFETY: safety,
+            Stage.OBSERVE: self.looking,
+        }
         return self._graph(self.stages | changed)[0]
 
     def _entry(self) -> dict[Stage, list[Node]]:

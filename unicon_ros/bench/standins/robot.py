@@ -7,10 +7,11 @@
 It speaks config/maps/ros_robot.yaml: publishes `joint_states` and `imu/data`, and its joints go to
 the positions of `joint_commands` with a first-order response, within their limits. It begins in a
 posture drawn at random, and its sensors have noise. It knows nothing of unicon but the robot file.
+Where a map sends the stiffness as the effort of `joint_gains`, it hears when that is gone.
 
 On standard output it says JSON lines: `ready` with its posture, `first` with how far the first
 command, and each after a silence, was from where the joints were, `commands` after every 50 of
-them.
+them with the largest step between two of these, `limp` when all stiffness is gone.
 """
 
 from __future__ import annotations
@@ -93,10 +94,12 @@ class StandIn:
         self._quat = np.array((1.0, *(0.5 * lean), 0.0))  # wxyz, small angles
         self._quat /= np.linalg.norm(self._quat)
         self.commands, self._worst, self._heard = 0, 0.0, -math.inf
+        self._largest_step, self._stiff = 0.0, False
         self.node: Any = rclpy.create_node("stand_in")
         self._states = self.node.create_publisher(JointState, "joint_states", 10)
         self._imu = self.node.create_publisher(Imu, "imu/data", 10)
         self.node.create_subscription(JointState, "joint_commands", self._commanded, 10)
+        self.node.create_subscription(JointState, "joint_gains", self._gained, 10)
         self.node.create_timer(1.0 / rate, self._step)
         say("ready", posture=dict(zip(self._names, self.pos.round(4).tolist())))
 
@@ -113,10 +116,20 @@ class StandIn:
         now = time.monotonic()
         if now - self._heard > SILENCE:
             say("first", distance=float(away.max()), joint=self._names[int(away.argmax())])
+        else:
+            step = float(np.abs(target - self._target).max())
+            self._largest_step = max(self._largest_step, step)
         self._heard = now
-        if self.commands % TOLD_EVERY == 0:
-            say("commands", count=self.commands, worst=self._worst)
         self._target[...] = np.clip(target, self._lower, self._upper)
+        if self.commands % TOLD_EVERY == 0:
+            say("commands", count=self.commands, worst=self._worst, step=self._largest_step)
+            self._largest_step = 0.0
+
+    def _gained(self, message: Any) -> None:
+        stiff = any(message.effort)
+        if self._stiff and not stiff:
+            say("limp", after=time.monotonic(), moved=float(np.abs(self._target - self.pos).max()))
+        self._stiff = stiff
 
     def _step(self) -> None:
         before = self.pos.copy()

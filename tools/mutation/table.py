@@ -1,0 +1,513 @@
+"""The mutations of what keeps a robot safe, and the tests that have to notice each.
+
+A row is where, what stands there, and what takes its place. "" as what stands there returns from
+the function at once, with the third as its value: the block is removed, the gate holds.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+__all__ = ["ROWS", "Row"]
+
+BLOCKS = (
+    "test/blocks/test_blocks_trips.py",
+    "test/blocks/test_blocks_safety.py",
+    "test/blocks/test_blocks_detectors.py",
+)
+LEARNED = ("test/blocks/test_blocks_trips.py",)
+GATES = "test/gates/test_gates.py", "test/gates/test_gates_edges.py"
+BEGINNING = ("test/gates/test_beginning.py",)
+PHASES = "test/runtime/test_transitions.py", "test/runtime/test_phases.py"
+ENDS = *PHASES, "test/attack/test_c24_threads.py", "test/attack/test_c20_exceptions.py"
+SIGNALS = *PHASES, "test/attack/test_a05_signals.py", "test/runtime/test_runner.py"
+DAMPING = *PHASES, "test/platforms/test_damping.py"
+HANGS = "test/runtime/test_transitions.py", "test/attack/test_a06_hangs.py"
+CLOSED = "test/attack/test_c24_threads.py", *HANGS
+CHILD = "test/platforms/test_child.py", "test/attack/test_child_processes.py"
+SETS = ("test/workflow/test_safety_set.py",)
+
+
+class Row(NamedTuple):
+    """One mutation.
+
+    Attributes:
+        file: below the root of the repository.
+        where: `Class.method` or function in which it stands; "" for the whole module.
+        old: stands there exactly once; "" for the whole body.
+        new: takes its place.
+        tests: files, of which one test has to fail.
+    """
+
+    file: str
+    where: str
+    old: str
+    new: str
+    tests: tuple[str, ...]
+
+
+def _rows(
+    file: str, tests: tuple[str, ...], *rows: tuple[str, str] | tuple[str, str, str]
+) -> list[Row]:
+    made = []
+    for where, *rest in rows:
+        old, new = rest if len(rest) == 2 else ("", rest[0])
+        made.append(Row(f"unicon_core/{file}", where, old, new, tests))
+    return made
+
+
+REMOVED = "None"
+
+ROWS = [
+    *_rows(
+        "blocks/safety/stops.py",
+        BLOCKS,
+        ("TiltStop.__call__", REMOVED),
+        ("TiltStop.__init__", "-math.cos(angle)", "-math.cos(10 * angle)"),
+        (
+            "TiltStop.__call__",
+            "not self._largest() <= self._bound",
+            "self._largest() > self._bound",
+        ),
+        ("tilt_stop", "angle: float = 1.0", "angle: float = 1.5"),
+        ("height_stop", "lowest), (np.inf", "-HEIGHT), (np.inf"),
+        ("height_stop", "(np.inf, np.inf, highest)", "(np.inf, np.inf, HEIGHT)"),
+        ("VelocityStop.__call__", REMOVED),
+        ("VelocityStop.__init__", "Range(vel, -bound, bound)", "Range(vel, -bound, 10 * bound)"),
+        ("VelocityStop.__init__", "Range(vel, -bound, bound)", "Range(vel, -10 * bound, bound)"),
+        ("velocity_stop", "factor: float = 1.5", "factor: float = 2.0"),
+        ("velocity_stop", "limits * np.float32(factor)", "limits * np.float32(10 * factor)"),
+        ("StaleStop.__call__", REMOVED),
+        ("StaleStop.__call__", "self._same >= self._ticks", "self._same > self._ticks"),
+        ("StaleStop.__call__", "stamp != self._last", "stamp == self._last"),
+        ("StaleStop.__init__", "stamp.min if", "stamp.max if"),
+        ("StaleStop.reset", REMOVED),
+        ("stale_stop", "timeout: float = 0.1", "timeout: float = 1.0"),
+        ("Finite.__init__", "-most, most)", "-np.inf, np.inf)"),
+        ("finite", '"joint_damping": joint_damping,', ""),
+        ("finite", '"joint_effort_ff": joint_effort_ff,', ""),
+    ),
+    *_rows(
+        "platforms/kit/command.py",
+        (*BLOCKS, "test/platforms/test_kit.py"),
+        ("FiniteCheck.__call__", REMOVED),
+    ),
+    *_rows(
+        "blocks/safety/limits.py",
+        BLOCKS,
+        ("JointLimits.__call__", REMOVED),
+        ("JointLimits.__call__", "np.maximum(self._target, self._lower, out=self._target)", "pass"),
+        ("JointLimits.__call__", "np.minimum(self._target, self._upper, out=self._target)", "pass"),
+        ("JointLimitStop.__call__", REMOVED),
+        ("JointLimitStop.__call__", "(self._target >= self._lower) & ", ""),
+        ("JointLimitStop.__call__", " & (self._target <= self._upper)", ""),
+        ("joint_limits", "+ np.float32(margin)", ""),
+        ("joint_limits", "- np.float32(margin)", ""),
+        ("joint_limits", "if trips(beyond)", "if not trips(beyond)"),
+        ("EffortLimits.__call__", REMOVED),
+        (
+            "EffortLimits.__call__",
+            "np.maximum(torque, self._lower, out=clipped)",
+            "clipped[...] = torque",
+        ),
+        ("EffortLimits.__call__", "np.minimum(clipped, self._upper, out=clipped)", "pass"),
+        ("EffortLimits._act", REMOVED),
+        (
+            "EffortLimits._act",
+            "np.copyto(servo.joint_effort_ff, clipped, where=self._limp)",
+            "pass",
+        ),
+        ("EffortLimits._act", "clipped -= rest", "pass"),
+        ("EffortStop._act", REMOVED),
+        ("effort_limits", "np.float32(scale)", "np.float32(10 * scale)"),
+        ("effort_limits", "(TRIP_SHARE, 2.0)", "(TRIP_SHARE, 10.0)"),
+        ("RateLimit.__call__", REMOVED),
+        ("RateLimit._act", "np.maximum(self._target, self._bound, out=self._target)", "pass"),
+        ("RateLimit._act", "np.minimum(self._target, self._bound, out=self._target)", "pass"),
+        ("RateLimit.__call__", "self._last[...] = self._pos", "self._last[...] = self._target"),
+        ("RateLimit.reset", REMOVED),
+        ("RateStop._act", REMOVED),
+        ("RateStop._act", "self._step * ROUNDING", "self._step * 10"),
+        ("rate_limit", "rate * np.float32(period)", "rate * np.float32(10 * period)"),
+    ),
+    *_rows(
+        "blocks/safety/ranges.py",
+        BLOCKS,
+        ("RangeStop.__call__", REMOVED),
+        ("", "ANGULAR_VELOCITY = 70.0", "ANGULAR_VELOCITY = 700.0"),
+        ("", "QUATERNION = 1.01", "QUATERNION = 10.1"),
+        ("", "DIRECTION = 1.25", "DIRECTION = 12.5"),
+        ("", "UNBOUNDED = 1e6", "UNBOUNDED = 1e7"),
+        *(
+            ("", f'    "{state}",\n', "")
+            for state in (
+                "joint_pos",
+                "joint_vel",
+                "joint_effort",
+                "base_quat",
+                "base_ang_vel",
+                "base_lin_acc",
+                "projected_gravity",
+            )
+        ),
+        ("range_stop", "margin: float = 0.5", "margin: float = 5.0"),
+        ("range_stop", "factor: float = 3.0", "factor: float = 10.0"),
+        ("range_stop", "- np.float32(margin)", "- np.float32(10 * margin)"),
+        ("range_stop", "+ np.float32(margin)", "+ np.float32(10 * margin)"),
+        ("range_stop", "robot.velocity_limit * factor", "robot.velocity_limit * 10 * factor"),
+        ("command_stop", "(0.0, stiffness)", "(-stiffness, stiffness)"),
+        ("command_stop", "(0.0, damping)", "(-damping, damping)"),
+        ("command_stop", "(0.0, stiffness)", "(0.0, 10 * stiffness)"),
+        ("command_stop", "(0.0, damping)", "(0.0, 10 * damping)"),
+        ("command_stop", "(-speed, speed)", "(-10 * speed, 10 * speed)"),
+        ("command_stop", "(-effort, effort)", "(-10 * effort, 10 * effort)"),
+        ("command_stop", "-2.0 * POSITION, 2.0 * POSITION", "-20.0 * POSITION, 20.0 * POSITION"),
+        ("command_stop", "factor: float = 2.0", "factor: float = 10.0"),
+    ),
+    *_rows(
+        "states/screen.py",
+        (*BLOCKS, "test/workflow/test_safety_set.py"),
+        ("Screen.__call__", "True"),
+    ),
+    *_rows(
+        "blocks/safety/servo_stops.py",
+        BLOCKS,
+        ("TrackingStop.__call__", REMOVED),
+        ("TrackingStop.__call__", "self._count >= self._ticks", "self._count >= 10 * self._ticks"),
+        ("TrackingStop.__call__", "self._bound**2", "(10 * self._bound)**2"),
+        (
+            "TrackingStop.__call__",
+            "~(np.abs(self._apart) <= self._bound)",
+            "np.abs(self._apart) > self._bound",
+        ),
+        ("TrackingStop.__call__", "self._count *= far", "pass"),
+        ("TrackingStop.reset", REMOVED),
+        ("tracking_stop", "bound: float = 1.0", "bound: float = 2.0"),
+        ("tracking_stop", "timeout: float = 0.5", "timeout: float = 5.0"),
+        ("PowerStop.__call__", REMOVED),
+        ("PowerStop.__call__", "most <= self._limit", "most <= 10 * self._limit"),
+        ("PowerStop.__call__", "most <= self._limit", "not most > self._limit"),
+        ("PowerStop.__call__", "self._count >= self._ticks", "self._count > self._ticks"),
+        ("PowerStop.__call__", "torque *= self._loss", "torque *= 0"),
+        ("PowerStop.__call__", "self._count = 0\n", "pass\n"),
+        ("PowerStop.reset", REMOVED),
+        ("power_stop", "timeout: float = 0.1", "timeout: float = 1.0"),
+    ),
+    *_rows(
+        "blocks/safety/stuck.py",
+        BLOCKS,
+        ("EncoderStop.__call__", REMOVED),
+        ("EncoderStop._look", REMOVED),
+        ("EncoderStop._look", "same >= self._ticks", "same >= 10 * self._ticks"),
+        ("EncoderStop.__call__", "self._motion**2", "(10 * self._motion)**2"),
+        (
+            "EncoderStop._look",
+            "~(np.abs(self._asked) <= self._motion)",
+            "(np.abs(self._asked) <= self._motion)",
+        ),
+        ("EncoderStop.reset", REMOVED),
+        ("encoder_stop", "timeout: float = 0.1", "timeout: float = 1.0"),
+        ("encoder_stop", "motion: float = 0.1", "motion: float = 1.0"),
+        ("ImuStop.__call__", REMOVED),
+        ("ImuStop._compare", REMOVED),
+        ("ImuStop._frozen", REMOVED),
+        ("ImuStop._frozen", "self._same < self._ticks", "self._same < 10 * self._ticks"),
+        ("ImuStop._frozen", "moved > self._motion", "moved > 10 * self._motion"),
+        ("ImuStop.__call__", "self._apart >= self._ticks", "self._apart >= 100 * self._ticks"),
+        ("ImuStop.__call__", "<= self._chord", "<= 10 * self._chord"),
+        ("ImuStop._compare", "<= 3 * self._allowed", "<= 30 * self._allowed"),
+        ("ImuStop._compare", "if not abs(qx", "if abs(qx"),
+        ("ImuStop.reset", REMOVED),
+        ("imu_stop", "timeout: float = 0.2", "timeout: float = 2.0"),
+        ("imu_stop", "motion: float = 0.3", "motion: float = 3.0"),
+        ("imu_stop", "angle: float = 0.35", "angle: float = 1.5"),
+    ),
+    *_rows(
+        "blocks/safety/hardware.py",
+        BLOCKS,
+        ("hardware_stop", '"motor_temperature": (COLDEST, temperature),', ""),
+        ("hardware_stop", '"motor_error": (0, 0),', ""),
+        ("hardware_stop", '"battery_charge": (charge, 1.0),', ""),
+        ("hardware_stop", "(voltage, HIGHEST_VOLTAGE)", "(0.1 * voltage, HIGHEST_VOLTAGE)"),
+        ("hardware_stop", "temperature: float = 90.0", "temperature: float = 120.0"),
+        ("hardware_stop", "charge: float = 0.05", "charge: float = 0.0"),
+        ("", "COLDEST = -40.0", "COLDEST = -400.0"),
+    ),
+    *_rows(
+        "blocks/safety/overrun.py",
+        BLOCKS,
+        ("OverrunStop.__call__", REMOVED),
+        ("OverrunStop.__call__", "<= self._window_ns", "<= 0.1 * self._window_ns"),
+        ("OverrunStop.__call__", "took < self._late_ns", "took < 10 * self._late_ns"),
+        ("OverrunStop.__init__", "maxlen=count", "maxlen=10 * count"),
+        ("OverrunStop.reset", REMOVED),
+        ("overrun_stop", "count: int = 10", "count: int = 50"),
+        ("overrun_stop", "platform is None or not platform.facts.simulated", "False"),
+    ),
+    *_rows(
+        "blocks/safety/learned.py",
+        LEARNED,
+        ("ObservationStop._raise", REMOVED),
+        ("observation_stop", "margin * (upper - lower)", "10 * margin * (upper - lower)"),
+        ("observation_stop", "margin: float = 0.5", "margin: float = 5.0"),
+        ("action_stop", "(-limit, limit)", "(-limit, 10 * limit)"),
+        ("action_stop", "(-limit, limit)", "(-10 * limit, limit)"),
+        ("action_stop", "limit: float = 50.0", "limit: float = 500.0"),
+        ("_bounds_of", "allow_pickle=False", "allow_pickle=True"),
+    ),
+    *_rows(
+        "workflow/safety_set.py",
+        SETS,
+        *(
+            ("", f'    "{name}",\n', "")
+            for name in (
+                "command_stop",
+                "range_stop",
+                "velocity_stop",
+                "tilt_stop",
+            )
+        ),
+        ("", "    HARDWARE,\n", ""),
+        *(
+            ("", old, new)
+            for old, new in (
+                ('LAST = ("joint_limits", ', "LAST = ("),
+                ('"stale_stop", ', ""),
+                ('"imu_stop", ', ""),
+                (', "encoder_stop")', ")"),
+            )
+        ),
+        ("left_out", "[]"),
+        ("completed", "add([FIRST]) if not begin else []", "[]"),
+    ),
+    *_rows(
+        "gates/data.py",
+        GATES,
+        ("Told.__call__", "''"),
+        ("Told.__call__", "~np.isfinite(view)", "np.zeros(view.shape, np.bool_)"),
+        ("Told.__call__", "untold &= view == self._marks[name]", "untold[...] = False"),
+        ("Rate.__call__", "''"),
+        ("Rate.__call__", "self.hz >= self._needed", "self.hz >= 0.1 * self._needed"),
+        ("Rate.__call__", "count > self._last", "count >= self._last"),
+        ("", "SHARE = 0.8", "SHARE = 0.1"),
+        ("Changing.__call__", "''"),
+        (
+            "Changing.__call__",
+            "self._same[side] >= self._ticks",
+            "self._same[side] >= 100 * self._ticks",
+        ),
+        ("Changing._frozen", "''"),
+        ("", "FROZEN = 1.0", "FROZEN = 10.0"),
+    ),
+    *_rows(
+        "gates/imu.py",
+        GATES,
+        ("Imu.__call__", "''"),
+        ("Imu._orientation", "''"),
+        ("Imu._gravity", "''"),
+        ("", "ACCELERATION = 1.5", "ACCELERATION = 15.0"),
+        ("", "ANGLE = 0.2", "ANGLE = 2.0"),
+        ("", "TURNING = 0.5", "TURNING = 50.0"),
+        ("", "NORM = 0.01", "NORM = 1.0"),
+        ("Imu.__call__", "if not gyro <= TURNING", "if gyro > TURNING"),
+        ("Imu._orientation", 'return "" if self._stop is None else self._stop()', 'return ""'),
+    ),
+    *_rows(
+        "gates/standing.py",
+        GATES,
+        ("Variant.__call__", "''"),
+        ("Variant.__call__", "value != expected", "False"),
+        ("Variant.__call__", "if not told:", "if False:"),
+        ("NoCommand.__call__", "''"),
+    ),
+    *_rows(
+        "gates/gate.py",
+        GATES,
+        ("Heeding.__call__", "''"),
+        ("Heeding.__call__", "self._lasting\n", "0\n"),
+        ("Heeding.__call__", "self._reset()", "pass"),
+    ),
+    *_rows(
+        "gates/build.py",
+        GATES,
+        ("gates_of", "[]"),
+        ("gates_of", "if program.platform.facts.simulated", "if True"),
+        ("_gates", "gates.append(Told(states, readers, source))", "pass"),
+        ("_gates", "gates.append(Rate(platform.arrivals, period, rate, source))", "pass"),
+        ("_gates", 'gates.append(Rate(states["stamp_ns"].item, period, rate, source))', "pass"),
+        (
+            "_gates",
+            'gates.append(Changing([*imu.values()], joints, told.get("joint_vel"), period))',
+            "pass",
+        ),
+        ("_gates", "gates.append(Imu(imu, readers, period, _imu_stop(program, told)))", "pass"),
+        ("_gates", "gates.append(Variant(platform.variant, robot))", "pass"),
+        ("_gates", 'gates.append(NoCommand(states["velocity_command"]))', "pass"),
+        ("_gates", "gates += _tilt(program, told)", "pass"),
+        ("_gates", "gates += _stops(program, measured)", "pass"),
+        ("_gates", 'if "joint_pos" in told:', "if False:"),
+        ("_imu_stop", "None"),
+        ("", "MARGIN = 0.05", "MARGIN = 0.5"),
+        ("", "TILT = 1.0", "TILT = 1.5"),
+        ("_tilt", "isinstance(block.tick, TiltStop)", "False"),
+    ),
+    *_rows(
+        "gates/beginning.py",
+        (*BEGINNING, *PHASES),
+        (
+            "beginning",
+            "measured[own] = np.where(np.isnan(default), measured[own], default)",
+            "pass",
+        ),
+        ("beginning", "stiffness = np.zeros_like(stiffness)", "pass"),
+        ("beginning", "gains[own] = said", "pass"),
+        ("first_command", "graph.reset()", "pass"),
+        ("first_command", "states.restore(before)", "pass"),
+    ),
+    *_rows(
+        "blocks/approach.py",
+        PHASES,
+        ("Approach.__call__", "True"),
+        ("Approach.__init__", "distance / speed / period", "0.1 * distance / speed / period"),
+        ("Approach.__init__", "fade_in / period", "0.1 * fade_in / period"),
+        ("Approach.__call__", 'states["joint_pos_target"] += self._from', "pass"),
+        ("Approach.__call__", 'states["joint_effort_ff"][...] = 0.0', "pass"),
+        ("Approach.__call__", 'states["joint_vel_target"][...] = 0.0', "pass"),
+        ("Approach.__call__", "self._beginning.stiffness, grown", "self._beginning.stiffness, 1.0"),
+        ("Approach.__call__", "max(self._move, self._fade)", "min(self._move, self._fade)"),
+        ("Entry.__call__", REMOVED),
+        ("Entry.__call__", "self._tick >= self._ticks", "10 * self._tick >= self._ticks"),
+        ("Entry.__call__", "self._pairs[0][1][...] = self._measured", "pass"),
+        ("Entry.__call__", "held[...] = self._last.states[name]", "pass"),
+        ("Entry.reset", REMOVED),
+    ),
+    *_rows(
+        "runtime/waiting.py",
+        PHASES,
+        ("Waiting.__call__", "True"),
+        ("Waiting._missing", "if reason := gate():", "if (reason := gate()) and False:"),
+        ("Waiting._missing", "if self._go:", "if True:"),
+        ("Waiting.go", "ready = self._what == GO", "ready = True"),
+        ("Waiting.go", "self._go |= ready", "pass"),
+        ("Waiting.__call__", "if not self._operator and", "if False and"),
+        ("", "PATIENCE = 30.0", "PATIENCE = 300.0"),
+        ("", "REPEAT = 5.0", "REPEAT = 500.0"),
+    ),
+    *_rows(
+        "runtime/runner.py",
+        ENDS,
+        ("Runner._begun", "True"),
+        (
+            "Runner._begun",
+            "self._ticked(tree) and not waiting.reason and self._approached()",
+            "self._ticked(tree) and not waiting.reason",
+        ),
+        ("Runner._begun", "Waiting(program.gates, ", "Waiting([], "),
+        ("Runner._begun", "self.asks, self.options.warn", "False, self.options.warn"),
+        ("Runner._begun", "Zip(*program.hearing, ", "Zip("),
+        ("Runner._approached", "True"),
+        ("Runner._wind_down", REMOVED),
+        ("Runner._wind_down", 'self.program.states["velocity_command"][...] = 0.0', "pass"),
+        ("Runner._wind_down", "self._ending_ticks, full_speed", "1 << 62, full_speed"),
+        ("Runner._wind_down", "if not self.program.gate.sent.any:", "if False:"),
+        ("Runner._damped", REMOVED),
+        ("Runner._damped", "not program.gate.sent.any or", "False or"),
+        ("Runner._damped", "not isinstance(fault, Hung)", "True"),
+        ("Runner._close", REMOVED),
+        ("Runner.close", "self.program.gate.close()", "pass"),
+        ("Runner.run", "for act in self.at_fault:", "for act in []:"),
+        ("Runner._ticked", "if ticker.stop:", "if False:"),
+        ("_refuse_pace", REMOVED),
+    ),
+    *_rows(
+        "runtime/runner.py",
+        SIGNALS,
+        ("Runner._damp_now", "False"),
+        ("Runner.stop", REMOVED),
+        ("Runner._ticked", "if run.stop:", "if False:"),
+        ("Runner.run", "if SIGNALS.asked:  #", "if False:  #"),
+    ),
+    *_rows(
+        "runtime/damp.py",
+        PHASES,
+        ("Damp.run", REMOVED),
+        ("Damp.run", "damping()", "pass"),
+        ("Damp.run", "program.sending()", "pass"),
+        ("Damp.run", "if gate.closed:", "if False:"),
+        ("Damp.run", "if paced:\n                clock", "if False:\n                clock"),
+        ("Damp.run", "hears = _tried(hears)", "pass"),
+        ("Damp.run", "look = _tried(look)", "pass"),
+        ("Damp.run", "DAMPING_TIME / program.period", "0.01 * DAMPING_TIME / program.period"),
+        ("_tried", "except BaseException:", "except ZeroDivisionError:"),
+        ("_tried", "return None", "pass"),
+    ),
+    *_rows(
+        "platforms/kit/damping.py",
+        DAMPING,
+        ("", "BLEND = 0.3", "BLEND = 3.0"),
+        ("", "DAMPING_TIME = 0.5", "DAMPING_TIME = 0.05"),
+        ("Damping.__call__", REMOVED),
+        ("Damping.__call__", "self._share - self._step", "self._share"),
+        ("Damping.__call__", 'states["joint_pos_target"][...] = self._target', "pass"),
+        ("Damping.__call__", 'states["joint_vel_target"][...] = 0.0', "pass"),
+        ("Damping.__call__", 'states["joint_effort_ff"][...] = 0.0', "pass"),
+        ("Damping.__call__", 'states["joint_damping"][...] = self._damping', "pass"),
+        (
+            "Damping.__init__",
+            "np.clip(np.where(good, target, pose), lower, upper)",
+            "np.where(good, target, pose)",
+        ),
+        ("Damping.__init__", "np.where(good, target, pose)", "target"),
+        ("Damping.__init__", "(target >= lower - ABSURD) & ", ""),
+        ("Damping.__init__", " & (target <= upper + ABSURD)", ""),
+        ("_bounded", "0.0, np.float32(most)", "-np.float32(most), np.float32(most)"),
+        ("_bounded", "0.0, np.float32(most)", "0.0, np.float32(10 * most)"),
+        ("LastSent.note", "self._copies.pack()", "pass"),
+        ("LastSent.note", "self.any = True", "pass"),
+        ("repeated", "if due > end:", "if True:"),
+        ("repeated", "except Exception as raised:", "except ZeroDivisionError as raised:"),
+        ("repeated", "raise error", "pass"),
+    ),
+    *_rows(
+        "workflow/gate.py",
+        CLOSED,
+        ("Gate.before", "if self.closed or now() > self.until_ns:", "if now() > self.until_ns:"),
+        ("Gate.before", "if self.closed or now() > self.until_ns:", "if self.closed:"),
+        ("Gate.before", "note()\n", "pass\n"),
+        ("Gate.close", REMOVED),
+    ),
+    *_rows(
+        "runtime/ticker.py",
+        HANGS,
+        ("Ticker._paced", "gate.until_ns = due + self._hang_ns", "pass"),
+        ("Ticker._paced", "self._missed(now() - due)", "pass"),
+        ("Ticker._paced", "if late > self._hang_ns:", "if False:"),
+        ("Ticker._missed", "raise Hung(", "str("),
+        ("Ticker._triggered", "gate.until_ns = last + self._hang_ns", "pass"),
+        ("Ticker._triggered", "self._missed(last - before)", "pass"),
+        ("Ticker._act", "self._program.gate.until_ns = NEVER_NS", "pass"),
+    ),
+    *_rows(
+        "platforms/child/platform.py",
+        CHILD,
+        ("ChildPlatform.send", "self._finite()", "pass"),
+        ("ChildPlatform._look", "if gone or told:", "if told:"),
+        ("ChildPlatform._look", "if hung:", "if False:"),
+        ("ChildPlatform._newest", "silent_ns > self._silence * 1e9", "False"),
+        ("ChildPlatform._wait", "time.monotonic() >= end", "False"),
+        ("ChildPlatform._ended", "process.kill()", "pass"),
+        ("ChildPlatform._ended", "process.stdin.close()", "pass"),
+        ("", "SILENCE = {True: 1.0, False: 0.02}", "SILENCE = {True: 1.0, False: 2.0}"),
+        ("", "WATCHDOG = {True: 2.0, False: 0.1}", "WATCHDOG = {True: 2.0, False: 10.0}"),
+    ),
+    *_rows(
+        "platforms/child/process.py",
+        CHILD,
+        ("_Driver.run", "now - self._heard > self._watchdog", "False"),
+        ("_Driver.run", "if not commands.alive():", "if False:"),
+        ("_Driver.run", "if not self._obey(tell):", "if self._obey(tell) and False:"),
+        ("main", "platform.close()  # damps first", "pass"),
+        ("main", "signal.signal(signal.SIGTERM, driver.stop)", "pass"),
+        ("_Driver.stop", REMOVED),
+    ),
+]
