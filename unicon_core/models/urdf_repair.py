@@ -26,11 +26,15 @@ def repaired_urdf(path: Path, notes: list[str]) -> str | None:
         notes: gets one line for each kind of mistake.
 
     Raises:
-        ModelError: the file is no XML.
+        ModelError: the file is no XML, or declares entities: no robot needs any, and they may grow
+            without end or name other files.
     """
     try:
-        tree = ET.parse(path)
-    except (ET.ParseError, OSError) as error:
+        raw = path.read_bytes()
+        if b"<!ENTITY" in raw or b"<!DOCTYPE" in raw:
+            raise ModelError(f"model {path}: it has a DOCTYPE or entities; take them out")
+        tree = ET.ElementTree(ET.fromstring(raw))
+    except (ET.ParseError, OSError, ValueError, LookupError) as error:
         raise ModelError(f"model {path}: {error}; correct the file") from error
     twice = _drop_repeated(tree.getroot())
     bodies = _mend_inertias(tree.getroot())
