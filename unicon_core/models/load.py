@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -17,6 +18,10 @@ from unicon_core.models.urdf_repair import repaired_urdf
 from unicon_core.robots import Robot
 
 __all__ = ["load_model"]
+
+_MOST_COPIES = 10_000
+"""Of what one MJCF file repeats: MuJoCo would make 10⁸ of them, for minutes, in gigabytes."""
+_REPEATS = re.compile(rb"<(?:replicate|composite|flexcomp)\b[^>]*?\bcount\s*=\s*[\"']([^\"']*)")
 
 _URDF_TIMESTEP = 0.002  # [s]; MuJoCo's own default, said here since a URDF cannot say it
 
@@ -81,12 +86,35 @@ def load_model(
 
 
 def _read(mujoco: Any, path: Path, text: str | None) -> Any:
+    if text is None:
+        _refuse_endless(path)
     with _told(path):
         if text is None:
             return mujoco.MjSpec.from_file(str(path))
         spec = mujoco.MjSpec.from_string(text)
     spec.modelfiledir = f"{path.parent}/"  # a text has no folder to look for meshes in
     return spec
+
+
+def _refuse_endless(path: Path) -> None:
+    """Refuse what repeats itself too often; those inside each other multiply.
+
+    Raises:
+        ModelError: with how often that would be.
+    """
+    try:
+        counts = _REPEATS.findall(path.read_bytes())
+    except OSError:
+        return  # MuJoCo says so
+    copies = 1
+    for number in b" ".join(counts).split()[:1000]:
+        if number.isdigit():
+            copies *= max(int(number[:12]), 1)
+        if copies > _MOST_COPIES:
+            raise ModelError(
+                f"model {path}: it repeats bodies or geoms more than {_MOST_COPIES} times "
+                "(replicate, composite, flexcomp); give smaller counts"
+            )
 
 
 @contextmanager

@@ -26,14 +26,18 @@ def repaired_urdf(path: Path, notes: list[str]) -> str | None:
         notes: gets one line for each kind of mistake.
 
     Raises:
-        ModelError: the file is no XML.
+        ModelError: the file is no XML, or declares entities: no robot needs any, and they may grow
+            without end or name other files.
     """
     try:
-        tree = ET.parse(path)
-    except (ET.ParseError, OSError) as error:
+        raw = path.read_bytes()
+        if b"<!ENTITY" in raw or b"<!DOCTYPE" in raw:
+            raise ModelError(f"model {path}: it has a DOCTYPE or entities; take them out")
+        root = ET.fromstring(raw)
+    except (ET.ParseError, OSError, ValueError, LookupError) as error:
         raise ModelError(f"model {path}: {error}; correct the file") from error
-    twice = _drop_repeated(tree.getroot())
-    bodies = _mend_inertias(tree.getroot())
+    twice = _drop_repeated(root)
+    bodies = _mend_inertias(root)
     if twice:
         notes.append(f"{len(twice)} elements stand twice in the URDF (first: {twice[0]})")
     if bodies:
@@ -41,7 +45,7 @@ def repaired_urdf(path: Path, notes: list[str]) -> str | None:
             f"the inertia of {', '.join(bodies)} is none that a body can have: "
             "its largest figure stands for all axes"
         )
-    return ET.tostring(tree.getroot(), encoding="unicode") if twice or bodies else None
+    return ET.tostring(root, encoding="unicode") if twice or bodies else None
 
 
 def _drop_repeated(root: ET.Element) -> list[str]:
