@@ -188,7 +188,7 @@ def told(tmp_path: Path, *arguments: str) -> dict[str, list[str]]:
     file = tmp_path / "faults.json"
     command = [sys.executable, "-m", "unicon_ros", "bench", "faults", "--json", str(file)]
     environment = dict(os.environ)
-    subprocess.run([*command, *arguments], check=True, timeout=900, env=environment)
+    subprocess.run([*command, *arguments], check=True, timeout=2400, env=environment)
     cases = json.loads(file.read_text())["cases"]
     assert cases
     return {name: case["missed"] for name, case in cases.items() if not case["holds"]}
