@@ -189,7 +189,45 @@ def test_imu_stop_finds_an_orientation_that_does_not_turn(bench: Build) -> None:
     block = it.block("imu_stop")
     k, fault = tripped(block, lambda k: turning(it, 4.0, k, frozen=True))
     assert k < 100
+    assert "base_quat has the same bits while the gyroscope turned by 0.3" in fault
+
+
+def test_imu_stop_finds_gravity_that_does_not_turn(bench: Build) -> None:
+    it = rest(bench())
+    block = it.block("imu_stop")
+
+    def heading(k: int) -> None:  # of the quaternion alone goes on
+        turning(it, 4.0, k, frozen=True)
+        it.states.base_quat = (np.cos(0.01 * k), 0.0, 0.0, np.sin(0.01 * k))
+
+    k, fault = tripped(block, heading)
+    assert k < 100
     assert "gravity has not turned as the gyroscope says" in fault
+
+
+def test_imu_stop_finds_a_frozen_quaternion_of_a_base_that_turns_about_the_vertical(
+    bench: Build,
+) -> None:
+    it = rest(bench())
+    block = it.block("imu_stop")
+
+    def yawing(k: int) -> None:
+        it.states.base_ang_vel = (0.0, 0.0, 0.5 + 1e-3 * k)
+
+    k, fault = tripped(block, yawing)
+    assert 30 <= k < 40  # 0.35 rad at 0.5 rad/s
+    assert "is base_quat frozen?" in fault
+
+
+def test_imu_stop_lets_a_base_rest_and_an_imu_be_late(bench: Build) -> None:
+    it = rest(bench())
+    block = it.block("imu_stop")
+    for k in range(3000):
+        it.states.base_ang_vel = (0.01 * np.sin(k), 0.01, 0.0)  # noise and offset
+        block.tick()
+    for k in range(60):
+        turning(it, 5.0, 6 * (k // 6))  # every sixth tick has news
+        block.tick()
 
 
 def test_imu_stop_finds_frozen_bits_while_joints_move(bench: Build) -> None:

@@ -2,8 +2,8 @@
 
 By hand: `python test/soak/long_walks.py go2 3600`. Commands change every 3 s within the ranges that
 the policy was trained for, the base is pushed every 5 s, and the sensors have the noise of the
-training: tools/train/env.py of Go2; of G1 the half widths that Unitree's training configurations
-publish (0.2 rad/s, 0.05, 0.01 rad, 1.5 rad/s).
+training: tools/train/env.py of Go2; of G1, whose policy does not say them, half widths that are
+usual for legged robots (0.2 rad/s, 0.05, 0.01 rad, 1.5 rad/s).
 """
 
 from __future__ import annotations

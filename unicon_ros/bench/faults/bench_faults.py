@@ -1,25 +1,34 @@
 """`unicon bench faults`: one fault at a time in real runs, and what the motors still got.
 
-A recording platform logs every command that leaves into a file that survives the process. Faults
-come from the platform, from other processes and from what the run writes to. Cases run two at a
-time; figures are of one run each, not percentiles.
+In MuJoCo, in this process: each fault in a go2 and in a g1, at random ticks of a walk, against the
+safety blocks that a robot has. As processes: a recording platform logs every command that leaves
+into a file that survives the process; faults come from the platform, from other processes and from
+what the run writes to. Those run two at a time; their figures are of one run each.
 """
 
 from __future__ import annotations
 
 import sys
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from importlib.util import find_spec
 from pathlib import Path
 
 from unicon_core.errors import UniconError, alternatives
-from unicon_ros.bench.faults import cases_data, cases_output, cases_program, cases_ros
+from unicon_ros.bench.faults import (
+    cases_data,
+    cases_output,
+    cases_program,
+    cases_ros,
+    cases_simulated,
+)
 from unicon_ros.bench.faults.case import Case, Measured
 from unicon_ros.bench.faults.fault_report import FaultBench, write_table
 from unicon_ros.bench.faults.fault_run import FaultRun
 from unicon_ros.bench.faults.measure import measure
+from unicon_ros.bench.faults.simulated_case import ROBOTS, TICKS, SimulatedCase, able
+from unicon_ros.bench.faults.simulated_run import run_case
 
 __all__ = ["CASES", "run"]
 
@@ -42,8 +51,9 @@ def run(
     """Run the cases.
 
     Args:
-        rounds: how often, 1 unless told; every one must hold, the last one's figures are told.
-        quick: a handful of cases only.
+        rounds: how often, 1 unless told, each with other ticks; every one must hold, the last
+            one's figures are told.
+        quick: a handful of cases only, each at one tick.
         only: cases only whose group or name has this in it.
         document: Markdown file whose table of faults is replaced.
 
@@ -51,36 +61,63 @@ def run(
         UniconError: no such case, or the document has no place for a table.
     """
     chosen = [case for case in CASES if only in case.row]
-    if not chosen:
-        groups = dict.fromkeys(case.group for case in CASES)
+    simulated = [case for case in cases_simulated.CASES if only in case.row]
+    if not chosen and not simulated:
+        groups = dict.fromkeys(
+            [*(case.group for case in cases_simulated.CASES), *(case.group for case in CASES)]
+        )
         raise UniconError(f"--only {only!r}: no such case; {alternatives(only, groups)}")
     if quick:
         chosen = [case for case in chosen if case.quick]
+        simulated = [case for case in simulated if case.quick]
     missing = {name for case in chosen for name in case.needs if find_spec(name) is None}
-    able = [case for case in chosen if not missing & case.needs]
+    processes = [case for case in chosen if not missing & case.needs]
     bench = FaultBench("faults", seed=0, rounds=rounds or 1)
-    for _ in range(bench.rounds):
-        _round(bench, able)
+    absent = {robot: able(robot) for robot in ROBOTS}
+    robots = [robot for robot, what in absent.items() if not what]
+    for seed in range(bench.rounds):
+        _simulated(bench, simulated, robots, seed, 1 if quick else TICKS)
+        _as_processes(bench, [each for case in processes for each in case.drawn(seed)])
     if missing:
         names = ", ".join(sorted(missing))
-        bench.facts[f"left out, without {names}"] = len(chosen) - len(able)
-    bench.conclude([case.row for case in able])
+        bench.facts[f"left out, without {names}"] = len(chosen) - len(processes)
+    for robot, what in absent.items():
+        if what and simulated:
+            bench.facts[f"left out of {robot}, without {what}"] = len(simulated)
+    names_in = [case.name_in(robot) for case in simulated for robot in robots]
+    bench.conclude([*names_in, *(case.row for case in processes)])
     if document:
         write_table(bench, Path(document))
     return bench
 
 
-def _round(bench: FaultBench, cases: Iterable[Case]) -> None:
+def _simulated(
+    bench: FaultBench,
+    cases: Iterable[SimulatedCase],
+    robots: Sequence[str],
+    seed: int,
+    ticks: int,
+) -> None:
+    for case in cases:
+        for robot in robots:
+            came = [(at, run_case(case, robot, at)) for at in case.at(robot, seed)[:ticks]]
+            _tell(case.name_in(robot), bench.simulated(case, robot, came))
+
+
+def _as_processes(bench: FaultBench, cases: Iterable[Case]) -> None:
     with ThreadPoolExecutor(AT_A_TIME) as pool:
         runs = {pool.submit(_measured, case): case for case in cases}
         try:
             for done in as_completed(runs):
-                missed = bench.fault(runs[done], done.result())
-                word = "holds" if not missed else f"MISSED: {'; '.join(missed)}"
-                print(f"{runs[done].row}: {word}", file=sys.stderr, flush=True)
+                _tell(runs[done].row, bench.fault(runs[done], done.result()))
         except BaseException:  # Ctrl-C: those that run end by themselves
             pool.shutdown(wait=False, cancel_futures=True)
             raise
+
+
+def _tell(row: str, missed: list[str]) -> None:
+    word = "holds" if not missed else f"MISSED: {'; '.join(missed)}"
+    print(f"{row}: {word}", file=sys.stderr, flush=True)
 
 
 def _measured(case: Case) -> Measured:

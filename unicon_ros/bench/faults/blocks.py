@@ -12,7 +12,7 @@ from unicon_core.flow import Amends, Reads, Tick, Writes
 from unicon_core.robots import Robot
 from unicon_ros.bench.faults.command_log import FAULT, OPEN, CommandLog
 
-__all__ = ["broken", "slow_build", "wobble"]
+__all__ = ["broken", "nothing", "slow_build", "wobble"]
 
 
 def wobble(
@@ -86,6 +86,11 @@ def broken(
         return False
 
     return step
+
+
+def nothing() -> Tick:
+    """Do nothing, beside something else."""
+    return lambda: False
 
 
 def slow_build(joint_pos_target: Reads, *, log: str, signals: str, seconds: float = 1.0) -> Tick:

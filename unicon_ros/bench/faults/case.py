@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+import zlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 if TYPE_CHECKING:
     from unicon_ros.bench.faults.fault_run import FaultRun
@@ -68,7 +71,8 @@ class Case:
         wants: what is wanted.
         at: number of the tick in which it happens.
         flow: of the workflow: the policy, or a simple motion.
-        workflow: further keys of the workflow file.
+        workflow: further keys of the workflow file; `{log}` in it and in the flow is the command
+            log, `{at}` the tick.
         arguments: further arguments of `unicon run` (or ROS arguments of the node); `{folder}` is
             the case's folder.
         duration: of the run in [s].
@@ -81,6 +85,7 @@ class Case:
             `pipe` that nobody reads.
         file_limit: largest file that the process may write in [byte], as on a full disk.
         quick: one of the few that every test run takes.
+        spread: it is run at so many random ticks instead of at `at`.
     """
 
     group: str
@@ -100,11 +105,31 @@ class Case:
     output: str = "file"
     file_limit: int | None = None
     quick: bool = False
+    spread: int = 0
+
+    def drawn(self, seed: int = 0) -> list[Case]:
+        """Return the case at each of its ticks, the same for the same seed."""
+        if not self.spread:
+            return [self]
+        rng = np.random.default_rng([zlib.crc32(self.row.encode()), seed])
+        ticks = sorted(int(t) for t in rng.choice(np.arange(10, 50), self.spread, replace=False))
+        return [replace(self, at=tick) for tick in ticks]
 
     @property
     def row(self) -> str:
         """Return the row of the table: group and name."""
         return f"{self.group}: {self.name}"
+
+    @property
+    def outcome(self) -> str:
+        """Return what is to come of it, in a word or two."""
+        if "wind_down" in self.workflow:
+            return "soft"
+        if self.wants.zero_ms is not None:
+            return "zero command"
+        if self.wants.least or self.wants.speed is not None:
+            return "go on"
+        return "refuse" if self.wants.status == (1,) else "damp"
 
     @property
     def uses_policy(self) -> bool:
@@ -131,6 +156,7 @@ class Measured:
     Attributes:
         commands: commands (with stiffness) that left after the fault.
         wild: commands after the fault, the closing ones too, not finite or outside of the limits.
+        beyond: what of the closing commands exceeds the damping command, in words.
         ticks: begun after the fault, until the platform was closed.
         ms: from the fault until the platform was closed in [ms], or None.
         ended_ms: from the fault until the process had ended in [ms], or None.
@@ -146,6 +172,7 @@ class Measured:
 
     commands: int = 0
     wild: int = 0
+    beyond: list[str] = field(default_factory=list)
     ticks: int | None = None
     ms: float | None = None
     ended_ms: float | None = None

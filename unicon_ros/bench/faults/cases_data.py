@@ -1,4 +1,4 @@
-"""Cases: what a robot's sensors and a policy may bring, and what no block looks for today."""
+"""Cases: what a robot's sensors and a policy may bring; `cases_simulated.py` has far more."""
 
 from __future__ import annotations
 
@@ -16,12 +16,6 @@ _STALE = ["finite", "joint_limits", {"stale_stop": {"timeout": 0.1}}]
 
 def _broken(value: float, state: str = "joint_pos_target") -> object:
     return {"zip": [WOBBLE, {f"{BLOCKS}:broken": {"value": value, "state": state}}]}
-
-
-def _not_caught(name: str, flow: object = WALK, **fault: object) -> Case:
-    """A fault that nothing looks for: it runs on; what is held is that it ends in damping."""
-    wants = Wants(most=None, least=20, ms=None, status=(0,))
-    return Case("not caught today", name, wants, fault or {"mark": True}, flow=flow)
 
 
 CASES = (
@@ -60,19 +54,4 @@ CASES = (
         fault={"raise": "Fault"},
     ),
     _sensing("an array of another length", Wants(most=0, reason="shape"), fault={"shape": True}),
-    _not_caught("IMU frozen", freeze=["base_quat", "base_ang_vel", "projected_gravity"]),
-    _not_caught(
-        "all sensors frozen, stamps go on",
-        freeze=["joint_pos", "joint_vel", "base_quat", "base_ang_vel", "projected_gravity"],
-    ),
-    _not_caught("stamps stand still, without stale_stop", freeze=["stamp_ns"]),
-    _not_caught("NaN in a state that nobody reads", set={"base_lin_vel": "nan"}),
-    _not_caught("joint_pos 1e30", set={"joint_pos": 1e30}),
-    _not_caught("NaN in joint_vel while it holds", {"hold": {}}, set={"joint_vel": "nan"}),
-    _not_caught("stiffness 1e9", _broken(1e9, "joint_stiffness")),
-    _not_caught("stiffness -50", _broken(-50.0, "joint_stiffness")),
-    _not_caught("damping -50", _broken(-50.0, "joint_damping")),
-    _not_caught("velocity target 1e6", _broken(1e6, "joint_vel_target")),
-    _not_caught("feed-forward effort 1e6", _broken(1e6, "joint_effort_ff")),
-    _not_caught("targets jump by ±0.8 rad in every tick", _broken(0.8, "jump")),
 )

@@ -6,15 +6,23 @@ import os
 import signal
 import time
 from functools import partial
+from pathlib import Path
 
 from unicon_ros.bench.faults.case import BLOCKS, NAN, WOBBLE, Case, Wants
-from unicon_ros.bench.faults.fault_run import FaultRun
+from unicon_ros.bench.faults.command_log import CLOSE
+from unicon_ros.bench.faults.fault_run import PLATFORM, FaultRun
 
 __all__ = ["CASES", "second_ctrl_c"]
 
 _raising = partial(Case, "exceptions")
 _signalled = partial(Case, "signals")
+_child = partial(Case, "platform in a child process")
 _timing = partial(Case, "time")
+WATCHDOG = 0.2
+"""Of the child processes in [s]."""
+_ROOM_MS = 300.0
+"""For a machine that is busy."""
+CHILD = {"platform": {"child": PLATFORM, "watchdog": WATCHDOG}}
 _RAISED = (
     "ValueError",
     "MemoryError",
@@ -32,7 +40,7 @@ _DOUBTFUL = ("KeyboardInterrupt",)  # how somebody else's Ctrl-C may come up: an
 
 
 def _stop_and_continue(number: signal.Signals, seconds: float, run: FaultRun) -> None:
-    run.wait_for_tick(25)
+    run.wait_for_tick(run.case.at)
     run.mark()
     run.process.send_signal(number)
     time.sleep(seconds)
@@ -46,6 +54,41 @@ def _two_ctrl_c(run: FaultRun) -> None:
     time.sleep(0.3)
     run.mark()
     run.process.send_signal(signal.SIGINT)
+
+
+def _until_the_child_damps(number: signal.Signals | None, run: FaultRun) -> None:
+    """Stop or kill the ticks, or let them hang; only their child can damp then."""
+    run.wait_for_tick(run.case.at)
+    if number is not None:
+        run.mark()
+        run.process.send_signal(number)
+    end = time.monotonic() + 5.0
+    while not run.log.of(CLOSE).size and time.monotonic() < end:
+        time.sleep(0.005)
+    run.process.kill()
+
+
+def _kill_the_child(run: FaultRun) -> None:
+    run.wait_for_tick(run.case.at)
+    pid = run.process.pid
+    children = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii").split()
+    run.mark()
+    for child in children:
+        os.kill(int(child), signal.SIGKILL)
+
+
+def _in_a_child(
+    name: str, number: signal.Signals | None, ms: float, most: int, flow: object = WOBBLE
+) -> Case:
+    return _child(
+        name,
+        Wants(most=most, ms=ms, status=(-9,), report=False),
+        flow=flow,
+        workflow=CHILD,
+        duration=8.0,
+        outside=partial(_until_the_child_damps, number),
+        spread=5,
+    )
 
 
 def _term_in_the_group(run: FaultRun) -> None:
@@ -107,8 +150,42 @@ CASES = (
         fault={"raise": "OSError", "in": "close", "mark": True},
         flow=NAN,
     ),
+    _in_a_child("SIGKILL of the ticks", signal.SIGKILL, _ROOM_MS, most=1),
+    _in_a_child(
+        "SIGSTOP of the ticks: the watchdog, 0.2 s",
+        signal.SIGSTOP,
+        1e3 * WATCHDOG + _ROOM_MS,
+        most=1,
+    ),
+    _in_a_child(
+        "a block hangs for ever: the watchdog, 0.2 s",
+        None,
+        1e3 * WATCHDOG + _ROOM_MS,
+        most=1,
+        flow={"zip": [WOBBLE, {f"{BLOCKS}:broken": {"hang": 60.0, "at": "{at}"}}]},
+    ),
+    _child(
+        "SIGKILL of the child: a fault, nothing can damp",
+        Wants(most=1, closed=False, ms=None, ended_ms=6000.0, reason="SIGKILL"),
+        workflow=CHILD,
+        outside=_kill_the_child,
+        spread=5,
+    ),
+    _signalled(
+        "SIGINT: the wind-down follows, then it damps",
+        Wants(most=None, least=15, ms=2000.0, status=(), report=False),
+        fault={"signals": ["SIGINT"]},
+        workflow={"wind_down": {"hold": {"duration": 0.5}}},
+        spread=5,
+    ),
     *(
-        _signalled(f"SIG{name}", _AT_ONCE, fault={"signals": [f"SIG{name}"]}, quick=name == "HUP")
+        _signalled(
+            f"SIG{name}",
+            _AT_ONCE,
+            fault={"signals": [f"SIG{name}"]},
+            quick=name == "HUP",
+            spread=5 if name in ("INT", "TERM") else 0,
+        )
         for name in _SIGNALS
         if hasattr(signal, f"SIG{name}")
     ),

@@ -26,6 +26,8 @@ _ROW = np.dtype(
         ("time", np.int64),  # [ns]
         ("tick", np.int64),
         ("target", np.float64, JOINTS),  # [rad]
+        ("speed", np.float64, JOINTS),  # velocity target in [rad/s]
+        ("effort", np.float64, JOINTS),  # feed-forward in [N·m]
         ("stiffness", np.float64, JOINTS),  # [N·m/rad]
         ("damping", np.float64, JOINTS),  # [N·m·s/rad]
         ("velocity", np.float64, 3),  # velocity_command in [m/s], [rad/s]

@@ -2,30 +2,71 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from unicon_core.errors import UniconError
 from unicon_ros.bench.faults.case import Case, Measured
 from unicon_ros.bench.faults.judge import judge, reaction
+from unicon_ros.bench.faults.simulated_case import ROBOTS, SimulatedCase
+from unicon_ros.bench.faults.simulated_run import ROOM, Came
 from unicon_ros.bench.report import Bench, machine
 
 __all__ = ["FaultBench", "escaped", "write_table"]
 
 BEGIN, END = "<!-- unicon bench faults: begin -->", "<!-- unicon bench faults: end -->"
+_SIMULATED_HEAD = ("fault", "outcome", *ROBOTS, "reason", "holds")
 _HEAD = ("fault", "commands after", "ticks", "reaction", "status", "reason", "on disk", "holds")
 
 
 class FaultBench(Bench):
-    """Cases are faults; the one ratio is the share of them that hold."""
+    """Cases are faults; ratios are the share of them that hold, and how late the latest was found.
+
+    Attributes:
+        late: ticks beyond its detection time that the latest reaction in MuJoCo took.
+    """
+
+    late = 0
+
+    def simulated(
+        self, case: SimulatedCase, robot: str, came: Sequence[tuple[int, Came]]
+    ) -> list[str]:
+        """Add the row of one case in MuJoCo and return what is not as declared.
+
+        Args:
+            robot: `go2` or `g1`.
+            came: each tick, with what came of the fault there.
+        """
+        name = case.name_in(robot)
+        before: Any = self.cases.get(name, {})
+        reactions = [c.reaction for _, c in came if c.reaction is not None]
+        told = dict.fromkeys(f"at tick {at}: {m}" for at, c in came for m in c.missed)
+        row: dict[str, Any] = {
+            "robot": robot,
+            "ticks": [*before.get("ticks", []), *(at for at, _ in came)],
+            "outcome": case.outcome,
+            "reaction_ticks": max([*reactions, before.get("reaction_ticks") or 0]),
+            "detection_ticks": case.detection(robot),
+            "reason": next((c.reason for _, c in came if c.reason), ""),
+            "missed": [*before.get("missed", []), *told],
+        }
+        row["holds"] = not row["missed"]
+        self.cases[name] = row
+        if case.outcome in ("damp", "soft"):
+            self.late = max(self.late, row["reaction_ticks"] - case.detection(robot))
+        return list(told)
 
     def fault(self, case: Case, got: Measured) -> list[str]:
-        """Add the row of one case and return what is not as wanted; of several rounds it stays."""
+        """Add the row of one case and return what is not as wanted; of several runs it stays."""
         name, missed = case.row, judge(case.wants, got)
         before: Any = self.cases.get(name, {})
         row: dict[str, Any] = {
+            "robot": "go2",
+            "ticks": [*before.get("ticks", []), case.at],
+            "outcome": case.outcome,
+            "reaction_ticks": got.ticks,
             "commands_after": got.commands,
-            "ticks": got.ticks,
             "reaction": reaction(case.wants, got, case.topics),
             "damped_ms": _rounded(got.ms),
             "ended_ms": _rounded(got.ended_ms),
@@ -47,30 +88,49 @@ class FaultBench(Bench):
         held = sum(bool(case["holds"]) for case in self.cases.values())
         self.facts["cases that hold"] = f"{held} of {len(self.cases)}"
         self.ratio("cases_that_hold", held / max(len(self.cases), 1), 1.0, at_least=True)
+        self.ratio("reaction_beyond_detection", self.late, ROOM)
 
     def table(self) -> str:
         """Return the rows as text."""
         lines = [f"bench faults: {machine()}", ""]
         width = max(map(len, self.cases), default=0)
         for name, case in self.cases.items():
-            cells = _cells(case)
-            said = f"after {cells[0]}  ticks {cells[1]}  {cells[2]}  status {cells[3]}"
+            if _in_mujoco(case):
+                said = f"{case['outcome']}, {case['reaction_ticks']} ticks"
+            else:
+                cells = _cells(case)
+                said = f"after {cells[0]}  ticks {cells[1]}  {cells[2]}  status {cells[3]}"
             lines.append(f"{name:<{width}}  {said}  {_verdict(case)}")
         lines += ["", *(f"{name}  {value}" for name, value in self.facts.items())]
         return "\n".join(lines)
 
     def markdown(self) -> str:
-        """Return the rows as a Markdown table."""
-        rows = [_HEAD, ("---",) * len(_HEAD)]
-        group = ""
+        """Return the rows as two Markdown tables: in MuJoCo, and as processes."""
+        cases: dict[str, Any] = self.cases
+        processes = {name: case for name, case in cases.items() if not _in_mujoco(case)}
+        rows = [(words, *_cells(case), _yes(case)) for words, case in processes.items()]
+        return "\n\n".join((_table(_SIMULATED_HEAD, self._by_fault()), _table(_HEAD, rows)))
+
+    def _by_fault(self) -> list[tuple[str, ...]]:
+        """Return the rows of the faults in MuJoCo, both robots in one."""
+        robots: dict[str, dict[str, Any]] = {}
         for name, case in self.cases.items():
-            head, _, words = name.partition(": ")
-            if head != group:
-                group = head
-                rows.append((f"**{group}**", *("" for _ in _HEAD[1:])))
-            holds = "yes" if case["holds"] else "**no**"
-            rows.append((words, *_cells(case), holds))
-        return "\n".join(f"| {' | '.join(map(escaped, row))} |" for row in rows)
+            if _in_mujoco(case):
+                row, _, robot = name.rpartition(", ")
+                robots.setdefault(row, {})[robot] = case
+        rows = []
+        for row, of in robots.items():
+            first = next(iter(of.values()))
+            damps = first["outcome"] in ("damp", "soft")
+            taken = [
+                f"{of[robot]['reaction_ticks']} of {of[robot]['detection_ticks'] + ROOM}"
+                if robot in of and damps
+                else ""
+                for robot in ROBOTS
+            ]
+            holds = "yes" if all(case["holds"] for case in of.values()) else "**no**"
+            rows.append((row, first["outcome"], *taken, _short(first["reason"]), holds))
+        return rows
 
 
 def write_table(bench: FaultBench, path: Path) -> None:
@@ -98,12 +158,33 @@ def write_table(bench: FaultBench, path: Path) -> None:
 def _cells(case: Any) -> tuple[str, str, str, str, str, str]:
     return (
         str(case["commands_after"]),
-        "" if case["ticks"] is None else str(case["ticks"]),
+        "" if case["reaction_ticks"] is None else str(case["reaction_ticks"]),
         case["reaction"],
         "none, killed" if case["status"] is None else str(case["status"]),
         _short(case["reason"]),
         ", ".join(case["disk"]),
     )
+
+
+def _in_mujoco(case: Any) -> bool:
+    return "detection_ticks" in case
+
+
+def _yes(case: Any) -> str:
+    return "yes" if case["holds"] else "**no**"
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Return rows as a Markdown table, a line for each group; a name is `group: words`."""
+    lines: list[Sequence[str]] = [head, ("---",) * len(head)]
+    group = ""
+    for name, *cells in rows:
+        of, _, words = name.partition(": ")
+        if of != group:
+            group = of
+            lines.append((f"**{of}**", *("" for _ in head[1:])))
+        lines.append((words, *cells))
+    return "\n".join(f"| {' | '.join(map(escaped, line))} |" for line in lines)
 
 
 def _verdict(case: Any) -> str:

@@ -20,7 +20,7 @@ from unicon_ros.bench.faults.case import Case
 from unicon_ros.bench.faults.command_log import CLOSE, RECV, SEND, CommandLog
 from unicon_ros.bench.loops import die_with_parent
 
-__all__ = ["FaultRun"]
+__all__ = ["PLATFORM", "FaultRun"]
 
 PLATFORM = "unicon_ros.bench.faults.recording_platform:RecordingPlatform"
 PEERS = "unicon_ros.bench.faults.peers"
@@ -158,7 +158,7 @@ class FaultRun:
             values["safety"] = {"only": values["safety"]}
         if not case.uses_policy:
             del values["policies"]
-        text = json.dumps(values).replace("{log}", log)
+        text = json.dumps(values).replace("{log}", log).replace('"{at}"', str(case.at))
         filled: dict[str, Any] = json.loads(text)
         return filled
 

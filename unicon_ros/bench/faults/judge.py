@@ -24,6 +24,7 @@ def judge(wants: Wants, got: Measured) -> list[str]:
         ask(got.commands <= wants.most, f"{got.commands} commands, wanted at most {wants.most}")
     ask(got.commands >= wants.least, f"{got.commands} commands, wanted at least {wants.least}")
     ask(got.wild == 0, f"{got.wild} commands not finite or outside of the limits")
+    missed += got.beyond if wants.most is not None else []
     if wants.closed:
         ask(got.ms is not None, "never damped")
         if got.ms is not None:

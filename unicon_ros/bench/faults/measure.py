@@ -14,12 +14,13 @@ import unicon_ros
 from unicon_core.robots import load_robot
 from unicon_ros.bench.faults.case import Measured
 from unicon_ros.bench.faults.command_log import CLOSE, FAULT, RECV, SEND
+from unicon_ros.bench.faults.damping_judge import TOLERANCE, Commands, beyond_damping
 from unicon_ros.bench.faults.fault_run import FaultRun
 from unicon_ros.bench.faults.on_disk import recorded_span, report_of, what_is_there
 
 __all__ = ["measure"]
 
-_TOLERANCE = 1e-3  # rad: float32 on the way, and what a robot's file rounds
+_BUSY = 0.2  # s by which a busy machine may be late with the end of the blend
 
 
 def measure(run: FaultRun, status: int | None) -> Measured:
@@ -42,6 +43,8 @@ def measure(run: FaultRun, status: int | None) -> Measured:
     damping = _damping(sent)[len(sent) - len(after) :]
     moving = _moving(sent, fault) if run.case.topics else after[~damping]
     got.commands, got.wild = len(moving), _wild(after)
+    if damping.any() and not run.case.topics:
+        got.beyond = _beyond(sent, len(sent) - len(after) + int(np.argmax(damping)))
     ends = np.concatenate((after["time"][damping], run.log.of(CLOSE)["time"]))
     late = ends[ends > fault]
     if run.case.topics:
@@ -52,6 +55,8 @@ def measure(run: FaultRun, status: int | None) -> Measured:
         begun = run.log.of(RECV)["time"]
         got.ms = (end - fault) * 1e-6
         got.ticks = int(np.count_nonzero((begun > fault) & (begun < end)))
+        if "platform" in run.case.workflow:  # a child takes data far more often than a tick
+            got.ticks = round(got.ms / 20.0)
     if run.ended_ns:
         got.ended_ms = (run.ended_ns - fault) * 1e-6
     times = np.concatenate(([fault], moving["time"]))
@@ -80,10 +85,17 @@ def _damping(sent: NDArray[Any]) -> NDArray[np.bool_]:
     stiffness, target = sent["stiffness"], sent["target"]
     limp = ~stiffness.any(axis=1)
     less = (stiffness[1:] < stiffness[:-1]) | (stiffness[1:] == 0.0)
-    stands = np.abs(target[1:] - target[:-1]) <= _TOLERANCE
+    stands = np.abs(target[1:] - target[:-1]) <= TOLERANCE
     falls = np.concatenate(([False], (less & stands).all(axis=1)))[: len(sent)]
     found: NDArray[np.bool_] = limp | falls
     return found
+
+
+def _beyond(sent: NDArray[Any], first: int) -> list[str]:
+    """Return what of the commands from the first damping one on exceeds the damping command."""
+    names = ("target", "speed", "effort", "stiffness", "damping")
+    commands = Commands(sent["time"] * 1e-9, *(sent[name] for name in names))
+    return beyond_damping(commands, first, load_robot("go2"), slack=_BUSY)
 
 
 def _moving(sent: NDArray[Any], fault: int) -> NDArray[Any]:
@@ -99,7 +111,7 @@ def _wild(rows: NDArray[Any]) -> int:
     lower, upper = _limits()
     target = rows["target"]
     with np.errstate(invalid="ignore"):
-        inside = (target >= lower - _TOLERANCE) & (target <= upper + _TOLERANCE)
+        inside = (target >= lower - TOLERANCE) & (target <= upper + TOLERANCE)
     gains = np.isfinite(rows["stiffness"]) & np.isfinite(rows["damping"])
     return int(np.count_nonzero(~(inside & gains).all(axis=1)))
 

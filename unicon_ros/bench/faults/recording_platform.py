@@ -92,6 +92,8 @@ class RecordingPlatform:
             SEND,
             tick,
             target=states.joint_pos_target,
+            speed=states.joint_vel_target,
+            effort=states.joint_effort_ff,
             stiffness=states.joint_stiffness,
             damping=states.joint_damping,
             velocity=states.velocity_command,

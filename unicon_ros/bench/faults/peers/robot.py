@@ -1,12 +1,14 @@
 """A robot behind topics for platform `ros`, which logs commands. Arguments: LOG RUNS_LOG FAULT.
 
 FAULT is one of `nan`, `subset`, `far` (1e30, then silence), `silence`, `imu_nan`, `imu_silence`,
-`imu_never`, `quat_zero`, `another` (robot), `good`. It comes after 40 commands; `imu_never` and
-`another` from the beginning.
+`imu_never`, `quat_zero`, `another` (robot), `killed` (by SIGKILL), `good`. It comes after 40
+commands; `imu_never` and `another` from the beginning.
 """
 
 from __future__ import annotations
 
+import os
+import signal
 import sys
 import time
 from pathlib import Path
@@ -48,6 +50,8 @@ class Robot:
             self._since = time.monotonic()
             if self._fault != "good":
                 self._log.add(FAULT)
+            if self._fault == "killed":
+                os.kill(os.getpid(), signal.SIGKILL)
 
     def _say(self) -> None:
         fault = self._fault if self._since else ""
