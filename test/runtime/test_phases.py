@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from unicon_core import Block, Program, Stage, block, policy, pose
+from unicon_core import Block, Program, Stage, Writes, block, policy, pose
 from unicon_core.errors import Fault, UniconError
+from unicon_core.flow import Tick
 from unicon_core.platforms.fake import FakeRobot, make_robot
 from unicon_core.platforms.kit.damping import BLEND, DAMPING_TIME
 from unicon_core.robots import Robot
@@ -321,3 +322,25 @@ def leaving(states: States, robot: Robot, period: float) -> FakeRobot:
 
     platform.recv = received  # type: ignore[method-assign]
     return platform
+
+
+def test_what_looks_at_commands_stays_where_another_flow_writes_fewer() -> None:
+    def nudge(joint_pos_target: Writes) -> Tick:
+        return lambda: joint_pos_target.fill(0.1)
+
+    kept = {"only": ["finite", "joint_limits"]}
+    with pytest.raises(UniconError, match=r"'finite' reads 'joint_\w+', which no block writes"):
+        made(Sent(), flow=pose("stand"), wind_down=block(nudge), safety=kept)
+
+
+def test_what_looks_at_the_flow_of_the_run_is_left_out_elsewhere() -> None:
+    sent = Sent()
+    program = made(
+        sent,
+        flow=policy("walk"),
+        policies={"walk": "go2_velocity"},
+        wind_down=pose("rest", duration=0.3),
+        safety={"only": ["finite", "action_stop"]},
+    )
+    assert runs(program, duration=0.2)[0].run().faults == []
+    assert sent.phases == [Phase.APPROACH, Phase.RUN, Phase.SOFT, Phase.DAMP]

@@ -28,6 +28,7 @@ from unicon_core.signals import SIGNALS
 from unicon_core.states import Layout, States
 from unicon_core.states.groups import groups_of
 from unicon_core.states.links import Incoming
+from unicon_core.states.standard import COMMAND_STATES
 from unicon_core.workflow.autowire import BuildContext
 from unicon_core.workflow.build import (
     Builder,
@@ -301,7 +302,7 @@ class Program:
         ours = {state for node in (*left, flow) for b in blocks_of(node) for state in b.writes}
         acted = (*stages[Stage.COMMAND], *stages[Stage.FLOW])
         gone = {state for node in acted for b in blocks_of(node) for state in b.writes}
-        gone -= {*ours, *GIVEN}
+        gone -= {*ours, *GIVEN, *COMMAND_STATES}  # what looks at commands always stays
         safety = [
             node
             for node in stages[Stage.SAFETY]
