@@ -232,3 +232,12 @@ def test_run_dry_records_what_would_have_been_sent(tmp_path: Path) -> None:
     with path.open("rb") as stream:
         topics = [channel.topic for _, channel, _ in reader.make_reader(stream).iter_messages()]
     assert topics.count("/joint_states") >= 10
+
+
+@pytest.mark.parametrize("safety", [["finite"], {"only": ["finite", "encoder_stop"]}])
+def test_what_awaits_that_the_robot_follows_is_left_out_and_told(safety: Any) -> None:
+    keys = {"robot": "go2", "platform": "fake_robot", "rate": 50, "safety": safety}
+    silent = Program(flow=block("hold"), silent=True, **keys)
+    assert "encoder_stop" in Program(flow=block("hold"), **keys).safety
+    assert "encoder_stop" not in silent.safety
+    assert "does not follow" in silent.safety_left_out["encoder_stop"]

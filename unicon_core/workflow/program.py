@@ -248,12 +248,13 @@ class Program:
     def _safety(self, builder: Builder, listed: Sequence[Node]) -> list[Node]:
         """Return the safety blocks: of a robot also those that the workflow does not list."""
         said = safety_of(self.document)
-        if self.platform.facts.simulated or not self.has_platform:
-            return [builder.built(node) for node in listed]
-        if said.exact:
-            self.safety_left_out = dict.fromkeys(left_out(listed, self.platform), said.words)
-            return [builder.built(node) for node in listed]
-        nodes, self.safety_left_out = completed(self, builder, listed)
+        robot = self.has_platform and not self.platform.facts.simulated
+        if robot and not said.exact:
+            nodes, self.safety_left_out = completed(self, builder, listed)
+        else:
+            nodes = [builder.built(node) for node in listed]
+            if robot:
+                self.safety_left_out = dict.fromkeys(left_out(listed, self.platform), said.words)
         if not self.silent:
             return nodes
         awaits = [n for n in nodes if isinstance(n, Block) and getattr(n.tick, "awaits", False)]
