@@ -28,7 +28,7 @@ def filled(data: st.DataObject, states: States) -> None:
         view[...] = np.array(values).reshape(view.shape)
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=25)
 @given(data=st.data(), name=st.sampled_from(robot_names()), said=st.booleans())
 def test_it_is_finite_and_within_the_limits_whatever_was_before(
     data: st.DataObject, name: str, said: bool

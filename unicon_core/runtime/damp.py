@@ -15,7 +15,7 @@ __all__ = ["Damp"]
 
 
 class Damp:
-    """Ticks the damping command: hears, damps, sends, lets observers look.
+    """Ticks the damping command: damps, sends, lets observers look, hears.
 
     What hears or looks and fails is left alone from then on. Safety blocks do not run: they are
     what may have tripped, and the damping command keeps the limits by itself.
@@ -58,10 +58,10 @@ class Damp:
             program.sending()
             gate.sent.note()
             states["tick"][...] += 1
-            hears = _tried(hears)
             due += period
             self.next_due_ns = due if paced else 0
-            look = _tried(look)
+            look = _tried(look)  # at what was sent, before anything new is heard
+            hears = _tried(hears)
             if paced:
                 clock.until(due)
                 due = max(due, now() - period)  # after a stall, not all at once

@@ -418,8 +418,8 @@ class Runner:
         ending = self._ending
         if ending is None or self._hurry or self.program.gate.closed:
             return
-        if self.phase is not Phase.RUN:  # it waited, or came from where it was before
-            return
+        if self.phase is not Phase.RUN or not self.program.gate.sent.any:
+            return  # it waited, or has not come to where its flow begins
         self.phase = Phase.SOFT
         self.monitor.finish()
         self.program.states["velocity_command"][...] = 0.0
