@@ -40,6 +40,15 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     items[:] = kept
 
 
+@pytest.fixture(autouse=True)
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let runs in this process be held up by a busy machine; who tests hangs says `pacing.hang`."""
+    from unicon_core.runtime import pacing
+
+    for simulated in pacing.HANG:
+        monkeypatch.setitem(pacing.HANG, simulated, 20.0)
+
+
 @pytest.fixture(scope="session")
 def under_colcon(request: pytest.FixtureRequest) -> bool:
     """Whether `colcon test` runs this pytest: it names the package as prefix of its report."""

@@ -248,12 +248,18 @@ def test_a_block_that_hung_is_not_asked_again_while_it_damps() -> None:
         def slow() -> None:
             asked.append(1)
             if len(asked) == 3:
-                time.sleep(0.5)
+                time.sleep(1.0)
 
         return {Stage.ESTIMATE: [Block("slow", slow)]}
 
     program = Program(
-        robot="go2", platform="fake_robot", rate=50, flow=block("hold"), hooks=[hear], start="none"
+        robot="go2",
+        platform="fake_robot",
+        rate=50,
+        flow=block("hold"),
+        hooks=[hear],
+        start="none",
+        pacing={"hang": 0.5},
     )
     report = Runner(program, RunOptions(duration=2.0, warn=lambda _: None)).run()
     assert "a tick hung: slow took" in report.faults[0]

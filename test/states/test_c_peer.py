@@ -194,7 +194,7 @@ def test_of_many_that_want_a_dead_ones_name_one_gets_it(hammer):
         peers = [begin(hammer, "write", NAME, 1000) for _ in range(6)]
         end = time.monotonic() + PATIENCE
         while sum(peer.poll() is None for peer in peers) > 1:
-            remove_dead(NAME)  # has the lock of the dead one for a moment
+            remove_dead(NAME)  # has a lock on the dead one's for a moment
             assert time.monotonic() < end
         [winner] = [peer for peer in peers if peer.poll() is None]
         for peer in peers:

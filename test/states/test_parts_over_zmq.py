@@ -117,8 +117,6 @@ def test_a_cut_link_is_a_zero_command_and_no_fault(tmp_path, robot, port):
         robot.run(10.0, lambda: robot.command > 0.6)
         assert robot.command == np.float32(0.7)
         assert there.poll() is None
-        reader = robot.program._arrivals[0]._readers["measured"]
-        assert reader.late > 0  # what was kept is not taken for new
         there.send_signal(signal.SIGSTOP)  # whoever stands still harms nobody
         robot.run(5.0, robot.neutral)
         there.send_signal(signal.SIGCONT)

@@ -27,6 +27,8 @@ from unicon_core.states.backends.shm import (
     ShmWatcher,
     ShmWriter,
     clean,
+    files,
+    remove_dead,
     segments,
 )
 from unicon_core.states.backends.shm.segment import MAX_SLEEPERS
@@ -96,6 +98,27 @@ def test_a_thousand_killed_writers_leave_whole_values_and_nothing_else(folder: P
     states = counted_states()
     Segment.create("killed", {"counts": states.layout}).close()  # takes it over, and goes
     assert not list(folder.iterdir())
+
+
+def test_who_removes_a_dead_writers_segment_is_not_taken_for_a_writer(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with running(lambda: write_counts("dead")):
+        until(lambda: list(segments()))
+        reader = ShmReader("dead", "counts", counted_states())
+        until(reader.take)
+    seen = []
+    unname = files.unname
+
+    def looked_at(path: Path, inode: int) -> None:
+        seen.append((reader.alive(), [found.alive for found in segments()], clean()))
+        unname(path, inode)
+
+    monkeypatch.setattr(files, "unname", looked_at)
+    assert remove_dead("dead")
+    assert seen == [(False, [False], [])]  # and nobody else removes it
+    assert not list(folder.iterdir())
+    reader.close()
 
 
 def test_a_stopped_writer_lives_and_is_silent(folder: Path) -> None:

@@ -136,16 +136,19 @@ def test_what_a_cut_link_has_kept_is_late_and_the_next_is_taken() -> None:
         link = stack.enter_context(closing(Link(int(address.rsplit(":")[-1]))))
         reader = stack.enter_context(closing(reading(link.address, there, late=0.2)))
         take(reader)
-        link.cut()
-        drain(reader)
-        assert nothing_comes(reader, 1.0)
-        # 0.2 s longer than the fastest at most, which is not slow here.
-        oldest = time.monotonic_ns() - 400_000_000
-        link.mend()
-        for _ in range(100):
-            take(reader)
-            assert int(there.stamp_ns) > oldest
-            assert reader.stamp_ns > oldest
+        for _ in range(10):  # a newer one may replace what was kept before anybody looks
+            link.cut()
+            drain(reader)
+            assert nothing_comes(reader, 1.0)
+            # 0.2 s longer than the fastest at most, which is not slow here.
+            oldest = time.monotonic_ns() - 400_000_000
+            link.mend()
+            for _ in range(100):
+                take(reader)
+                assert int(there.stamp_ns) > oldest
+                assert reader.stamp_ns > oldest
+            if reader.late > 0:
+                break
         assert reader.late > 0
 
 

@@ -163,11 +163,12 @@ static inline int unicon_remove_dead(const char *path)
         errno = EPERM;
         return -1;
     }
-    /* Somebody else who removes it has the lock for a moment, too. */
-    for (tries = 0; tries < 20 && !dead; tries++) {
+    /* Byte 0 is asked for, not taken: whoever looks just now must not think that the writer lives.
+     * Somebody else who removes it has byte 1 for a moment. */
+    for (tries = 0; tries < 20 && !dead && !unicon_writer_lives(fd); tries++) {
         if (tries > 0)
             nanosleep(&nap, NULL);
-        dead = unicon_lock(fd, F_WRLCK, 0);
+        dead = unicon_lock(fd, F_WRLCK, 1);
     }
     if (dead && stat(path, &named) == 0 && named.st_ino == found.st_ino)
         unlink(path);

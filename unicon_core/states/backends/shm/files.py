@@ -26,8 +26,9 @@ HEAD = struct.Struct("<8sIIqQQQ64s")
 """magic, version, byte order, writer's pid, its start in clock ticks, size of the segment, length
 of the JSON behind the header, its SHA-256 in hexadecimal."""
 
-WRITER_LOCK, SLEEPER_LOCKS = 0, 1 << 32
-"""Bytes of the file that are locked: by the writer, and from there on by readers that sleep."""
+WRITER_LOCK, REMOVER_LOCK, SLEEPER_LOCKS = 0, 1, 1 << 32
+"""Bytes of the file that are locked: by the writer, by who removes what a dead one has left, and
+from there on by readers that sleep."""
 
 NAME = re.compile(r"[A-Za-z0-9_.-]{1,100}")
 _TRIES = 1000
@@ -140,7 +141,10 @@ def remove_dead(name: str) -> bool:
         what = f"cannot take over {path}: {error.strerror}; remove it"
         raise StateError(f"store shm: {what}") from error
     try:
-        if not lock(fd, fcntl.F_WRLCK, WRITER_LOCK):
+        # Asked, not taken: whoever looks just now must not think that the writer lives.
+        if not lock(fd, fcntl.F_RDLCK, WRITER_LOCK, ask=True):
+            return False
+        if not lock(fd, fcntl.F_WRLCK, REMOVER_LOCK):
             return False
         if os.pread(fd, len(MAGIC), 0) != MAGIC:
             raise StateError(f"store shm: {path} is not a segment of unicon; remove it")
