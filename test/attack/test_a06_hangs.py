@@ -35,7 +35,7 @@ def test_a_process_that_was_stopped_sends_nothing_more(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("where", ["recv", "send"])
 def test_a_hang_in_a_block_is_a_fault_when_it_ends(tmp_path: Path, where: str) -> None:
-    run = Run(tmp_path, f"fault: sleep, where: {where}", hang=None).start()
+    run = Run(tmp_path, f"fault: sleep, where: {where}", hang=0.7).start()
     status, _, _ = run.wait()
     assert status == 3
     # Before `send` its command does not leave; in `send` nobody can take it back.

@@ -37,7 +37,6 @@ class Approach:
         self._move = max(1, round(distance / speed / period))
         self._fade = max(1, round(fade_in / period))
         self._tick = 0
-        self.distance, self.duration = distance, max(self._move, self._fade) * period
 
     def __call__(self) -> bool:
         self._tick += 1

@@ -18,9 +18,10 @@ __all__ = ["refuse_errors"]
 TOLD = {
     "safety.none": "commands are sent as they are, also those that are not finite or beyond the "
     "limits of a joint",
+    "safety.less": "",
     "start.gates": "the robot is moved whatever it tells of itself",
 }
-"""Notes that every start tells, and what it means."""
+"""Notes that every start tells, and what each means where its evidence does not say it."""
 
 
 def refuse_errors(program: Program, force: Iterable[str] = ()) -> list[str]:
@@ -67,8 +68,5 @@ def refuse_errors(program: Program, force: Iterable[str] = ()) -> list[str]:
     told += [f"accepted by the workflow: {found}" for found in result.waived]
     decided = dict.fromkeys(found.code for found in [*result.findings, *result.waived])
     program.forced = tuple(decided)
-    told += [f"{note.culprit}: {TOLD[note.code]}" for note in result.notes if note.code in TOLD]
-    told += [
-        f"{note.culprit}: {note.evidence}" for note in result.notes if note.code == "safety.less"
-    ]
-    return told
+    notes = [note for note in result.notes if note.code in TOLD]
+    return told + [f"{note.culprit}: {TOLD[note.code] or note.evidence}" for note in notes]

@@ -1,7 +1,7 @@
 """`wiggle`: one small slow move of each joint, which proves order and signs against the encoders.
 
-    Each joint goes by 0.05 rad and back within 1 s, away from its nearer limit, while all others
-    are held where they were; gains are low, and the workflow's safety blocks look at every command.
+Each joint goes by 0.05 rad and back within 1 s, away from its nearer limit, while all others are
+held where they were; gains are low, and the workflow's safety blocks look at every command.
 
 Of every joint j the measured way d_j is compared with the commanded way c of the joint that is
 moved: share_j = Σ c·d_j / Σ c². Its own joint has a share near 1, all others near 0. A drift while
