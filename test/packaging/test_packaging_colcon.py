@@ -44,7 +44,9 @@ class Workspace:
         )
 
 
-@pytest.fixture(scope="module", params=MODES)
+@pytest.fixture(
+    scope="module", params=["copied", pytest.param("symlinked", marks=pytest.mark.slow)]
+)
 def workspace(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory, under_colcon: bool
 ) -> Workspace:

@@ -19,14 +19,14 @@ PIPELINES = "unicon_ros.bench.pipelines"
 RATE = 50.0 * 1.0033  # drifts through the states' phases
 WARM = 3.0  # s after which memory and CPU count
 
-pytestmark = [pytest.mark.ros]
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 
 @pytest.mark.parametrize(
     "seconds",
     [
         pytest.param(14.0, marks=pytest.mark.timeout(90), id="14 s"),
-        pytest.param(600.0, marks=[pytest.mark.slow, pytest.mark.timeout(900)], id="10 min"),
+        pytest.param(600.0, marks=pytest.mark.timeout(900), id="10 min"),
     ],
 )
 def test_no_command_is_lost_no_memory_grows_and_plain_rclpy_takes_three_times_the_cpu(
