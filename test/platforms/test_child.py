@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import time
 
 import numpy as np
@@ -96,6 +97,24 @@ def test_a_child_that_dies_is_a_fault_that_names_it():
         platform.recv()
     assert time.monotonic() - begin < 5.0  # not the 10 s of its silence
     program.close()
+    assert left() == []
+
+
+@pytest.mark.timeout(30)
+def test_a_simulator_that_hangs_is_a_fault_that_names_it():
+    program = load_workflow("go2_stand", ["platform={child: fake, silence: 0.5}"])
+    platform = program.platform
+    try:
+        platform.recv()
+        os.kill(platform.process.pid, signal.SIGSTOP)
+        os.waitpid(platform.process.pid, os.WUNTRACED)
+        with pytest.raises(Fault, match=rf"process {platform.process.pid} has not answered for"):
+            for _ in range(2):  # what it had sent before is there
+                platform.send()
+                platform.recv()
+    finally:
+        os.kill(platform.process.pid, signal.SIGCONT)
+        program.close()
     assert left() == []
 
 
