@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 import time
+from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -108,14 +112,78 @@ def test_a_simulator_that_hangs_is_a_fault_that_names_it():
         platform.recv()
         os.kill(platform.process.pid, signal.SIGSTOP)
         os.waitpid(platform.process.pid, os.WUNTRACED)
-        with pytest.raises(Fault, match=rf"process {platform.process.pid} has not answered for"):
-            for _ in range(2):  # what it had sent before is there
-                platform.send()
-                platform.recv()
+        platform.send()
+        pattern = rf"process {platform.process.pid} has not answered for 0\.5 s"
+        with pytest.raises(Fault, match=pattern):
+            platform.recv()
     finally:
         os.kill(platform.process.pid, signal.SIGCONT)
         program.close()
     assert left() == []
+
+
+def test_how_long_a_robot_and_its_run_wait_for_each_other():
+    """Without a word of the workflow: a busy machine lets both run out, in the same words."""
+    for changes, waited in (([], "0\\.04 s"), (["rate=4"], "0\\.5 s")):  # at least two periods
+        program = load_workflow("go2_stand", ["platform={child: fake_robot}", *changes])
+        platform = program.platform
+        os.kill(platform.process.pid, signal.SIGSTOP)
+        os.waitpid(platform.process.pid, os.WUNTRACED)
+        try:
+            with pytest.raises(Fault, match=f"has not answered for {waited}"):
+                until_raised(platform.recv)
+        finally:
+            os.kill(platform.process.pid, signal.SIGCONT)
+            program.close()
+    program = load_workflow("go2_stand", ["platform={child: fake_robot, silence: 10}"])
+    program.platform.recv()
+    program.platform.send()
+    with pytest.raises(Fault, match=r"no command came for 0\.1 s"):
+        until_raised(program.platform.recv)
+    program.close()
+
+
+def until_raised(recv: Callable[[], object]) -> None:
+    while True:
+        recv()
+        time.sleep(0.01)
+
+
+ORPHANED = """
+import os, time
+from unicon_core.workflow import load_workflow
+
+program = load_workflow("go2_stand", ["platform={child: fake_robot, silence: 10}"])
+program.platform.recv()
+fork = os.fork()
+if fork:
+    print(program.platform.process.pid, fork, flush=True)
+time.sleep(600)
+"""
+
+
+def test_a_robot_ends_with_its_parent_though_a_fork_of_that_lives():
+    """The fork keeps the pipe open, and no command has come that could fail to come."""
+    parent = subprocess.Popen([sys.executable, "-c", ORPHANED], stdout=subprocess.PIPE, text=True)
+    child, fork = map(int, parent.stdout.readline().split())
+    try:
+        parent.kill()
+        parent.wait()
+        end = time.monotonic() + 30.0
+        while cmdline(child):
+            assert time.monotonic() < end
+            time.sleep(0.01)
+        os.kill(fork, 0)
+    finally:
+        os.kill(fork, signal.SIGKILL)
+        parent.stdout.close()
+
+
+def cmdline(pid: int) -> bytes:
+    try:
+        return Path(f"/proc/{pid}/cmdline").read_bytes()  # a zombie's is empty
+    except OSError:
+        return b""
 
 
 def test_a_reset_comes_behind_the_last_command():
