@@ -220,6 +220,21 @@ def test_a_healthy_robot_trips_nothing(tmp_path: Path) -> None:
     assert report.safety == STRICT
 
 
+@pytest.mark.parametrize("name", ["go2_walk", "go1_walk", "g1_walk", "g1_holosoma"])
+def test_in_a_simulator_the_set_of_a_robot_changes_no_command(
+    name: str, request: pytest.FixtureRequest
+) -> None:
+    if name != "go2_walk":
+        request.getfixturevalue("assets")
+    digests = set()
+    for changes in ({}, {"safety": STRICT}):
+        report = Runner(load_workflow(name, changes), RunOptions(duration=4.0, speed="max")).run()
+        assert report.faults == []
+        assert report.ticks == 200
+        digests.add(report.sha256_commands)
+    assert len(digests) == 1
+
+
 @pytest.mark.parametrize(
     "safety", [[], {"only": []}, {"only": "none"}, {"only": ["finite"], "more": 1}, {"finite": {}}]
 )
