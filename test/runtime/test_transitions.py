@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from unicon_core import Program, block, policy, pose
+from unicon_core import Block, Program, Stage, block, policy, pose
 from unicon_core.blocks.approach import Approach, Entry
 from unicon_core.errors import Fault, Hung, PlatformError
 from unicon_core.gates.beginning import Target, first_command
@@ -19,6 +19,7 @@ from unicon_core.platforms.kit.damping import BLEND, DAMPING_TIME, Damping, Last
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.runtime.damp import Damp as DampPhase
+from unicon_core.runtime.pacing import WallClock
 from unicon_core.runtime.phases import WIND_DOWN
 from unicon_core.runtime.waiting import PATIENCE, REPEAT, Waiting
 from unicon_core.states import States, standard_states
@@ -186,8 +187,6 @@ def test_a_wind_down_commands_no_motion_and_ends_in_time() -> None:
     seen: list[float] = []
 
     def look(program: Program) -> dict[Any, Any]:
-        from unicon_core import Block, Stage
-
         states = program.states
         note = Block("note", lambda: seen.append(float(states.velocity_command[0])))
         return {Stage.OBSERVE: [note]}
@@ -243,8 +242,6 @@ def test_a_block_that_hung_is_not_asked_again_while_it_damps() -> None:
     asked: list[int] = []
 
     def hear(program: Program) -> dict[Any, Any]:
-        from unicon_core import Block, Stage
-
         def slow() -> None:
             asked.append(1)
             if len(asked) == 3:
@@ -272,6 +269,44 @@ def test_a_pause_between_ticks_is_no_hang() -> None:
     runner.call_soon(lambda: time.sleep(0.3))
     assert runner.run().faults == []
     assert len(sent) == 10
+
+
+def test_a_tick_in_a_long_pause_is_sent() -> None:
+    counts: list[int] = []
+
+    def pause() -> None:
+        time.sleep(0.3)
+        counts.append(len(sent))
+        runner.tick(time.perf_counter_ns())
+        counts.append(len(sent))
+
+    def third(program: Program) -> dict[Any, Any]:
+        def look() -> None:
+            if program.states["tick"] == 3 and not counts:
+                runner.call_soon(pause)
+
+        return {Stage.OBSERVE: [Block("look", look)]}
+
+    program, sent = simulated(flow=block("hold"), pacing={"hang": 0.2}, hooks=[third])
+    runner = Runner(program, RunOptions(duration=0.4))
+    assert runner.run().faults == []
+    assert counts[1] == counts[0] + 1
+
+
+def test_time_in_which_no_tick_ran_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> None:
+    program, sent = simulated(flow=block("hold"), pacing={"hang": 0.2})
+    until = WallClock.until
+
+    def late(clock: WallClock, deadline_ns: int) -> int:
+        if len(sent) == 4:
+            time.sleep(0.5)
+        return until(clock, deadline_ns)
+
+    monkeypatch.setattr(WallClock, "until", late)
+    report = Runner(program, RunOptions(duration=0.4)).run()
+    assert "no tick ran for 0." in report.faults[0]
+    assert report.overruns >= 20
+    assert sent.count(60.0) == 4  # then it is damped
 
 
 # -- damping ---------------------------------------------------------------------------------------

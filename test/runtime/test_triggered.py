@@ -120,3 +120,40 @@ def test_the_policy_warms_up_before_the_data_that_are_waited_for(tmp_path: Path)
     runner.run()
     ticks = "".join(word[0] for word in order).split("t")
     assert sum("w" in part for part in ticks[5:-1]) >= 10
+
+
+HANG = "pacing={trigger: state, hang: 0.2}"
+
+
+def test_a_tick_that_hangs_is_not_sent(tmp_path: Path) -> None:
+    workflow = loaded(tmp_path, HANG)
+    platform: Any = workflow.platform
+    stream = Stream(platform, 20_000_000)
+    recv = next(block for block in blocks(workflow) if block.stage is Stage.RECV)
+
+    def slow() -> None:
+        if workflow.states["tick"] == 4:
+            time.sleep(0.6)
+        stream.recv()
+
+    recv.tick = slow
+    report = Runner(workflow, RunOptions(duration=0.4)).run()
+    assert "a tick hung: recv took 0.6" in report.faults[0]
+
+
+def test_data_that_stay_away_while_the_process_is_held_up_are_a_fault(tmp_path: Path) -> None:
+    workflow = loaded(tmp_path, HANG)
+    platform: Any = workflow.platform
+    stream = Stream(platform, 20_000_000)
+    recv = next(block for block in blocks(workflow) if block.stage is Stage.RECV)
+    recv.tick = stream.recv
+
+    def wait(timeout_s: float) -> bool:
+        if workflow.states["tick"] == 4:
+            time.sleep(0.8)
+        return stream.wait(timeout_s)
+
+    platform.wait = wait
+    report = Runner(workflow, RunOptions(duration=0.4)).run()
+    assert "no tick ran for 0." in report.faults[0]
+    assert report.ticks == 4

@@ -22,7 +22,11 @@ PHASES = "test/runtime/test_transitions.py", "test/runtime/test_phases.py"
 ENDS = *PHASES, "test/attack/test_c24_threads.py", "test/attack/test_c20_exceptions.py"
 SIGNALS = *PHASES, "test/attack/test_a05_signals.py", "test/runtime/test_runner.py"
 DAMPING = *PHASES, "test/platforms/test_damping.py"
-HANGS = "test/runtime/test_transitions.py", "test/attack/test_a06_hangs.py"
+HANGS = (
+    "test/runtime/test_transitions.py",
+    "test/runtime/test_triggered.py",
+    "test/attack/test_a06_hangs.py",
+)
 CLOSED = "test/attack/test_c24_threads.py", *HANGS
 CHILD = "test/platforms/test_child.py", "test/attack/test_child_processes.py"
 SETS = ("test/workflow/test_safety_set.py",)
