@@ -37,7 +37,12 @@ safety: [finite]
 
 
 class Peer:
-    """A process that says JSON lines."""
+    """A process that says JSON lines.
+
+    Attributes:
+        lines: those that it has said.
+        errors: what it has written to stderr.
+    """
 
     def __init__(self, *command: str) -> None:
         self.lines: list[dict[str, Any]] = []
@@ -53,7 +58,7 @@ class Peer:
             text=True,
             env=environment,
         )
-        self._errors = ""
+        self.errors = ""
         self._threads = [threading.Thread(target=read) for read in (self._read, self._read_errors)]
         for thread in self._threads:
             thread.start()
@@ -66,7 +71,8 @@ class Peer:
 
     def _read_errors(self) -> None:
         assert self.process.stderr is not None
-        self._errors = self.process.stderr.read()
+        for line in self.process.stderr:
+            self.errors += line
 
     def tell(self, line: str) -> None:
         """Write a line to its standard input."""
@@ -87,7 +93,7 @@ class Peer:
         status = self.process.wait(timeout)
         for thread in self._threads:
             thread.join(timeout)
-        return status, self._errors
+        return status, self.errors
 
     def kill(self) -> None:
         """SIGKILL."""
