@@ -12,8 +12,10 @@ import pytest
 
 pytest.importorskip("rclpy")
 
+from command_watch import CommandWatch
 from ros_helpers import REACT, SWAY, Peer, Run
 
+from unicon_core.robots import load_robot
 from unicon_ros.bench.domains import free_domain
 
 HERE = Path(__file__).resolve().parent
@@ -95,3 +97,17 @@ def runs() -> Iterator[Callable[..., Run]]:
         if run.alive:
             run.end()
         run.session.close()
+
+
+@pytest.fixture
+def watches() -> Iterator[Callable[[str], CommandWatch]]:
+    """Listens to what a robot is commanded."""
+    made: list[CommandWatch] = []
+
+    def start(robot: str) -> CommandWatch:
+        made.append(CommandWatch(load_robot(robot).joint_names))
+        return made[-1]
+
+    yield start
+    for watch in made:
+        watch.close()

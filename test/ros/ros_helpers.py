@@ -37,7 +37,12 @@ safety: [finite]
 
 
 class Peer:
-    """A process that says JSON lines."""
+    """A process that says JSON lines.
+
+    Attributes:
+        lines: those that it has said.
+        errors: what it has written to stderr.
+    """
 
     def __init__(self, *command: str) -> None:
         self.lines: list[dict[str, Any]] = []
@@ -46,9 +51,14 @@ class Peer:
             for name in ("_ROS_WHEELS_BOOTSTRAP_COMPLETE", "LD_LIBRARY_PATH", "AMENT_PREFIX_PATH"):
                 environment.pop(name, None)
         self.process = subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
+            command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=environment,
         )
-        self._errors = ""
+        self.errors = ""
         self._threads = [threading.Thread(target=read) for read in (self._read, self._read_errors)]
         for thread in self._threads:
             thread.start()
@@ -61,7 +71,14 @@ class Peer:
 
     def _read_errors(self) -> None:
         assert self.process.stderr is not None
-        self._errors = self.process.stderr.read()
+        for line in self.process.stderr:
+            self.errors += line
+
+    def tell(self, line: str) -> None:
+        """Write a line to its standard input."""
+        assert self.process.stdin is not None
+        self.process.stdin.write(f"{line}\n")
+        self.process.stdin.flush()
 
     def of(self, kind: str) -> list[dict[str, Any]]:
         """Return what was said of a kind."""
@@ -76,7 +93,7 @@ class Peer:
         status = self.process.wait(timeout)
         for thread in self._threads:
             thread.join(timeout)
-        return status, self._errors
+        return status, self.errors
 
     def kill(self) -> None:
         """SIGKILL."""

@@ -13,9 +13,20 @@ from typing import Any
 from ros_helpers import Peer
 
 STAND_IN = (sys.executable, "-m", "unicon_ros.bench.standins.robot")
-PLATFORM = ("--set", "platform=ros", "--set", "pacing.hang=20")
+OUTPUT = "run.txt"
+PATIENT = (
+    "[finite, joint_limits, tilt_stop, {stale_stop: {timeout: 5.0}}, {imu_stop: {timeout: 5.0}}, "
+    "{encoder_stop: {timeout: 5.0}}]"
+)
+"""Safety of the workflows, patient with a stand-in that a busy machine holds up."""
+PLATFORM = ("--set=platform=ros", "--set=pacing.hang=20", f"--set=safety={PATIENT}")
+FIRST = 0.05
+"""How far a first command may be from where the joints are, [rad]."""
+SILENCE = 3.0
+"""Time-out of the topics of a robot here, [s]."""
 
-ROS_MAP_WITH_GAINS = """\
+MAP = Path(__file__).resolve().parents[2] / "config" / "maps" / "ros_robot.yaml"
+PUBLISHED_GAINS = """\
 publish:
   - topic: joint_commands
     type: sensor_msgs/msg/JointState
@@ -35,7 +46,6 @@ class Driven:
         report: its report; empty where it wrote none.
         output: what it said.
         first: how far the first command was from where the joints were, [rad]; None for none.
-        last_first: likewise of the last command after a silence.
         count: commands that the robot got.
     """
 
@@ -43,8 +53,18 @@ class Driven:
     report: dict[str, Any]
     output: str
     first: float | None
-    last_first: float | None
     count: int
+
+
+def patient_map(folder: Path, gains: bool = False) -> Path:
+    """Write the map of plain topics with longer time-outs; with gains on `joint_gains`, or without.
+
+    A platform that has gains damps whatever it has sent.
+    """
+    text = MAP.read_text().replace("timeout: 0.5", f"timeout: {SILENCE}")
+    path = folder / ("map_with_gains.yaml" if gains else "map.yaml")
+    path.write_text(text[: text.index("publish:")] + PUBLISHED_GAINS if gains else text)
+    return path
 
 
 def stand_in(processes: Callable[..., Peer], robot: str, *arguments: str) -> Peer:
@@ -73,30 +93,44 @@ def drive(
 
 
 def begun(
-    workflow: str, folder: Path, *, seconds: float, more: Sequence[str] = ()
+    workflow: str | Path,
+    folder: Path,
+    *,
+    seconds: float = 60.0,
+    operator: bool = False,
+    gains: bool = False,
+    more: Sequence[str] = (),
 ) -> subprocess.Popen[str]:
-    """Begin such a run, in a process."""
-    command = [sys.executable, "-m", "unicon_ros", "run", workflow, *PLATFORM]
-    command += ["--set", "start.operator=false", f"--duration={seconds}", "--quiet"]
-    return subprocess.Popen(
-        [*command, f"--report={folder / 'report.json'}", *more],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-    )
+    """Begin such a run, in a process; what it says goes to a file, see `said`."""
+    command = [sys.executable, "-m", "unicon_ros", "run", str(workflow), *PLATFORM]
+    command += [f"--set=platforms.ros.map={patient_map(folder, gains)}"]
+    command += [f"--set=start.operator={str(operator).lower()}", f"--duration={seconds}"]
+    with (folder / OUTPUT).open("w") as output:
+        return subprocess.Popen(
+            [*command, "--quiet", f"--report={folder / 'report.json'}", *more],
+            stdin=subprocess.DEVNULL,
+            stdout=output,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+
+
+def said(folder: Path) -> str:
+    """Return what a run has said so far."""
+    return (folder / OUTPUT).read_text()
 
 
 def ended(run: subprocess.Popen[str], peer: Peer, folder: Path) -> Driven:
     """Wait for a run to end, end its stand-in, and return what both saw."""
     try:
-        output, _ = run.communicate(timeout=120)
+        run.wait(timeout=120)
     finally:
         run.kill()
+        run.wait(10)
     firsts, count = seen(peer)
     path = folder / "report.json"
     report = json.loads(path.read_text()) if path.exists() else {}
-    first, last = (firsts[0], firsts[-1]) if firsts else (None, None)
-    return Driven(run.returncode, report, output, first, last, count)
+    return Driven(run.returncode, report, said(folder), firsts[0] if firsts else None, count)
 
 
 def seen(peer: Peer) -> tuple[list[float], int]:

@@ -52,6 +52,9 @@ class RunOptions:
     operator: bool = False
 
 
+FEW = 256
+"""Ticks whose time stamps are kept before the run; nobody asks for them."""
+
 CLOSING = 3.0
 """How long `close` of another thread waits for the ticking one to damp, in [s]."""
 
@@ -221,6 +224,8 @@ class Runner:
             try:
                 try:
                     restore = prepare_process(self.pacing, self.options.warn)
+                    if self.options.speed == "real":
+                        self.statistics.take_memory()
                     self._started_ns = time.perf_counter_ns()
                     if self._begun():
                         self.phase = Phase.RUN
@@ -380,7 +385,7 @@ class Runner:
             hang_ns: how late ticks may be, where that is not as in the run.
         """
         run = self._run
-        ticker = self._ticker = Ticker(self.program, tree, self.options.capacity, None)
+        ticker = self._ticker = Ticker(self.program, tree, FEW, None)
         if hang_ns is not None:
             ticker.hang_ns = hang_ns
         if run.stop:  # what a signal sets at any moment counts

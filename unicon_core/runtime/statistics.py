@@ -60,6 +60,13 @@ class TickStatistics:
         row[2:] = stamps
         self.count += 1
 
+    def take_memory(self) -> None:
+        """Touch all rows: what is only reserved would grow while it ticks, a fault of 2 MB at once.
+
+        Takes 3 to 10 ms, which runs that are over at once need not pay.
+        """
+        self.rows[self.count :] = 0
+
     def kept(self) -> NDArray[np.int64]:
         """Return the rows kept, oldest first: due, end, step start, deferred start, block ends."""
         capacity = len(self.rows)

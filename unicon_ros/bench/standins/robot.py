@@ -5,13 +5,17 @@
     unicon run go2_walk --set platform=ros
 
 It speaks config/maps/ros_robot.yaml: publishes `joint_states` and `imu/data`, and its joints go to
-the positions of `joint_commands` with a first-order response, within their limits. It begins in a
-posture drawn at random, and its sensors have noise. It knows nothing of unicon but the robot file.
-Where a map sends the stiffness as the effort of `joint_gains`, it hears when that is gone.
+the positions of `joint_commands` with a first-order response, within their limits and no faster
+than the robot's. It begins in a posture drawn at random, and its sensors have noise. It knows
+nothing of unicon but the robot file. Where a map sends the stiffness as the effort of
+`joint_gains`, it hears when that is gone. Without stiffness, or 0.5 s after the last command, which
+its own watchdog notices, it is limp: its joints sink slowly towards the middle of their range, as
+if it hung on a gantry.
 
 On standard output it says JSON lines: `ready` with its posture, `first` with how far the first
 command, and each after a silence, was from where the joints were, `commands` after every 50 of
-them with the largest step between two of these, `limp` when all stiffness is gone.
+them with the largest step between two of these, `silence` when its watchdog acts, and `limp` when
+all stiffness is gone. With `--each` it says every `command`: its stamp, target and distance.
 """
 
 from __future__ import annotations
@@ -41,7 +45,10 @@ SPARE = 0.05
 """Share of a joint's range that a posture drawn at random keeps from either limit."""
 TOLD_EVERY = 50
 SILENCE = 0.5
-"""After so long without one a command is a first one again, [s]."""
+"""After so long without a command joints are limp, and the next command is a first one again, [s].
+"""
+SINKING = 20.0
+"""Time constant of limp joints in [s]."""
 
 
 def random_posture(robot: Robot, random: np.random.Generator) -> NDArray[np.float64]:
@@ -64,6 +71,8 @@ class StandIn:
         swapped: two joints whose encoders are exchanged.
         posture: `random`, or `default` for the robot file's.
         still: no noise at all.
+        imu_seconds: after so many the IMU is silent; 0 for never there.
+        each: say every command.
     """
 
     def __init__(
@@ -76,6 +85,8 @@ class StandIn:
         swapped: tuple[str, ...] = (),
         posture: str = "random",
         still: bool = False,
+        imu_seconds: float = math.inf,
+        each: bool = False,
     ) -> None:
         self._random = np.random.default_rng(seed)
         self._names, self._noise = list(robot.joint_names), 0.0 if still else 1.0
@@ -84,8 +95,11 @@ class StandIn:
         self.pos = random_posture(robot, self._random)
         if posture == "default":
             self.pos[...] = robot.default_joint_pos
-        self._target = self.pos.copy()
-        self._rate, self._share = rate, 1.0 - np.exp(-1.0 / (rate * time_constant))
+        self._target, self._middle = self.pos.copy(), 0.5 * (robot.lower + robot.upper)
+        self._middle = np.where(np.isnan(self._middle), self.pos, self._middle)
+        self._longest = np.nan_to_num(robot.velocity_limit, nan=np.inf) / rate  # step in [rad]
+        self._rate, self._share = rate, 1.0 - math.exp(-1.0 / (rate * time_constant))
+        self._sunk = 1.0 - math.exp(-1.0 / (rate * SINKING))
         self._order = np.arange(len(self._names))
         if swapped:
             a, b = (self._names.index(name) for name in swapped)
@@ -93,8 +107,9 @@ class StandIn:
         lean = self._random.uniform(-LEAN, LEAN, 2)
         self._quat = np.array((1.0, *(0.5 * lean), 0.0))  # wxyz, small angles
         self._quat /= np.linalg.norm(self._quat)
-        self.commands, self._worst, self._heard = 0, 0.0, -math.inf
-        self._largest_step, self._stiff = 0.0, False
+        self.commands, self._worst, self._heard = 0, 0.0, 0.0
+        self._largest_step, self._stiff, self._limp, self._watched = 0.0, False, False, False
+        self._imu_until, self._each = time.monotonic() + imu_seconds, each
         self.node: Any = rclpy.create_node("stand_in")
         self._states = self.node.create_publisher(JointState, "joint_states", 10)
         self._imu = self.node.create_publisher(Imu, "imu/data", 10)
@@ -111,15 +126,17 @@ class StandIn:
             say("refused", names=list(message.name))
             return
         away = np.abs(target - self.pos)
+        if self._each:
+            stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+            say("command", stamp=stamp, distance=float(away.max()), target=target.tolist())
         self._worst = max(self._worst, float(away.max()))
         self.commands += 1
-        now = time.monotonic()
-        if now - self._heard > SILENCE:
+        if not self._watched:
             say("first", distance=float(away.max()), joint=self._names[int(away.argmax())])
         else:
             step = float(np.abs(target - self._target).max())
             self._largest_step = max(self._largest_step, step)
-        self._heard = now
+        self._heard, self._watched = time.monotonic(), True
         self._target[...] = np.clip(target, self._lower, self._upper)
         if self.commands % TOLD_EVERY == 0:
             say("commands", count=self.commands, worst=self._worst, step=self._largest_step)
@@ -127,13 +144,21 @@ class StandIn:
 
     def _gained(self, message: Any) -> None:
         stiff = any(message.effort)
+        self._limp = not stiff
         if self._stiff and not stiff:
             say("limp", after=time.monotonic(), moved=float(np.abs(self._target - self.pos).max()))
         self._stiff = stiff
 
     def _step(self) -> None:
-        before = self.pos.copy()
-        self.pos += self._share * (self._target - self.pos)
+        before, now = self.pos.copy(), time.monotonic()
+        if self._watched and now - self._heard > SILENCE:
+            self._watched = False
+            say("silence", after=now)
+        if self._limp or (self.commands and not self._watched):
+            self.pos += self._sunk * (self._middle - self.pos)
+        else:
+            step = self._share * (self._target - self.pos)
+            self.pos += np.clip(step, -self._longest, self._longest)
         stamp = self.node.get_clock().now().to_msg()
         states = JointState(name=self._names)
         states.header.stamp = stamp
@@ -142,6 +167,8 @@ class StandIn:
         speed = (self.pos - before) * self._rate + self._noisy(1e-3, self.pos.size)
         states.velocity = speed[self._order].tolist()
         self._states.publish(states)
+        if now > self._imu_until:
+            return
         imu = Imu()
         imu.header.stamp = stamp
         quat = self._quat + self._noisy(1e-4, 4)
@@ -174,6 +201,14 @@ def main() -> int:
     parser.add_argument("--swapped", nargs=2, default=(), metavar="JOINT", help="their encoders")
     parser.add_argument("--posture", choices=("random", "default"), default="random")
     parser.add_argument("--still", action="store_true", help="no noise")
+    parser.add_argument("--each", action="store_true", help="say every command")
+    parser.add_argument(
+        "--imu-seconds",
+        type=float,
+        default=math.inf,
+        metavar="S",
+        help="then the IMU is silent; 0: it has none",
+    )
     options = vars(parser.parse_args())
     robot = load_robot(options.pop("robot"))
     rclpy.init()
