@@ -18,16 +18,17 @@ from pathlib import Path
 from unicon_core.errors import UniconError, alternatives
 from unicon_ros.bench.faults import (
     cases_data,
+    cases_mujoco,
     cases_output,
     cases_program,
     cases_ros,
     cases_simulated,
 )
-from unicon_ros.bench.faults.case import Case, Measured
+from unicon_ros.bench.faults.case import TICKS, Case, Measured
 from unicon_ros.bench.faults.fault_report import FaultBench, write_table
 from unicon_ros.bench.faults.fault_run import FaultRun
 from unicon_ros.bench.faults.measure import measure
-from unicon_ros.bench.faults.simulated_case import ROBOTS, TICKS, SimulatedCase, able
+from unicon_ros.bench.faults.simulated_case import ROBOTS, SimulatedCase, able
 from unicon_ros.bench.faults.simulated_run import run_case
 
 __all__ = ["CASES", "run"]
@@ -37,6 +38,7 @@ CASES: tuple[Case, ...] = (
     *cases_program.CASES,
     *cases_output.CASES,
     *cases_ros.CASES,
+    *cases_mujoco.CASES,
 )
 AT_A_TIME = 2
 
@@ -46,6 +48,7 @@ def run(
     *,
     quick: bool = False,
     only: str = "",
+    ticks: int = TICKS,
     document: str = "",
 ) -> FaultBench:
     """Run the cases.
@@ -55,11 +58,15 @@ def run(
             one's figures are told.
         quick: a handful of cases only, each at one tick.
         only: cases only whose group or name has this in it.
-        document: Markdown file whose table of faults is replaced.
+        ticks: at so many random ticks at most, each fault that has no moment of its own.
+        document: Markdown file in whose tables of faults the rows of what was run are replaced.
 
     Raises:
-        UniconError: no such case, or the document has no place for a table.
+        UniconError: no such case, no number of ticks, or the document has no place for a table.
     """
+    if not 1 <= ticks <= TICKS:
+        raise UniconError(f"--ticks {ticks}: give a number from 1 to {TICKS}")
+    ticks = 1 if quick else ticks
     chosen = [case for case in CASES if only in case.row]
     simulated = [case for case in cases_simulated.CASES if only in case.row]
     if not chosen and not simulated:
@@ -76,8 +83,8 @@ def run(
     absent = {robot: able(robot) for robot in ROBOTS}
     robots = [robot for robot, what in absent.items() if not what]
     for seed in range(bench.rounds):
-        _simulated(bench, simulated, robots, seed, 1 if quick else TICKS)
-        _as_processes(bench, [each for case in processes for each in case.drawn(seed)])
+        _simulated(bench, simulated, robots, seed, ticks)
+        _as_processes(bench, [each for case in processes for each in case.drawn(seed, ticks)])
     if missing:
         names = ", ".join(sorted(missing))
         bench.facts[f"left out, without {names}"] = len(chosen) - len(processes)
@@ -87,7 +94,8 @@ def run(
     names_in = [case.name_in(robot) for case in simulated for robot in robots]
     bench.conclude([*names_in, *(case.row for case in processes)])
     if document:
-        write_table(bench, Path(document))
+        all_simulated = [case.row for case in cases_simulated.CASES]
+        write_table(bench, Path(document), all_simulated, [case.row for case in CASES])
     return bench
 
 
