@@ -152,6 +152,12 @@ def test_noise_is_taken_for_no_message_and_random_bits_are_a_whole_one() -> None
     assert sum(decoder.decode(random_bits(rng, whole, 6)) for _ in range(100)) > 10
 
 
+def test_some_faults_come_over_ros_and_in_a_child_with_mujoco() -> None:
+    marked = [case.marks for case in CASES.values() if case.mujoco]
+    assert marked.count(["mujoco", "child"]) >= 5
+    assert marked.count(["mujoco", "ros"]) >= 10
+
+
 def test_ticks_of_a_fault_in_processes_are_random_and_the_same_for_a_seed() -> None:
     case = CASES["exceptions: ValueError in recv"]
     ticks = [each.at for each in case.drawn()]
@@ -242,13 +248,17 @@ def test_rows_of_cases_that_were_not_run_stay_in_the_table(tmp_path: Path) -> No
 def test_a_fault_that_does_not_hold_fails_the_assertion() -> None:
     bench = fault_bench()
     assert not bench.holds
-    assert json.loads(bench.to_json())["cases"]["time: c"]["missed"] == ["never damped"]
+    told = json.loads(bench.to_json())["cases"]["time: c"]
+    assert told["missed"] == ["never damped"]
+    assert (told["outcome"], told["declared"]["ms"], told["with"]) == ("damp", 250.0, [])
     assert "MISSED: never damped" in bench.table()
 
 
 def test_a_case_that_does_not_exist_is_named(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bench", "faults", "--only", "nothing of ours"]) == 1
     assert "--only 'nothing of ours': no such case" in capsys.readouterr().err
+    assert main(["bench", "faults", "--ticks", "0"]) == 1
+    assert "--ticks 0: give a number from 1 to 5" in capsys.readouterr().err
 
 
 def test_names_of_cases_are_unique_and_the_document_has_a_row_for_each() -> None:

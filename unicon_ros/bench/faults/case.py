@@ -179,6 +179,16 @@ class Case:
         return "refuse" if self.wants.status == (1,) else "damp"
 
     @property
+    def marks(self) -> list[str]:
+        """Return what it is run with besides: `mujoco`, `ros`, `child`."""
+        found = {
+            "mujoco": self.mujoco,
+            "ros": self.node or bool(self.peer) or "--ros" in self.arguments,
+            "child": "platform" in self.workflow,
+        }
+        return [word for word, is_so in found.items() if is_so]
+
+    @property
     def uses_policy(self) -> bool:
         """Return whether a policy is in the flow."""
         return '"policy"' in json.dumps(self.flow)
@@ -186,7 +196,7 @@ class Case:
     @property
     def needs(self) -> set[str]:
         """Return the packages without which it is left out."""
-        ros = self.node or bool(self.peer)
+        ros = "ros" in self.marks
         needed = {
             "rclpy": ros,
             "rosbags": ros or "--record" in self.arguments,

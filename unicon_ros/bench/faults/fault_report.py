@@ -68,6 +68,8 @@ class FaultBench(Bench):
             "robot": "go2",
             "ticks": [*before.get("ticks", []), case.at],
             "outcome": case.outcome,
+            "with": case.marks,
+            "declared": {k: v for k, v in vars(case.wants).items() if v not in (None, "", ())},
             "reaction_ticks": got.ticks,
             "commands_after": got.commands,
             "reaction": reaction(case.wants, got, case.topics),
