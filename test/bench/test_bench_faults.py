@@ -99,7 +99,7 @@ def test_each_thing_that_is_not_as_wanted_is_named() -> None:
         "never damped",
         "velocity command zero never, wanted within 650 ms",
         "status 0, wanted 3",
-        "reason lacks 'NaN'",
+        "reason '' lacks 'NaN'",
         "no report",
         "700 ms between two commands",
         "velocity command 50, 0, 0",

@@ -30,7 +30,9 @@ WATCHDOG = 0.2
 """Of the child processes in [s]."""
 BUSY_MS = 300.0
 """For a machine that is busy."""
-CHILD = {"platform": {"child": PLATFORM, "watchdog": WATCHDOG}}
+_SILENCE = 0.3
+"""Of their parents in [s]: a robot's is 0.02 s, which a busy machine may take by itself."""
+CHILD = {"platform": {"child": PLATFORM, "watchdog": WATCHDOG, "silence": _SILENCE}}
 _RAISED = (
     "ValueError",
     "MemoryError",

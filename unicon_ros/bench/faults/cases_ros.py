@@ -102,7 +102,7 @@ CASES = (
         ticks=_NODE,
     ),
     _robot("joint_states fall silent", "silence", _silent("joint_states")),
-    _robot("the robot's process is killed", "killed", _silent("joint_states")),
+    _robot("the robot's process is killed", "killed", _silent("topic")),
     _robot("NaN in joint_states", "nan", _silent("joint_states")),
     _robot("joint_states of 5 of 12 joints", "subset", _silent("joint_states")),
     _robot("joint_states 1e30, then silence", "far", Wants(most=45, ms=900.0, reason="")),

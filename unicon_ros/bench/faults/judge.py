@@ -35,7 +35,7 @@ def judge(wants: Wants, got: Measured) -> list[str]:
     if wants.status:
         either = " or ".join(map(str, wants.status))
         ask(got.status in wants.status, f"status {got.status}, wanted {either}")
-    ask(wants.reason in got.reason, f"reason lacks {wants.reason!r}")
+    ask(wants.reason in got.reason, f"reason {got.reason!r} lacks {wants.reason!r}")
     ask(not wants.report or "report" in got.disk, "no report")
     if wants.report and wants.status == (3,) and wants.lost_s is None:
         ask(got.lost_s is not None, "no record of the fault that can be read")

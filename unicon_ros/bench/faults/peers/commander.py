@@ -24,7 +24,7 @@ from rclpy.serialization import serialize_message
 from unicon_ros.bench.faults.command_log import FAULT, CommandLog
 from unicon_ros.bench.faults.peers.noise import garbage, random_bits
 
-PATIENCE = 30.0  # s until somebody obeys
+PATIENCE = 60.0  # s until somebody obeys; a run may take 40 s to start
 SAID = 0.3  # m/s; the workflow's own command is another one
 LASTS = 2.4  # s
 STEADILY, FLOOD = 0.02, 0.001  # s between two messages
