@@ -254,6 +254,15 @@ def test_a_fault_that_does_not_hold_fails_the_assertion() -> None:
     assert "MISSED: never damped" in bench.table()
 
 
+def test_a_run_that_ends_before_its_fault_is_repeated(monkeypatch: pytest.MonkeyPatch) -> None:
+    left = [Measured(reached=False), Measured(commands=3)]
+    monkeypatch.setattr(FaultRun, "run", lambda run: 0)
+    monkeypatch.setattr(bench_faults, "measure", lambda run, status: left.pop(0))
+    assert bench_faults.measured(Case("time", "c", Wants())).commands == 3
+    left = [Measured(reached=False)]
+    assert not bench_faults.measured(Case("time", "c", Wants(closed=False))).reached
+
+
 def test_a_case_that_does_not_exist_is_named(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bench", "faults", "--only", "nothing of ours"]) == 1
     assert "--only 'nothing of ours': no such case" in capsys.readouterr().err

@@ -212,6 +212,7 @@ class Measured:
     """What was measured of a case.
 
     Attributes:
+        reached: the fault has begun.
         commands: commands (with stiffness) that left after the fault.
         wild: commands after the fault, the closing ones too, not finite or outside of the limits.
         beyond: what of the closing commands exceeds the damping command, in words.
@@ -232,6 +233,7 @@ class Measured:
         gains: factors of stiffness and damping in the last of them.
     """
 
+    reached: bool = True
     commands: int = 0
     wild: int = 0
     beyond: list[str] = field(default_factory=list)

@@ -41,7 +41,7 @@ _RAISED = (
     "SystemExit",
     "KeyboardInterrupt",
 )
-_AT_ONCE = Wants(most=1, ms=400.0, ended_ms=1500.0, status=(), report=False)
+_AT_ONCE = Wants(most=1, ms=400.0, ended_ms=2500.0, status=(), report=False)
 _SIGNALS = (
     *("HUP", "INT", "QUIT", "USR1", "USR2", "ALRM", "VTALRM", "PROF"),
     *("TERM", "XCPU", "POLL", "PWR", "STKFLT"),
@@ -193,7 +193,7 @@ CASES = (
     ),
     _signalled(
         "second SIGINT, in the wind-down: damps at once",
-        Wants(most=1, ms=400.0, ended_ms=1500.0, status=(), report=False),
+        Wants(most=1, ms=400.0, ended_ms=2500.0, status=(), report=False),
         outside=_two_ctrl_c,
         workflow={"wind_down": {"hold": {"duration": 3.0}}},
         duration=4.0,

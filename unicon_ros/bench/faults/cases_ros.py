@@ -181,12 +181,12 @@ CASES = (
     second_ctrl_c("unicon_node", node=True),
     _both(
         "NaN in joint_pos and SIGTERM in one tick",
-        Wants(most=0, ended_ms=1500.0, reason="joint_pos_target"),
+        Wants(most=0, ended_ms=2500.0, reason="joint_pos_target"),
         fault={"set": {"joint_pos": "nan"}, "signals": ["SIGTERM"]},
     ),
     _both(
         "SIGTERM and an OSError in one tick",
-        Wants(most=0, ended_ms=1500.0, reason="made by the bench"),
+        Wants(most=0, ended_ms=2500.0, reason="made by the bench"),
         fault={"raise": "OSError", "signals": ["SIGTERM"]},
         flow=WOBBLE,
     ),

@@ -39,6 +39,7 @@ def measure(run: FaultRun, status: int | None) -> Measured:
         got.reason = got.reason.replace(f"{folder}/", "")
     sent, fault = run.motors.of(SEND), _fault_ns(run)
     if not fault:
+        got.reached = False
         got.reason = got.reason or "the fault was never reached"
         return got
     after = sent[sent["time"] > fault]
