@@ -10,8 +10,9 @@ import pytest
 from unicon_core.platforms.kit.damping import BLEND
 from unicon_core.robots import load_robot
 from unicon_ros.bench.faults import cases_simulated
+from unicon_ros.bench.faults.case import TICKS
 from unicon_ros.bench.faults.damping_judge import Commands, beyond_damping
-from unicon_ros.bench.faults.simulated_case import TICKS, SimulatedCase, able
+from unicon_ros.bench.faults.simulated_case import SimulatedCase, able
 from unicon_ros.bench.faults.simulated_run import run_case
 
 ROBOT = load_robot("go2")

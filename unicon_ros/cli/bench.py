@@ -28,7 +28,8 @@ _OPTIONS: dict[str, dict[str, dict[str, Any]]] = {
     "faults": {
         "quick": {"action": "store_true", "help": "a handful of cases only"},
         "only": {"help": "cases only whose group or name has this in it"},
-        "document": {"help": "Markdown file whose table of faults is replaced"},
+        "ticks": {"type": int, "metavar": "N", "help": "random ticks of each fault, 5 unless told"},
+        "document": {"help": "Markdown file whose rows of what was run are replaced"},
     },
     "latency": {
         "rate": {"type": float, "help": "commands per second"},

@@ -12,7 +12,12 @@ from unicon_core.flow import Amends, Reads, Tick, Writes
 from unicon_core.robots import Robot
 from unicon_ros.bench.faults.command_log import FAULT, OPEN, CommandLog
 
-__all__ = ["broken", "nothing", "slow_build", "wobble"]
+__all__ = ["broken", "nothing", "slow_build", "swing", "wobble"]
+
+
+def swing(tick: float) -> float:
+    """Return where `wobble` has all joints in a tick, beside the default pose in [rad]."""
+    return 0.02 * math.sin(0.3 * tick)
 
 
 def wobble(
@@ -34,7 +39,7 @@ def wobble(
     pose = robot.default_joint_pos
 
     def step() -> bool:
-        joint_pos_target[...] = pose + 0.02 * math.sin(0.3 * float(tick))
+        joint_pos_target[...] = pose + swing(float(tick))
         joint_pos_target[...] += 0.0 * joint_pos
         joint_vel_target[...] = 0.0
         joint_effort_ff[...] = 0.0

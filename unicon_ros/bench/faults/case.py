@@ -13,12 +13,45 @@ import numpy as np
 if TYPE_CHECKING:
     from unicon_ros.bench.faults.fault_run import FaultRun
 
-__all__ = ["BLOCKS", "NAN", "WALK", "WOBBLE", "Case", "Measured", "Wants"]
+__all__ = [
+    "AS_THEY_ARE",
+    "BLOCKS",
+    "COMMANDED",
+    "NAN",
+    "TICKS",
+    "WALK",
+    "WOBBLE",
+    "Case",
+    "Measured",
+    "Wants",
+]
+
+TICKS = 5
+"""Random ticks at which a fault is put into runs."""
+
+AS_THEY_ARE = (1.0, 1.0)
+"""Factors of the gains that nobody has changed."""
 
 BLOCKS = "unicon_ros.bench.faults.blocks"
 WALK: dict[str, Any] = {"chain": [{"pose": {"to": "stand", "duration": 0.4}}, {"policy": "walk"}]}
 WOBBLE: dict[str, Any] = {f"{BLOCKS}:wobble": {}}
-NAN: dict[str, Any] = {"zip": [WOBBLE, f"{BLOCKS}:broken"]}
+COMMANDED: dict[str, Any] = {
+    "chain": [
+        {"pose": {"to": "stand", "duration": 0.4}},
+        {
+            "switch": {
+                "on": {"commanded": {"hold": 0.3}},
+                "cases": {
+                    "no": {"chain": [{"pose": {"to": "stand", "duration": 0.3}}, "hold"]},
+                    "yes": {"policy": "walk"},
+                },
+            }
+        },
+    ]
+}
+"""It walks while somebody commands it to, else it stands."""
+
+NAN: dict[str, Any] = {"zip": [WOBBLE, {f"{BLOCKS}:broken": {"at": "{at}"}}]}
 """A motion whose targets become NaN in the tick of the fault."""
 
 
@@ -34,13 +67,17 @@ class Wants:
         ended_ms: until the process has ended in [ms].
         status: exit statuses, any of them.
         reason: a part of the reason in the report, else of what was said.
-        report: the report is on disk.
+        report: the report is on disk; after a fault (status 3) the record of it, too.
         gap_ms: longest time between two commands after the fault in [ms].
         overruns: ticks counted as missed, at least.
         zero_ms: until the velocity command is zero in [ms].
         speed: largest velocity command after the fault in [m/s], [rad/s].
         lost_s: what the recording may lack of the commands that left in [s].
         files: further files on disk.
+        stands_ms: until the targets stand still in [ms].
+        refused: messages that were refused and counted, at least.
+        gains: no command is changed (of `wobble` alone), but by these factors of stiffness and
+            damping, which the last one has.
     """
 
     most: int | None = 0
@@ -57,6 +94,9 @@ class Wants:
     speed: tuple[float, float, float] | None = None
     lost_s: float | None = None
     files: tuple[str, ...] = ()
+    stands_ms: float | None = None
+    refused: int = 0
+    gains: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -72,20 +112,24 @@ class Case:
         at: number of the tick in which it happens.
         flow: of the workflow: the policy, or a simple motion.
         workflow: further keys of the workflow file; `{log}` in it and in the flow is the command
-            log, `{at}` the tick.
+            log, `{at}` the tick, `{name}` a name that no other run has.
         arguments: further arguments of `unicon run` (or ROS arguments of the node); `{folder}` is
             the case's folder.
         duration: of the run in [s].
         outside: what the bench does to the process meanwhile.
-        peer: module in `peers` and its arguments, started first.
+        peer: module in `peers` and its arguments, started first; `{at}` in them is the tick,
+            `{workflow}` the file.
         node: run by `unicon_node` instead of `unicon run`.
         topics: platform `ros`, whose robot is the peer; commands are those that it got.
-        failing: what the middleware refuses: `take` of cmd_vel or `publish` of commands.
+        mujoco: behind the log stands MuJoCo; else the fake robot, which counts as hardware.
+        failing: what the middleware does: it refuses `take` of cmd_vel or `publish` of commands,
+            or everything (`all`).
         output: where stdout and stderr go: `file`, `closed`, `device full`, `terminal`, or a
             `pipe` that nobody reads.
         file_limit: largest file that the process may write in [byte], as on a full disk.
         quick: one of the few that every test run takes.
-        spread: it is run at so many random ticks instead of at `at`.
+        spread: it is run at so many random ticks; 0 for one that has its own moment, or none.
+        ticks: first and last between which they are.
     """
 
     group: str
@@ -101,19 +145,22 @@ class Case:
     peer: tuple[str, ...] = ()
     node: bool = False
     topics: bool = False
+    mujoco: bool = False
     failing: str = ""
     output: str = "file"
     file_limit: int | None = None
     quick: bool = False
-    spread: int = 0
+    spread: int = TICKS
+    ticks: tuple[int, int] = (10, 35)
 
-    def drawn(self, seed: int = 0) -> list[Case]:
-        """Return the case at each of its ticks, the same for the same seed."""
+    def drawn(self, seed: int = 0, most: int = TICKS) -> list[Case]:
+        """Return the case at each of its ticks, at most so many; the same for the same seed."""
         if not self.spread:
             return [self]
         rng = np.random.default_rng([zlib.crc32(self.row.encode()), seed])
-        ticks = sorted(int(t) for t in rng.choice(np.arange(10, 50), self.spread, replace=False))
-        return [replace(self, at=tick) for tick in ticks]
+        first, last = self.ticks
+        ticks = rng.choice(np.arange(first, last + 1), min(self.spread, most), replace=False)
+        return [replace(self, at=tick) for tick in sorted(map(int, ticks))]
 
     @property
     def row(self) -> str:
@@ -127,9 +174,19 @@ class Case:
             return "soft"
         if self.wants.zero_ms is not None:
             return "zero command"
-        if self.wants.least or self.wants.speed is not None:
+        if self.wants.least or self.wants.speed is not None or self.wants.gains is not None:
             return "go on"
         return "refuse" if self.wants.status == (1,) else "damp"
+
+    @property
+    def marks(self) -> list[str]:
+        """Return what it is run with besides: `mujoco`, `ros`, `child`."""
+        found = {
+            "mujoco": self.mujoco,
+            "ros": self.node or bool(self.peer) or "--ros" in self.arguments,
+            "child": "platform" in self.workflow,
+        }
+        return [word for word, is_so in found.items() if is_so]
 
     @property
     def uses_policy(self) -> bool:
@@ -139,12 +196,13 @@ class Case:
     @property
     def needs(self) -> set[str]:
         """Return the packages without which it is left out."""
-        ros = self.node or bool(self.peer)
+        ros = "ros" in self.marks
         needed = {
             "rclpy": ros,
             "rosbags": ros or "--record" in self.arguments,
             "matplotlib": "--picture" in self.arguments,
             "onnxruntime": self.uses_policy,
+            "mujoco": self.mujoco,
         }
         return {package for package, is_needed in needed.items() if is_needed}
 
@@ -154,6 +212,7 @@ class Measured:
     """What was measured of a case.
 
     Attributes:
+        reached: the fault has begun.
         commands: commands (with stiffness) that left after the fault.
         wild: commands after the fault, the closing ones too, not finite or outside of the limits.
         beyond: what of the closing commands exceeds the damping command, in words.
@@ -168,8 +227,13 @@ class Measured:
         zero_ms: from the fault until the velocity command was zero in [ms], or None.
         speed: largest velocity command after the fault.
         lost_s: what the recording lacks of the commands that left in [s], or None.
+        stands_ms: from the fault until the targets stood still in [ms], or None.
+        refused: messages that were refused.
+        changed: commands after the fault that `wobble` did not give so.
+        gains: factors of stiffness and damping in the last of them.
     """
 
+    reached: bool = True
     commands: int = 0
     wild: int = 0
     beyond: list[str] = field(default_factory=list)
@@ -184,3 +248,7 @@ class Measured:
     zero_ms: float | None = None
     speed: tuple[float, float, float] = (0.0, 0.0, 0.0)
     lost_s: float | None = None
+    stands_ms: float | None = None
+    refused: int = 0
+    changed: int = 0
+    gains: tuple[float, float] = AS_THEY_ARE

@@ -15,7 +15,7 @@ _STALE = ["finite", "joint_limits", {"stale_stop": {"timeout": 0.1}}]
 
 
 def _broken(value: float, state: str = "joint_pos_target") -> object:
-    return {"zip": [WOBBLE, {f"{BLOCKS}:broken": {"value": value, "state": state}}]}
+    return {"zip": [WOBBLE, {f"{BLOCKS}:broken": {"value": value, "state": state, "at": "{at}"}}]}
 
 
 CASES = (
@@ -25,11 +25,18 @@ CASES = (
             _NO_LONGER,
             fault={"set": {state: "nan"}},
             flow=WALK,
+            ticks=(25, 45),
             quick=state == "joint_pos",
         )
         for state in _SENSORS
     ),
-    _sensing("infinity in joint_vel", _NO_LONGER, fault={"set": {"joint_vel": 1e39}}, flow=WALK),
+    _sensing(
+        "infinity in joint_vel",
+        _NO_LONGER,
+        fault={"set": {"joint_vel": 1e39}},
+        flow=WALK,
+        ticks=(25, 45),
+    ),
     _sensing("the policy gives NaN", _NO_LONGER, flow=NAN),
     _sensing(
         "the policy gives 1e30 rad",

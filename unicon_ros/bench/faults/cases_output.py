@@ -50,15 +50,17 @@ CASES = (
         outside=_ctrl_s,
         output="terminal",
         duration=2.6,
+        spread=0,
     ),
     _output(
         "a pipe that nobody reads; refused messages are warned of",
         _GOES_ON,
         arguments=("--ros",),
         duration=12.0,
-        peer=("commander", "nan"),
+        peer=("commander", "nan", "30"),
         outside=_fill_the_pipe,
         output="pipe",
+        spread=0,
     ),
     _output(
         "NaN, stdout closed (`unicon run … | true`)",
@@ -85,6 +87,7 @@ CASES = (
         Wants(most=0, closed=False, status=(-9,), report=False, lost_s=1.2),
         fault={"signals": ["SIGKILL"]},
         at=150,
+        spread=0,
         duration=4.0,
         arguments=_RECORD,
     ),
@@ -94,5 +97,6 @@ CASES = (
         duration=4.0,
         arguments=_RECORD,
         file_limit=1 << 18,
+        spread=0,
     ),
 )

@@ -44,7 +44,10 @@ KNEE = {"go2": 5, "g1": 3}
 """A joint that moves far in each step: FL_calf, left_knee."""
 SWAPPED = {"go2": [3, 5], "g1": [0, 3]}
 """Hip and calf, hip pitch and knee."""
-RAISED = ("Fault", "ValueError", "MemoryError", "RecursionError", "SystemExit", "KeyboardInterrupt")
+RAISED = (
+    *("Fault", "ValueError", "StopIteration", "MemoryError", "RecursionError"),
+    *("SystemExit", "KeyboardInterrupt", "GeneratorExit"),
+)
 HOUR = 3_600_000_000_000
 
 
@@ -123,6 +126,7 @@ HARDWARE = (
     _hardware("a motor at 120 °C", reason="motor_temp", fault=_set("motor_temperature", 120.0, 2)),
     _hardware("NaN in motor_temperature", reason="nan", fault=_set("motor_temperature", "nan")),
     _hardware("a motor tells an error", reason="motor_error", fault=_set("motor_error", 7, 5)),
+    _hardware("NaN in battery_charge", reason="nan", fault=_set("battery_charge", "nan")),
     _hardware("the battery is empty", reason="battery", fault=_set("battery_charge", 0.01)),
 )
 
@@ -190,6 +194,12 @@ POSTURE = (
         also=({"height_stop": {"lowest": 0.05}},),
     ),
     _body(
+        "NaN in base_pos_w, height_stop",
+        reason="base_pos_w",
+        fault=_set("base_pos_w", "nan"),
+        also=({"height_stop": {"lowest": 0.05}},),
+    ),
+    _body(
         "a joint is 1 rad past its limit", reason="joint_pos", fault=_set("joint_pos", 4.5, KNEE)
     ),
     _body("a joint turns at 300 rad/s", reason="joint_vel", fault=_set("joint_vel", 300.0, KNEE)),
@@ -250,6 +260,27 @@ COMPOSITES: dict[str, Any] = {
     "zip": {"zip": ["{walk}", {f"{BLOCKS}:nothing": {}}]},
     "switch": {"switch": {"on": {"commanded": {}}, "cases": {"no": {"hold": {}}, "yes": "{walk}"}}},
     "every": {"every": {"n": 2, "do": "{walk}"}},
+    "when": {"when": {"if": "projected_gravity[2] < 0.0", "do": "{walk}"}},
+    "deferred": {"zip": ["{walk}", {"deferred": {f"{BLOCKS}:nothing": {}}}]},
+    "chain of a loop of a switch of a zip": {
+        "chain": [
+            {"hold": {"duration": 0.1}},
+            {
+                "loop": {
+                    "do": {
+                        "switch": {
+                            "on": {"commanded": {}},
+                            "cases": {
+                                "no": {"hold": {}},
+                                "yes": {"zip": ["{walk}", {f"{BLOCKS}:nothing": {}}]},
+                            },
+                        }
+                    },
+                    "until": _ONCE,
+                }
+            },
+        ]
+    },
 }
 ESTOP = (
     *(_estop(f"in a {word}", flow=flow, quick=word == "loop") for word, flow in COMPOSITES.items()),

@@ -69,3 +69,7 @@ class CommandLog:
     def of(self, kind: int) -> NDArray[Any]:
         """Return a copy of the rows of a kind, as they are at this moment."""
         return np.array(self.rows[self.rows["kind"] == kind])
+
+    def driven(self, speed: float) -> int:
+        """Return how many commands had this forward velocity command in [m/s]."""
+        return int(np.count_nonzero(np.abs(self.of(SEND)["velocity"][:, 0] - speed) < 1e-3))

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 from unicon_core.errors import UniconError
 from unicon_ros.bench.faults.case import Case, Measured
@@ -16,6 +16,9 @@ from unicon_ros.bench.report import Bench, machine
 __all__ = ["FaultBench", "escaped", "write_table"]
 
 BEGIN, END = "<!-- unicon bench faults: begin -->", "<!-- unicon bench faults: end -->"
+Rows: TypeAlias = Mapping[str, Sequence[str]]
+"""Cells of each row behind its name, as Markdown."""
+
 _SIMULATED_HEAD = ("fault", "outcome", *ROBOTS, "reason", "holds")
 _HEAD = ("fault", "commands after", "ticks", "reaction", "status", "reason", "on disk", "holds")
 
@@ -65,6 +68,8 @@ class FaultBench(Bench):
             "robot": "go2",
             "ticks": [*before.get("ticks", []), case.at],
             "outcome": case.outcome,
+            "with": case.marks,
+            "declared": {k: v for k, v in vars(case.wants).items() if v not in (None, "", ())},
             "reaction_ticks": got.ticks,
             "commands_after": got.commands,
             "reaction": reaction(case.wants, got, case.topics),
@@ -104,21 +109,24 @@ class FaultBench(Bench):
         lines += ["", *(f"{name}  {value}" for name, value in self.facts.items())]
         return "\n".join(lines)
 
-    def markdown(self) -> str:
-        """Return the rows as two Markdown tables: in MuJoCo, and as processes."""
+    def rows(self) -> tuple[Rows, Rows]:
+        """Return the rows of two Markdown tables by name: in MuJoCo, and as processes."""
         cases: dict[str, Any] = self.cases
-        processes = {name: case for name, case in cases.items() if not _in_mujoco(case)}
-        rows = [(words, *_cells(case), _yes(case)) for words, case in processes.items()]
-        return "\n\n".join((_table(_SIMULATED_HEAD, self._by_fault()), _table(_HEAD, rows)))
+        processes = {
+            name: [*map(escaped, _cells(case)), _yes(case)]
+            for name, case in cases.items()
+            if not _in_mujoco(case)
+        }
+        return self._by_fault(), processes
 
-    def _by_fault(self) -> list[tuple[str, ...]]:
+    def _by_fault(self) -> Rows:
         """Return the rows of the faults in MuJoCo, both robots in one."""
         robots: dict[str, dict[str, Any]] = {}
         for name, case in self.cases.items():
             if _in_mujoco(case):
                 row, _, robot = name.rpartition(", ")
                 robots.setdefault(row, {})[robot] = case
-        rows = []
+        rows = {}
         for row, of in robots.items():
             first = next(iter(of.values()))
             damps = first["outcome"] in ("damp", "soft")
@@ -129,12 +137,20 @@ class FaultBench(Bench):
                 for robot in ROBOTS
             ]
             holds = "yes" if all(case["holds"] for case in of.values()) else "**no**"
-            rows.append((row, first["outcome"], *taken, _short(first["reason"]), holds))
+            rows[row] = [first["outcome"], *taken, escaped(_short(first["reason"])), holds]
         return rows
 
 
-def write_table(bench: FaultBench, path: Path) -> None:
-    """Replace the table in a document, between two comments.
+def write_table(
+    bench: FaultBench, path: Path, simulated: Sequence[str], processes: Sequence[str]
+) -> None:
+    """Write the tables in a document, between two comments; rows that were not run now stay.
+
+    Args:
+        bench: what was run.
+        path: the document.
+        simulated: names of all cases in MuJoCo, in the order of the table.
+        processes: names of all others.
 
     Raises:
         UniconError: it cannot be read or written, or has no such comments.
@@ -147,8 +163,15 @@ def write_table(bench: FaultBench, path: Path) -> None:
     _, end, tail = rest.partition(END)
     if not (begin and end):
         raise UniconError(f"{path} has no place for the table; add the lines {BEGIN} and {END}")
-    told = f"{machine()}; {bench.facts['cases that hold']} hold."
-    table = f"{head}{BEGIN}\n{told}\n\n{bench.markdown()}\n{END}{tail}"
+    before, orders, heads = _rows_of(rest), (simulated, processes), (_SIMULATED_HEAD, _HEAD)
+    tables = [
+        {name: now.get(name) or stood[name] for name in order if name in now or name in stood}
+        for now, stood, order in zip(bench.rows(), before, orders)
+    ]
+    held = sum(row[-1] == "yes" for table in tables for row in table.values())
+    told = f"{machine()}; {held} of {sum(map(len, tables))} faults hold."
+    text = "\n\n".join(map(_table, heads, tables))
+    table = f"{head}{BEGIN}\n{told}\n\n{text}\n{END}{tail}"
     try:
         path.write_text(table, encoding="utf-8")
     except OSError as error:
@@ -174,17 +197,35 @@ def _yes(case: Any) -> str:
     return "yes" if case["holds"] else "**no**"
 
 
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+def _table(head: Sequence[str], rows: Rows) -> str:
     """Return rows as a Markdown table, a line for each group; a name is `group: words`."""
     lines: list[Sequence[str]] = [head, ("---",) * len(head)]
     group = ""
-    for name, *cells in rows:
+    for name, cells in rows.items():
         of, _, words = name.partition(": ")
         if of != group:
             group = of
             lines.append((f"**{of}**", *("" for _ in head[1:])))
-        lines.append((words, *cells))
-    return "\n".join(f"| {' | '.join(map(escaped, line))} |" for line in lines)
+        lines.append((escaped(words), *cells))
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def _rows_of(text: str) -> tuple[Rows, Rows]:
+    """Return the rows of the two tables that stand in a document, as `_table` writes them."""
+    simulated: dict[str, list[str]] = {}
+    processes: dict[str, list[str]] = {}
+    group, table = "", simulated
+    for line in text.partition(END)[0].splitlines():
+        if not line.startswith("| "):
+            continue
+        name, *cells = line.removeprefix("| ").removesuffix(" |").split(" | ")
+        if name == _HEAD[0]:
+            table = simulated if (name, *cells) == _SIMULATED_HEAD else processes
+        elif name.startswith("**"):
+            group = name.strip("*")
+        elif name != "---":
+            table[f"{group}: {_plain(name)}"] = cells
+    return simulated, processes
 
 
 def _verdict(case: Any) -> str:
@@ -198,6 +239,11 @@ def _short(text: str, most: int = 80) -> str:
 def escaped(cell: str) -> str:
     """Return a text as a cell of a Markdown table."""
     return cell.replace("|", "\\|").replace("<", "&lt;")
+
+
+def _plain(cell: str) -> str:
+    """Return the text of a cell."""
+    return cell.replace("\\|", "|").replace("&lt;", "<")
 
 
 def _rounded(value: float | None) -> float | None:

@@ -20,12 +20,14 @@ from unicon_ros.bench.faults.case import Case
 from unicon_ros.bench.faults.command_log import CLOSE, RECV, SEND, CommandLog
 from unicon_ros.bench.loops import die_with_parent
 
-__all__ = ["PLATFORM", "FaultRun"]
+__all__ = ["PLATFORM", "SIMULATOR", "FaultRun"]
 
 PLATFORM = "unicon_ros.bench.faults.recording_platform:RecordingPlatform"
+SIMULATOR = "unicon_ros.bench.faults.recording_platform:RecordingSimulator"
 PEERS = "unicon_ros.bench.faults.peers"
 START = 40.0  # s in which the first command must have left
 LINGER = 10.0  # s beyond its duration after which a run is killed
+AFTERWARDS = 2.6  # s in which is seen what comes of a peer that was killed
 _NODE = "import sys; from unicon_ros.node_main import main; sys.exit(main())"
 
 
@@ -51,6 +53,7 @@ class FaultRun:
         self.peer_log = CommandLog(folder / "peer.log", create=True)
         self.fault_ns = self.ended_ns = 0
         self.terminal = self.stream = -1
+        self._workflow = folder / "workflow.yaml"
         self.process: subprocess.Popen[bytes]
         self._peer: subprocess.Popen[bytes] | None = None
         self._environment = loopback_environment() | {"UNICON_FAULTS": str(folder / "faults")}
@@ -64,8 +67,9 @@ class FaultRun:
         """Run to the end; return the exit status, None where it had to be killed."""
         case = self.case
         with ExitStack() as stack:
+            self._workflow.write_text(json.dumps(self._described()), encoding="utf-8")
             if case.peer:
-                module, *arguments = case.peer
+                module, *arguments = map(self._filled, case.peer)
                 files = [str(self.peer_log.path), str(self.log.path)]
                 command = [sys.executable, "-m", f"{PEERS}.{module}", *files, *arguments]
                 out, _ = stack.enter_context(_output("file", self.folder / "peer.txt"))
@@ -110,6 +114,8 @@ class FaultRun:
             case.outside(self)
         if peer is not None:  # it does the fault, then all is over
             self.wait_for(lambda: peer.poll() is not None)
+            if peer.poll() == -signal.SIGKILL:  # which is the fault
+                self.wait_for(lambda: False, AFTERWARDS)
             patience = LINGER
             if self.log.of(CLOSE).size:  # it is ending by itself
                 self.wait_for(lambda: self.process.poll() is not None, LINGER)
@@ -123,30 +129,42 @@ class FaultRun:
         return status
 
     def _command(self) -> list[str]:
-        case = self.case
-        path = self.folder / "workflow.yaml"
-        path.write_text(json.dumps(self._workflow()), encoding="utf-8")
-        arguments = [word.replace("{folder}", str(self.folder)) for word in case.arguments]
+        case, path = self.case, self._workflow
+        arguments = list(map(self._filled, case.arguments))
         if case.node:
             own = ["--ros-args", "-p", f"workflow:={path}", "-p", "exit_on_fault:=true"]
             return [sys.executable, "-c", _NODE, *own, *arguments]
         module, first = "unicon_ros", list[str]()
         if case.failing:
             module = "unicon_ros.bench.faults.failing_middleware"
-            first = [str(self.log.path), case.failing]
+            first = [str(self.log.path), case.failing, str(case.at)]
         head = [sys.executable, "-m", module, *first, "run", str(path)]
         report = str(self.folder / "report.json")
         return [*head, "--duration", str(case.duration), "--report", report, *arguments]
 
-    def _workflow(self) -> dict[str, Any]:
+    def _filled(self, word: str) -> str:
+        """Return a word of a command line with what is known by now."""
+        at = self.case.at
+        known = {
+            "folder": self.folder,
+            "workflow": self._workflow,
+            "at": at,
+            "later": at + 20,
+        }
+        for name, value in known.items():
+            word = word.replace(f"{{{name}}}", str(value))
+        return word
+
+    def _described(self) -> dict[str, Any]:
+        """Return the workflow."""
         case, log = self.case, str(self.log.path)
-        platform = "ros" if case.topics else PLATFORM
+        platform = "ros" if case.topics else SIMULATOR if case.mujoco else PLATFORM
         options: dict[str, Any] = {"log": log, "fault": case.fault, "at": case.at}
         values: dict[str, Any] = {
             "robot": "go2",
             "start": "none",  # faults count from the first command on
             "platform": platform,
-            "platforms": {} if case.topics else {PLATFORM: options},
+            "platforms": {} if case.topics else {platform: options},
             "rate": 50,
             "commands": [{"velocity_command": {"constant": [0.1, 0.0, 0.0]}}],
             "policies": {"walk": "go2_velocity"},
@@ -158,7 +176,10 @@ class FaultRun:
             values["safety"] = {"only": values["safety"]}
         if not case.uses_policy:
             del values["policies"]
+        if case.mujoco:
+            values["scene"] = {"initial_pose": "stand"}
         text = json.dumps(values).replace("{log}", log).replace('"{at}"', str(case.at))
+        text = text.replace("{name}", self.folder.name)
         filled: dict[str, Any] = json.loads(text)
         return filled
 

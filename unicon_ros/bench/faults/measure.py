@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 import unicon_ros
 from unicon_core.robots import load_robot
+from unicon_ros.bench.faults.blocks import swing
 from unicon_ros.bench.faults.case import Measured
 from unicon_ros.bench.faults.command_log import CLOSE, FAULT, RECV, SEND
 from unicon_ros.bench.faults.damping_judge import TOLERANCE, Commands, beyond_damping
@@ -20,6 +21,7 @@ from unicon_ros.bench.faults.on_disk import recorded_span, report_of, what_is_th
 
 __all__ = ["measure"]
 
+_STANDS = 10  # ticks
 _BUSY = 0.2  # s by which a busy machine may be late with the end of the blend
 
 
@@ -37,6 +39,7 @@ def measure(run: FaultRun, status: int | None) -> Measured:
         got.reason = got.reason.replace(f"{folder}/", "")
     sent, fault = run.motors.of(SEND), _fault_ns(run)
     if not fault:
+        got.reached = False
         got.reason = got.reason or "the fault was never reached"
         return got
     after = sent[sent["time"] > fault]
@@ -62,6 +65,10 @@ def measure(run: FaultRun, status: int | None) -> Measured:
     times = np.concatenate(([fault], moving["time"]))
     got.gap_ms = float(np.diff(times).max(initial=0)) * 1e-6
     _velocity(got, after, fault)
+    _standing(got, after[~damping], fault)
+    _wobbling(got, after[~damping])
+    of_topics = report.get("bridge", {}).get("topics", {}).values()
+    got.refused = sum(int(topic.get("rejected", 0)) for topic in of_topics)
     _recording(got, run, sent)
     return got
 
@@ -132,6 +139,30 @@ def _velocity(got: Measured, after: NDArray[Any], fault: int) -> None:
     first = driven[-1] + 1 if len(driven) else 0
     if first < len(after):  # it stays zero from there on
         got.zero_ms = (int(after["time"][first]) - fault) * 1e-6
+
+
+def _standing(got: Measured, rows: NDArray[Any], fault: int) -> None:
+    """Tell since when the targets have not moved, if for some ticks at least."""
+    moves = np.abs(np.diff(rows["target"], axis=0)).max(axis=1, initial=0.0) > 1e-6
+    last = int(np.flatnonzero(moves)[-1]) + 1 if moves.any() else 0
+    if len(rows) - last > _STANDS:
+        got.stands_ms = (int(rows["time"][last]) - fault) * 1e-6
+
+
+def _wobbling(got: Measured, rows: NDArray[Any]) -> None:
+    """Count the commands that `wobble` did not give so, and tell the factors of their gains."""
+    if not len(rows):
+        return
+    robot = load_robot("go2")
+    offset = np.array([swing(float(tick)) for tick in rows["tick"]])
+    wrong = np.abs(rows["target"] - robot.default_joint_pos - offset[:, None]) > TOLERANCE
+    wrong |= (rows["speed"] != 0.0) | (rows["effort"] != 0.0)
+    got.changed = int(np.count_nonzero(wrong.any(axis=1)))
+    last = rows[-1]
+    got.gains = (
+        float(np.median(last["stiffness"] / robot.joint_stiffness)),
+        float(np.median(last["damping"] / robot.joint_damping)),
+    )
 
 
 def _recording(got: Measured, run: FaultRun, sent: NDArray[Any]) -> None:

@@ -1,8 +1,10 @@
 """A platform that logs every command that leaves, and does at a given tick what robots do at worst.
 
     platform: unicon_ros.bench.faults.recording_platform:RecordingPlatform
+    platform: unicon_ros.bench.faults.recording_platform:RecordingSimulator
 
-Behind it stands the fake robot. It counts as hardware: what is refused on a robot is refused here.
+Behind the first stands the fake robot. It counts as hardware: what is refused on a robot is refused
+here. Behind the second stands MuJoCo.
 """
 
 from __future__ import annotations
@@ -20,11 +22,13 @@ import numpy as np
 
 from unicon_core.errors import Fault
 from unicon_core.platforms.fake import FakeRobot, make_robot
+from unicon_core.platforms.kit.scene import Scene
+from unicon_core.platforms.platform import SIMULATED, Facts, Platform
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_ros.bench.faults.command_log import CLOSE, FAULT, OPEN, RECV, SEND, CommandLog
 
-__all__ = ["RecordingPlatform"]
+__all__ = ["RecordingPlatform", "RecordingSimulator"]
 
 
 class RecordingPlatform:
@@ -59,7 +63,12 @@ class RecordingPlatform:
         fault: dict[str, Any] | None = None,
         at: int = 25,
     ) -> None:
-        self._robot = make_robot(states, robot, period, time_constant=0.05)
+        self._open(make_robot(states, robot, period, time_constant=0.05), states, log, fault, at)
+
+    def _open(
+        self, behind: Platform, states: States, log: str, fault: dict[str, Any] | None, at: int
+    ) -> None:
+        self._behind = behind
         self._states, self._fault, self._at = states, fault or {}, at
         self._log = CommandLog(Path(log))
         self._where = self._fault.get("in", "recv")
@@ -71,7 +80,7 @@ class RecordingPlatform:
     def recv(self) -> None:
         """Bring the fake robot's data, or what the fault makes of them."""
         self._log.add(RECV, self._tick)
-        self._robot.recv()
+        self._behind.recv()
         if self._tick >= self._at and self._fault:
             self._go_wrong(first=self._tick == self._at)
         for name, value in self._frozen.items():
@@ -99,7 +108,7 @@ class RecordingPlatform:
             velocity=states.velocity_command,
         )
         if np.isfinite(states.joint_pos_target).all():
-            self._robot.send()
+            self._behind.send()
 
     def close(self) -> None:
         """Log that motors would be damped now."""
@@ -138,3 +147,24 @@ class RecordingPlatform:
     def _raise(self) -> None:
         if name := self._fault.get("raise"):
             raise getattr(builtins, name, Fault)(f"made by the bench in {self._where}")
+
+
+class RecordingSimulator(RecordingPlatform):
+    """MuJoCo behind a command log; arguments and faults are those of the other."""
+
+    facts = Facts("recording", simulated=True, writes=SIMULATED)
+
+    def __init__(
+        self,
+        states: States,
+        robot: Robot,
+        period: float,
+        *,
+        scene: Scene | None = None,
+        log: str,
+        fault: dict[str, Any] | None = None,
+        at: int = 25,
+    ) -> None:
+        from unicon_core.platforms.sim.mujoco.platform import make  # mujoco may be absent
+
+        self._open(make(states, robot, period, scene=scene), states, log, fault, at)

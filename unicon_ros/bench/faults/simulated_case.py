@@ -13,15 +13,13 @@ import numpy as np
 from unicon_core.errors import UniconError
 from unicon_core.resources import find_resource
 from unicon_core.workflow.safety_set import ROBOT_SAFETY
+from unicon_ros.bench.faults.case import TICKS
 from unicon_ros.bench.faults.mishaps import Mishap
 from unicon_ros.bench.faults.simulated_platform import MODULE
 
-__all__ = ["ROBOTS", "TICKS", "Outcome", "SimulatedCase", "able"]
+__all__ = ["ROBOTS", "Outcome", "SimulatedCase", "able"]
 
 Outcome = Literal["refuse", "go on", "zero command", "soft", "damp"]
-
-TICKS = 5
-"""Random ticks at which each fault is put into each robot."""
 
 ROBOTS: dict[str, dict[str, Any]] = {
     "go2": {

@@ -1,8 +1,9 @@
-"""A robot behind topics for platform `ros`, which logs commands. Arguments: LOG RUNS_LOG FAULT.
+"""A robot behind topics for platform `ros`, which logs commands. Arguments: LOG RUNS_LOG FAULT AT.
 
 FAULT is one of `nan`, `subset`, `far` (1e30, then silence), `silence`, `imu_nan`, `imu_silence`,
-`imu_never`, `quat_zero`, `another` (robot), `killed` (by SIGKILL), `good`. It comes after 40
-commands; `imu_never` and `another` from the beginning.
+`imu_never`, `quat_zero`, `another` (robot), `killed` (by SIGKILL), `garbage` and `imu_garbage`
+(bytes that are not a message), `good`. It comes after AT commands; `imu_never` and `another` from
+the beginning.
 """
 
 from __future__ import annotations
@@ -16,10 +17,12 @@ from typing import Any
 
 import numpy as np
 import rclpy
+from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Imu, JointState
 
 from unicon_core.robots import load_robot
 from unicon_ros.bench.faults.command_log import FAULT, SEND, CommandLog
+from unicon_ros.bench.faults.peers.noise import garbage
 
 FAR_S = 0.2
 
@@ -27,8 +30,9 @@ FAR_S = 0.2
 class Robot:
     """Publishes states at 200 Hz; its joints are where they were told to be."""
 
-    def __init__(self, log: CommandLog, fault: str) -> None:
-        self._log, self._fault = log, fault
+    def __init__(self, log: CommandLog, fault: str, at: int) -> None:
+        self._log, self._fault, self._at = log, fault, at
+        self._rng = np.random.default_rng(at)
         self._since = 0.0
         self._commands = 0
         self._names = list(load_robot("go2").joint_names)
@@ -46,7 +50,7 @@ class Robot:
         self._commands += 1
         if np.isfinite(target).all() and not self._since:
             self._pos = [float(x) for x in target]
-        if self._commands == 40:
+        if self._commands == self._at:
             self._since = time.monotonic()
             if self._fault != "good":
                 self._log.add(FAULT)
@@ -69,7 +73,7 @@ class Robot:
             states.position = [1e30] * len(self._names)
         quiet = fault == "far" and time.monotonic() > self._since + FAR_S
         if fault != "silence" and not quiet:
-            self._states.publish(states)
+            self._publish(self._states, states, fault == "garbage")
         if self._fault == "imu_never" or fault == "imu_silence":
             return
         imu = Imu()
@@ -78,7 +82,11 @@ class Robot:
         imu.linear_acceleration.z = 9.81
         if fault == "imu_nan":
             imu.angular_velocity.x = imu.orientation.w = float("nan")
-        self._imu.publish(imu)
+        self._publish(self._imu, imu, fault == "imu_garbage")
+
+    def _publish(self, publisher: Any, message: Any, spoilt: bool) -> None:
+        raw = serialize_message(message) if spoilt else b""
+        publisher.publish(garbage(self._rng, raw) if spoilt else message)
 
 
 def main() -> None:
@@ -87,7 +95,7 @@ def main() -> None:
     if sys.argv[3] in ("imu_never", "another"):
         log.add(FAULT)
     rclpy.init()
-    rclpy.spin(Robot(log, sys.argv[3]).node)
+    rclpy.spin(Robot(log, sys.argv[3], int(sys.argv[4])).node)
 
 
 main()
