@@ -6,6 +6,10 @@ it. Errors of ours are what it may raise; everything else is a finding.
 
 from __future__ import annotations
 
+import contextlib
+import copy
+import io
+import os
 import random
 import shutil
 import tempfile
@@ -19,9 +23,16 @@ import numpy as np
 import yaml
 from mutate import mutate_bytes, mutate_mcap, mutate_onnx, mutate_text, mutate_tree, to_text
 from seeds import (
+    ARGUMENTS,
     DEPLOY,
+    ENCODINGS,
     ENV,
+    INCLUDED,
     LEGGED_GYM,
+    ONE_BLOCK,
+    PLATFORMS,
+    SAFETY,
+    SCENES,
     SET_PATHS,
     STARTS,
     URDF,
@@ -30,16 +41,20 @@ from seeds import (
 )
 
 from unicon_core.check import check_workflow
-from unicon_core.errors import Fault
+from unicon_core.errors import Fault, UniconError
 from unicon_core.models.load import load_model
 from unicon_core.models.loaded import import_mujoco
 from unicon_core.policies import Policy, load_policy, policy_states, policy_table
+from unicon_core.preflight import wiggle
 from unicon_core.robots import load_robot, robot_table
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.show import show_text
 from unicon_core.states import Layout, States, standard_states
-from unicon_core.workflow import load_workflow
+from unicon_core.workflow import load_document, load_workflow
+from unicon_core.workflow.platform_use import read_platform
 from unicon_msgs_map import Decoder, Encoder, load_map
+from unicon_ros.cli import main as cli
+from unicon_ros.cli import preflight as looked
 from unicon_ros.recorder import Recorder
 from unicon_ros.recording import open_record, recover
 
@@ -88,8 +103,10 @@ def write(path: Path, text: str, dice: random.Random) -> None:
     path.write_bytes(raw if way < 0.92 else mutate_bytes(raw, dice))
 
 
-def whole(path: Path, overrides: tuple[str, ...] = (), platform: str = "fake") -> object:
-    """Check a workflow, and build it as `show` and `run` do."""
+def whole(
+    path: Path, overrides: tuple[str, ...] = (), platform: str = "fake", ticks: int = 0
+) -> object:
+    """Check a workflow, build it as `show` and `run` do, and run it for some ticks."""
     overrides = (*overrides, f"platform={platform}")
     check_workflow(path, overrides)
     workflow = load_workflow(path, overrides)
@@ -101,10 +118,13 @@ def whole(path: Path, overrides: tuple[str, ...] = (), platform: str = "fake") -
             robot=workflow.robot,
             policies=workflow.policies,
         )
-        speed = "max" if platform == "fake" else "real"
-        Runner(workflow, RunOptions(speed=speed, capacity=16)).graph.warm_up()  # type: ignore[arg-type]
+        speed = "real" if platform == "fake_robot" else "max"
+        graph = Runner(workflow, RunOptions(speed=speed, capacity=16)).graph  # type: ignore[arg-type]
+        graph.warm_up()
         for gate in workflow.gates:
             gate()
+        for _ in range(ticks):
+            graph.step()
     finally:
         workflow.close()
     return workflow
@@ -134,14 +154,20 @@ def set_values(dice: random.Random, folder: Path) -> Reader:
 def robot(dice: random.Random, folder: Path) -> Reader:
     name, text = dice.choice(seeds_of("robots"))
     path = folder / name
-    write(path, text, dice)
+    if dice.random() < 0.4:  # the robot's wire alone
+        values = copy.deepcopy(tree(text))
+        values["transport"] = mutate_tree(values["transport"], dice)
+        path.write_text(to_text(values), "utf-8")
+    else:
+        write(path, text, dice)
     flow = folder / "workflow.yaml"
     flow.write_text(f"robot: ./{name}\nplatform: fake\nrate: 50\nflow: hold\n", "utf-8")
+    platform = dice.choice(("fake", "fake_robot"))
 
     def read() -> object:
         found = load_robot(path)
         robot_table(found)
-        return whole(flow)
+        return whole(flow, platform=platform)
 
     return read
 
@@ -302,6 +328,72 @@ def fault_record(dice: random.Random, folder: Path) -> Reader:
     return read
 
 
+def safety(dice: random.Random, folder: Path) -> Reader:
+    """One to three safety blocks with mutated options, ticked a few times; and `safety:` itself."""
+    path = folder / "workflow.yaml"
+    blocks = [mutate_options(dice.choice(SAFETY), dice) for _ in range(dice.choice((1, 1, 2, 3)))]
+    form: Any = {"only": blocks} if dice.random() < 0.3 else blocks
+    if dice.random() < 0.1:
+        form = mutate_tree({"only": blocks}, dice)
+    path.write_text(ONE_BLOCK + to_text({"safety": form}), "utf-8")
+    bounds(folder)
+    platform = dice.choice(("fake", "fake_robot"))
+    return lambda: whole(path, platform=platform, ticks=5)
+
+
+def mutate_options(use: str, dice: random.Random) -> Any:
+    """Return a block of a workflow, mostly with changed options, sometimes changed itself."""
+    block = tree(use)
+    if dice.random() < 0.2 or not isinstance(block, dict):
+        return mutate_tree(block, dice)
+    return {name: mutate_tree(options, dice) for name, options in block.items()}
+
+
+def scene(dice: random.Random, folder: Path) -> Reader:
+    """What disturbs a simulation, and platforms in a process of their own."""
+    path = folder / "workflow.yaml"
+    if dice.random() < 0.3:
+        write(path, dice.choice(PLATFORMS), dice)
+        # No process is started here.
+        return lambda: read_platform(load_document(path, ()))
+    write(path, dice.choice(SCENES), dice)
+    import_mujoco()
+    platform = dice.choice(("fake", "mujoco"))
+    return lambda: whole(path, platform=platform, ticks=2)
+
+
+def preflight(dice: random.Random, folder: Path) -> Reader:
+    """Arguments of `unicon preflight`, whose times are cut short; where it moves joints too."""
+    path = folder / "workflow.yaml"
+    path.write_text(STARTS.replace("rate: 50", "rate: 500"), "utf-8")
+    bounds(folder)
+    arguments = [os.fspath(path), "--seconds", "0.01"]
+    for _ in range(dice.choice((1, 2, 2, 3, 4))):
+        arguments += dice.choice(ARGUMENTS)
+        if dice.random() < 0.1 and arguments[-2] != "--json":
+            arguments[-1] = mutate_bytes(arguments[-1].encode(), dice).decode("utf-8", "replace")
+    import_mujoco()
+    looked.SHORTEST, looked.LONGEST = 0.01, 0.1
+    wiggle.SETTLE = wiggle.PAUSE = wiggle.SECONDS = 0.004
+
+    def read() -> object:
+        begun = time.process_time()
+        told = io.StringIO()
+        with contextlib.redirect_stdout(told), contextlib.redirect_stderr(told):
+            try:
+                given = cli._parser().parse_args(["preflight", *arguments])
+                status = given.function(given)
+            except SystemExit as error:
+                raise UniconError("usage") from error
+        # While a platform is open the signal of the alarm ends the command like any other.
+        assert time.process_time() - begun < 5.0, "a hang"
+        if status:
+            raise UniconError(f"status {status}")
+        return told
+
+    return read
+
+
 @cache
 def models() -> tuple[tuple[str, str], ...]:
     mjcf = next((CONFIG / "models" / "go2").glob("*.xml")).read_text("utf-8")
@@ -321,7 +413,13 @@ def model(dice: random.Random, folder: Path) -> Reader:
             text = text[:at] + snippet + text[at:].replace('name="', 'name="&l11;&e;', 1)
         else:
             text = text[:at] + snippet + text[at:]
-    raw = text.encode("utf-8")
+    for other, inside in INCLUDED.items():
+        (folder / other).write_text(inside, "utf-8")
+    os.mkfifo(folder / "pipe.xml")
+    encoding = dice.choice(ENCODINGS) if dice.random() < 0.15 else "utf-8"
+    if dice.random() < 0.5:
+        text = text.replace('encoding="utf-8"', f'encoding="{encoding}"')
+    raw = text.encode(encoding, "replace")
     path.write_bytes(mutate_bytes(raw, dice) if dice.random() < 0.2 else raw)
     import_mujoco()  # loads its libraries before anybody watches
     go2 = load_robot("go2")
@@ -340,4 +438,7 @@ KINDS: dict[str, Callable[[random.Random, Path], Reader]] = {
     "start": start,
     "record": fault_record,
     "model": model,
+    "safety": safety,
+    "scene": scene,
+    "preflight": preflight,
 }
