@@ -110,6 +110,20 @@ def test_no_encoding_hides_entities(tmp_path: Path, encoding: str, name: str) ->
     assert "no joint" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "<a" * 1_000_000,
+        '<a "' * 500_000,
+        "<!--" * 500_000,
+        f"<a {'b ' * 500_000}>",
+        "".join(f'<compiler meshdir="{k}"/><a file="{k}"/>' for k in range(9000)),
+    ],
+)
+def test_a_file_that_is_no_model_is_soon_refused(tmp_path: Path, text: str) -> None:
+    refused(tmp_path / "m.xml", text)
+
+
 def test_elements_without_end_that_are_mended_are_refused(tmp_path: Path) -> None:
     twice = '<link name="a"><visual><origin/><origin/></visual></link>'
     deep = f'<robot name="r">{twice}{"<a>" * 5000}{"</a>" * 5000}</robot>'

@@ -35,6 +35,8 @@ BYTES = 64 * 2**20
 """Of one file of XML: meshes written into it are some MB."""
 DEPTH = 50
 """Of files that include or attach others."""
+FOLDERS = 20
+"""In which all files are looked for: `meshdir`, `texturedir`, `assetdir`."""
 
 # Cut as MuJoCo's own parser does, so that nothing hides in a comment or in quotes. What has no end
 # matches too: nothing is looked at twice.
@@ -107,9 +109,7 @@ class _Reader:
         if path in self._sizes:
             return self._sizes[path]
         tags = list(self._tags(path, path, above))
-        folders = {path.parent}
-        for _, given, _, _ in tags:
-            folders |= {path.parent / v for key, v in given.items() if key.endswith("dir")}
+        folders = self._folders(path, tags)
         models: dict[str | None, float] = {}
         for name, given, closes, _ in tags:
             if closes:
@@ -121,6 +121,15 @@ class _Reader:
                 models[given.get("name")] = sum(self.size(file, (*above, path)) for file in found)
         self._sizes[path] = self._counted(tags, models)
         return self._sizes[path]
+
+    def _folders(self, path: Path, tags: list[Tag]) -> set[Path]:
+        folders = {path.parent}
+        for name, given, _, _ in tags:
+            if name == "compiler":
+                folders |= {path.parent / v for key, v in given.items() if key.endswith("dir")}
+        if len(folders) > FOLDERS:
+            raise self._error(f"it names more than {FOLDERS} folders; leave some out")
+        return folders
 
     def _counted(self, tags: list[Tag], models: dict[str | None, float]) -> float:
         size, copies, times = sum(models.values()), 0.0, [1.0]
@@ -172,16 +181,13 @@ class _Reader:
                 text = path.read_bytes().decode("utf-8", "surrogateescape")
             except OSError:
                 text = ""  # MuJoCo says so
-            self._files[path] = [
-                (
-                    found[2],
-                    _attributes(found[3]),
-                    bool(found[1]),
-                    found[3].endswith("/"),
-                )
-                for found in _TAG.finditer(text)
-                if found[2]
-            ]
+            self._files[path] = tags = []
+            for found in _TAG.finditer(text):
+                if found[2]:
+                    empty = found[3].endswith("/")
+                    tags.append((found[2], _attributes(found[3]), bool(found[1]), empty))
+                if len(tags) > ELEMENTS * 2:
+                    break  # `_tags` refuses it
         return self._files[path]
 
     def _figures(self, name: str, given: dict[str, str]) -> None:
