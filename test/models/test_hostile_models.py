@@ -124,6 +124,13 @@ def test_a_file_that_is_no_model_is_soon_refused(tmp_path: Path, text: str) -> N
     refused(tmp_path / "m.xml", text)
 
 
+def test_a_pipe_or_a_device_is_no_model(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.urdf")
+    for path in (Path("/dev/zero"), tmp_path / "pipe.urdf"):
+        with pytest.raises(ModelError, match="is not a file"):
+            load_model(path, load_robot("go2"), quiet=True)
+
+
 def test_elements_without_end_that_are_mended_are_refused(tmp_path: Path) -> None:
     twice = '<link name="a"><visual><origin/><origin/></visual></link>'
     deep = f'<robot name="r">{twice}{"<a>" * 5000}{"</a>" * 5000}</robot>'

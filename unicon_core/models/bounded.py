@@ -176,6 +176,8 @@ class _Reader:
     def _read(self, path: Path) -> list[Tag]:
         if path not in self._files:
             try:
+                if exists(path) and not isfile(path):
+                    raise self._error("it is not a file; name one")
                 if path.stat().st_size > BYTES:
                     raise self._error(f"{path.name} has more than {BYTES >> 20} MB; make it less")
                 text = path.read_bytes().decode("utf-8", "surrogateescape")

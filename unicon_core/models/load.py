@@ -49,6 +49,7 @@ def load_model(
     """
     mujoco = import_mujoco()
     notes: list[str] = []
+    refuse_endless(path)
     is_urdf = path.suffix.lower() == ".urdf"
     spec = _read(mujoco, path, repaired_urdf(path, notes) if is_urdf else None)
     absent = drop_absent_meshes(spec, path, robot.walks)
@@ -83,7 +84,6 @@ def load_model(
 
 
 def _read(mujoco: Any, path: Path, text: str | None) -> Any:
-    refuse_endless(path)
     with _told(path):
         if text is None:
             return mujoco.MjSpec.from_file(str(path))
