@@ -6,9 +6,7 @@ it. Errors of ours are what it may raise; everything else is a finding.
 
 from __future__ import annotations
 
-import contextlib
 import copy
-import io
 import os
 import random
 import shutil
@@ -20,43 +18,31 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
+from kinds_safety import preflight, safety, scene, start
 from mutate import mutate_bytes, mutate_mcap, mutate_onnx, mutate_text, mutate_tree, to_text
+from reading import Reader, tree, whole, write
 from seeds import (
-    ARGUMENTS,
     DEPLOY,
     ENCODINGS,
     ENV,
     INCLUDED,
     LEGGED_GYM,
-    ONE_BLOCK,
-    PLATFORMS,
-    SAFETY,
-    SCENES,
     SET_PATHS,
-    STARTS,
     URDF,
     WORKFLOWS,
     XML_SNIPPETS,
 )
 
-from unicon_core.check import check_workflow
-from unicon_core.errors import Fault, UniconError
+from unicon_core.errors import Fault
 from unicon_core.models.kinematic_tree import tree_of
 from unicon_core.models.loaded import import_mujoco
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.platforms.sim.mujoco import make as mujoco_platform
 from unicon_core.policies import Policy, load_policy, policy_states, policy_table
-from unicon_core.preflight import wiggle
 from unicon_core.robots import load_robot, robot_table
 from unicon_core.runtime import Runner, RunOptions
-from unicon_core.show import show_text
 from unicon_core.states import Layout, States, standard_states
-from unicon_core.workflow import load_document, load_workflow
-from unicon_core.workflow.platform_use import read_platform
 from unicon_msgs_map import Decoder, Encoder, load_map
-from unicon_ros.cli import main as cli
-from unicon_ros.cli import preflight as looked
 from unicon_ros.recorder import Recorder
 from unicon_ros.recording import open_record, recover
 
@@ -65,72 +51,12 @@ __all__ = ["KINDS"]
 ROOT = Path(__file__).resolve().parents[2]
 CONFIG = ROOT / "config"
 POLICY = CONFIG / "policies" / "go2_velocity"
-Reader = Callable[[], object]
-
-
-class _Tagged(yaml.SafeLoader):
-    """Reads the seeds; tags of Python become what stands below them."""
-
-
-def _plain(loader: Any, suffix: str, node: yaml.Node) -> Any:
-    if isinstance(node, yaml.MappingNode):
-        return loader.construct_mapping(node, deep=True)
-    if isinstance(node, yaml.SequenceNode):
-        return loader.construct_sequence(node, deep=True)
-    return loader.construct_scalar(node)
-
-
-_Tagged.add_multi_constructor("tag:yaml.org,2002:python/", _plain)
-
-
-@cache
-def tree(text: str) -> Any:
-    return yaml.load(text, _Tagged)
 
 
 @cache
 def seeds_of(folder: str) -> tuple[tuple[str, str], ...]:
     files = sorted((CONFIG / folder).glob("*.yaml"))
     return tuple((file.name, file.read_text("utf-8")) for file in files)
-
-
-def write(path: Path, text: str, dice: random.Random) -> None:
-    """Write a mutated YAML file: mostly its tree changed, else its text or its bytes."""
-    way = dice.random()
-    if way < 0.75:
-        text = to_text(mutate_tree(tree(text), dice))
-    elif way < 0.92:
-        text = mutate_text(text, dice)
-    raw = text.encode("utf-8", "surrogatepass")
-    path.write_bytes(raw if way < 0.92 else mutate_bytes(raw, dice))
-
-
-def whole(
-    path: Path, overrides: tuple[str, ...] = (), platform: str = "fake", ticks: int = 0
-) -> object:
-    """Check a workflow, build it as `show` and `run` do, and run it for some ticks."""
-    overrides = (*overrides, f"platform={platform}")
-    check_workflow(path, overrides)
-    workflow = load_workflow(path, overrides)
-    try:
-        show_text(
-            workflow.root,
-            workflow.states,
-            workflow.critical,
-            robot=workflow.robot,
-            policies=workflow.policies,
-        )
-        speed = "real" if platform == "fake_robot" else "max"
-        graph = Runner(workflow, RunOptions(speed=speed, capacity=16)).graph  # type: ignore[arg-type]
-        graph.warm_up()
-        with contextlib.suppress(Fault):  # which is what gates and stops are for
-            for gate in workflow.gates:
-                gate()
-            for _ in range(ticks):
-                graph.step()
-    finally:
-        workflow.close()
-    return workflow
 
 
 def workflow(dice: random.Random, folder: Path) -> Reader:
@@ -275,25 +201,6 @@ def recording(dice: random.Random, folder: Path) -> Reader:
     return lambda: recover(path)
 
 
-def bounds(folder: Path) -> Path:
-    """Write the bounds that `observation_stop` of the seed reads."""
-    path = folder / "good.npz"
-    np.savez(path, lower=np.full(3, -1.0, np.float32), upper=np.full(3, 1.0, np.float32))
-    return path
-
-
-def start(dice: random.Random, folder: Path) -> Reader:
-    """A robot's workflow, with gates, approach and the stops of its set."""
-    path, file = folder / "workflow.yaml", bounds(folder)
-    if dice.random() < 0.3:
-        path.write_text(STARTS, "utf-8")
-        raw = mutate_bytes(file.read_bytes(), dice)
-        file.write_bytes(raw)
-    else:
-        write(path, STARTS, dice)
-    return lambda: whole(path, platform="fake_robot")
-
-
 @cache
 def cut_off() -> bytes:
     """Return a small fault record."""
@@ -327,72 +234,6 @@ def fault_record(dice: random.Random, folder: Path) -> Reader:
         record = open_record(path)
         record.states("joint_pos", "received")
         return record.facts, record.ticks, record.ended
-
-    return read
-
-
-def safety(dice: random.Random, folder: Path) -> Reader:
-    """One to three safety blocks with mutated options, ticked a few times; and `safety:` itself."""
-    path = folder / "workflow.yaml"
-    blocks = [mutate_options(dice.choice(SAFETY), dice) for _ in range(dice.choice((1, 1, 2, 3)))]
-    form: Any = {"only": blocks} if dice.random() < 0.3 else blocks
-    if dice.random() < 0.1:
-        form = mutate_tree({"only": blocks}, dice)
-    path.write_text(ONE_BLOCK + to_text({"safety": form}), "utf-8")
-    bounds(folder)
-    platform = dice.choice(("fake", "fake_robot"))
-    return lambda: whole(path, platform=platform, ticks=5)
-
-
-def mutate_options(use: str, dice: random.Random) -> Any:
-    """Return a block of a workflow, mostly with changed options, sometimes changed itself."""
-    block = tree(use)
-    if dice.random() < 0.2 or not isinstance(block, dict):
-        return mutate_tree(block, dice)
-    return {name: mutate_tree(options, dice) for name, options in block.items()}
-
-
-def scene(dice: random.Random, folder: Path) -> Reader:
-    """What disturbs a simulation, and platforms in a process of their own."""
-    path = folder / "workflow.yaml"
-    if dice.random() < 0.3:
-        write(path, dice.choice(PLATFORMS), dice)
-        # No process is started here.
-        return lambda: read_platform(load_document(path, ()))
-    write(path, dice.choice(SCENES), dice)
-    import_mujoco()
-    platform = dice.choice(("fake", "mujoco"))
-    return lambda: whole(path, platform=platform, ticks=2)
-
-
-def preflight(dice: random.Random, folder: Path) -> Reader:
-    """Arguments of `unicon preflight`, whose times are cut short; where it moves joints too."""
-    path = folder / "workflow.yaml"
-    path.write_text(STARTS.replace("rate: 50", "rate: 500"), "utf-8")
-    bounds(folder)
-    arguments = [os.fspath(path), "--seconds", "0.01"]
-    for _ in range(dice.choice((1, 2, 2, 3, 4))):
-        arguments += dice.choice(ARGUMENTS)
-        if dice.random() < 0.1 and arguments[-2] != "--json":
-            arguments[-1] = mutate_bytes(arguments[-1].encode(), dice).decode("utf-8", "replace")
-    import_mujoco()
-    looked.SHORTEST, looked.LONGEST = 0.01, 0.1
-    wiggle.SETTLE = wiggle.PAUSE = wiggle.SECONDS = 0.004
-
-    def read() -> object:
-        begun = time.process_time()
-        told = io.StringIO()
-        with contextlib.redirect_stdout(told), contextlib.redirect_stderr(told):
-            try:
-                given = cli._parser().parse_args(["preflight", *arguments])
-                status = given.function(given)
-            except SystemExit as error:
-                raise UniconError("usage") from error
-        # While a platform is open the signal of the alarm ends the command like any other.
-        assert time.process_time() - begun < 5.0, "a hang"
-        if status:
-            raise UniconError(f"status {status}")
-        return told
 
     return read
 
