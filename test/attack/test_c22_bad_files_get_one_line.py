@@ -51,6 +51,10 @@ WORKFLOWS = {
     "shape 2^31": (state("{x: {shape: [2147483648]}}"), "at most 16777216 are held"),
     "shape 2^63": (state("{x: {shape: [9223372036854775808]}}"), "at most 16777216 are held"),
     "shape of shapes": (state("{x: {shape: [65536, 65536, 65536]}}"), "at most 16777216 are held"),
+    "a million robots": (
+        BASE + "num_robots: 1000000\n",
+        "num_robots is 1000000; give at most 4096",
+    ),
     "many robots": (BASE + "num_robots: 4611686018427387904\n", "at most 1024 are held"),
     "nan in an integer": (state("{x: {dtype: int64, initial: .nan}}"), "nan does not fit into int"),
     "inf in a boolean": (state("{x: {dtype: bool, initial: .inf}}"), "inf does not fit into bool"),

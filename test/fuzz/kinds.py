@@ -6,6 +6,8 @@ it. Errors of ours are what it may raise; everything else is a finding.
 
 from __future__ import annotations
 
+import copy
+import os
 import random
 import shutil
 import tempfile
@@ -16,29 +18,30 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
+from kinds_safety import preflight, safety, scene, start
 from mutate import mutate_bytes, mutate_mcap, mutate_onnx, mutate_text, mutate_tree, to_text
+from reading import Reader, tree, whole, write
 from seeds import (
     DEPLOY,
+    ENCODINGS,
     ENV,
+    INCLUDED,
     LEGGED_GYM,
     SET_PATHS,
-    STARTS,
     URDF,
     WORKFLOWS,
     XML_SNIPPETS,
 )
 
-from unicon_core.check import check_workflow
 from unicon_core.errors import Fault
-from unicon_core.models.load import load_model
+from unicon_core.models.kinematic_tree import tree_of
 from unicon_core.models.loaded import import_mujoco
+from unicon_core.platforms.kit.scene import Scene
+from unicon_core.platforms.sim.mujoco import make as mujoco_platform
 from unicon_core.policies import Policy, load_policy, policy_states, policy_table
 from unicon_core.robots import load_robot, robot_table
 from unicon_core.runtime import Runner, RunOptions
-from unicon_core.show import show_text
 from unicon_core.states import Layout, States, standard_states
-from unicon_core.workflow import load_workflow
 from unicon_msgs_map import Decoder, Encoder, load_map
 from unicon_ros.recorder import Recorder
 from unicon_ros.recording import open_record, recover
@@ -48,66 +51,12 @@ __all__ = ["KINDS"]
 ROOT = Path(__file__).resolve().parents[2]
 CONFIG = ROOT / "config"
 POLICY = CONFIG / "policies" / "go2_velocity"
-Reader = Callable[[], object]
-
-
-class _Tagged(yaml.SafeLoader):
-    """Reads the seeds; tags of Python become what stands below them."""
-
-
-def _plain(loader: Any, suffix: str, node: yaml.Node) -> Any:
-    if isinstance(node, yaml.MappingNode):
-        return loader.construct_mapping(node, deep=True)
-    if isinstance(node, yaml.SequenceNode):
-        return loader.construct_sequence(node, deep=True)
-    return loader.construct_scalar(node)
-
-
-_Tagged.add_multi_constructor("tag:yaml.org,2002:python/", _plain)
-
-
-@cache
-def tree(text: str) -> Any:
-    return yaml.load(text, _Tagged)
 
 
 @cache
 def seeds_of(folder: str) -> tuple[tuple[str, str], ...]:
     files = sorted((CONFIG / folder).glob("*.yaml"))
     return tuple((file.name, file.read_text("utf-8")) for file in files)
-
-
-def write(path: Path, text: str, dice: random.Random) -> None:
-    """Write a mutated YAML file: mostly its tree changed, else its text or its bytes."""
-    way = dice.random()
-    if way < 0.75:
-        text = to_text(mutate_tree(tree(text), dice))
-    elif way < 0.92:
-        text = mutate_text(text, dice)
-    raw = text.encode("utf-8", "surrogatepass")
-    path.write_bytes(raw if way < 0.92 else mutate_bytes(raw, dice))
-
-
-def whole(path: Path, overrides: tuple[str, ...] = (), platform: str = "fake") -> object:
-    """Check a workflow, and build it as `show` and `run` do."""
-    overrides = (*overrides, f"platform={platform}")
-    check_workflow(path, overrides)
-    workflow = load_workflow(path, overrides)
-    try:
-        show_text(
-            workflow.root,
-            workflow.states,
-            workflow.critical,
-            robot=workflow.robot,
-            policies=workflow.policies,
-        )
-        speed = "max" if platform == "fake" else "real"
-        Runner(workflow, RunOptions(speed=speed, capacity=16)).graph.warm_up()  # type: ignore[arg-type]
-        for gate in workflow.gates:
-            gate()
-    finally:
-        workflow.close()
-    return workflow
 
 
 def workflow(dice: random.Random, folder: Path) -> Reader:
@@ -134,14 +83,20 @@ def set_values(dice: random.Random, folder: Path) -> Reader:
 def robot(dice: random.Random, folder: Path) -> Reader:
     name, text = dice.choice(seeds_of("robots"))
     path = folder / name
-    write(path, text, dice)
+    if dice.random() < 0.4:  # the robot's wire alone
+        values = copy.deepcopy(tree(text))
+        values["transport"] = mutate_tree(values["transport"], dice)
+        path.write_text(to_text(values), "utf-8")
+    else:
+        write(path, text, dice)
     flow = folder / "workflow.yaml"
     flow.write_text(f"robot: ./{name}\nplatform: fake\nrate: 50\nflow: hold\n", "utf-8")
+    platform = dice.choice(("fake", "fake_robot"))
 
     def read() -> object:
         found = load_robot(path)
         robot_table(found)
-        return whole(flow)
+        return whole(flow, platform=platform)
 
     return read
 
@@ -246,25 +201,6 @@ def recording(dice: random.Random, folder: Path) -> Reader:
     return lambda: recover(path)
 
 
-def bounds(folder: Path) -> Path:
-    """Write the bounds that `observation_stop` of the seed reads."""
-    path = folder / "good.npz"
-    np.savez(path, lower=np.full(3, -1.0, np.float32), upper=np.full(3, 1.0, np.float32))
-    return path
-
-
-def start(dice: random.Random, folder: Path) -> Reader:
-    """A robot's workflow, with gates, approach and the stops of its set."""
-    path, file = folder / "workflow.yaml", bounds(folder)
-    if dice.random() < 0.3:
-        path.write_text(STARTS, "utf-8")
-        raw = mutate_bytes(file.read_bytes(), dice)
-        file.write_bytes(raw)
-    else:
-        write(path, STARTS, dice)
-    return lambda: whole(path, platform="fake_robot")
-
-
 @cache
 def cut_off() -> bytes:
     """Return a small fault record."""
@@ -321,11 +257,29 @@ def model(dice: random.Random, folder: Path) -> Reader:
             text = text[:at] + snippet + text[at:].replace('name="', 'name="&l11;&e;', 1)
         else:
             text = text[:at] + snippet + text[at:]
-    raw = text.encode("utf-8")
+    for other, inside in INCLUDED.items():
+        (folder / other).write_text(inside, "utf-8")
+    os.mkfifo(folder / "pipe.xml")
+    encoding = dice.choice(ENCODINGS) if dice.random() < 0.15 else "utf-8"
+    if dice.random() < 0.5:
+        text = text.replace('encoding="utf-8"', f'encoding="{encoding}"')
+    raw = text.encode(encoding, "replace")
     path.write_bytes(mutate_bytes(raw, dice) if dice.random() < 0.2 else raw)
     import_mujoco()  # loads its libraries before anybody watches
     go2 = load_robot("go2")
-    return lambda: load_model(path, go2, quiet=True)
+
+    def read() -> object:
+        tree_of(go2, path)
+        states = States(Layout(standard_states(go2.joint_names)))
+        platform = mujoco_platform(states, go2, 0.02, scene=Scene(model=path))
+        try:
+            platform.recv()
+            platform.send()
+        finally:
+            platform.close()
+        return platform
+
+    return read
 
 
 KINDS: dict[str, Callable[[random.Random, Path], Reader]] = {
@@ -340,4 +294,7 @@ KINDS: dict[str, Callable[[random.Random, Path], Reader]] = {
     "start": start,
     "record": fault_record,
     "model": model,
+    "safety": safety,
+    "scene": scene,
+    "preflight": preflight,
 }

@@ -5,9 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 
 __all__ = [
+    "ARGUMENTS",
     "DEPLOY",
+    "ENCODINGS",
     "ENV",
+    "INCLUDED",
     "LEGGED_GYM",
+    "ONE_BLOCK",
+    "PLATFORMS",
+    "SAFETY",
+    "SCENES",
     "SET_PATHS",
     "STARTS",
     "URDF",
@@ -119,7 +126,7 @@ safety:
 """
 
 URDF = """\
-<?xml version="1.0"?>
+<?xml version="1.0" encoding="utf-8"?>
 <robot name="one">
   <link name="base"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0"
     iyz="0"/></inertial><visual><geometry><mesh filename="base.stl"/></geometry></visual></link>
@@ -147,8 +154,125 @@ XML_SNIPPETS = (
     '<worldbody><body><composite type="grid" count="1000 1000 1000"/></body></worldbody>',
     '<size memory="1000000000000P"/>', '<size njmax="2000000000" nconmax="2000000000"/>',
     '<option timestep="nan"/>', '<option timestep="-1"/>', '<option timestep="1e-300"/>',
+    '<worldbody><replicate count="70"><include file="many.xml"/></replicate></worldbody>',
+    '<worldbody><replicate count="&#57;99999"><geom size="1"/></replicate></worldbody>',
+    '<worldbody><replicate sep="a>b" count="+999999"><body/></replicate></worldbody>',
+    '<asset><model name="s" file="model.xml"/></asset>',
+    '<asset><model name="s" file="body.xml"/></asset>'
+    + "<worldbody>" + "".join(f'<attach model="s" body="b" prefix="p{k}"/>' for k in range(9))
+    + "</worldbody>",
+    '<include file="many.xml"/>' * 2, '<include file="loop.xml"/>', '<include file="pipe.xml"/>',
+    '<asset><hfield name="h" file="pipe.xml" size="1 1 1 1"/></asset>',
+    '<asset><hfield name="h" nrow="99999" ncol="99999" size="1 1 1 1"/></asset>',
+    '<asset><texture name="x" type="2d" builtin="checker" width="99999" height="99999"/></asset>',
+    '<asset><mesh name="c" builtin="cone" params="1000000000 1"/></asset>',
+    '<size nuser_body="2000000000" nkey="2000000000"/>', '<size nuserdata="2000000000"/>',
+    '<worldbody><body name="w"><flexcomp type="grid" name="f" count="99 99 99" dim="3"/></body>'
+    "</worldbody>",
+    '<option gravity="nan 0 0" impratio="inf"/>',
+    '<worldbody><body pos="nan inf 1e999"><freejoint/><geom size="1" mass="nan"/></body>'
+    "</worldbody>",
+    '<link name="n"><inertial><mass value="nan"/><inertia ixx="nan" iyy="inf" izz="-1" ixy="0" '
+    'ixz="0" iyz="1e999"/></inertial><inertial/></link>',
+    "<a>" * 3000 + "</a>" * 3000, '<default class="' + "9" * 9999 + '"/>',
     "<body>" * 500, "<a " + 'b="1" ' * 200 + "/>", "<![CDATA[", "<!--", "]]>", "\x00",
 )  # fmt: skip
+
+_THOUSAND = '<replicate count="1000"><geom size="1"/></replicate>'
+INCLUDED = {
+    "many.xml": f"<mujocoinclude><worldbody>{_THOUSAND}</worldbody></mujocoinclude>",
+    "loop.xml": '<mujocoinclude><include file="loop.xml"/></mujocoinclude>',
+    "body.xml": f'<mujoco><worldbody><body name="b">{_THOUSAND}</body></worldbody></mujoco>',
+}
+"""What snippets of XML include and attach."""
+
+ENCODINGS = ("utf-16", "utf-16-be", "utf-32", "utf-7", "utf-8-sig", "latin-1", "cp037", "cp1140")
+
+ONE_BLOCK = """\
+robot: go2
+platform: fake
+rate: 50
+states:
+  observation: {shape: [3], initial: [0.1, 0.2, 0.3]}
+  action: {shape: [2]}
+  battery_charge: {initial: 1.0}
+  battery_voltage: {initial: 28.0}
+  motor_temperature:
+  motor_error:
+start: {operator: false}
+flow: hold
+"""
+
+SAFETY = (
+    "finite",
+    "joint_limits: {margin: 0.02, beyond: trip}",
+    "rate_limit: {max_rate: 10.0, beyond: trip}",
+    "effort_limits: {scale: 2.0, beyond: trip}",
+    "tilt_stop: {angle: 1.0}",
+    "velocity_stop: {factor: 1.5, limit: 30.0}",
+    "stale_stop: {timeout: 0.1}",
+    "command_stop: {stiffness: 100.0, damping: 10.0, factor: 2.0}",
+    "range_stop: {margin: 0.5, factor: 3.0}",
+    "encoder_stop: {timeout: 0.1, motion: 0.1}",
+    "imu_stop: {timeout: 0.2, motion: 0.3, angle: 0.35}",
+    "hardware_stop: {temperature: 90.0, charge: 0.05, voltage: 24.0}",
+    "tracking_stop: {bound: 0.5, timeout: 0.2}",
+    "power_stop: {limit: 500.0, loss: 0.1, timeout: 0.1}",
+    "height_stop: {lowest: -0.1, highest: 2.0}",
+    "overrun_stop: {count: 5, window: 0.5}",
+    "observation_stop: {file: good.npz, margin: 0.5}",
+    "action_stop: {limit: 10.0}",
+)
+
+PLATFORMS = (
+    "robot: go2\nplatform: {child: fake, silence: 0.05, watchdog: 0.2}\nrate: 50\nflow: hold\n",
+    "robot: go2\nplatform: {body: mujoco, hands: dex3}\nrate: 50\nflow: hold\n",
+)
+
+SCENES = (
+    """\
+robot: go2
+platform: mujoco
+rate: 50
+scene:
+  initial_pose: {"*_hip_joint": 0.1, FR_thigh_joint: 0.9}
+  initial_height: 0.4
+  terrain: flat
+  seed: 3
+  delay: 1
+  noise: {joint_vel: 0.1, base_ang_vel: 0.2, projected_gravity: 0.01}
+  push: {every: 0.02, velocity: 0.5}
+platforms: {mujoco: {timestep: 0.002}, fake: {time_constant: 0.05}}
+flow: hold
+""",
+    """\
+robot: go2
+platform: mujoco
+rate: 50
+num_robots: 2
+scene: {model: "assets:models/go2/go2.xml", initial_pose: "keyframe:home", noise: {joint_pos: 0.1}}
+flow: hold
+""",
+)
+
+ARGUMENTS = (
+    ["--seconds", "0.01"], ["--seconds", "nan"], ["--seconds", "1e308"], ["--seconds", "-1"],
+    ["--seconds", "601"], ["--seconds", "9" * 5000], ["--seconds", "x"], ["--seconds", ""],
+    ["--wiggle", "--yes"], ["--wiggle"], ["--wiggle", "--yes", "--angle", "0.1"],
+    ["--wiggle", "--yes", "--angle", "nan"], ["--wiggle", "--yes", "--angle", "1e-300"],
+    ["--wiggle", "--yes", "--angle", "0.2"], ["--wiggle", "--yes", "--angle", "1e300"],
+    ["--wiggle", "--yes", "--angle", "-0.05"], ["--angle", "0"], ["--yes"],
+    ["--json", "fuzzed.json"], ["--json", "fuzzed.no/folder.json"], ["--json", ""],
+    ["--json", "fuzzed." + "x" * 300], ["--map", "nonexistent"], ["--no-ros"], ["--help"],
+    ["another"],
+    ["--set", "platform=fake"], ["--set", "platform=fake_robot"], ["--set", "platform=mujoco"],
+    ["--set", "start=none"], ["--set", "start.gates=false"], ["--set", "safety=none"],
+    ["--set", "safety={only: [finite]}"], ["--set", "rate=1000"], ["--set", "rate=nan"],
+    ["--set", "num_robots=2"], ["--set", "flow=damp"], ["--set", "flow={pose: {to: rest}}"],
+    ["--set", "flow={policy: x}"], ["--set", "robot=g1_29dof"], ["--set", "robot=dex3_left"],
+    ["--set", "x"], ["--set", "=" * 50], ["--set", "a.b.c.d=1"], ["--set", "[[[[=1"],
+)  # fmt: skip
+"""Of `unicon preflight`."""
 
 WORKFLOWS = (
     STARTS,

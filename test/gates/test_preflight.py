@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 from collections.abc import Callable
 from functools import partialmethod
 from pathlib import Path
@@ -260,11 +261,18 @@ def test_a_move_is_small_and_a_short_look_is_refused(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    assert preflight("--wiggle", "--yes", "--angle=0.5")[0] == 1
-    assert "give a number above 0 to 0.2 [rad]" in capsys.readouterr().err
+    for angle in ("0.5", "1e-300"):  # which proves nothing
+        assert preflight("--wiggle", "--yes", f"--angle={angle}")[0] == 1
+        assert f"--angle {angle}: give 0.01 to 0.2" in capsys.readouterr().err
     assert preflight("--set=num_robots=2", "--set=platform=fake")[0] == 1
     assert "preflight looks at one robot; leave num_robots out" in capsys.readouterr().err
     monkeypatch.undo()
     assert preflight("--seconds=0.2")[0] == 1
     assert "--seconds 0.2: give 1 to 600" in capsys.readouterr().err
     assert "command" not in gate_robots.SENT
+
+
+def test_a_share_that_is_not_a_number_is_no_pass() -> None:
+    from unicon_core.preflight.wiggle import Moved
+
+    assert "no joint followed" in Moved("hip", "hip", math.nan).wrong

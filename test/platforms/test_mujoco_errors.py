@@ -172,6 +172,13 @@ def test_noise_of_a_state_that_is_not_measured(build: Build) -> None:
     )
 
 
+@pytest.mark.parametrize("timestep", [1e-300, 1e-9, 0.0, -0.01, np.nan])
+def test_physics_steps_without_number(build: Build, timestep: float, tmp_path: Path) -> None:
+    with pytest.raises(ModelError) as error:
+        build(timestep=timestep)
+    assert "timestep" in str(error.value)
+
+
 def test_mujoco_that_is_not_installed(build: Build, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "mujoco", None)
     with pytest.raises(MissingDependencyError) as error:

@@ -13,6 +13,7 @@ _TYPES = {
     "array": list,
     "string": str,
     "number": (int, float),
+    "integer": int,
     "null": type(None),
 }
 _NOTES = {"$schema", "$id", "$defs", "title", "description"}
@@ -32,7 +33,9 @@ def accepts(schema: Any, value: Any, root: Any) -> bool:
 
 
 def _is(name: str, value: Any) -> bool:
-    return isinstance(value, _TYPES[name]) and not (name == "number" and isinstance(value, bool))
+    return isinstance(value, _TYPES[name]) and not (
+        name in ("number", "integer") and isinstance(value, bool)
+    )
 
 
 def _type(names: Any, value: Any, schema: Any, root: Any) -> bool:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -12,16 +11,13 @@ from typing import Any
 from unicon_core.errors import ModelError
 from unicon_core.models.absent import drop_absent_meshes, drop_absent_textures
 from unicon_core.models.actuators import mend_actuators
+from unicon_core.models.bounded import refuse_endless, refuse_not_finite
 from unicon_core.models.joints import find_joints
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.models.urdf_repair import repaired_urdf
 from unicon_core.robots import Robot
 
 __all__ = ["load_model"]
-
-_MOST_COPIES = 10_000
-"""Of what one MJCF file repeats: MuJoCo would make 10⁸ of them, for minutes, in gigabytes."""
-_REPEATS = re.compile(rb"<(?:replicate|composite|flexcomp)\b[^>]*?\bcount\s*=\s*[\"']([^\"']*)")
 
 _URDF_TIMESTEP = 0.002  # [s]; MuJoCo's own default, said here since a URDF cannot say it
 
@@ -53,6 +49,7 @@ def load_model(
     """
     mujoco = import_mujoco()
     notes: list[str] = []
+    refuse_endless(path)
     is_urdf = path.suffix.lower() == ".urdf"
     spec = _read(mujoco, path, repaired_urdf(path, notes) if is_urdf else None)
     absent = drop_absent_meshes(spec, path, robot.walks)
@@ -82,39 +79,17 @@ def load_model(
     if mend_actuators(mujoco, spec, model, joints, robot.joint_names, notes):
         with _told(path):
             model = spec.compile()
+    refuse_not_finite(path, model)
     return LoadedModel(model, path, joints, notes)
 
 
 def _read(mujoco: Any, path: Path, text: str | None) -> Any:
-    if text is None:
-        _refuse_endless(path)
     with _told(path):
         if text is None:
             return mujoco.MjSpec.from_file(str(path))
         spec = mujoco.MjSpec.from_string(text)
     spec.modelfiledir = f"{path.parent}/"  # a text has no folder to look for meshes in
     return spec
-
-
-def _refuse_endless(path: Path) -> None:
-    """Refuse what repeats itself too often; those inside each other multiply.
-
-    Raises:
-        ModelError: with how often that would be.
-    """
-    try:
-        counts = _REPEATS.findall(path.read_bytes())
-    except OSError:
-        return  # MuJoCo says so
-    copies = 1
-    for number in b" ".join(counts).split()[:1000]:
-        if number.isdigit():
-            copies *= max(int(number[:12]), 1)
-        if copies > _MOST_COPIES:
-            raise ModelError(
-                f"model {path}: it repeats bodies or geoms more than {_MOST_COPIES} times "
-                "(replicate, composite, flexcomp); give smaller counts"
-            )
 
 
 @contextmanager
@@ -125,6 +100,10 @@ def _told(path: Path) -> Iterator[None]:
     except ValueError as error:
         reason = " ".join(str(error).split())
         raise ModelError(f"model {path}: {reason}; correct the file") from error
+    except (RuntimeError, MemoryError) as error:  # of C++, which has no words for it
+        raise ModelError(
+            f"model {path}: MuJoCo gives it up, most likely for want of memory; make it smaller"
+        ) from error
 
 
 def _add_free_joint(mujoco: Any, spec: Any, notes: list[str]) -> None:

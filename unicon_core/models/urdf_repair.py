@@ -31,9 +31,12 @@ def repaired_urdf(path: Path, notes: list[str]) -> str | None:
     """
     try:
         raw = path.read_bytes()
-        if b"<!ENTITY" in raw or b"<!DOCTYPE" in raw:
+        if b"\0" in raw:  # else entities could hide in another encoding, which MuJoCo cannot read
+            raise ModelError(f"model {path}: it is not UTF-8; save it as that")
+        text = raw.decode("utf-8-sig", "replace")
+        if "<!ENTITY" in text or "<!DOCTYPE" in text:
             raise ModelError(f"model {path}: it has a DOCTYPE or entities; take them out")
-        root = ET.fromstring(raw)
+        root = ET.fromstring(text)  # whatever encoding it declares: MuJoCo reads UTF-8
     except (ET.ParseError, OSError, ValueError, LookupError) as error:
         raise ModelError(f"model {path}: {error}; correct the file") from error
     twice = _drop_repeated(root)
@@ -45,7 +48,10 @@ def repaired_urdf(path: Path, notes: list[str]) -> str | None:
             f"the inertia of {', '.join(bodies)} is none that a body can have: "
             "its largest figure stands for all axes"
         )
-    return ET.tostring(root, encoding="unicode") if twice or bodies else None
+    try:
+        return ET.tostring(root, encoding="unicode") if twice or bodies else None
+    except RecursionError as error:
+        raise ModelError(f"model {path}: its elements are nested too deep") from error
 
 
 def _drop_repeated(root: ET.Element) -> list[str]:
@@ -73,6 +79,8 @@ def _mend_inertias(root: ET.Element) -> list[str]:
         except ValueError:
             continue  # MuJoCo names the line
         matrix = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        if not np.isfinite(matrix).all():
+            continue  # MuJoCo refuses it
         if not matrix.any() or np.linalg.eigvalsh(matrix)[0] > 1e-9 * abs(matrix).max():
             continue  # all zero: MuJoCo takes it from mass and shapes, or says so
         for term in _TERMS:

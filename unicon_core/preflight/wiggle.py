@@ -25,12 +25,12 @@ from unicon_core.signals import SIGNALS
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_core.workflow import Program
 
-__all__ = ["ANGLE", "Moved", "verdicts", "wiggle"]
+__all__ = ["ANGLE", "LARGEST", "SMALLEST", "Moved", "verdicts", "wiggle"]
 
 ANGLE = 0.05
 """Of a move in [rad]."""
-LARGEST = 0.2
-"""Of an angle that may be asked for, [rad]."""
+SMALLEST, LARGEST = 0.01, 0.2
+"""Of angles that may be asked for, [rad]: a smaller way is lost in noise, and proves nothing."""
 SECONDS = 1.0
 """Of a move, there and back, in [s]."""
 PAUSE = 0.5
@@ -65,7 +65,7 @@ class Moved:
     @property
     def wrong(self) -> str:
         """What is wrong, with the remedy; "" where the joint itself followed."""
-        if abs(self.share) < FOLLOWED:
+        if not abs(self.share) >= FOLLOWED:  # true for NaN too
             return f"no joint followed {self.joint}; see whether its motor is on, and free to move"
         if self.follower != self.joint:
             return (
@@ -130,8 +130,8 @@ class _Moves:
     def _watch(self) -> None:
         """End it where a joint goes away: of exchanged encoders each holds at the other's place."""
         away = np.abs(self._measured - self._held)
-        if away.max() > ESCAPED:
-            joints = [n for n, way in zip(self._names, away) if way > 0.5 * ESCAPED]
+        if not away.max() <= ESCAPED:  # true for NaN too
+            joints = [n for n, way in zip(self._names, away) if not way <= 0.5 * ESCAPED]
             raise Fault(
                 f"{' and '.join(joints)} moved by up to {away.max():.2f} rad while all joints were "
                 "to be held: swapped or inverted, or too heavy for half the stiffness; correct "
@@ -165,7 +165,7 @@ def wiggle(program: Program, angle: float = ANGLE) -> list[Moved]:
         Fault: a safety block, or the platform.
         WorkflowError: the angle is not plausible.
     """
-    angle = within(angle, "angle", "rad", LARGEST)
+    angle = within(angle, "angle", "rad", LARGEST, SMALLEST, above=False)
     moves = _Moves(program, angle)
     stages = program.stages
     root = Zip(

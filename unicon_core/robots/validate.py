@@ -116,6 +116,14 @@ def _transport(located: Located, transport: Any) -> None:
         check_text(located, ("transport", "protocol"), transport["protocol"])
     _one_of(located, ("transport", "command"), transport.get("command", "torque"), COMMANDS)
     _finite(located, ("transport",), transport)
+    motors = transport.get("motors")
+    numbers = isinstance(motors, list) and all(type(n) is int and n >= 0 for n in motors)
+    if motors is not None and not numbers:
+        raise wrong(
+            located,
+            ("transport", "motors"),
+            f"is {str(motors)[:60]}; write the motor number of each joint, or null if not known",
+        )
     rate = transport.get("rate_hz")
     check_number(located, ("transport", "rate_hz"), rate)
     if rate is not None and rate <= 0:

@@ -90,7 +90,7 @@ class WorkflowDocument:
             return default
         if not isinstance(value, kind) or (isinstance(value, bool) and kind in (int, (int, float))):
             kinds = kind if isinstance(kind, tuple) else (kind,)
-            wanted = " or ".join(_KIND_NAMES.get(k, k.__name__) for k in kinds)
+            wanted = " or ".join(dict.fromkeys(_KIND_NAMES.get(k, k.__name__) for k in kinds))
             raise self.error(f"{key}: {value!r} is not a {wanted}", key)
         if isinstance(value, float) and not math.isfinite(value):
             raise self.error(f"{key}: {value!r} is not a finite number", key)

@@ -68,6 +68,8 @@ Hook = Callable[["Program"], Mapping[Stage, Sequence[Block]]]
 """Gives a program further blocks, each for its stage, once states and platform exist: a bridge, a
 recorder, a viewer. They stand behind the program's own blocks of that stage."""
 
+MOST_ROBOTS = 4096
+"""Of a batch: each takes half a megabyte and 1.5 ms to begin in MuJoCo."""
 GIVEN = ("tick", COMMAND, "joint_vel_target", "joint_effort_ff")
 """States that may be read though no block writes them: the runner does, or zero is meant."""
 
@@ -150,6 +152,11 @@ class Program:
         uses = [b for b in mentioned if isinstance(b, Use) and b.word != EXPRESSION]
         specs = specs_of(document, self.robot, self.policies, uses)
         self.states = States(Layout(specs, document.get("num_robots", int)))
+        robots = self.states.num_robots
+        if robots is not None and robots > MOST_ROBOTS:
+            raise document.error(
+                f"num_robots is {robots}; give at most {MOST_ROBOTS}", "num_robots"
+            )
         self.part, self.parts, self.store = part, read_parts(document), read_store(document)
         if self.parts is not None:
             self.parts.check(self.states.layout, document)

@@ -62,8 +62,11 @@ def preflight(arguments: argparse.Namespace) -> int:
     """Run the command; exit status 0 all in order, 1 something fails, 3 fault."""
     # Imported here so that `unicon --help` stays fast and free of optional packages.
     from unicon_core.preflight.result import PreflightResult
+    from unicon_core.preflight.wiggle import LARGEST, SMALLEST
     from unicon_core.workflow import load_document
 
+    if not SMALLEST <= arguments.angle <= LARGEST:
+        raise UniconError(f"--angle {arguments.angle:g}: give {SMALLEST:g} to {LARGEST:g}")
     if not SHORTEST <= arguments.seconds <= LONGEST:
         raise UniconError(f"--seconds {arguments.seconds:g}: give {SHORTEST:g} to {LONGEST:g}")
     document = load_document(arguments.workflow, arguments.overrides)

@@ -9,6 +9,9 @@ from unicon_core.errors import ModelError
 
 __all__ = ["steps_in", "tick_ns"]
 
+MOST_STEPS = 10_000
+"""Of a tick: with more nothing seems to go on."""
+
 
 def steps_in(period: float, timestep: float, model: object) -> int:
     """Return how many physics steps a tick has.
@@ -19,8 +22,13 @@ def steps_in(period: float, timestep: float, model: object) -> int:
         model: its file, for the message.
 
     Raises:
-        ModelError: it is not a whole number of them.
+        ModelError: it is not a whole number of them, or has too many.
     """
+    if not timestep >= period / MOST_STEPS:  # true for NaN too
+        raise ModelError(
+            f"a physics step of {timestep:.6g} s is too short for a tick of {period:.6g} s (model "
+            f"{model}); set timestep to {period / MOST_STEPS:.6g} or more"
+        )
     ratio = period / timestep
     steps = round(ratio)
     if steps >= 1 and abs(ratio - steps) < 1e-6 * steps:
