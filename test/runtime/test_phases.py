@@ -204,6 +204,15 @@ def test_a_stop_before_the_run_ends_it_without_a_tick(where: str) -> None:
         assert sent.phases == [Phase.APPROACH, Phase.DAMP]
 
 
+def test_a_stop_before_it_runs_lets_nothing_begin() -> None:
+    sent = Sent()
+    runner, _ = runs(made(sent, flow=block("hold"), wind_down=pose("rest")))
+    runner.stop()
+    report = runner.run()
+    assert (report.ticks, report.faults, report.ended) == (0, [], "stopped")
+    assert not sent.rows
+
+
 @pytest.mark.parametrize("error", [Fault("tripped"), ValueError("a block"), SystemExit(7)])
 def test_after_a_fault_only_the_damping_command_leaves(error: BaseException) -> None:
     sent, ticks = Sent(), 0
