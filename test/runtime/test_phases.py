@@ -232,6 +232,23 @@ def test_after_a_fault_only_the_damping_command_leaves(error: BaseException) -> 
     falls(sent)
 
 
+def test_a_fault_behind_send_counts_the_tick_whose_command_has_left() -> None:
+    sent = Sent()
+
+    class Patient:
+        patient = True
+
+        def __call__(self) -> None:
+            if [row[0] for row in sent.rows].count(Phase.RUN) == 10:
+                raise Fault("tripped")
+
+    program = made(sent, {Stage.SAFETY: [Block("late", Patient())]}, flow=pose("stand"))
+    report = runs(program)[0].run()
+    assert report.faults == ["tripped"]
+    assert report.ticks == [row[0] for row in sent.rows].count(Phase.RUN) == 10
+    falls(sent)
+
+
 def test_what_hears_and_looks_and_fails_stops_no_damping() -> None:
     sent, looked = Sent(), 0
 

@@ -220,6 +220,21 @@ def test_a_healthy_robot_trips_nothing(tmp_path: Path) -> None:
     assert report.safety == STRICT
 
 
+@pytest.mark.parametrize(("timeout", "after"), [(0.1, True), (0.08, False)])
+def test_what_compares_five_ticks_looks_behind_send(
+    tmp_path: Path, timeout: float, after: bool
+) -> None:
+    patient = ["stale_stop", "imu_stop", "encoder_stop"]
+    safety = [{name: {"timeout": timeout}} for name in patient]
+    runner = Runner(load_workflow(document(tmp_path, safety=safety)), RunOptions(warn=str))
+    names = [block.name for block in runner.graph.blocks]
+    late = [names[i] for i in sorted(runner.graph.deferred_blocks)]
+    runner.close()
+    assert late[-3:] == patient if after else not {*patient} & {*late}
+    if not after:
+        assert max(map(names.index, patient)) < names.index("send")
+
+
 @pytest.mark.parametrize("name", ["go2_walk", "go1_walk", "g1_walk", "g1_holosoma"])
 def test_in_a_simulator_the_set_of_a_robot_changes_no_command(
     name: str, request: pytest.FixtureRequest

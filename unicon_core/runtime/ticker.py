@@ -64,10 +64,11 @@ class Ticker:
         """
         graph = self.graph
         done = graph.step()
-        done = graph.deferred() or done
-        self._tick += 1
-        self.statistics.add(due_ns, time.perf_counter_ns(), graph.stamps)
-        return done
+        try:
+            return graph.deferred() or done
+        finally:  # whatever is found behind `send`, the command of this tick has left
+            self._tick += 1
+            self.statistics.add(due_ns, time.perf_counter_ns(), graph.stamps)
 
     def run(self, limit: int, *, full_speed: bool = False) -> None:
         """Tick until the graph is done or asked to stop.

@@ -52,7 +52,7 @@ from unicon_core.workflow.gate import Gate
 from unicon_core.workflow.parts import check_places, divided, publishers, read_parts, read_store
 from unicon_core.workflow.platforms import build_platform
 from unicon_core.workflow.policies import controllers_reading, load_policies
-from unicon_core.workflow.safety_set import completed, left_out
+from unicon_core.workflow.safety_set import completed, is_patient, left_out
 from unicon_core.workflow.settings import pacing_of, safety_of, start_of
 from unicon_core.workflow.silent import refuse_parts, withheld
 from unicon_core.workflow.uses import EXPRESSION, Use
@@ -338,10 +338,12 @@ class Program:
         acting = [n for stage, nodes in stages.items() if stage is not Stage.OBSERVE for n in nodes]
         # Observers only look: what they would find missing is no reason not to run.
         observing = [Deferred(node) for node in stages[Stage.OBSERVE]]
-        whole = Zip(*acting, *observing)
-        raise_first(check_graph(whole, self.states, given=GIVEN))
-        path = critical_path(whole)
-        return fuse(path.root, self.states), path.critical
+        raise_first(check_graph(Zip(*acting, *observing), self.states, given=GIVEN))
+        patient = [node for node in stages[Stage.SAFETY] if is_patient(node)]
+        sent = [node for node in acting if node not in patient]
+        path = critical_path(Zip(*sent, *observing, *map(Deferred, patient)))
+        needed = path.critical.union(*(blocks_of(node) for node in patient))
+        return fuse(path.root, self.states), needed
 
     def _bound_commands(self) -> None:
         """Put bounds before the flow, and behind whatever gives commands in it."""

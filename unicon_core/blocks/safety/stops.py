@@ -22,6 +22,7 @@ from unicon_core.states import States
 from unicon_core.states.screen import Range, Screen
 
 __all__ = [
+    "PATIENT",
     "Finite",
     "StaleStop",
     "TiltStop",
@@ -34,6 +35,9 @@ __all__ = [
 ]
 
 Float = NDArray[np.float32]
+
+PATIENT = 5
+"""Ticks that a block looks at before it stops a robot, from which on it may look after `send`."""
 
 HEIGHT = 10_000.0
 """In [m]: what stands on a mountain."""
@@ -193,6 +197,7 @@ class StaleStop:
     stage = Stage.SAFETY
 
     def __init__(self, stamp: NDArray[np.int64], ticks: int, timeout: float) -> None:
+        self.patient = ticks >= PATIENT
         self._ticks, self._timeout = ticks, timeout
         self._oldest = stamp.min if stamp.ndim else stamp.item  # `min` takes 1.3 µs
         self._last: int | None = None

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.blocks.joint_command import ticks_of
+from unicon_core.blocks.safety.stops import PATIENT
 from unicon_core.bounds import POSITION, STALE, within
 from unicon_core.errors import Fault, WorkflowError
 from unicon_core.flow.block import Reads
@@ -64,6 +65,7 @@ class EncoderStop:
         ticks: int,
         motion: float,
     ) -> None:
+        self.patient = ticks >= PATIENT
         self._pos, self._target, self._stiffness = pos, target, stiffness
         self._names, self._ticks, self._motion = joint_names, ticks, motion
         self._last, self._reference = np.full_like(pos, np.nan), np.zeros_like(pos)
@@ -180,6 +182,7 @@ class ImuStop:
     def __init__(
         self, views: tuple[Float, ...], period: float, ticks: int, motion: float, angle: float
     ) -> None:
+        self.patient = ticks >= PATIENT
         self._quat, self._gyro, self._gravity, self._joints = views
         self._period, self._ticks, self._motion, self._angle = period, ticks, motion, angle
         self._draw = min(period / self.DRAWN, 1.0)
