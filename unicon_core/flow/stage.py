@@ -34,4 +34,5 @@ class Stage(Enum):
 
 
 FIXED = frozenset({Stage.RECV, Stage.TUNE, Stage.SAFETY, Stage.SEND})
-"""Stages whose blocks stay where they are: neither put off nor fused with others."""
+"""Stages whose blocks stay where they are: neither put off nor fused with others. A safety block
+that says that it is `patient`, since it compares many ticks, is put off by the program."""
