@@ -91,6 +91,7 @@ ROWS = [
         ("finite", '"joint_damping": joint_damping,', ""),
         ("finite", '"joint_effort_ff": joint_effort_ff,', ""),
     ),
+    *_rows("flow/critical_path.py", SETS, ("is_patient", REMOVED)),
     *_rows("blocks/safety/stops.py", SETS, ("", "PATIENT = 5", "PATIENT = 1")),
     *_rows(
         "platforms/kit/command.py",
@@ -263,7 +264,6 @@ ROWS = [
     *_rows(
         "workflow/safety_set.py",
         SETS,
-        ("is_patient", REMOVED),
         *(
             ("", f'    "{name}",\n', "")
             for name in (

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from unicon_core.flow.block import Block
+from unicon_core.flow.critical_path import is_patient
 from unicon_core.flow.finding import Finding
 from unicon_core.flow.nodes import (
     Chain,
@@ -98,7 +99,7 @@ def behind_send(root: Node) -> list[Finding]:
     def late(block: Block) -> None:
         remedy = f"put it before {send!r}, not into 'deferred'"
         if block.stage is Stage.SAFETY:
-            if getattr(block.tick, "patient", False):
+            if is_patient(block):
                 return
             evidence = f"runs behind {send!r}: the motors have the command by then"
             findings.append(Finding(f"safety block {block.name!r}", evidence, remedy, block.where))

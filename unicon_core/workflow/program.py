@@ -18,7 +18,7 @@ from unicon_core.blocks.approach import Entry
 from unicon_core.errors import alternatives
 from unicon_core.flow import Block, Deferred, Node, Zip, as_block, blocks_of
 from unicon_core.flow.checks import check_graph, raise_first
-from unicon_core.flow.critical_path import critical_path
+from unicon_core.flow.critical_path import critical_path, is_patient
 from unicon_core.flow.fuse import fuse
 from unicon_core.flow.stage import Stage
 from unicon_core.platforms.kit.damping import LastSent
@@ -52,7 +52,7 @@ from unicon_core.workflow.gate import Gate
 from unicon_core.workflow.parts import check_places, divided, publishers, read_parts, read_store
 from unicon_core.workflow.platforms import build_platform
 from unicon_core.workflow.policies import controllers_reading, load_policies
-from unicon_core.workflow.safety_set import completed, is_patient, left_out
+from unicon_core.workflow.safety_set import completed, left_out
 from unicon_core.workflow.settings import pacing_of, safety_of, start_of
 from unicon_core.workflow.silent import refuse_parts, withheld
 from unicon_core.workflow.uses import EXPRESSION, Use
@@ -339,8 +339,8 @@ class Program:
         # Observers only look: what they would find missing is no reason not to run.
         observing = [Deferred(node) for node in stages[Stage.OBSERVE]]
         raise_first(check_graph(Zip(*acting, *observing), self.states, given=GIVEN))
-        patient = [node for node in stages[Stage.SAFETY] if is_patient(node)]
-        sent = [node for node in acting if node not in patient]
+        patient = [node for node in acting if is_patient(node)]
+        sent = [node for node in acting if not is_patient(node)]
         path = critical_path(Zip(*sent, *observing, *map(Deferred, patient)))
         needed = path.critical.union(*(blocks_of(node) for node in patient))
         return fuse(path.root, self.states), needed

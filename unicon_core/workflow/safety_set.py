@@ -10,7 +10,7 @@ from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 from unicon_core.errors import UniconError, WorkflowError
-from unicon_core.flow import Block, Node, blocks_of
+from unicon_core.flow import Node, blocks_of
 from unicon_core.platforms.platform import Platform
 from unicon_core.states.standard import BASE_STATES, COMMAND_STATES, HARDWARE_STATES
 from unicon_core.workflow.autowire import state_names
@@ -21,7 +21,7 @@ from unicon_core.workflow.uses import EXPRESSION, Use
 if TYPE_CHECKING:
     from unicon_core.workflow.program import Program
 
-__all__ = ["ROBOT_SAFETY", "completed", "is_patient", "left_out"]
+__all__ = ["ROBOT_SAFETY", "completed", "left_out"]
 
 FIRST = "finite"
 HARDWARE = "hardware_stop"
@@ -40,15 +40,6 @@ target that it follows is the one within the limits."""
 
 ROBOT_SAFETY = (FIRST, *STOPS, *LAST)
 """What stands between the flow and `send` of anything that is not a simulator."""
-
-
-def is_patient(node: Node) -> bool:
-    """Return whether a safety block looks for so many ticks that it may look after `send`.
-
-    No command waits for it there: 20 to 30 µs of a tick at 29 joints. It finds in the same tick
-    what it would have found before, and one command more has left by then.
-    """
-    return isinstance(node, Block) and getattr(node.tick, "patient", False)
 
 
 def left_out(nodes: Iterable[Node], platform: Platform) -> list[str]:
