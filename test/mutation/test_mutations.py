@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import ast
 import importlib.util
+import os
+import signal
+import subprocess
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -70,6 +73,23 @@ def test_all_that_looks_is_removed_once() -> None:
     removed = {(row.file, row.where.split(".")[0]) for row in TOOL.ROWS if not row.old}
     shows = {"StartGate", "Passing", "ObservationRange"}
     assert {(file, name) for file, name in there - removed if name not in shows} == set()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the processes of a tree are found in /proc")
+def test_what_mutated_tests_left_running_or_stopped_is_ended(tmp_path: Path) -> None:
+    code = "import os, signal; print(flush=True); os.kill(os.getpid(), signal.SIGSTOP)"
+    left = subprocess.Popen(
+        [sys.executable, "-c", code],
+        env=os.environ | {"PYTHONPATH": str(tmp_path)},
+        stdout=subprocess.PIPE,
+        start_new_session=True,
+    )
+    assert left.stdout is not None
+    left.stdout.readline()
+    TOOL.end_those_of(tmp_path / "another")
+    assert left.poll() is None
+    TOOL.end_those_of(tmp_path)
+    assert left.wait(10) == -signal.SIGKILL
 
 
 @pytest.mark.slow

@@ -20,7 +20,7 @@ import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from queue import Queue
@@ -28,7 +28,7 @@ from queue import Queue
 sys.path.insert(0, str(Path(__file__).parent))
 from table import ROWS, Row
 
-__all__ = ["Outcome", "mutate", "mutated"]
+__all__ = ["Outcome", "end_those_of", "mutate", "mutated"]
 
 ROOT = Path(__file__).resolve().parents[2]
 IGNORED = (".git", ".venv", "out", "build", "log", ".mypy_cache", ".ruff_cache", ".hypothesis")
@@ -170,10 +170,21 @@ def _failed(tree: Path, tests: Sequence[str], timeout: float) -> str:
         os.killpg(process.pid, signal.SIGKILL)
         process.communicate()
         return "time-out"
+    finally:
+        end_those_of(tree)
     if not process.returncode:
         return ""
     told = [line for line in output.splitlines() if line.startswith(("FAILED", "ERROR"))]
     return told[0].split(" - ")[0] if told else output.strip()[-300:] or "a crash"
+
+
+def end_those_of(tree: Path) -> None:
+    """End what the tests in a tree left running, stopped, or in sessions of their own (Linux)."""
+    mark = f"PYTHONPATH={tree}\0".encode()
+    for environment in Path("/proc").glob("[0-9]*/environ"):
+        with suppress(OSError):  # somebody else's, or gone
+            if mark in environment.read_bytes() and environment.parent.name != str(os.getpid()):
+                os.kill(int(environment.parent.name), signal.SIGKILL)
 
 
 def main() -> int:

@@ -122,6 +122,7 @@ class Case:
         node: run by `unicon_node` instead of `unicon run`.
         topics: platform `ros`, whose robot is the peer; commands are those that it got.
         mujoco: behind the log stands MuJoCo; else the fake robot, which counts as hardware.
+        robot: `go2` or `g1`, see `ROBOTS` of simulated_case.py.
         failing: what the middleware does: it refuses `take` of cmd_vel or `publish` of commands,
             or everything (`all`).
         output: where stdout and stderr go: `file`, `closed`, `device full`, `terminal`, or a
@@ -146,6 +147,7 @@ class Case:
     node: bool = False
     topics: bool = False
     mujoco: bool = False
+    robot: str = "go2"
     failing: str = ""
     output: str = "file"
     file_limit: int | None = None
@@ -164,8 +166,9 @@ class Case:
 
     @property
     def row(self) -> str:
-        """Return the row of the table: group and name."""
-        return f"{self.group}: {self.name}"
+        """Return the row of the table: group, name, and the robot if it is another than a Go2."""
+        robot = "" if self.robot == "go2" else f", {self.robot}"
+        return f"{self.group}: {self.name}{robot}"
 
     @property
     def outcome(self) -> str:

@@ -1,4 +1,4 @@
-"""Cases: a Go2 that walks in MuJoCo at real rate, over ROS, in a child, or with a bridge apart."""
+"""Cases: a robot walks in MuJoCo at real rate, over ROS, in a child, or with a bridge apart."""
 
 from __future__ import annotations
 
@@ -32,9 +32,14 @@ _SILENCE, _WATCHDOG = 1.0, 0.5
 _CHILD: dict[str, Any] = {
     "platform": {"child": SIMULATOR, "watchdog": _WATCHDOG, "silence": _SILENCE}
 }
+_G1_RANGES = (1.0, 0.5, 1.0)
+"""Command ranges of its policy, the larger side: `deploy.yaml` of g1_velocity_mjlab."""
+
 _STANDS = replace(SILENCED, stands_ms=2000.0)
 """Zero 0.5 s after the last message; 0.3 s later it begins to stand, which takes 0.3 s."""
 
+_FLOODED = "~/estop in a flood of calls"
+_THEN = ", then the robot stands"
 _PARTS: dict[str, Any] = {
     "store": {"shm": "faults-{name}"},
     "parts": {
@@ -76,7 +81,20 @@ def _damped_by_the_child(name: str, number: signal.Signals | None, ms: float, **
     )
 
 
-CASES = (
+def _in_g1(case: Case) -> Case:
+    """Return the case with a G1, whose policy has command ranges of its own.
+
+    Where nobody commands at first its policy runs all the time: a G1 does not stand without one.
+    """
+    wants = replace(case.wants, speed=_G1_RANGES if case.wants.speed else None)
+    case = replace(case, robot="g1", wants=wants)
+    if case.flow is not COMMANDED or "--ros" in case.arguments:
+        return case
+    name = case.name.replace(_THEN, "")
+    return replace(case, name=name, flow=WALK, wants=replace(wants, stands_ms=None))
+
+
+_CASES = (
     _cmd_vel("cmd_vel NaN at 1 kHz: zero, then it stands", "nan", _STANDS),
     *(
         _cmd_vel(f"cmd_vel of {value} at 1 kHz", f"{value} flood", replace(COMMANDS, speed=RANGES))
@@ -97,14 +115,14 @@ CASES = (
         peer=("caller", "{at}", "estop"),
     ),
     _over_ros(
-        "~/estop in a flood of calls",
+        _FLOODED,
         PRESSED,
         fault={},
         node=True,
         peer=("caller", "{at}", "flood estop"),
     ),
-    _bridge("it is killed: zero after 0.2 s, then the robot stands", signal.SIGKILL),
-    _bridge("it is stopped (SIGSTOP): zero after 0.2 s, then the robot stands", signal.SIGSTOP),
+    _bridge(f"it is killed: zero after 0.2 s{_THEN}", signal.SIGKILL),
+    _bridge(f"it is stopped (SIGSTOP): zero after 0.2 s{_THEN}", signal.SIGSTOP),
     _child(
         "SIGKILL of the child: a fault, nothing can damp",
         Wants(most=1, closed=False, ms=None, ended_ms=6000.0, reason="SIGKILL"),
@@ -130,3 +148,5 @@ CASES = (
         flow={"zip": [WALK, {f"{BLOCKS}:broken": {"hang": 60.0, "at": "{at}"}}]},
     ),
 )
+_IN_G1 = (case for case in _CASES if case.name != _FLOODED)  # it falls when ~/reset comes each tick
+CASES = (*_CASES, *map(_in_g1, _IN_G1))

@@ -82,7 +82,10 @@ def signal_the_child(number: signal.Signals, run: FaultRun) -> None:
     """Send a signal to the processes that the run has started."""
     run.wait_for_tick(run.case.at)
     pid = run.process.pid
-    children = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii").split()
+    try:
+        children = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii").split()
+    except FileNotFoundError:  # it has ended by itself: the fault is not reached
+        return
     run.mark()
     for child in children:
         os.kill(int(child), number)

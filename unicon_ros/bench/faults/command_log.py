@@ -13,28 +13,33 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["CLOSE", "FAULT", "JOINTS", "OPEN", "RECV", "SEND", "CommandLog"]
-
-JOINTS = 12
-"""Of every robot in the bench: a Go2."""
+__all__ = ["CLOSE", "FAULT", "OPEN", "RECV", "SEND", "CommandLog"]
 
 OPEN, RECV, SEND, FAULT, CLOSE = 1, 2, 3, 4, 5
 """Kinds of rows: the platform was built, a tick began, a command left, the fault, it was closed."""
 
-_ROW = np.dtype(
-    [
-        ("time", np.int64),  # [ns]
-        ("tick", np.int64),
-        ("target", np.float64, JOINTS),  # [rad]
-        ("speed", np.float64, JOINTS),  # velocity target in [rad/s]
-        ("effort", np.float64, JOINTS),  # feed-forward in [N·m]
-        ("stiffness", np.float64, JOINTS),  # [N·m/rad]
-        ("damping", np.float64, JOINTS),  # [N·m·s/rad]
-        ("velocity", np.float64, 3),  # velocity_command in [m/s], [rad/s]
-        ("kind", np.int64),  # last: a row without one is not whole
-    ]
-)
 _CAPACITY = 8192
+_BYTES = 8  # of every number in a row
+
+
+def _row(joints: int) -> np.dtype[Any]:
+    return np.dtype(
+        [
+            ("target", np.float64, (joints,)),  # [rad]
+            ("speed", np.float64, (joints,)),  # velocity target in [rad/s]
+            ("effort", np.float64, (joints,)),  # feed-forward in [N·m]
+            ("stiffness", np.float64, (joints,)),  # [N·m/rad]
+            ("damping", np.float64, (joints,)),  # [N·m·s/rad]
+            ("time", np.int64),  # [ns]
+            ("tick", np.int64),
+            ("velocity", np.float64, 3),  # velocity_command in [m/s], [rad/s]
+            ("kind", np.int64),  # last: a row without one is not whole
+        ]
+    )
+
+
+_BARE = _row(0).itemsize // _BYTES  # numbers of a row beside the joints'
+_EACH = 5  # of each joint
 
 
 class CommandLog:
@@ -42,16 +47,18 @@ class CommandLog:
 
     Args:
         path: of the file.
-        create: make it, empty; else open what another made.
+        joints: make it, empty, for so many joints; else open what another made.
 
     Attributes:
         rows: all rows, also those that nobody has written yet (kind 0).
     """
 
-    def __init__(self, path: Path, create: bool = False) -> None:
-        mode: Any = "w+" if create else "r+"
+    def __init__(self, path: Path, joints: int | None = None) -> None:
+        mode: Any = "r+" if joints is None else "w+"
+        if joints is None:  # the file's length tells
+            joints = (path.stat().st_size // (_CAPACITY * _BYTES) - _BARE) // _EACH
         self.path = path
-        self.rows = np.memmap(path, dtype=_ROW, mode=mode, shape=(_CAPACITY,))
+        self.rows = np.memmap(path, dtype=_row(joints), mode=mode, shape=(_CAPACITY,))
         self._next = 0
 
     def add(self, kind: int, tick: int = 0, **values: Any) -> None:

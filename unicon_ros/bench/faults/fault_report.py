@@ -65,7 +65,7 @@ class FaultBench(Bench):
         name, missed = case.row, judge(case.wants, got)
         before: Any = self.cases.get(name, {})
         row: dict[str, Any] = {
-            "robot": "go2",
+            "robot": case.robot,
             "ticks": [*before.get("ticks", []), case.at],
             "outcome": case.outcome,
             "with": case.marks,

@@ -15,9 +15,11 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
+from unicon_core.robots import Robot, load_robot
 from unicon_ros.bench.domains import loopback_environment
 from unicon_ros.bench.faults.case import Case
 from unicon_ros.bench.faults.command_log import CLOSE, RECV, SEND, CommandLog
+from unicon_ros.bench.faults.simulated_case import ROBOTS
 from unicon_ros.bench.loops import die_with_parent
 
 __all__ = ["PLATFORM", "SIMULATOR", "FaultRun"]
@@ -39,6 +41,7 @@ class FaultRun:
         folder: where everything of it is written; exists and is empty.
 
     Attributes:
+        robot: whose commands are logged.
         log: of the recording platform, or of the robot that is the peer.
         fault_ns: when it was done from outside, on the clock of the log; 0 where the log tells.
         ended_ns: when the process had ended; 0 where it had to be killed.
@@ -49,8 +52,10 @@ class FaultRun:
 
     def __init__(self, case: Case, folder: Path) -> None:
         self.case, self.folder = case, folder
-        self.log = CommandLog(folder / "commands.log", create=True)
-        self.peer_log = CommandLog(folder / "peer.log", create=True)
+        self.robot: Robot = load_robot(ROBOTS[case.robot]["robot"])
+        joints = self.robot.num_joints
+        self.log = CommandLog(folder / "commands.log", joints)
+        self.peer_log = CommandLog(folder / "peer.log", joints)
         self.fault_ns = self.ended_ns = 0
         self.terminal = self.stream = -1
         self._workflow = folder / "workflow.yaml"
@@ -161,13 +166,11 @@ class FaultRun:
         platform = "ros" if case.topics else SIMULATOR if case.mujoco else PLATFORM
         options: dict[str, Any] = {"log": log, "fault": case.fault, "at": case.at}
         values: dict[str, Any] = {
-            "robot": "go2",
+            **ROBOTS[case.robot],
             "start": "none",  # faults count from the first command on
             "platform": platform,
             "platforms": {} if case.topics else {platform: options},
-            "rate": 50,
             "commands": [{"velocity_command": {"constant": [0.1, 0.0, 0.0]}}],
-            "policies": {"walk": "go2_velocity"},
             "flow": case.flow,
             "safety": ["finite", "joint_limits", "tilt_stop"],
             **case.workflow,
@@ -176,7 +179,9 @@ class FaultRun:
             values["safety"] = {"only": values["safety"]}
         if not case.uses_policy:
             del values["policies"]
-        if case.mujoco:
+        if not case.mujoco:
+            del values["scene"]
+        elif case.robot == "go2":
             values["scene"] = {"initial_pose": "stand"}
         text = json.dumps(values).replace("{log}", log).replace('"{at}"', str(case.at))
         text = text.replace("{name}", self.folder.name)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import unicon_ros
-from unicon_core.robots import load_robot
+from unicon_core.robots import Robot
 from unicon_ros.bench.faults.blocks import swing
 from unicon_ros.bench.faults.case import Measured
 from unicon_ros.bench.faults.command_log import CLOSE, FAULT, RECV, SEND
@@ -45,9 +44,10 @@ def measure(run: FaultRun, status: int | None) -> Measured:
     after = sent[sent["time"] > fault]
     damping = _damping(sent)[len(sent) - len(after) :]
     moving = _moving(sent, fault) if run.case.topics else after[~damping]
-    got.commands, got.wild = len(moving), _wild(after)
+    got.commands, got.wild = len(moving), _wild(after, run.robot)
     if damping.any() and not run.case.topics:
-        got.beyond = _beyond(sent, len(sent) - len(after) + int(np.argmax(damping)))
+        first = len(sent) - len(after) + int(np.argmax(damping))
+        got.beyond = _beyond(sent, first, run.robot)
     ends = np.concatenate((after["time"][damping], run.log.of(CLOSE)["time"]))
     late = ends[ends > fault]
     if run.case.topics:
@@ -66,7 +66,7 @@ def measure(run: FaultRun, status: int | None) -> Measured:
     got.gap_ms = float(np.diff(times).max(initial=0)) * 1e-6
     _velocity(got, after, fault)
     _standing(got, after[~damping], fault)
-    _wobbling(got, after[~damping])
+    _wobbling(got, after[~damping], run.robot)
     of_topics = report.get("bridge", {}).get("topics", {}).values()
     got.refused = sum(int(topic.get("rejected", 0)) for topic in of_topics)
     _recording(got, run, sent)
@@ -98,11 +98,11 @@ def _damping(sent: NDArray[Any]) -> NDArray[np.bool_]:
     return found
 
 
-def _beyond(sent: NDArray[Any], first: int) -> list[str]:
+def _beyond(sent: NDArray[Any], first: int, robot: Robot) -> list[str]:
     """Return what of the commands from the first damping one on exceeds the damping command."""
     names = ("target", "speed", "effort", "stiffness", "damping")
     commands = Commands(sent["time"] * 1e-9, *(sent[name] for name in names))
-    return beyond_damping(commands, first, load_robot("go2"), slack=_BUSY)
+    return beyond_damping(commands, first, robot, slack=_BUSY)
 
 
 def _moving(sent: NDArray[Any], fault: int) -> NDArray[Any]:
@@ -114,19 +114,13 @@ def _moving(sent: NDArray[Any], fault: int) -> NDArray[Any]:
     return moving
 
 
-def _wild(rows: NDArray[Any]) -> int:
-    lower, upper = _limits()
+def _wild(rows: NDArray[Any], robot: Robot) -> int:
+    lower, upper = robot.lower, robot.upper
     target = rows["target"]
     with np.errstate(invalid="ignore"):
         inside = (target >= lower - TOLERANCE) & (target <= upper + TOLERANCE)
     gains = np.isfinite(rows["stiffness"]) & np.isfinite(rows["damping"])
     return int(np.count_nonzero(~(inside & gains).all(axis=1)))
-
-
-@cache
-def _limits() -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    robot = load_robot("go2")
-    return robot.lower, robot.upper
 
 
 def _velocity(got: Measured, after: NDArray[Any], fault: int) -> None:
@@ -149,11 +143,10 @@ def _standing(got: Measured, rows: NDArray[Any], fault: int) -> None:
         got.stands_ms = (int(rows["time"][last]) - fault) * 1e-6
 
 
-def _wobbling(got: Measured, rows: NDArray[Any]) -> None:
+def _wobbling(got: Measured, rows: NDArray[Any], robot: Robot) -> None:
     """Count the commands that `wobble` did not give so, and tell the factors of their gains."""
     if not len(rows):
         return
-    robot = load_robot("go2")
     offset = np.array([swing(float(tick)) for tick in rows["tick"]])
     wrong = np.abs(rows["target"] - robot.default_joint_pos - offset[:, None]) > TOLERANCE
     wrong |= (rows["speed"] != 0.0) | (rows["effort"] != 0.0)
