@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,7 +59,7 @@ def tilted(projected_gravity: Reads, *, angle: float = 1.0) -> Callable[[], bool
 
 def largest(values: NDArray[np.float32]) -> Callable[[], float]:
     """Return what reads the largest element; of a scalar its value, which is 8x faster."""
-    return values.max if values.ndim else values.item
+    return cast("Callable[[], float]", values.max if values.ndim else values.item)
 
 
 def commanded(

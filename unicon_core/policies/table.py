@@ -156,7 +156,7 @@ def observation_table(
                 if isinstance(term.subtract, str)
                 else _values(part.subtract, "-", 0.0),
                 _values(part.scale, "1", 1.0),
-                "-" if term.clip is None else _range(part.low.min(), part.high.max()),
+                "-" if term.clip is None else _range(float(part.low.min()), float(part.high.max())),
                 str(term.history),
                 part.unit or "-",
             ]
