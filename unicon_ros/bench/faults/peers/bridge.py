@@ -47,6 +47,9 @@ def main() -> None:
         heard = runs.driven(SAID)
         if heard > at:
             break
+    if heard <= at:
+        desk.kill()
+        sys.exit("nobody obeyed")  # the fault is not reached
     log.add(FAULT)
     desk.send_signal(number)
     print(f"{number.name} after {heard} commands", flush=True)

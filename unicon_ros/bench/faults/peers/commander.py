@@ -50,6 +50,8 @@ def main() -> None:
     while runs.driven(SAID) <= most and time.monotonic() < end:
         publisher.publish(well)
         time.sleep(STEADILY)
+    if runs.driven(SAID) <= most:
+        sys.exit("nobody obeyed")  # the fault is not reached
     if fault != "good":
         log.add(FAULT)
     if fault == "killed":
