@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from unicon_core.runtime import Report, Runner
     from unicon_core.workflow import Program
 
-__all__ = ["KEPT", "OFF", "SCHEMA", "FaultRecord", "fault_folder"]
+__all__ = ["KEPT", "OFF", "SCHEMA", "FaultRecord", "fault_folder", "versions_here"]
 
 SCHEMA = "unicon.record/1"
 OFF = "off"
@@ -189,7 +189,8 @@ def _fill(
     def add(name: str, text: str) -> None:
         file.add_record(attachment(name, "application/json", now, text.encode()))
 
-    add("memory.json", json.dumps({"trouble": ring.trouble, "memories": content}))
+    built = None if ring.built is None else ring.built.content()
+    add("memory.json", json.dumps({"trouble": ring.trouble, "built": built, "memories": content}))
     add("report.json", json.dumps(report.to_dict(), default=str))
     file.add(tick_channel(1, program.states.layout, ring.moments))
     _add_ticks(file, ring)
@@ -222,11 +223,6 @@ def _facts(
 ) -> dict[str, str]:
     """Return what the ticks mean and where they come from."""
     document, layout = program.document, program.states.layout
-    versions = {"unicon_ros": __version__, "python": platform.python_version()}
-    for name in VERSIONS:
-        if name in sys.modules:
-            with suppress(packages.PackageNotFoundError):
-                versions[name] = packages.version(name)
     return {
         "schema": SCHEMA,
         "written": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
@@ -245,11 +241,45 @@ def _facts(
         "overridden": json.dumps(document.overridden),
         "part": program.part,
         "platform": program.platform.facts.name,
+        "platform_facts": json.dumps(_platform_facts(program)),
+        "outside": json.dumps(_outside(program)),
         "robot": program.robot.name,
         "robot_file": _text_of(program.robot.path),
         "policies": json.dumps(policies),
-        "versions": json.dumps(versions),
+        "versions": json.dumps(versions_here()),
     }
+
+
+def versions_here() -> dict[str, str]:
+    """Return the versions of what is loaded by now."""
+    versions = {"unicon_ros": __version__, "python": platform.python_version()}
+    for name in VERSIONS:
+        if name in sys.modules:
+            with suppress(packages.PackageNotFoundError):
+                versions[name] = packages.version(name)
+    return versions
+
+
+def _platform_facts(program: Program) -> dict[str, Any]:
+    """Return what a stand-in needs to be built into the same graph."""
+    facts = program.platform.facts
+    return {
+        "simulated": facts.simulated,
+        "reads": facts.reads,
+        "writes": facts.writes,
+        "silent": program.silent,
+    }
+
+
+def _outside(program: Program) -> dict[str, list[str]]:
+    """Return the states that hooks write, such as topics, by the moment that follows."""
+    moments = {Stage.INPUT: "input", Stage.TUNE: "tuned", Stage.OBSERVE: "sent"}
+    given: dict[str, list[str]] = {}
+    for block in program.outside:
+        if block.stage in moments:
+            moment = moments[block.stage]
+            given[moment] = sorted({*given.get(moment, ()), *block.writes, *block.amends})
+    return given
 
 
 def _text_of(path: Path) -> str:

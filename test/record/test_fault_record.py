@@ -261,7 +261,7 @@ def test_a_reset_in_the_middle_is_replayed(short_ring: None, tmp_path: Path) -> 
         record = cut_off(workflow, tmp_path / "faults", 60, inputs=resets).record
     anew = [each["before"] for each in record.memories if each["anew"]]
     assert record.ticks[anew].tolist() == [34, 48]
-    assert replay(workflow, record) == []
+    assert replay(record) == []
 
 
 def test_states_that_are_too_large_are_told_and_the_rest_is_written(tmp_path: Path) -> None:

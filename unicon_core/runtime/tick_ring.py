@@ -71,6 +71,7 @@ class TickRing:
         capacity: ticks; 0 where the states are too large.
         row_bytes: of a tick: `HEAD`, then the states at each moment.
         rows: ticks that were kept since the beginning.
+        built: what the blocks remembered before the first tick of the run, or None.
         trouble: why memories are missing, or "".
     """
 
@@ -92,6 +93,7 @@ class TickRing:
             self.capacity = 0
         self.rows = 0
         self.trouble = ""
+        self.built: Remembered | None = None
         # Written once, so that no page of it is new to a tick.
         self._data = memoryview(np.full(self.capacity * self.row_bytes, 0xFF, np.uint8).data)
         starts = range(HEAD.size, len(self._data), self.row_bytes)
@@ -125,6 +127,7 @@ class TickRing:
         except Exception as error:  # a block of somebody's, which cannot be looked into
             self.trouble = f"what the blocks remember was not kept: {error!r}"
         self._remember(False)
+        self.built = self._memories[0].remembered if self._memories else None
         runner.at_fault.append(self.freeze)
 
     # -- in the tick ----------------------------------------------------------------------------

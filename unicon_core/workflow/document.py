@@ -14,7 +14,14 @@ from unicon_core.located_yaml import Located, parse_value, read_yaml
 from unicon_core.resources import find_config, list_config
 from unicon_core.workflow.settings import check_settings
 
-__all__ = ["KEYS", "WorkflowDocument", "document_of", "load_document", "workflow_names"]
+__all__ = [
+    "KEYS",
+    "WorkflowDocument",
+    "document_at",
+    "document_of",
+    "load_document",
+    "workflow_names",
+]
 
 SCHEMA = "unicon.workflow/1"
 
@@ -118,8 +125,14 @@ def load_document(
         WorkflowError: no such file, broken YAML, an unknown key, a wrong override.
     """
     path = find_config("workflows", name_or_path, error=WorkflowError)
-    located = read_yaml(path, WorkflowError)
-    values = located.value
+    return document_at(read_yaml(path, WorkflowError), overrides)
+
+
+def document_at(
+    located: Located, overrides: Iterable[str] | Mapping[str, Any] = ()
+) -> WorkflowDocument:
+    """Return the document of a workflow that was read; see `load_document`."""
+    path, values = located.path, located.value
     if not isinstance(values, dict):
         raise WorkflowError("a workflow is a mapping with robot, platform and flow", f"{path}:1")
     changed = []

@@ -23,7 +23,7 @@ from unicon_core.flow.fuse import fuse
 from unicon_core.flow.stage import Stage
 from unicon_core.platforms.kit.damping import LastSent
 from unicon_core.platforms.part import PartPlatform
-from unicon_core.platforms.platform import RequiresStates, WarmsUp
+from unicon_core.platforms.platform import Platform, RequiresStates, WarmsUp
 from unicon_core.signals import SIGNALS
 from unicon_core.states import Layout, States
 from unicon_core.states.groups import groups_of
@@ -85,6 +85,7 @@ class Program:
         dry: open no hardware: its options are checked, and `fake` stands in its place.
         silent: open the robot and send it nothing, at the end either; a simulator is sent limp
             joints. The command states hold what would have been sent.
+        instead: makes what stands in the place of the platform, which is not opened.
 
     Attributes:
         document: what it was built from, for messages and the check.
@@ -134,6 +135,7 @@ class Program:
         part: str = "",
         dry: bool = False,
         silent: bool = False,
+        instead: Callable[[States], Platform] | None = None,
         **described: Any,
     ) -> None:
         if document is None:
@@ -179,11 +181,13 @@ class Program:
         self.blocks: list[Block] = []
         self.outside: list[Block] = []
         try:
-            self.platform = self.context.platform = (
-                PartPlatform(part, self.parts.first, self._arrivals)
-                if self.parts is not None and not self.has_platform
-                else build_platform(document, self.context, dry=dry, silent=silent)
-            )
+            if instead is not None:
+                self.platform = instead(self.states)
+            elif self.parts is not None and not self.has_platform:
+                self.platform = PartPlatform(part, self.parts.first, self._arrivals)
+            else:
+                self.platform = build_platform(document, self.context, dry=dry, silent=silent)
+            self.context.platform = self.platform
         except BaseException:  # nobody else has them yet
             for arrival in self._arrivals:
                 arrival.close()
@@ -292,7 +296,7 @@ class Program:
     def _published(self) -> list[Block]:
         """Put the publishers of this process into the stages, as its store and part say."""
         states = self.states
-        if self.part and self.parts is not None:
+        if self.part and self.parts is not None and not self.dry:
             groups = self.parts.groups(self.part, states.layout)
             return publishers(self.parts.store, self.part, groups, states, self.stages)
         if self.store is None or self.dry or self.silent or self.parts is not None:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from unicon_core.errors import StateError, UniconError
 from unicon_core.runtime.tick_ring import HEAD
-from unicon_core.states import Layout
+from unicon_core.states import Layout, States
 from unicon_ros.recording.records import (
     ATTACHMENT,
     CHUNK,
@@ -83,6 +83,16 @@ class Record:
             )
         packed = self.buffers[moment][:, slot.offset : slot.offset + slot.nbytes]
         return np.ascontiguousarray(packed).view(slot.dtype).reshape(-1, *slot.shape)
+
+    def feed(self, moment: str, row: int, states: States) -> None:
+        """Put what came from outside at a moment of a tick into live states of the same layout.
+
+        Args:
+            moment: `received`, `input` or `tuned`.
+            row: of the tick.
+            states: with all that the moments before left.
+        """
+        states.buffer[:] = self.buffers[moment][row]
 
 
 def open_record(path: str | Path) -> Record:
