@@ -55,7 +55,11 @@ def add(commands: Any) -> None:
     parser.add_argument(
         "--part", metavar="NAME", default="", help="run one part of a workflow that has parts"
     )
-    parser.add_argument("--record", metavar="FILE.mcap", help="record the states' messages")
+    parser.add_argument(
+        "--record",
+        metavar="FILE.mcap",
+        help="record every state of every tick, and the messages of the map",
+    )
     parser.add_argument(
         "--faults",
         metavar="DIR",
@@ -163,7 +167,7 @@ def _run(
             hooks.append(picture.hook)
         if arguments.view:
             hooks.append(_viewer)
-        record = FaultRecord(arguments.faults, console.warn)
+        record = FaultRecord(arguments.faults, console.warn, recording)
         hooks.append(record.hook)  # the last one: it looks behind the others
         program = Program(document, hooks=hooks, part=arguments.part, silent=arguments.dry)
         guard.damp = program.damp_now

@@ -2,9 +2,9 @@
 
 The tick never waits for the disk: where eight blocks of 1 MiB are full, messages are dropped and
 counted. Nothing is done per message in the thread, which would hold the interpreter's lock: a chunk
-is one system call on the memory that the tick wrote. Every 0.4 s what is there goes to the kernel
-(a kill loses no more), every second the kernel is told to bring it to the medium (a power loss
-loses up to 1.5 s, and longer where the medium is slow).
+is one system call on the memory that the tick wrote. Every 0.3 s what is there goes to the kernel
+(a kill loses no more), every 0.6 s the kernel is told to bring it to the medium (a power loss
+loses up to 1 s, and longer where the medium is slow).
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from typing import Any
 
 import numpy as np
 
-from unicon_ros.recording.mcap_file import McapFile
+from unicon_ros.recording.mcap_file import Buffer, McapFile
 from unicon_ros.recording.records import MESSAGE, MESSAGE_HEAD, ROW, Channel
 
 __all__ = ["Background"]
 
-FLUSH_S = 0.4
-SYNC_S = 1.0
+FLUSH_S = 0.3
+SYNC_S = 0.6
 CLOSE_S = 5.0
 BLOCKS, BLOCK_BYTES, BLOCK_ROWS = 8, 1 << 20, 1 << 14
 
@@ -64,6 +64,7 @@ class Background:
         self._block = _Block()
         self._queue = deque([self._block])
         self._free = deque(_Block() for _ in range(BLOCKS - 1))
+        self._others: deque[Callable[[], bytes]] = deque()
         self._overflow = self._discarded = 0
         self._error = ""
         self._open = True
@@ -75,8 +76,10 @@ class Background:
             for name, work in (("writer", self._work), ("sync", self._sync))
         ]
 
-    def add(self, channel: Channel) -> Callable[[int, bytes], None]:
+    def add(self, channel: Channel) -> Callable[[int, Buffer], bool]:
         """Add a topic, before `start`, and return what takes its messages: `write(stamp_ns, cdr)`.
+
+        What it returns is False for a message that is dropped.
 
         Raises:
             OSError: it cannot be written.
@@ -84,10 +87,19 @@ class Background:
         self._file.add(channel)
         return partial(self._put, channel.number)
 
+    def add_record(self, make: Callable[[], bytes]) -> None:
+        """Add an attachment or metadata, from the tick too: it is made and written by the thread.
+
+        Args:
+            make: returns it as of `records.attachment` and `records.metadata`.
+        """
+        self._others.append(make)
+
     def start(self) -> None:
-        """Start the threads."""
-        for thread in self._threads:
-            thread.start()
+        """Start the threads; safe to call twice."""
+        if self._threads[0].ident is None:
+            for thread in self._threads:
+                thread.start()
 
     def counts(self) -> dict[str, Any]:
         """Return messages in the file, those dropped, bytes of the file, and the error or ""."""
@@ -99,10 +111,16 @@ class Background:
         }
 
     def close(self) -> None:
-        """Write the rest, finish the file; at most 5 s. Never raises, and safe to call twice."""
+        """Write the rest, finish the file; at most 5 s. Never raises, and safe to call twice.
+
+        Where it was not even started the file is deleted.
+        """
         self._ending = True
         self._wake.set()
         self._ended.set()
+        if self._threads[0].ident is None:
+            self._file.discard()
+            return
         if not any(thread.is_alive() for thread in self._threads):
             return
         end = time.monotonic() + CLOSE_S
@@ -113,8 +131,8 @@ class Background:
 
     # -- the tick's side ------------------------------------------------------------------------
 
-    def _put(self, channel: int, stamp_ns: int, raw: bytes) -> None:
-        """Take a message; it is copied."""
+    def _put(self, channel: int, stamp_ns: int, raw: Buffer) -> bool:
+        """Take a message; it is copied. False where it is dropped."""
         block = self._block
         begin, count = block.mark
         body = begin + MESSAGE_HEAD.size
@@ -122,7 +140,7 @@ class Background:
         if end > len(block.data) or count == BLOCK_ROWS:
             if not self._turn(end - begin):
                 self._overflow += 1
-                return
+                return False
             block = self._block
             begin, count, body, end = 0, 0, MESSAGE_HEAD.size, end - begin
         if stamp_ns < 0:  # times in MCAP are unsigned
@@ -134,6 +152,7 @@ class Background:
         data[body:end] = raw
         _ROW.pack_into(block.rows, count * _ROW.size, channel, stamp_ns, begin)
         block.mark = (end, count + 1)
+        return True
 
     def _turn(self, size: int) -> bool:
         """Go on to a block that is free and has room for a message; False where there is none."""
@@ -177,6 +196,13 @@ class Background:
 
     def _drain(self) -> None:
         """Write what the tick has completed; blocks that it has left become free."""
+        while self._others:
+            make = self._others.popleft()
+            if self._open:
+                try:
+                    self._file.add_record(make())
+                except Exception as error:  # whatever it is, the run goes on
+                    self._stop(str(getattr(error, "strerror", None) or error), 0)
         while True:
             block = self._queue[0]
             left = len(self._queue) > 1  # asked before the mark is read: then the mark is final

@@ -32,7 +32,6 @@ class Columns:
 
     def __init__(self, record: Record, states: States) -> None:
         self._record, self._states = record, states
-        self._same = record.layout.hash == states.layout.hash
         if record.layout.num_robots != states.num_robots:
             raise StateError(
                 f"the record is of {record.layout.num_robots or 1} robots and the workflow of "
@@ -56,6 +55,8 @@ class Columns:
                 self._index[name] = _order(theirs[name].names, spec.names)
         self.lacking += [f"state {n!r} of the record is not here" for n in theirs if n not in ours]
         self.names = tuple(self._index)
+        self._turned = [name for name, index in self._index.items() if index is not None]
+        self._partly = len(record.kept["received"]) < len(record.layout.slots)
         self._kept: dict[tuple[str, str], NDArray[Any]] = {}
 
     def column(self, name: str, moment: str) -> NDArray[Any]:
@@ -66,13 +67,23 @@ class Columns:
             self._kept[key] = values if index is None else np.ascontiguousarray(values[..., index])
         return self._kept[key]
 
-    def feed(self, moment: str, row: int, names: Sequence[str] | None = None) -> None:
-        """Put states into the program as they were at a moment of a tick; all unless named."""
-        if names is None and self._same:
-            self._record.feed(moment, row, self._states)
-            return
-        for name in self.names if names is None else names:
-            self._states[name][...] = self.column(name, moment)[row]
+    def kept(self, moment: str, names: Sequence[str] | None = None) -> list[str]:
+        """Return those of some states that the record has at a moment."""
+        there = set(self._record.kept[moment])
+        return [name for name in (self.names if names is None else names) if name in there]
+
+    def begin(self, row: int) -> None:
+        """Put states into the program as they were received in a tick."""
+        if row and self._partly:  # what did not come from outside is what the tick before left
+            self._record.feed("sent", row - 1, self._states)
+            self._align("sent", row - 1)
+        self._record.feed("received", row, self._states)
+        self._align("received", row)
+
+    def _align(self, moment: str, row: int) -> None:
+        for name in self._turned:
+            if name in self._record.kept[moment]:
+                self._states[name][...] = self.column(name, moment)[row]
 
 
 def _order(theirs: Sequence[str], ours: Sequence[str]) -> NDArray[np.intp] | None:

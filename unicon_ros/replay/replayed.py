@@ -7,7 +7,7 @@ recv, what topics and parameters gave behind those. All else is computed again.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -50,7 +50,7 @@ class Replayed:
         outside: states that came from outside, by the moment behind it.
         beyond: those of them that came behind the command: they are not computed in a tick.
         scaled: gains were scaled from outside, by these factors.
-        skipped: phase to number of ticks that cannot be replayed.
+        skipped: what kind of ticks cannot be replayed, and how many.
         homeless: recorded blocks whose memory has no place here.
 
     Raises:
@@ -101,13 +101,18 @@ class Replayed:
             StateError: what the blocks remembered cannot be given to these.
         """
         record, ran = self.record, 0
+        lost = False
         for row, phase in enumerate(record.phases):
             if row in self._memories:
                 self._restore(self._memories[row])
-            graph = self._graph(row, phase) if record.ended[row] else None
+                lost = False
+            if not record.ended[row]:
+                continue
+            lost |= row not in self._memories and self._missing_before(row)
+            graph = None if lost else self._graph(row, phase)
             if graph is None:
-                if record.ended[row]:
-                    self.skipped[phase] = self.skipped.get(phase, 0) + 1
+                why = f"of phase {phase}" if not lost else "behind ticks that were not recorded"
+                self.skipped[why] = self.skipped.get(why, 0) + 1
                 continue
             self._row, self.graph = row, graph
             ran += 1
@@ -117,6 +122,11 @@ class Replayed:
             except Exception as error:  # the recorded tick went on: it differs
                 failed(row, error)
         return ran
+
+    def _missing_before(self, row: int) -> bool:
+        """Return whether ticks are missing: what the blocks remembered is not known then."""
+        ticks, phases = self.record.ticks, self.record.phases
+        return row > 0 and phases[row - 1] == phases[row] and ticks[row] != ticks[row - 1] + 1
 
     def _graph(self, row: int, phase: str) -> CompiledGraph | None:
         if phase not in (Phase.WAIT.value, Phase.APPROACH.value):
@@ -134,7 +144,8 @@ class Replayed:
             return waiting_tree(self.program)
         if row == 0:
             return None
-        self.columns.feed("sent", row - 1)
+        self._row = row - 1
+        self._put("sent", self.columns.names)
         return approach_tree(self.program)
 
     # -- what came from outside -----------------------------------------------------------------
@@ -145,9 +156,11 @@ class Replayed:
         self.outside = {m: tuple(n for n in ns if n in names) for m, ns in self.outside.items()}
         made = _written(program, Stage.ESTIMATE, Stage.COMMAND)
         given = self.outside.get("input", ())
-        self._at_input = [name for name in names if name in given or name not in made]
+        wanted = [name for name in names if name in given or name not in made]
+        self._at_input = self._kept("input", wanted)
         made |= {*given, *_written(program, Stage.INPUT, Stage.FLOW), *COMMAND_STATES}
-        self._at_tuned = [name for name in names if name not in made]
+        self._at_tuned = self._kept("tuned", [name for name in names if name not in made])
+        self._gains = self._kept("tuned", self.outside.get("tuned", ()))
         written = {s for block in program.blocks for s in (*block.writes, *block.amends)}
         # Undeclared, so that they stay where they are; what they write is declared beside them.
         stages = {
@@ -163,16 +176,23 @@ class Replayed:
                 stages[stage].append(Block("given", _quiet, writes=tuple(fresh), endless=True))
         return stages
 
+    def _kept(self, moment: str, names: Sequence[str]) -> list[str]:
+        return self.columns.kept(moment, names) if moment in self.record.moments else []
+
     def _received(self) -> None:
-        self.columns.feed("received", self._row)
+        self.columns.begin(self._row)
+
+    def _put(self, moment: str, names: Sequence[str]) -> None:
+        for name in names:
+            self.program.states[name][...] = self.columns.column(name, moment)[self._row]
 
     def _input(self) -> None:
-        self.columns.feed("input", self._row, self._at_input)
+        self._put("input", self._at_input)
 
     def _tuned(self) -> None:
         """Scale the gains as somebody wished; other gains are those of another workflow."""
-        self.columns.feed("tuned", self._row, self._at_tuned)
-        for name in self.outside.get("tuned", ()):
+        self._put("tuned", self._at_tuned)
+        for name in self._gains:
             own, recorded = self.program.states[name], self.columns.column(name, "tuned")[self._row]
             if own.tobytes() == recorded.tobytes():
                 continue

@@ -67,8 +67,7 @@ def verify(record: Record, document: WorkflowDocument) -> Verdict:
         f"what {name!r} remembered is left out: there is no such block here"
         for name in sorted(replayed.homeless)
     ]
-    for phase, count in replayed.skipped.items():
-        notes.append(f"{count} ticks of phase {phase} cannot be replayed")
+    notes += [f"{n} ticks {which} cannot be replayed" for which, n in replayed.skipped.items()]
     if not ticks:
         raise StateError(f"nothing in the record can be replayed: {'; '.join(notes)}")
     notes += replayed.columns.lacking

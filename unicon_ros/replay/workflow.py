@@ -75,7 +75,7 @@ def others(record: Record, program: Program) -> list[str]:
 
 def versions(record: Record) -> list[str]:
     """Return packages of other versions than the recorded ones, one line each."""
-    from unicon_ros.fault_record import versions_here
+    from unicon_ros.recording.facts import versions_here
 
     try:
         recorded = json.loads(record.facts["versions"])
