@@ -123,8 +123,14 @@ setup(
             "unicon_node = unicon_ros.node_main:main",
             "latency_bench = unicon_ros.bench.latency_main:main",
         ],
-        "unicon.blocks": ["camera = unicon_ros.bridge.camera:camera"],
-        "unicon.platforms": ["ros = unicon_ros.bridge.ros_platform:make"],
+        "unicon.blocks": [
+            "camera = unicon_ros.bridge.camera:camera",
+            "recorded = unicon_ros.replay.commands:recorded",
+        ],
+        "unicon.platforms": [
+            "replay = unicon_ros.replay.platform:make",
+            "ros = unicon_ros.bridge.ros_platform:make",
+        ],
     },
     zip_safe=False,
 )

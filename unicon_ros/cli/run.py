@@ -24,13 +24,19 @@ if TYPE_CHECKING:
     from unicon_core.workflow import Hook, Program
     from unicon_core.workflow.document import WorkflowDocument
 
-__all__ = ["add", "run"]
+__all__ = ["add", "add_options", "close_session", "run", "run_document"]
 
 
 def add(commands: Any) -> None:
     """Add the command to the parser."""
     parser = commands.add_parser("run", help="run a workflow", description=__doc__)
     add_workflow(parser)
+    add_options(parser)
+    parser.set_defaults(function=run)
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add what says how a workflow runs."""
     parser.add_argument("--duration", type=positive, metavar="S", help="end after S seconds")
     parser.add_argument(
         "--speed",
@@ -93,7 +99,6 @@ def add(commands: Any) -> None:
         default=[],
         help="everything after this goes to ROS (remaps, parameters)",
     )
-    parser.set_defaults(function=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -101,7 +106,11 @@ def run(arguments: argparse.Namespace) -> int:
     # Imported here so that `unicon --help` stays fast and free of optional packages.
     from unicon_core.workflow import load_document
 
-    document = load_document(arguments.workflow, arguments.overrides)
+    return run_document(arguments, load_document(arguments.workflow, arguments.overrides))
+
+
+def run_document(arguments: argparse.Namespace, document: WorkflowDocument) -> int:
+    """Run a workflow that was read, as the options say."""
     console = Console()
     # From here on a signal ends what is open, one step after the other, and is never lost.
     try:
@@ -111,7 +120,7 @@ def run(arguments: argparse.Namespace) -> int:
         console.close()
     status = _tell(arguments, ended)
     if ended.session is not None:
-        _close(ended.session, status)
+        close_session(ended.session, status)
     return status
 
 
@@ -231,7 +240,7 @@ def _listen(runner: Runner, with_ros: bool) -> None:
     threading.Thread(target=listen, name="operator", daemon=True).start()
 
 
-def _close(session: Any, status: int) -> None:
+def close_session(session: Any, status: int) -> None:
     """Take ROS down, after all is written and told: it may fail or never end."""
     from unicon_ros.ending import exits_within
 
