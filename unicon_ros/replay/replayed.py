@@ -77,6 +77,7 @@ class Replayed:
             instead=partial(StandIn, facts),
         )
         try:
+            _refuse_other_rate(record, self.program)
             runner = Runner(self.program, RunOptions(warn=_quiet))
             self._graphs = runner.graphs()
             self._memory = memory_of(self.program, runner)
@@ -219,6 +220,19 @@ class Replayed:
                 f"workflow {self.program.name} cannot go on in the middle of the recorded run: "
                 f"{error}"
             ) from error
+
+
+def _refuse_other_rate(record: Record, program: Program) -> None:
+    try:
+        period = float(record.facts["period_s"])
+    except (KeyError, ValueError):
+        return
+    if abs(period - program.period) > 1e-6 * period:
+        raise StateError(
+            f"the record ticks at {1.0 / period:g} Hz and workflow {program.name} at "
+            f"{1.0 / program.period:g} Hz; give it rate: {1.0 / period:g}, or replay without "
+            "--verify, where a tick gets the newest values"
+        )
 
 
 def _written(program: Program, *stages: Stage) -> set[str]:

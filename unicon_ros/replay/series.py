@@ -101,7 +101,7 @@ def _rows(record: Record, period: float | None, start: float) -> NDArray[np.intp
     same = period is None or abs(period - own) <= 1e-6 * own
     if not same:
         assert period is not None
-        grid = np.arange(round(float(times[-1]) / period) + 1) * period
+        grid = np.arange(int(float(times[-1]) / period + 1e-6) + 1) * period
         rows = rows[np.searchsorted(times, grid + 1e-9, side="right") - 1]
     skipped = round(start / (own if same or period is None else period))
     if not 0 <= skipped < len(rows):

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import Fault, StateError
+from unicon_core.runtime.phases import Phase
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_core.workflow import WorkflowDocument
 from unicon_ros.recording import Record
@@ -99,10 +100,13 @@ class _Comparison:
         replayed = self.replayed
         assert replayed is not None
         states, columns = replayed.program.states, replayed.columns
+        beyond = replayed.beyond
+        if self._record.phases[row] == Phase.WAIT.value:  # gates mark what was measured
+            beyond = beyond.union(replayed.program.platform.facts.writes)
         names = [
             name
             for name in columns.names
-            if name not in replayed.beyond
+            if name not in beyond
             and states[name].tobytes() != columns.column(name, "sent")[row].tobytes()
         ]
         if not names:
