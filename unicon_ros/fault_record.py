@@ -22,21 +22,14 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from unicon_core.errors import UniconError
 from unicon_core.flow import Block, Stage
-from unicon_core.runtime.tick_ring import FEWEST, HEAD, TickRing
+from unicon_core.runtime.tick_ring import FEWEST, TickRing
 from unicon_ros.recording import McapFile, recover
 from unicon_ros.recording.facts import content_of, facts_of
 from unicon_ros.recording.mcap_file import Taken
-from unicon_ros.recording.records import (
-    MESSAGE,
-    MESSAGE_HEAD,
-    ROW,
-    attachment,
-    metadata,
-)
+from unicon_ros.recording.records import attachment, metadata
+from unicon_ros.recording.tick_file import add_ticks
 from unicon_ros.recording.tick_message import tick_channel
 
 if TYPE_CHECKING:
@@ -51,7 +44,6 @@ KEPT = 10
 """Records in a folder; older ones make room."""
 PATIENCE = 10.0
 """For the medium in [s]: nobody is to wait for ever for the report of a fault."""
-CHUNK_BYTES = 1 << 18
 
 
 def fault_folder(given: str | None = None) -> Path | None:
@@ -114,7 +106,7 @@ class FaultRecord:
         self._ring.attach(runner)
         self._facts = facts_of(runner, dict.fromkeys(self._ring.moments))
         if self._recording is not None:
-            self._recording.attach(runner)
+            self._recording.attach(self._facts)
 
     def write(self, report: Report) -> Path | None:
         """Write the record of a run with a fault, and return where; never raises.
@@ -193,29 +185,8 @@ def _fill(
     add("memory.json", json.dumps({"trouble": ring.trouble, "built": built, "memories": content}))
     add("report.json", json.dumps(report.to_dict(), default=str))
     file.add(tick_channel(1, runner.program.states.layout, dict.fromkeys(ring.moments)))
-    _add_ticks(file, ring)
+    add_ticks(file, ring.kept())
     add("trace.json", runner.statistics.trace(f"unicon {report.workflow}", max(ring.capacity, 1)))
-
-
-def _add_ticks(file: McapFile, ring: TickRing) -> None:
-    records = bytearray()
-    rows: list[tuple[int, int, int]] = []
-
-    def chunk() -> None:
-        file.write(bytes(records), np.array(rows, ROW))
-        records.clear()
-        rows.clear()
-
-    for raw in ring.kept():
-        stamp = max(int(HEAD.unpack_from(raw)[1]), 0)  # times in MCAP are unsigned
-        rows.append((1, stamp, len(records)))
-        size = MESSAGE_HEAD.size + len(raw)
-        records += MESSAGE_HEAD.pack(MESSAGE, size - 9, 1, 0, stamp, stamp)
-        records += raw
-        if len(records) > CHUNK_BYTES:
-            chunk()
-    if rows:
-        chunk()
 
 
 def _new_file(folder: Path, workflow: str) -> McapFile:

@@ -277,7 +277,8 @@ class UniconNode(LifecycleNode):
             from unicon_ros.recorder import Recording
 
             patient = settings.speed == "max"
-            recording = Recording(settings["record"], map_name, session, warn, patient)
+            split = settings["record_split"]
+            recording = Recording(settings["record"], map_name, session, warn, patient, split)
             hooks.append(recording.hook)
         self._record = FaultRecord(warn=warn, recording=recording)
         hooks.append(self._record.hook)  # the last one: it looks behind the others

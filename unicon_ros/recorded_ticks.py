@@ -10,18 +10,17 @@ from __future__ import annotations
 import base64
 import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import TYPE_CHECKING
 
 from unicon_core.memory import Remembered
 from unicon_core.runtime.tick_ring import HEAD, KeptMemory, TickRing
-from unicon_ros.recording.facts import content_of, facts_of
+from unicon_ros.recording.facts import content_of, layout_facts
 from unicon_ros.recording.records import attachment, metadata
 from unicon_ros.recording.tick_message import kept_moments
 
 if TYPE_CHECKING:
-    from unicon_core.runtime import Runner
     from unicon_ros.recorder import Recorder
 
 __all__ = ["RecordedTicks"]
@@ -53,9 +52,9 @@ class RecordedTicks:
         self._rows = 0
         ring.tap = self._take
 
-    def attach(self, runner: Runner) -> None:
+    def attach(self, facts: Mapping[str, str]) -> None:
         """Give the facts of the run to the recorder."""
-        facts = facts_of(runner, self._ring.outside)
+        facts = {**facts, **layout_facts(self._layout, self._ring.outside)}
         self._recorder.add_record(partial(metadata, "unicon", facts))
 
     def _take(self, raw: memoryview) -> None:

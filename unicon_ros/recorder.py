@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,12 +21,12 @@ from unicon_msgs_map import Encoder, MapStateError, load_map
 from unicon_msgs_map.layout.messages import message_definition
 from unicon_ros.recorded_ticks import RecordedTicks
 from unicon_ros.recording import Background, McapFile, recover
+from unicon_ros.recording.bag_folder import BagFolder, Split
 from unicon_ros.recording.mcap_file import Buffer, Taken
 from unicon_ros.recording.records import Channel
 from unicon_ros.recording.tick_message import Kept, tick_channel
 
 if TYPE_CHECKING:
-    from unicon_core.runtime import Runner
     from unicon_core.runtime.tick_ring import TickRing
     from unicon_core.states import Layout
     from unicon_core.workflow import Program
@@ -42,21 +42,33 @@ class Recorder(Background):
         path: of the file, must not exist; folders are made.
         warn: takes warnings, one line each, from a thread.
         patient: wait for a slow disk rather than drop messages.
+        split: where a next file begins; then the path is that of a bag folder, as it is where it
+            ends with a slash.
 
     Raises:
-        MissingDependencyError: rosbags is not installed.
         UniconError: the file exists, or cannot be written.
     """
 
     def __init__(
-        self, path: str | Path, warn: Callable[[str], None] = print, patient: bool = False
+        self,
+        path: str | Path,
+        warn: Callable[[str], None] = print,
+        patient: bool = False,
+        split: Split | None = None,
     ) -> None:
         self.path = Path(path)
+        self._split = split or Split()
+        self._folder = split is not None or str(path).endswith(os.sep)
+        if self._folder and self.path.suffix == ".mcap":
+            raise UniconError(
+                f"recording {path} is split into files of a folder: give a name without .mcap"
+            )
         if os.path.lexists(self.path):  # a link that points nowhere too
             raise UniconError(f"recording {path} exists; move it away or give another name")
         super().__init__(self._create(warn), warn, patient)
 
-    def _create(self, warn: Callable[[str], None]) -> McapFile:
+    def _create(self, warn: Callable[[str], None]) -> McapFile | BagFolder:
+        file: McapFile | BagFolder
         rest = self.path.with_name(f"{self.path.name}.partial")
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
@@ -67,7 +79,7 @@ class Recorder(Background):
                         f"an earlier run was cut off while it recorded to {self.path}; its "
                         f"{found[1]} messages are in {found[0]} now"
                     )
-            file = McapFile(self.path)
+            file = BagFolder(self.path, self._split) if self._folder else McapFile(self.path)
         except Taken:
             raise UniconError(
                 f"recording {self.path} is being written by another run; give another name"
@@ -126,6 +138,11 @@ class Recording:
             must then stand behind the session's own.
         warn: takes warnings, one line each, from a thread.
         patient: wait for a slow disk rather than drop messages: for runs at full speed.
+        split: where a next file of a bag folder begins, such as `1GB` or `60s`; "" for nowhere.
+
+    Raises:
+        MissingDependencyError: rosbags is not installed.
+        UniconError: nothing can be split so.
     """
 
     def __init__(
@@ -135,6 +152,7 @@ class Recording:
         session: RosSession | None = None,
         warn: Callable[[str], None] = print,
         patient: bool = False,
+        split: str = "",
     ) -> None:
         try:
             import rosbags  # noqa: F401  (the texts of the message types are its)
@@ -144,6 +162,7 @@ class Recording:
             ) from error
         self._path, self._map_name, self._session = path, map_name, session
         self._warn, self._patient = warn, patient
+        self._split = Split.of(split) if split else None
         self._recorder: Recorder | None = None
         self._ticks: RecordedTicks | None = None
 
@@ -163,7 +182,7 @@ class Recording:
         """Return the block that records."""
         # A robot does not wait for a disk, however its run is paced.
         patient = self._patient and program.platform.facts.simulated
-        recorder = Recorder(self._path, self._warn, patient)
+        recorder = Recorder(self._path, self._warn, patient, self._split)
         try:
             blocks = _blocks(recorder, program, self._map_name, self._session)
         except BaseException:
@@ -177,11 +196,11 @@ class Recording:
         assert self._recorder is not None
         self._ticks = RecordedTicks(self._recorder, ring)
 
-    def attach(self, runner: Runner) -> None:
-        """Get to know the runner, and begin to write, before the first tick."""
+    def attach(self, facts: Mapping[str, str]) -> None:
+        """Get the facts of the run, and begin to write, before the first tick."""
         assert self._recorder is not None
         if self._ticks is not None:
-            self._ticks.attach(runner)
+            self._ticks.attach(facts)
         self._recorder.start()
 
 

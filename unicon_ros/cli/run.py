@@ -63,8 +63,14 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--record",
-        metavar="FILE.mcap",
+        metavar="FILE.mcap|FOLDER/",
         help="record every state of every tick, and the messages of the map",
+    )
+    parser.add_argument(
+        "--record-split",
+        metavar="1GB|60s",
+        default="",
+        help="record to a bag folder whose files are that large or long, or both: 1GB,10min",
     )
     parser.add_argument(
         "--faults",
@@ -162,12 +168,21 @@ def _run(
         )
         hooks.append(session.hook)
     try:
+        if arguments.record_split and not arguments.record:
+            raise UniconError("--record-split goes with --record FOLDER/; add it")
         if arguments.record:
             from unicon_ros.recorder import Recording
 
             map_name = arguments.map or document.get("map", str)
             patient = arguments.speed == "max"
-            recording = Recording(arguments.record, map_name, session, console.warn, patient)
+            recording = Recording(
+                arguments.record,
+                map_name,
+                session,
+                console.warn,
+                patient,
+                arguments.record_split,
+            )
             hooks.append(recording.hook)
         if arguments.picture:
             from unicon_ros.picture import Picture

@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from unicon_ros.recording.bag_folder import BagFolder
 from unicon_ros.recording.mcap_file import Buffer, McapFile
 from unicon_ros.recording.records import MESSAGE, MESSAGE_HEAD, ROW, Channel
 
@@ -41,7 +42,7 @@ class _Block:
         taken: those of them that the thread has dealt with.
     """
 
-    def __init__(self, size: int = BLOCK_BYTES) -> None:
+    def __init__(self, size: int) -> None:
         # Written once, so that no page of it is new to the tick.
         self.data = bytearray(b"\xff") * size
         self.rows = bytearray(b"\xff") * (BLOCK_ROWS * _ROW.size)
@@ -58,12 +59,14 @@ class Background:
             run as fast as they can.
     """
 
-    def __init__(self, file: McapFile, warn: Callable[[str], None], patient: bool = False) -> None:
+    def __init__(
+        self, file: McapFile | BagFolder, warn: Callable[[str], None], patient: bool = False
+    ) -> None:
         self._file, self._warn, self._patient = file, warn, patient
         self._label = f"recording {file.path}"
-        self._block = _Block()
+        self._block = _Block(BLOCK_BYTES)
         self._queue = deque([self._block])
-        self._free = deque(_Block() for _ in range(BLOCKS - 1))
+        self._free = deque(_Block(BLOCK_BYTES) for _ in range(BLOCKS - 1))
         self._others: deque[Callable[[], bytes]] = deque()
         self._overflow = self._discarded = 0
         self._error = ""
@@ -217,7 +220,7 @@ class Background:
                 block.mark = block.taken = (0, 0)
                 self._free.append(block)
             else:
-                self._free.append(_Block())
+                self._free.append(_Block(BLOCK_BYTES))
 
     def _chunk(self, block: _Block, begin: int, end: int, first: int, last: int) -> None:
         if not self._open:
@@ -244,8 +247,7 @@ class Background:
         """Finish the file and return what went wrong, "" where nothing did."""
         self._open = False
         if self._file.gone():
-            self._discarded += self._file.messages
-            self._file.forget()
+            self._discarded += self._file.forget()
             return "somebody deleted it"
         if not self._file.messages:
             self._file.discard()

@@ -7,6 +7,7 @@ import json
 import platform
 import sys
 import time
+import uuid
 from contextlib import suppress
 from importlib import metadata as packages
 from pathlib import Path
@@ -64,6 +65,7 @@ def facts_of(runner: Runner, kept: Kept) -> dict[str, str]:
         for name, contract in program.policies.items()
     }
     return layout_facts(program.states.layout, kept) | {
+        "run": uuid.uuid4().hex,
         "period_s": repr(program.period),
         "workflow": document.name,
         "workflow_path": str(document.path),

@@ -78,8 +78,8 @@ class Record:
     _whole: Mapping[int, NDArray[np.uint8]]
     _feeds: dict[tuple[int, str], tuple[States, Any]] = field(default_factory=dict)
 
-    def states(self, name: str, moment: str = "sent") -> NDArray[Any]:
-        """Return a state in every tick, shape (ticks, …).
+    def states(self, name: str, moment: str = "sent", rows: slice = slice(None)) -> NDArray[Any]:
+        """Return a state in every tick, shape (ticks, …), or in some of them.
 
         Raises:
             StateError: no such state, or it is not kept at that moment.
@@ -97,7 +97,13 @@ class Record:
                 f"ask for it at 'sent'; kept there: {', '.join(self.kept[moment])}"
             )
         at = place.begin + place.places[name]
-        parts = [gather(each.data, each.ticks + at, slot.nbytes) for each in self._scans]
+        begin, end, _ = rows.indices(len(self.ticks))
+        parts = [
+            gather(
+                each.data, each.ticks[max(begin - first, 0) : max(end - first, 0)] + at, slot.nbytes
+            )
+            for each, first in zip(self._scans, self._begins)
+        ]
         packed = np.concatenate(parts)
         return packed.view(slot.dtype).reshape(-1, *slot.shape)
 
