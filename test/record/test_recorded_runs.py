@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from replaying import replay
 
 from unicon_core.errors import Fault, StateError
 from unicon_core.flow import Block, Stage
+from unicon_core.policies import load_policy
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import Program, load_document
 from unicon_ros.fault_record import FaultRecord
@@ -221,3 +223,37 @@ def test_other_layouts_are_fed_by_name(tmp_path: Path) -> None:
             record.feed("never", 0, program.states)
     finally:
         program.close()
+
+
+def test_gains_that_a_parameter_scales_came_from_outside(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("onnxruntime")
+    from unicon_ros.bridge.tuning import Tuning
+
+    tuning, tick = Tuning(), 0
+
+    def scaled(program: Program) -> dict[Stage, list[Block]]:
+        def turn() -> None:
+            nonlocal tick
+            tick += 1
+            tuning.stiffness_scale = 1.5 if tick > 60 else 1.0
+
+        stages = {stage: list(blocks) for stage, blocks in tuning.hook(program).items()}
+        stages[Stage.INPUT].append(Block("turn", turn))
+        return stages
+
+    options = {"safety": ["finite"], "duration": 2.0, "flow.chain.0.pose.duration": 0.4}
+    record, _ = recorded("go2_walk", tmp_path / "run.mcap", (noise, scaled), **options)
+    assert "tuned" in record.moments
+    stiffness = record.states("joint_stiffness")
+    assert stiffness[70, 0] == 1.5 * stiffness[50, 0]
+    assert replay(record) == ["the gains were scaled from outside, by 1.5"]
+    contract = load_policy("go2_velocity")
+    stiffness = contract.stiffness.copy()
+    stiffness[3] *= 1.1
+    other = replace(contract, stiffness=stiffness)
+    monkeypatch.setattr("unicon_core.workflow.policies.load_policy", lambda *_, **__: other)
+    found = replay(record)
+    assert found[0] == "first differs: tick 45 (45 s, phase run)"
+    assert "state: joint_stiffness, FL_hip_joint" in found

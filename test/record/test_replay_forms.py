@@ -264,9 +264,7 @@ def test_nan_in_a_record_is_compared_too_and_never_sent(
             return values
 
     monkeypatch.setattr("unicon_ros.replay.commands.opened", lambda *_: Broken())
-    with pytest.raises(
-        UniconError, match=r"not finite \(FL_thigh_joint, row 60"
-    ):
+    with pytest.raises(UniconError, match=r"not finite \(FL_thigh_joint, row 60"):
         load_workflow(driving(tmp_path, path))
 
 
