@@ -125,6 +125,7 @@ def _verify(arguments: argparse.Namespace) -> int:
     if verdict.first is not None:
         count += f"; in commands {verdict.commands}"
         rows += verdict.first.lines(verdict.period)
+    rows += [("fault", verdict.fault)] if verdict.fault else []
     rows += [("note", note) for note in verdict.notes]
     print("\n".join(aligned(rows, underlined=False)))
     print(count)

@@ -52,6 +52,8 @@ class Replayed:
         scaled: gains were scaled from outside, by these factors.
         skipped: what kind of ticks cannot be replayed, and how many.
         homeless: recorded blocks whose memory has no place here.
+        fault: what the tick raised in which the recorded fault was; "" where it raised nothing,
+            None where no such tick was run.
 
     Raises:
         UniconError: the program cannot be built, or the record is of another robot.
@@ -66,6 +68,7 @@ class Replayed:
         self.scaled: dict[float, None] = {}
         self.skipped: dict[str, int] = {}
         self.homeless: set[str] = set()
+        self.fault: str | None = None
         said = _json(record.facts.get("outside"))
         self.outside = {m: tuple(names) for m, names in (GIVEN if said is None else said).items()}
         self.program = Program(
@@ -107,10 +110,12 @@ class Replayed:
             if row in self._memories:
                 self._restore(self._memories[row])
                 lost = False
-            if not record.ended[row]:
-                continue
             lost |= row not in self._memories and self._missing_before(row)
             graph = None if lost else self._graph(row, phase)
+            if not record.ended[row]:
+                if graph is not None:
+                    self._fail_again(row, graph)
+                continue
             if graph is None:
                 why = f"of phase {phase}" if not lost else "behind ticks that were not recorded"
                 self.skipped[why] = self.skipped.get(why, 0) + 1
@@ -123,6 +128,16 @@ class Replayed:
             except Exception as error:  # the recorded tick went on: it differs
                 failed(row, error)
         return ran
+
+    def _fail_again(self, row: int, graph: CompiledGraph) -> None:
+        """Run the tick in which the recorded fault was; nothing of it is compared."""
+        self._row, self.graph, self._told = row, graph, _quiet
+        self.fault = ""
+        try:
+            graph.step()
+            graph.deferred()
+        except Exception as error:
+            self.fault = " ".join(str(error).split()) or type(error).__name__
 
     def _missing_before(self, row: int) -> bool:
         """Return whether ticks are missing: what the blocks remembered is not known then."""

@@ -30,6 +30,7 @@ class Verdict:
         first: where the first of them differs, or None.
         period: of a tick in [s].
         notes: what is not as it was recorded, or could not be replayed, one line each.
+        fault: whether the recorded fault came again, "" where there was none.
     """
 
     ticks: int
@@ -38,6 +39,7 @@ class Verdict:
     first: Difference | None
     period: float
     notes: tuple[str, ...]
+    fault: str = ""
 
 
 def verify(record: Record, document: WorkflowDocument) -> Verdict:
@@ -84,7 +86,18 @@ def verify(record: Record, document: WorkflowDocument) -> Verdict:
         comparison.first,
         program.period,
         tuple(notes),
+        "" if replayed.fault is None else _fault(record, replayed.fault),
     )
+
+
+def _fault(record: Record, again: str) -> str:
+    """Return what became of the recorded fault; one from outside does not come again."""
+    reason = record.facts.get("reason", "")
+    if not again:
+        return f"the recorded fault did not come again: {reason or 'its reason is not recorded'}"
+    if not reason or reason == again:
+        return f"the fault came again: {again}"
+    return f"another fault than the recorded one came: {again}; recorded: {reason}"
 
 
 class _Comparison:
