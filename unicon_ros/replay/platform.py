@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from unicon_core.errors import PlatformError, UniconError
+from unicon_core.platforms.kit.scene import DISTURBANCES
 from unicon_core.platforms.platform import SIMULATED, Facts
 from unicon_core.robots import Robot
 from unicon_core.states import States
@@ -128,7 +129,9 @@ def replayed_on(document: WorkflowDocument, bag: str | Path, **options: Any) -> 
     told = {name: value for name, value in options.items() if value}
     document.values["platform"] = TARGET
     document.values["platforms"] = {TARGET: {"bag": str(Path(bag).absolute()), **told}}
-    document.values.pop("scene", None)
+    scene = document.values.get("scene")
+    if isinstance(scene, dict):
+        document.values["scene"] = {k: v for k, v in scene.items() if k not in DISTURBANCES}
 
 
 def _measured(facts: Mapping[str, str]) -> Sequence[str]:
