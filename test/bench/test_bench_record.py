@@ -19,4 +19,4 @@ def test_both_sides_run_and_one_is_recorded() -> None:
     assert len(result["cases"]) == 4
     assert all(case["samples"] == 500 for case in result["cases"].values())
     assert result["facts"]["dropped"] == 0
-    assert set(result["ratios"]) == {"record_p99", "record_whole_p99"}
+    assert set(result["ratios"]) == {"record_p99"}

@@ -2,9 +2,9 @@
 
 The tick never waits for the disk: where four blocks of 2 MiB are full, messages are dropped and
 counted. Nothing is done per message in the thread, which would hold the interpreter's lock: a chunk
-is one system call on the memory that the tick wrote. Every 0.7 s what is there goes to the kernel (a
-kill loses no more), which is told at once to bring it to the medium (a power loss loses up to 1 s,
-and longer where the medium is slow). More often would be felt: each time takes 1 ms of a core.
+is one system call on the memory that the tick wrote. Every 0.7 s what is there goes to the kernel,
+so that a kill loses no more, and is brought to the medium at once: a power loss loses up to 1 s,
+and longer where the medium is slow. More often would be felt: each time takes 1 ms of a core.
 """
 
 from __future__ import annotations
