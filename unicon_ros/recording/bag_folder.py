@@ -174,6 +174,7 @@ class BagFolder:
     def _end(self) -> int:
         """Finish the present file; return how many messages that cost."""
         file = self._present()
+        self._file = None
         lost = file.finish()
         topics = {channel.number: channel.topic for channel in self._channels}
         counts = {topics[number]: count for number, count in file.counts().items()}
@@ -181,7 +182,6 @@ class BagFolder:
         self._messages += file.messages
         self._size += file.size
         self._ticks += counts.get(TOPIC, 0)
-        self._file = None
         write_metadata(self.path, self._done, {c.topic: c.type for c in self._channels})
         return lost
 
@@ -191,9 +191,14 @@ class BagFolder:
         return self._file
 
     def sync(self) -> None:
-        """Bring the present file to the medium."""
-        if self._file is not None:
-            self._file.sync()
+        """Bring the present file to the medium; from another thread too."""
+        file = self._file
+        try:
+            if file is not None:
+                file.sync()
+        except OSError:
+            if self._file is file:  # else it has just been finished, which syncs it
+                raise
 
     def gone(self) -> bool:
         """Tell whether somebody deleted the present file."""
