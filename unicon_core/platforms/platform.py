@@ -63,6 +63,7 @@ class Facts:
         batch: takes states of several robots.
         reads: states that `send` reads.
         writes: states that `recv` writes; what is not named here is not there for policies.
+        physics: what it can be told of joints, of `robots/joint_physics.py`.
         protocols: of robot files (`transport.protocol`), those that it speaks; empty for any.
         notes: what could not be looked at, one line each.
         examine: takes what the factory takes and tells, without opening anything, how it would be
@@ -74,6 +75,7 @@ class Facts:
     batch: bool = False
     reads: tuple[str, ...] = COMMAND_STATES
     writes: tuple[str, ...] = ("joint_pos", "joint_vel")
+    physics: tuple[str, ...] = ()
     protocols: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     examine: Callable[..., Binding] | None = None

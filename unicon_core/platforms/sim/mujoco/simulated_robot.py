@@ -12,6 +12,7 @@ from unicon_core.errors import Fault
 from unicon_core.models.loaded import LoadedModel
 from unicon_core.platforms.kit.clock import tick_ns
 from unicon_core.platforms.kit.command import Command
+from unicon_core.platforms.kit.joint_delay import JointDelay
 from unicon_core.platforms.sim.mujoco.imu import BaseReader
 from unicon_core.platforms.sim.mujoco.servo import Servo, actuator_kind, index_of
 
@@ -35,6 +36,7 @@ class SimulatedRobot:
         views: this robot's state arrays by name, without a batch axis.
         qpos: initial positions of the model.
         rank: number of the robot in its batch.
+        delay: by which each joint's commands come late in physics steps, shape (n,); None for none.
     """
 
     def __init__(
@@ -47,6 +49,7 @@ class SimulatedRobot:
         views: dict[str, NDArray[Any]],
         qpos: Float,
         rank: int,
+        delay: NDArray[np.int64] | None = None,
     ) -> None:
         model, joints, base = loaded.model, loaded.joints, loaded.base
         self.data = mujoco.MjData(model)
@@ -69,6 +72,7 @@ class SimulatedRobot:
         self._tick_ns = tick_ns(float(model.opt.timestep), decimation)
         command = Command(views, self._names, self._who)
         self._take, self._command = command.take, command.rows
+        self._delay = None if delay is None else JointDelay(self._command, delay, decimation)
         self._qvel = data.qvel
         self._split = model.opt.integrator != int(mujoco.mjtIntegrator.mjINT_RK4)
         self.reset()
@@ -82,6 +86,8 @@ class SimulatedRobot:
         self._ticks = 0
         # Limp until the first command: the model's gains may be those of another robot by now.
         self._command[...] = 0.0
+        if self._delay is not None:
+            self._delay.reset()
         self._servo.push(data.ctrl, self._command)
         mujoco.mj_forward(self._model, data)
 
@@ -102,14 +108,19 @@ class SimulatedRobot:
         """
         self._take()
         mujoco, model, data = self._mujoco, self._model, self.data
-        self._servo.push(data.ctrl, self._command)
+        parts = ((self._decimation, self._command),) if self._delay is None else self._delay()
+        fresh = self._split  # kinematics of the next step are there: the first one needs half
+        for steps, command in parts:
+            self._servo.push(data.ctrl, command)
+            if fresh:
+                mujoco.mj_step2(model, data)
+                steps -= 1
+                fresh = False
+            if steps:
+                mujoco.mj_step(model, data, steps)
         if self._split:
-            mujoco.mj_step2(model, data)
-            if self._decimation > 1:
-                mujoco.mj_step(model, data, self._decimation - 1)
             mujoco.mj_step1(model, data)
         else:
-            mujoco.mj_step(model, data, self._decimation)
             mujoco.mj_forward(model, data)
         self._ticks += 1
         if not self._qvel.dot(self._qvel) < _TOO_FAST:  # false for NaN too
