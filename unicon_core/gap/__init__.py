@@ -1,0 +1,10 @@
+"""Reality gap: how far a simulated trajectory is from the real one; metrics on arrays alone.
+
+A trajectory has the axes (n, d): n samples in time at one rate, d elements such as joints. More
+axes may stand in front, (b, n, d); then so does the result's. Whoever has records reads them first
+(`unicon analyze`), brings them to one rate and cuts them.
+"""
+
+from unicon_core.gap.unfolded import Unfolded, unfolded_mse, unfolded_norm
+
+__all__ = ["Unfolded", "unfolded_mse", "unfolded_norm"]
