@@ -155,7 +155,7 @@ def correlations(a: Array, b: Array, shifts: NDArray[np.int64], summed: bool = F
         Shape (…, s, d), summed (…, s, 1).
     """
     n, m = a.shape[-2], b.shape[-2]
-    # Room enough that no wanted shift j meets one that is as many samples away as the transform has.
+    # So much room that no wanted shift meets the one that is a whole transform away.
     size = _quick_size(max(int(shifts[-1]) + m, n - int(shifts[0])))
     product = np.fft.rfft(a, size, axis=-2)
     product *= np.conj(np.fft.rfft(b, size, axis=-2))
