@@ -5,6 +5,29 @@ axes may stand in front, (b, n, d); then so does the result's. Whoever has recor
 (`unicon analyze`), brings them to one rate and cuts them.
 """
 
+from unicon_core.gap.affine import Affine, affine
+from unicon_core.gap.matching import Matching, match_elements
+from unicon_core.gap.squared import mse, rmse
+from unicon_core.gap.strain import Load, Warming, compare, fall_time, load, warming
+from unicon_core.gap.timeless import chamfer, spectral_distance
 from unicon_core.gap.unfolded import Unfolded, unfolded_mse, unfolded_norm
 
-__all__ = ["Unfolded", "unfolded_mse", "unfolded_norm"]
+__all__ = [
+    "Affine",
+    "Load",
+    "Matching",
+    "Unfolded",
+    "Warming",
+    "affine",
+    "chamfer",
+    "compare",
+    "fall_time",
+    "load",
+    "match_elements",
+    "mse",
+    "rmse",
+    "spectral_distance",
+    "unfolded_mse",
+    "unfolded_norm",
+    "warming",
+]
