@@ -8,6 +8,7 @@ BUILTIN: dict[str, str] = {
         "pose": ("pose",),
         "hold": ("hold", "damp"),
         "sway": ("sway",),
+        "excite": ("excite",),
         "velocity_command": ("velocity_command",),
         "predicates": ("commanded", "elapsed", "settled", "tilted"),
         "safety.hardware": ("hardware_stop",),
