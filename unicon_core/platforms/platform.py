@@ -34,6 +34,7 @@ __all__ = [
     "Facts",
     "Informative",
     "Pausable",
+    "Placeable",
     "Platform",
     "Pushable",
     "ReportsVariant",
@@ -184,6 +185,23 @@ class Pushable(Protocol):
 
     def push(self, velocity: NDArray[np.float64]) -> None:
         """Add to the bases' horizontal velocity [m/s] in the world, shape (..., 2)."""
+        ...
+
+
+@runtime_checkable
+class Placeable(Protocol):
+    """A simulator that can be put where a robot was measured, for twins and identification."""
+
+    def put(self, measured: Mapping[str, NDArray[Any]]) -> None:
+        """Take positions and velocities of joints and base; what is not measured stays.
+
+        Without `base_pos_w` the base keeps its place, at a height at which the lowest point touches
+        the floor.
+
+        Args:
+            measured: state to value, of `joint_pos`, `joint_vel`, `base_quat`, `base_ang_vel`,
+                `base_pos_w` and `base_lin_vel`; others are not looked at.
+        """
         ...
 
 

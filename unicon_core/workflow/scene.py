@@ -18,10 +18,18 @@ from unicon_core.workflow.option_types import wrong_option
 __all__ = ["read_scene"]
 
 
-def read_scene(document: WorkflowDocument, context: BuildContext, facts: Facts) -> Scene:
+def read_scene(
+    document: WorkflowDocument, context: BuildContext, facts: Facts, *, disturbed: bool = True
+) -> Scene:
     """Return the scene of a workflow for a platform.
 
     A robot begins where it is, so that the same file runs on it; what would disturb it is refused.
+
+    Args:
+        document: the workflow.
+        context: what it is built with.
+        facts: of the platform.
+        disturbed: take what disturbs it, too; a twin is not disturbed.
 
     Raises:
         WorkflowError: an unknown key, a wrong value, or a disturbance that is meant for a robot.
@@ -38,7 +46,8 @@ def read_scene(document: WorkflowDocument, context: BuildContext, facts: Facts) 
                 "scene",
                 key,
             )
-    values = {key: value for key, value in values.items() if value is not None}
+    left = () if disturbed else DISTURBANCES
+    values = {key: v for key, v in values.items() if v is not None and key not in left}
     wrong = wrong_option(Scene, values)
     if wrong:
         raise document.error(f"scene.{wrong}", "scene")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -61,6 +61,14 @@ class JointDelay:
         for steps, ages in self._parts:
             yield steps, self._past[(self._tick - ages) % depth, :, self._joints].T
         self._tick += 1
+
+    def memory(self) -> list[Any]:
+        """Return the commands on their way."""
+        return [self._past.copy(), self._tick]
+
+    def restore(self, memory: Sequence[Any]) -> None:
+        """Go on as another one would that was built alike."""
+        self._past[...], self._tick = memory
 
     def reset(self) -> None:
         """Begin anew with the next command."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from unicon_core.platforms.kit.joint_delay import delay_of, strength_of
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.platforms.kit.start import initial_positions
 from unicon_core.platforms.platform import SIMULATED, Facts
+from unicon_core.platforms.sim.mujoco.placement import Placement
 from unicon_core.platforms.sim.mujoco.servo import Servo
 from unicon_core.platforms.sim.mujoco.simulated_robot import SimulatedRobot
 from unicon_core.platforms.sim.mujoco.viewer import Viewer
@@ -116,6 +118,10 @@ class MujocoPlatform:
             self.recv = self.robots[0].read  # type: ignore[method-assign]
             self.send = self.robots[0].step  # type: ignore[method-assign]
 
+    @cached_property
+    def _placement(self) -> Placement:
+        return Placement(self._loaded, self.robots)
+
     @property
     def data(self) -> Any:
         """The `MjData` of the (first) robot."""
@@ -146,6 +152,18 @@ class MujocoPlatform:
         """Add to the bases' horizontal velocity [m/s], shape (2,), of a batch (N, 2)."""
         for robot, each in zip(self.robots, np.atleast_2d(velocity)):
             robot.push(each)
+
+    def put(self, measured: Mapping[str, NDArray[Any]]) -> None:
+        """Put the robot where one was measured, every one of a batch; see `Placeable`."""
+        self._placement.put(measured)
+
+    def memory(self) -> list[dict[str, Any]]:
+        """Return what the physics go on from, for a replay."""
+        return self._placement.memory()
+
+    def restore(self, memory: list[dict[str, Any]]) -> None:
+        """Go on as another platform would that was built alike."""
+        self._placement.restore(memory)
 
     def close(self) -> None:
         """Let go; a simulation has no motors to damp."""
