@@ -12,6 +12,7 @@ from unicon_core.errors import PlatformError, UniconError
 from unicon_core.platforms.kit.scene import DISTURBANCES
 from unicon_core.platforms.platform import SIMULATED, Facts
 from unicon_core.robots import Robot
+from unicon_core.robots.joint_physics import JOINT_PHYSICS
 from unicon_core.states import States
 from unicon_core.states.standard import HARDWARE_STATES
 from unicon_core.workflow import WorkflowDocument
@@ -32,7 +33,14 @@ class ReplayPlatform:
         tick: the next one.
     """
 
-    facts = Facts("replay", simulated=True, batch=True, writes=(*SIMULATED, *HARDWARE_STATES))
+    # What its joints are like is in the record: whatever is said of them is no reason to refuse.
+    facts = Facts(
+        "replay",
+        simulated=True,
+        batch=True,
+        writes=(*SIMULATED, *HARDWARE_STATES),
+        physics=tuple(JOINT_PHYSICS),
+    )
 
     def __init__(self, series: Series, loop: bool) -> None:
         self.series, self.loop = series, loop
