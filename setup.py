@@ -55,6 +55,8 @@ EXTRAS = {
 EXTRAS["all"] = sorted({requirement for extra in EXTRAS.values() for requirement in extra})
 # Not in `all`: 754 MB installed (2.13, CPU), for TorchScript policies alone.
 EXTRAS["torch"] = ["torch"]
+# Nor this: 130 MB installed, for exports to Parquet alone.
+EXTRAS["parquet"] = ["pyarrow"]
 
 
 def version() -> str:
@@ -123,8 +125,14 @@ setup(
             "unicon_node = unicon_ros.node_main:main",
             "latency_bench = unicon_ros.bench.latency_main:main",
         ],
-        "unicon.blocks": ["camera = unicon_ros.bridge.camera:camera"],
-        "unicon.platforms": ["ros = unicon_ros.bridge.ros_platform:make"],
+        "unicon.blocks": [
+            "camera = unicon_ros.bridge.camera:camera",
+            "recorded = unicon_ros.replay.commands:recorded",
+        ],
+        "unicon.platforms": [
+            "replay = unicon_ros.replay.platform:make",
+            "ros = unicon_ros.bridge.ros_platform:make",
+        ],
     },
     zip_safe=False,
 )

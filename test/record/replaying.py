@@ -1,9 +1,9 @@
-"""Runs that are cut off, and the replay of their records in a program that was built anew."""
+"""Runs that are cut off, and in what the replay of their records differs."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +12,10 @@ import numpy as np
 from unicon_core.errors import Fault
 from unicon_core.flow import Block, Stage
 from unicon_core.runtime import Report, Runner, RunOptions
-from unicon_core.runtime.tick_ring import memory_of
 from unicon_core.workflow import Program, load_document
 from unicon_ros.fault_record import FaultRecord
 from unicon_ros.recording import Record, open_record
+from unicon_ros.replay import verify, workflow_of
 
 __all__ = ["Told", "cut_off", "replay"]
 
@@ -69,10 +69,12 @@ def cut_off(
 
         stages = {Stage.RECV: [Block("noise", disturb)], Stage.SAFETY: [Block("trip", trip)]}
         if inputs is not None:
-            stages[Stage.INPUT] = [Block("given", inputs(program, rng))]
+            amends = ("velocity_command",)
+            stages[Stage.INPUT] = [Block("given", inputs(program, rng), amends=amends)]
         return stages
 
-    program = _program(workflow, overrides, [outside, record.hook], part)
+    document = load_document(workflow, {"platform": "fake"} | dict(overrides or {}))
+    program = Program(document, hooks=[outside, record.hook], part=part)
     runner = Runner(program, RunOptions(speed="max", warn=str))
     record.attach(runner)
     report = runner.run()
@@ -82,74 +84,13 @@ def cut_off(
 
 
 def replay(
-    workflow: str | Path, record: Record, overrides: Mapping[str, Any] | None = None, part: str = ""
+    record: Record, workflow: str | Path | None = None, overrides: Mapping[str, Any] | None = None
 ) -> list[str]:
-    """Feed what a record's ticks received to a fresh program; return in what it differs."""
-    feed = Feed(record)
-    program = _program(workflow, overrides, [feed.hook], part)
-    runner = Runner(program, RunOptions(speed="max", warn=str))
-    memory, graphs = memory_of(program, runner), runner.graphs()
-    before = {each["before"]: each for each in record.memories}
-    try:
-        for row in range(len(record.ticks)):
-            if row in before and (row == 0 or before[row]["anew"]):
-                memory.restore(before[row])
-            if record.ended[row]:
-                graph = graphs[record.phases[row]]
-                graph.step()
-                graph.deferred()
-    finally:
-        program.close()
-    assert feed.row == record.ended.sum()
-    return feed.differences
-
-
-@dataclass
-class Feed:
-    """Puts what was received into the states, and compares what comes of it."""
-
-    record: Record
-    row: int = 0
-    differences: list[str] = field(default_factory=list)
-
-    def hook(self, program: Program) -> dict[Stage, list[Block]]:
-        buffers = self.record.buffers
-        assert program.states.layout.hash == self.record.layout.hash
-
-        def put(moment: str) -> Callable[[], None]:
-            def tick() -> None:
-                if moment != "received":
-                    self.compare(program, moment, before=True)
-                program.states.buffer[:] = buffers[moment][self.row]
-
-            return tick
-
-        def sent() -> None:
-            self.compare(program, "sent")
-            self.row += 1
-
-        names = {Stage.RECV: "received", Stage.INPUT: "input", Stage.TUNE: "tuned"}
-        stages = {s: [Block(f"feed {m}", put(m))] for s, m in names.items() if m in buffers}
-        return stages | {Stage.OBSERVE: [Block("compare", sent)]}
-
-    def compare(self, program: Program, moment: str, before: bool = False) -> None:
-        row = self.record.buffers[moment][self.row]
-        for name, slot in self.record.layout.slots.items():
-            there = row[slot.offset : slot.offset + slot.nbytes].tobytes()
-            if before and name in GIVEN:  # what came from outside is fed, not foretold
-                continue
-            if program.states[name].tobytes() != there:
-                self.differences.append(f"{moment} of row {self.row}: {name}")
-
-
-GIVEN = ("velocity_command", "joint_stiffness", "joint_damping")
-
-
-def _program(
-    workflow: str | Path, overrides: Mapping[str, Any] | None, hooks: list[Any], part: str
-) -> Program:
-    document = load_document(workflow, {"platform": "fake"} | dict(overrides or {}))
-    return Program(document, hooks=hooks, part=part)
+    """Replay a record, with the workflow in it unless another is given; return what differs."""
+    verdict = verify(record, workflow_of(record, workflow, overrides or {}))
+    assert verdict.ticks == record.ended.sum()
+    found = [] if verdict.first is None else [f"{k}: {v}" for k, v in verdict.first.lines(1.0)]
+    return [*found, *verdict.notes]
 
 
 def _unwanted(message: str) -> None:

@@ -94,6 +94,21 @@ def test_the_record_of_nan_says_what_where_and_why(tmp_path: Path) -> None:
         record.states("nope")
 
 
+def test_a_replay_tells_whether_the_fault_comes_again(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    report, path = faulty(written(tmp_path), tmp_path / "faults", 40)
+    assert main(["replay", str(path), "--verify"]) == 0
+    told = capsys.readouterr().out
+    assert f"the fault came again: {report.faults[0]}" in told
+    assert "0 of 40 ticks differ" in told
+    other = ["--set", "safety=[range_stop]", "--set", "robot=go2"]
+    assert main(["replay", str(path), "--verify", *other]) == 0
+    assert "the fault came again" in capsys.readouterr().out
+    assert main(["replay", str(path), "--verify", "--set", "safety=[joint_limits]"]) == 0
+    assert f"the recorded fault did not come again: {report.faults[0]}" in capsys.readouterr().out
+
+
 def test_policies_are_named_with_the_hash_of_their_network(tmp_path: Path) -> None:
     pytest.importorskip("onnxruntime")
     record = cut_off("go2_walk", tmp_path, 3, overrides={"safety": "none"}).record
@@ -261,7 +276,7 @@ def test_a_reset_in_the_middle_is_replayed(short_ring: None, tmp_path: Path) -> 
         record = cut_off(workflow, tmp_path / "faults", 60, inputs=resets).record
     anew = [each["before"] for each in record.memories if each["anew"]]
     assert record.ticks[anew].tolist() == [34, 48]
-    assert replay(workflow, record) == []
+    assert replay(record) == []
 
 
 def test_states_that_are_too_large_are_told_and_the_rest_is_written(tmp_path: Path) -> None:
@@ -403,7 +418,7 @@ def test_a_damaged_file_is_refused_or_read_and_never_more(tmp_path: Path) -> Non
         except UniconError as error:
             said.append(str(error))
     assert 0 < len(said) < 60
-    assert all("is not a fault record" in text for text in said)
+    assert all("is not a record of ticks" in text for text in said)
     with pytest.raises(UniconError, match="cannot read"):
         open_record(tmp_path / "nope.mcap")
 

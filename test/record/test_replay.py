@@ -34,7 +34,7 @@ def held(workflow: Any, folder: Path, ticks: int, **options: Any) -> None:
     assert all(not each["unkept"] for each in record.memories)
     assert int(record.ended.sum()) == len(record.ticks) - 1
     assert record.ticks.tolist() == list(range(ticks + 1))[-len(record.ticks) :]
-    assert replay(workflow, record, overrides) == []
+    assert replay(record) == []
 
 
 @pytest.mark.parametrize("ticks", [10, 149, 337])
@@ -49,7 +49,7 @@ def test_without_its_memory_a_replay_differs(tmp_path: Path) -> None:
     record = cut_off("go2_walk", tmp_path, 200, overrides=overrides).record
     for memory in record.memories:
         memory |= {"owners": {}, "kept": {}}
-    assert replay("go2_walk", record, overrides)
+    assert replay(record)
 
 
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if kind not in MORE])
@@ -83,7 +83,7 @@ def test_a_fault_in_the_wind_down(tmp_path: Path) -> None:
     workflow = written(tmp_path, flow, duration=0.8, wind_down=ending)
     told = cut_off(workflow, tmp_path / "faults", 70)
     assert told.record.phases == ("run",) * 40 + ("soft",) * 31
-    assert replay(workflow, told.record) == []
+    assert replay(told.record) == []
 
 
 def test_a_platform_in_a_process_of_its_own(tmp_path: Path) -> None:
@@ -91,7 +91,7 @@ def test_a_platform_in_a_process_of_its_own(tmp_path: Path) -> None:
     child = {"platform": {"child": "fake", "silence": 10}}
     told = cut_off(workflow, tmp_path / "faults", 60, overrides=child)
     assert len(told.record.ticks) == 61
-    assert replay(workflow, told.record) == []  # in one process
+    assert replay(told.record) == []  # in one process
 
 
 def test_a_part_keeps_what_it_received(tmp_path: Path) -> None:
@@ -103,7 +103,7 @@ def test_a_part_keeps_what_it_received(tmp_path: Path) -> None:
     )
     told = cut_off(workflow, tmp_path / "faults", 60, part="robot")
     assert told.record.facts["part"] == "robot"
-    assert replay(workflow, told.record, part="robot") == []
+    assert replay(told.record) == []
 
 
 def test_a_batch(tmp_path: Path) -> None:
@@ -199,3 +199,11 @@ def some_flow(rng: random.Random, depth: int = 0) -> Any:
         return {"when": {"if": "commanded", "do": below[0]}}
     blend = rng.choice([0, 0.1, 0.2])
     return {"switch": {"on": "commanded", "blend": blend, "cases": {"a": below[0], "b": below[1]}}}
+
+
+def test_a_live_twin_goes_on_where_it_was(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    twin = {"twin": {"platform": "mujoco", "window": 0.14}}
+    told = cut_off("go2_walk", tmp_path, 610, overrides=twin)
+    assert told.record.ticks[0] % 7 != 1  # it begins within a window of the twin
+    assert replay(told.record) == []

@@ -226,6 +226,13 @@ class Observation:
         Args:
             position: from 0 to size − 1.
         """
+        part, i, age = self.element_of(position)
+        element = part.names[i] if part.names else f"element {i}"
+        old = f", {age} frames ago" if age else ""
+        return f"term {part.term.name!r} ({part.term.state}, {element}{old})"
+
+    def element_of(self, position: int) -> tuple[TermSlice, int, int]:
+        """Return the term, the element of it and its age in frames at a place from 0 on."""
         if self._history == 1:
             age, column = 0, position
         else:
@@ -234,10 +241,7 @@ class Observation:
             age = self._history - 1 - window // (rows * self.frame_size)
             column = window % self.frame_size
         part = next(part for part in self.slices if column < part.stop)
-        i = column - part.start
-        element = part.names[i] if part.names else f"element {i}"
-        old = f", {age} frames ago" if age else ""
-        return f"term {part.term.name!r} ({part.term.state}, {element}{old})"
+        return part, column - part.start, age
 
 
 def nothing() -> None:

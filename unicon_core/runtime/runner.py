@@ -27,7 +27,7 @@ from unicon_core.signals import SIGNALS, Interrupted, signal_name
 from unicon_core.workflow import Program
 from unicon_core.workflow.gate import NEVER_NS
 
-__all__ = ["RunOptions", "Runner"]
+__all__ = ["RunOptions", "Runner", "approach_tree", "waiting_tree"]
 
 
 @dataclass(frozen=True)
@@ -359,8 +359,7 @@ class Runner:
         if program.platform.facts.simulated or not program.has_platform:
             return True
         waiting = self._waiting = Waiting(program.gates, self.asks, self.options.warn)
-        tree = Zip(*program.hearing, as_block(waiting), *map(Deferred, program.looking))
-        if not self._ticked(tree, NEVER_NS):
+        if not self._ticked(waiting_tree(program, as_block(waiting)), NEVER_NS):
             return False
         if waiting.reason:
             name = program.platform.facts.name
@@ -368,14 +367,11 @@ class Runner:
         return self._approached()
 
     def _approached(self) -> bool:
-        program, start = self.program, self.program.start
-        if not start.fade_in:
+        if not self.program.start.fade_in:
             return True
-        approach = Approach(
-            program.states, beginning(program), program.period, start.approach, start.fade_in
-        )
+        tree = approach_tree(self.program)
         self.phase = Phase.APPROACH
-        return self._ticked(program.with_flow(as_block(approach)))
+        return self._ticked(tree)
 
     def _ticked(self, tree: Node, hang_ns: int | None = None) -> bool:
         """Tick another tree before the run until it is done; False where the run is to end.
@@ -446,6 +442,20 @@ class Runner:
                 "faults": len(self.faults),
             }
         )
+
+
+def waiting_tree(program: Program, *waiting: Node) -> Node:
+    """Return the tree of a tick in which nothing is sent: recv, estimate, input, observers."""
+    return Zip(*program.hearing, *waiting, *map(Deferred, program.looking))
+
+
+def approach_tree(program: Program) -> Node:
+    """Return the tree of a tick of the approach, from the present states on."""
+    start = program.start
+    approach = Approach(
+        program.states, beginning(program), program.period, start.approach, start.fade_in
+    )
+    return program.with_flow(as_block(approach))
 
 
 def _refuse_pace(program: Program, options: RunOptions) -> None:

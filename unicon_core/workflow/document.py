@@ -14,7 +14,14 @@ from unicon_core.located_yaml import Located, parse_value, read_yaml
 from unicon_core.resources import find_config, list_config
 from unicon_core.workflow.settings import check_settings
 
-__all__ = ["KEYS", "WorkflowDocument", "document_of", "load_document", "workflow_names"]
+__all__ = [
+    "KEYS",
+    "WorkflowDocument",
+    "document_at",
+    "document_of",
+    "load_document",
+    "workflow_names",
+]
 
 SCHEMA = "unicon.workflow/1"
 
@@ -42,6 +49,7 @@ KEYS = {
     "wind_down": "the graph after the run, before the platform damps and closes; at most 5 s",
     "safety": "blocks between the flow and send, or only: and blocks, or none",
     "deferred": "blocks after send",
+    "twin": "{platform, window, over, bound}: a simulator beside the robot, under its commands",
     "pacing": "{trigger, overrun, hang, spin_us, dry_run_us, priority, cpu, lock_memory}",
     "check": "settings of the preflight check",
 }
@@ -118,8 +126,14 @@ def load_document(
         WorkflowError: no such file, broken YAML, an unknown key, a wrong override.
     """
     path = find_config("workflows", name_or_path, error=WorkflowError)
-    located = read_yaml(path, WorkflowError)
-    values = located.value
+    return document_at(read_yaml(path, WorkflowError), overrides)
+
+
+def document_at(
+    located: Located, overrides: Iterable[str] | Mapping[str, Any] = ()
+) -> WorkflowDocument:
+    """Return the document of a workflow that was read; see `load_document`."""
+    path, values = located.path, located.value
     if not isinstance(values, dict):
         raise WorkflowError("a workflow is a mapping with robot, platform and flow", f"{path}:1")
     changed = []

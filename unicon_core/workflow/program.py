@@ -23,7 +23,7 @@ from unicon_core.flow.fuse import fuse
 from unicon_core.flow.stage import Stage
 from unicon_core.platforms.kit.damping import LastSent
 from unicon_core.platforms.part import PartPlatform
-from unicon_core.platforms.platform import RequiresStates, WarmsUp
+from unicon_core.platforms.platform import Platform, RequiresStates, WarmsUp
 from unicon_core.signals import SIGNALS
 from unicon_core.states import Layout, States
 from unicon_core.states.groups import groups_of
@@ -49,6 +49,7 @@ from unicon_core.workflow.command_bounds import (
 )
 from unicon_core.workflow.document import WorkflowDocument, document_of, load_document
 from unicon_core.workflow.gate import Gate
+from unicon_core.workflow.live_twin import TWIN_STATES, build_twin, twin_of
 from unicon_core.workflow.parts import check_places, divided, publishers, read_parts, read_store
 from unicon_core.workflow.platforms import build_platform
 from unicon_core.workflow.policies import controllers_reading, load_policies
@@ -70,8 +71,9 @@ recorder, a viewer. They stand behind the program's own blocks of that stage."""
 
 MOST_ROBOTS = 4096
 """Of a batch: each takes half a megabyte and 1.5 ms to begin in MuJoCo."""
-GIVEN = ("tick", COMMAND, "joint_vel_target", "joint_effort_ff")
-"""States that may be read though no block writes them: the runner does, or zero is meant."""
+GIVEN = ("tick", COMMAND, "joint_vel_target", "joint_effort_ff", *TWIN_STATES)
+"""States that may be read though no block writes them before: the runner does, zero is meant, or a
+twin tells what it saw a tick ago."""
 
 
 class Program:
@@ -85,6 +87,7 @@ class Program:
         dry: open no hardware: its options are checked, and `fake` stands in its place.
         silent: open the robot and send it nothing, at the end either; a simulator is sent limp
             joints. The command states hold what would have been sent.
+        instead: makes what stands in the place of the platform, which is not opened.
 
     Attributes:
         document: what it was built from, for messages and the check.
@@ -134,6 +137,7 @@ class Program:
         part: str = "",
         dry: bool = False,
         silent: bool = False,
+        instead: Callable[[States], Platform] | None = None,
         **described: Any,
     ) -> None:
         if document is None:
@@ -179,11 +183,13 @@ class Program:
         self.blocks: list[Block] = []
         self.outside: list[Block] = []
         try:
-            self.platform = self.context.platform = (
-                PartPlatform(part, self.parts.first, self._arrivals)
-                if self.parts is not None and not self.has_platform
-                else build_platform(document, self.context, dry=dry, silent=silent)
-            )
+            if instead is not None:
+                self.platform = instead(self.states)
+            elif self.parts is not None and not self.has_platform:
+                self.platform = PartPlatform(part, self.parts.first, self._arrivals)
+            else:
+                self.platform = build_platform(document, self.context, dry=dry, silent=silent)
+            self.context.platform = self.platform
         except BaseException:  # nobody else has them yet
             for arrival in self._arrivals:
                 arrival.close()
@@ -220,6 +226,7 @@ class Program:
             heard = [as_block(arrival) for arrival in self._arrivals]
             self.blocks += heard  # before the hooks: a bridge amends what comes from a part
             stages[Stage.RECV] += heard
+        self._beside()
         for hook in hooks:  # one by one: what a hook has opened is closed when the next one fails
             for stage, blocks in hook(self).items():
                 self.blocks += blocks
@@ -251,6 +258,17 @@ class Program:
         from unicon_core.gates.build import gates_of
 
         self.gates += gates_of(self)
+
+    def _beside(self) -> None:
+        """Let a twin follow what is sent, before the hooks: a recorder sees what it writes."""
+        settings = twin_of(self.document)
+        if settings is None or self.silent or not self.has_platform:
+            return
+        estimates = [b for node in self.stages[Stage.ESTIMATE] for b in blocks_of(node)]
+        measured = {*self.platform.facts.writes, *(n for b in estimates for n in b.writes)}
+        twin = build_twin(self.document, settings, self.context, measured)
+        self.blocks.append(twin)
+        self.stages[Stage.OBSERVE].append(twin)
 
     def _safety(self, builder: Builder, listed: Sequence[Node]) -> list[Node]:
         """Return the safety blocks: of a robot also those that the workflow does not list."""
@@ -292,7 +310,7 @@ class Program:
     def _published(self) -> list[Block]:
         """Put the publishers of this process into the stages, as its store and part say."""
         states = self.states
-        if self.part and self.parts is not None:
+        if self.part and self.parts is not None and not self.dry:
             groups = self.parts.groups(self.part, states.layout)
             return publishers(self.parts.store, self.part, groups, states, self.stages)
         if self.store is None or self.dry or self.silent or self.parts is not None:

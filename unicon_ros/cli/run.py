@@ -24,13 +24,19 @@ if TYPE_CHECKING:
     from unicon_core.workflow import Hook, Program
     from unicon_core.workflow.document import WorkflowDocument
 
-__all__ = ["add", "run"]
+__all__ = ["add", "add_options", "close_session", "run", "run_document"]
 
 
 def add(commands: Any) -> None:
     """Add the command to the parser."""
     parser = commands.add_parser("run", help="run a workflow", description=__doc__)
     add_workflow(parser)
+    add_options(parser)
+    parser.set_defaults(function=run)
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add what says how a workflow runs."""
     parser.add_argument("--duration", type=positive, metavar="S", help="end after S seconds")
     parser.add_argument(
         "--speed",
@@ -55,7 +61,17 @@ def add(commands: Any) -> None:
     parser.add_argument(
         "--part", metavar="NAME", default="", help="run one part of a workflow that has parts"
     )
-    parser.add_argument("--record", metavar="FILE.mcap", help="record the states' messages")
+    parser.add_argument(
+        "--record",
+        metavar="FILE.mcap|FOLDER/",
+        help="record every state of every tick, and the messages of the map",
+    )
+    parser.add_argument(
+        "--record-split",
+        metavar="1GB|60s",
+        default="",
+        help="record to a bag folder whose files are that large or long, or both: 1GB,10min",
+    )
     parser.add_argument(
         "--faults",
         metavar="DIR",
@@ -89,7 +105,6 @@ def add(commands: Any) -> None:
         default=[],
         help="everything after this goes to ROS (remaps, parameters)",
     )
-    parser.set_defaults(function=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -97,7 +112,11 @@ def run(arguments: argparse.Namespace) -> int:
     # Imported here so that `unicon --help` stays fast and free of optional packages.
     from unicon_core.workflow import load_document
 
-    document = load_document(arguments.workflow, arguments.overrides)
+    return run_document(arguments, load_document(arguments.workflow, arguments.overrides))
+
+
+def run_document(arguments: argparse.Namespace, document: WorkflowDocument) -> int:
+    """Run a workflow that was read, as the options say."""
     console = Console()
     # From here on a signal ends what is open, one step after the other, and is never lost.
     try:
@@ -107,7 +126,7 @@ def run(arguments: argparse.Namespace) -> int:
         console.close()
     status = _tell(arguments, ended)
     if ended.session is not None:
-        _close(ended.session, status)
+        close_session(ended.session, status)
     return status
 
 
@@ -149,12 +168,21 @@ def _run(
         )
         hooks.append(session.hook)
     try:
+        if arguments.record_split and not arguments.record:
+            raise UniconError("--record-split goes with --record FOLDER/; add it")
         if arguments.record:
             from unicon_ros.recorder import Recording
 
             map_name = arguments.map or document.get("map", str)
             patient = arguments.speed == "max"
-            recording = Recording(arguments.record, map_name, session, console.warn, patient)
+            recording = Recording(
+                arguments.record,
+                map_name,
+                session,
+                console.warn,
+                patient,
+                arguments.record_split,
+            )
             hooks.append(recording.hook)
         if arguments.picture:
             from unicon_ros.picture import Picture
@@ -163,7 +191,7 @@ def _run(
             hooks.append(picture.hook)
         if arguments.view:
             hooks.append(_viewer)
-        record = FaultRecord(arguments.faults, console.warn)
+        record = FaultRecord(arguments.faults, console.warn, recording)
         hooks.append(record.hook)  # the last one: it looks behind the others
         program = Program(document, hooks=hooks, part=arguments.part, silent=arguments.dry)
         guard.damp = program.damp_now
@@ -227,7 +255,7 @@ def _listen(runner: Runner, with_ros: bool) -> None:
     threading.Thread(target=listen, name="operator", daemon=True).start()
 
 
-def _close(session: Any, status: int) -> None:
+def close_session(session: Any, status: int) -> None:
     """Take ROS down, after all is written and told: it may fail or never end."""
     from unicon_ros.ending import exits_within
 

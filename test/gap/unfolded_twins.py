@@ -1,0 +1,47 @@
+"""The unfolded MSE, word for word in loops: what the fast functions are held against."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def admissible(n: int, m: int, max_shift: int | None, min_overlap: float) -> list[int]:
+    """Return the shifts that leave enough pairs, found by counting the pairs."""
+    least = max(1, math.ceil(min_overlap * min(n, m)))
+    return [
+        j
+        for j in range(-n - m, n + m + 1)
+        if sum(0 <= i + j < n for i in range(m)) >= least
+        and (max_shift is None or abs(j) <= max_shift)
+    ]
+
+
+def mean_at(
+    real: NDArray[np.float64], sim: NDArray[np.float64], j: int, squared: bool
+) -> tuple[float, int]:
+    """Return the mean norm of real[i + j] − sim[i] over the overlap, and the number of pairs."""
+    norms = [
+        math.fsum((float(x) - float(y)) ** 2 for x, y in zip(real[i + j], sim[i]))
+        for i in range(len(sim))
+        if 0 <= i + j < len(real)
+    ]
+    return math.fsum(v if squared else math.sqrt(v) for v in norms) / len(norms), len(norms)
+
+
+def unfolded(
+    real: NDArray[np.float64],
+    sim: NDArray[np.float64],
+    squared: bool,
+    max_shift: int | None = None,
+    min_overlap: float = 0.5,
+) -> float:
+    """Return L: the minimum over j of the first sum, plus that of the second."""
+    n, m = len(real), len(sim)
+    first = min(mean_at(real, sim, j, squared)[0] for j in admissible(n, m, max_shift, min_overlap))
+    second = min(
+        mean_at(sim, real, j, squared)[0] for j in admissible(m, n, max_shift, min_overlap)
+    )
+    return first + second

@@ -1,0 +1,289 @@
+"""Replay as platform, as command source and as player; and records that do not fit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+pytest.importorskip("rosbags")
+
+from test_recorded_runs import noise, recorded, written
+
+from unicon_core.errors import UniconError
+from unicon_core.flow import Block, Stage
+from unicon_core.gates.beginning import beginning
+from unicon_core.runtime import Report, Runner, RunOptions
+from unicon_core.workflow import Program, load_workflow
+from unicon_ros.cli.main import main
+from unicon_ros.recording import open_record
+from unicon_ros.replay.keys import LEFT, RIGHT, Keys
+from unicon_ros.replay.platform import TARGET, ReplayPlatform
+from unicon_ros.replay.player import play
+
+BLOCK = "unicon_ros.replay.commands:recorded"
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of 2 s on the fake go2, at 50 Hz."""
+    folder = tmp_path_factory.mktemp("bag")
+    path = folder / "run.mcap"
+    recorded(written(folder), path, (noise,))
+    return path
+
+
+def replayed(workflow: Path, bag: Path, **options: Any) -> Program:
+    platforms = {TARGET: {"bag": str(bag), **options}}
+    return load_workflow(workflow, {"platform": TARGET, "platforms": platforms})
+
+
+def ran(program: Program) -> tuple[Report, Program]:
+    return Runner(program, RunOptions(speed="max", warn=str)).run(), program
+
+
+def driving(folder: Path, bag: Path, platform: str = "fake", **options: Any) -> Path:
+    """Write a workflow whose flow is what was recorded."""
+    flow = {"call": {"function": BLOCK, "bag": str(bag), **options}}
+    return written(folder, flow=flow, platform=platform, duration=9.0)
+
+
+# -- as platform --------------------------------------------------------------------------------
+
+
+def test_the_same_workflow_sends_the_same_commands(bag: Path, tmp_path: Path) -> None:
+    record = open_record(bag)
+    program = replayed(written(tmp_path), bag)
+    target = program.states["joint_pos_target"]
+    report, _ = ran(program)
+    assert report.ended in ("done", "duration")
+    assert report.ticks == len(record.ticks) == 100
+    assert report.platform == "replay"
+    assert target.tobytes() == record.states("joint_pos_target")[-1].tobytes()
+
+
+def test_other_rates_hold_the_newest(bag: Path, tmp_path: Path) -> None:
+    recorded_pos = open_record(bag).states("joint_pos", "received")
+    for rate, each in ((100, 0.5), (25, 2.0)):
+        program = replayed(written(tmp_path, rate=rate, duration=None), bag)
+        rows = program.platform.series.rows  # type: ignore[attr-defined]
+        assert np.abs(rows - np.arange(len(rows)) * each).max() < 1.0
+        for row in rows[:20]:
+            program.platform.recv()
+            assert program.states["joint_pos"].tobytes() == recorded_pos[row].tobytes()
+        program.close()
+
+
+def test_loop_start_and_reset(bag: Path, tmp_path: Path) -> None:
+    stamps = open_record(bag).states("stamp_ns", "received")
+    program = replayed(written(tmp_path), bag, start=1.9, loop=True)
+    platform, stamp = program.platform, program.states["stamp_ns"]
+    assert isinstance(platform, ReplayPlatform)
+    seen = []
+    for _ in range(12):
+        assert not platform.recv()
+        seen.append(int(stamp))
+    assert seen == [*stamps[95:], *stamps[95:], *stamps[95:97]]
+    platform.reset()
+    platform.seek(3)
+    platform.recv()
+    assert int(stamp) == stamps[98]
+    platform.seek(-99)
+    platform.recv()
+    assert int(stamp) == stamps[95]
+    program.close()
+
+
+def test_every_workflow_runs_on_it_that_needs_what_was_measured(bag: Path, tmp_path: Path) -> None:
+    pytest.importorskip("onnxruntime")
+    report, _ = ran(replayed(Path("go2_walk"), bag, loop=True))
+    assert report.ticks == 1150
+    assert report.faults == []
+
+
+# -- as command source --------------------------------------------------------------------------
+
+
+def test_recorded_commands_drive_a_simulator_and_end(bag: Path, tmp_path: Path) -> None:
+    record = open_record(bag)
+    report, program = ran(load_workflow(driving(tmp_path, bag)))
+    assert (report.ended, report.ticks) == ("done", 100)
+    for name in ("joint_pos_target", "joint_stiffness", "joint_damping"):
+        assert program.states[name].tobytes() == record.states(name)[-1].tobytes()
+
+
+def test_targets_alone_get_the_robots_gains_and_an_approach(bag: Path, tmp_path: Path) -> None:
+    first = open_record(bag).states("joint_pos_target")[0]
+    workflow = driving(tmp_path, bag, take=["joint_pos_target"], approach=0.5)
+    program = load_workflow(workflow)
+    runner = Runner(program, RunOptions(speed="max", warn=str))
+    measured = program.robot.default_joint_pos.astype(np.float32)
+    for tick in range(25):
+        runner.tick(0)
+        way = (tick + 1) / 26
+        wanted = measured + way * (first - measured)
+        assert np.allclose(program.states["joint_pos_target"], wanted, atol=1e-6)
+    runner.tick(0)
+    assert program.states["joint_pos_target"].tobytes() == first.tobytes()
+    assert (program.states["joint_stiffness"] == program.robot.joint_stiffness).all()
+    program.close()
+
+
+def test_a_robot_approaches_where_the_commands_begin(bag: Path, tmp_path: Path) -> None:
+    program = load_workflow(driving(tmp_path, bag, platform="fake_robot"))
+    program.platform.recv()
+    where = beginning(program)
+    record = open_record(bag)
+    assert where.joint_pos.tobytes() == record.states("joint_pos_target")[0].tobytes()
+    assert where.stiffness.tobytes() == record.states("joint_stiffness")[0].tobytes()
+    again = beginning(program)  # it is fresh again
+    assert again.joint_pos.tobytes() == where.joint_pos.tobytes()
+    program.close()
+
+
+# -- as player ----------------------------------------------------------------------------------
+
+
+def test_a_player_gives_every_state_as_it_was(bag: Path) -> None:
+    report = play(bag, rate=20.0, start=1.0, warn=str)
+    assert report.ticks == 50
+    assert report.faults == []
+    assert report.workflow == "play_workflow"
+
+
+def test_keys_pause_seek_and_step() -> None:
+    done: list[object] = []
+
+    class Controls:
+        paused = False
+
+        def __getattr__(self, name: str) -> Callable[[], None]:
+            return lambda: done.append(name)
+
+    controls = Controls()
+    keys = Keys(controls, done.append, 250)  # type: ignore[arg-type]
+    for pressed in (b" ", RIGHT, b"x", b"r", b"q"):
+        keys.press(pressed)
+    assert done == ["pause", 250, "reset", "stop"]
+    controls.paused = True
+    done.clear()
+    for pressed in (LEFT, b"s", b" "):
+        keys.press(pressed)
+    assert done == [-250, "step", "step", "start"]
+
+
+# -- what does not fit --------------------------------------------------------------------------
+
+
+def refused(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+    assert main(["replay", *arguments]) == 1
+    told = capsys.readouterr()
+    assert told.err.count("\n") == 1, told.err
+    return told.err
+
+
+@pytest.mark.parametrize("form", [["--verify"], ["--play", "--no-ros"], ["--speed", "max"]])
+@pytest.mark.parametrize("content", [None, b"", b"\x89MCAP0\r\n", b"garbage" * 99])
+def test_what_is_no_record(
+    form: list[str], content: bytes | None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "bag.mcap"
+    if content is not None:
+        path.write_bytes(content)
+    told = refused(capsys, str(path), *form)
+    assert "bag.mcap" in told
+
+
+@pytest.mark.parametrize("form", [["--verify"], ["--speed", "max"]])
+def test_another_robots_bag(
+    form: list[str], bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    values = yaml.safe_load(written(tmp_path).read_text("utf-8"))
+    other = tmp_path / "other.yaml"
+    other.write_text(yaml.safe_dump(values | {"robot": "g1_29dof", "flow": "hold"}), "utf-8")
+    assert "the record is of robot go2" in refused(capsys, str(bag), str(other), *form)
+
+
+def test_other_rates_are_refused_where_bits_are_compared(
+    bag: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    told = refused(capsys, str(bag), "--verify", "--set", "rate=100")
+    assert "ticks at 50 Hz and workflow workflow at 100 Hz" in told
+
+
+def test_other_states_and_a_missing_policy_are_told(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    more = ["--set", "states.extra={shape: [3]}", "--set", "safety=[finite, joint_limits]"]
+    assert main(["replay", str(bag), "--verify", *more]) == 0
+    told = capsys.readouterr().out
+    assert "state 'extra' is not in the record" in told
+    assert "0 of 100 ticks differ" in told
+    told = refused(capsys, str(bag), "--verify", "--set", "policies.walk=./gone")
+    assert "policy './gone': no such file" in told
+
+
+def test_a_record_that_is_cut_off_is_compared_as_far_as_it_is_whole(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "cut.mcap"
+    path.write_bytes(bag.read_bytes()[:-9000])
+    status = main(["replay", str(path), "--verify"])
+    told = capsys.readouterr()
+    assert (status == 0 and "0 of " in told.out) or "holds no tick" in told.err
+
+
+def test_nan_in_a_record_is_compared_too_and_never_sent(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def blind(program: Program) -> dict[Stage, list[Block]]:
+        effort = program.states["joint_effort"]
+
+        def damage() -> None:
+            effort[2] = np.nan
+
+        return {Stage.RECV: [Block("damage", damage, amends=("joint_effort",))]}
+
+    path = tmp_path / "nan.mcap"
+    record, _ = recorded(written(tmp_path), path, (blind,))
+    assert np.isnan(record.states("joint_effort")[50, 2])
+    assert main(["replay", str(path), "--verify"]) == 0
+    assert "0 of 100 ticks differ" in capsys.readouterr().out
+
+    class Broken:
+        def __getattr__(self, name: str) -> Any:
+            return getattr(record, name)
+
+        def states(self, name: str, moment: str) -> Any:
+            values = record.states(name, moment).copy()
+            values[60:, 4] = np.nan
+            return values
+
+    monkeypatch.setattr("unicon_ros.replay.commands.opened", lambda *_: Broken())
+    with pytest.raises(UniconError, match=r"not finite \(FL_thigh_joint, row 60"):
+        load_workflow(driving(tmp_path, path))
+
+
+def test_the_wait_and_the_approach_of_a_robot_are_compared(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    workflow = written(
+        tmp_path,
+        platform="fake_robot",
+        start={"fade_in": 0.2, "approach": 2.0},
+        duration=0.5,
+        wind_down={"pose": {"to": "rest", "duration": 0.3}},
+    )
+    bag = tmp_path / "robot.mcap"
+    assert main(["run", str(workflow), "--yes", "--quiet", "--record", str(bag)]) == 0
+    phases = set(open_record(bag).phases)
+    assert phases == {"wait", "approach", "run", "soft", "damp"}
+    capsys.readouterr()
+    assert main(["replay", str(bag), "--verify"]) == 0
+    told = capsys.readouterr().out
+    assert "25 ticks of phase damp cannot be replayed" in told
+    assert " 0 of " in f" {told.splitlines()[-1]}"

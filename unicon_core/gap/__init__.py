@@ -1,0 +1,33 @@
+"""Reality gap: how far a simulated trajectory is from the real one; metrics on arrays alone.
+
+A trajectory has the axes (n, d): n samples in time at one rate, d elements such as joints. More
+axes may stand in front, (b, n, d); then so does the result's. Whoever has records reads them first
+(`unicon analyze`), brings them to one rate and cuts them.
+"""
+
+from unicon_core.gap.affine import Affine, affine
+from unicon_core.gap.matching import Matching, match_elements
+from unicon_core.gap.squared import mse, rmse
+from unicon_core.gap.strain import Load, Warming, compare, fall_time, load, warming
+from unicon_core.gap.timeless import chamfer, spectral_distance
+from unicon_core.gap.unfolded import Unfolded, unfolded_mse, unfolded_norm
+
+__all__ = [
+    "Affine",
+    "Load",
+    "Matching",
+    "Unfolded",
+    "Warming",
+    "affine",
+    "chamfer",
+    "compare",
+    "fall_time",
+    "load",
+    "match_elements",
+    "mse",
+    "rmse",
+    "spectral_distance",
+    "unfolded_mse",
+    "unfolded_norm",
+    "warming",
+]

@@ -1,0 +1,86 @@
+"""Trajectories: the one check that every metric makes of what it is given."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from unicon_core.errors import UniconError
+
+__all__ = ["Array", "one", "two"]
+
+Array = NDArray[np.float64]
+
+LARGEST = 1e100
+"""Of an element: its square, summed over any recording, is still a number."""
+
+
+def one(values: ArrayLike, name: str) -> Array:
+    """Return a trajectory as float64, shape (…, n, d).
+
+    Args:
+        values: of numbers, shape (…, n, d).
+        name: that an error calls it.
+
+    Raises:
+        UniconError: it lacks an axis, is empty, or has something in it that is not a number.
+    """
+    try:
+        array = np.asarray(values, np.float64)
+    except (TypeError, ValueError):
+        raise UniconError(f"gap: {name} has something else than numbers in it") from None
+    if array.ndim < 2:
+        raise UniconError(
+            f"gap: {name} has shape {array.shape}, not (…, samples, elements); "
+            "one element over time is values[:, None]"
+        )
+    if 0 in array.shape:
+        raise UniconError(f"gap: {name} is empty, shape {array.shape}; give at least one sample")
+    # One pass for all that is well: NaN compares as False.
+    if not (np.max(np.abs(array)) < LARGEST):
+        bad = tuple(int(i) for i in np.argwhere(~(np.abs(array) < LARGEST))[0])
+        raise UniconError(
+            f"gap: {name} is {array[bad]} in sample {bad[-2]}, element {bad[-1]}"
+            f"{_of_batch(bad)}; leave such samples out, or fill them in"
+        )
+    return array
+
+
+def two(real: ArrayLike, sim: ArrayLike, same_length: bool = False) -> tuple[Array, Array]:
+    """Return both trajectories as float64; their leading axes are broadcast.
+
+    Args:
+        real: shape (…, n, d).
+        sim: shape (…, m, d).
+        same_length: whether m must be n.
+
+    Raises:
+        UniconError: one of them is wrong, or they do not fit each other.
+    """
+    a, b = one(real, "real"), one(sim, "sim")
+    if a.shape[-1] != b.shape[-1]:
+        raise UniconError(
+            f"gap: real has {a.shape[-1]} elements, sim {b.shape[-1]}; choose those in common"
+        )
+    if same_length and a.shape[-2] != b.shape[-2]:
+        raise UniconError(
+            f"gap: real has {a.shape[-2]} samples, sim {b.shape[-2]}; "
+            "cut them to one length, or shift them with unfolded_mse"
+        )
+    try:
+        front = np.broadcast_shapes(a.shape[:-2], b.shape[:-2])
+    except ValueError:
+        raise UniconError(
+            f"gap: real has shape {a.shape}, sim {b.shape}; "
+            "the axes before (samples, elements) must be alike"
+        ) from None
+    return (
+        np.broadcast_to(a, (*front, *a.shape[-2:])),
+        np.broadcast_to(b, (*front, *b.shape[-2:])),
+    )
+
+
+def _of_batch(index: Sequence[int]) -> str:
+    return f" of trajectory {index[:-2] if len(index) > 3 else index[0]}" if len(index) > 2 else ""

@@ -1,0 +1,152 @@
+"""Platform `replay`: recorded sensors drive the graph, which moves nothing (open loop)."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from unicon_core.errors import PlatformError, UniconError
+from unicon_core.platforms.kit.scene import DISTURBANCES
+from unicon_core.platforms.platform import SIMULATED, Facts
+from unicon_core.robots import Robot
+from unicon_core.robots.joint_physics import JOINT_PHYSICS
+from unicon_core.states import States
+from unicon_core.states.standard import HARDWARE_STATES
+from unicon_core.workflow import WorkflowDocument
+from unicon_ros.replay.series import Series, opened
+
+__all__ = ["TARGET", "ReplayPlatform", "make", "replayed_on"]
+
+TARGET = f"{__name__}:make"
+"""What a workflow may call it, registered or not."""
+
+
+class ReplayPlatform:
+    """Gives what was received, tick by tick, and ends with the record; commands go nowhere.
+
+    Attributes:
+        series: what is given.
+        loop: begin anew at the end.
+        tick: the next one.
+    """
+
+    # What its joints are like is in the record: whatever is said of them is no reason to refuse.
+    facts = Facts(
+        "replay",
+        simulated=True,
+        batch=True,
+        writes=(*SIMULATED, *HARDWARE_STATES),
+        physics=tuple(JOINT_PHYSICS),
+    )
+
+    def __init__(self, series: Series, loop: bool) -> None:
+        self.series, self.loop = series, loop
+        self.facts = replace(self.facts, writes=series.names)
+        self.tick = 0
+
+    def recv(self) -> bool:
+        """Write the states of the next recorded tick; True with the last one."""
+        last = len(self.series) - 1
+        self.series.put(min(self.tick, last))
+        ended = self.tick >= last
+        self.tick = 0 if ended and self.loop else self.tick + 1
+        return ended and not self.loop
+
+    def send(self) -> None:
+        """Do nothing: what was recorded has happened."""
+
+    def seek(self, ticks: int) -> None:
+        """Go on so many ticks farther on, or back; safe from any thread."""
+        self.tick = min(max(self.tick + ticks, 0), len(self.series) - 1)
+
+    def reset(self) -> None:
+        """Begin anew."""
+        self.tick = 0
+
+    def close(self) -> None:
+        """Let go; there is nothing to damp."""
+
+    def info(self) -> Mapping[str, Any]:
+        """Return what is replayed."""
+        record = self.series.record
+        return {
+            "model": None,
+            "recorded_on": record.facts.get("platform", ""),
+            "ticks": len(self.series),
+        }
+
+
+def make(
+    states: States,
+    robot: Robot,
+    period: float,
+    *,
+    bag: str = "",
+    start: float = 0.0,
+    loop: bool = False,
+    moment: str = "received",
+    also: Sequence[str] = (),
+    each: bool = False,
+    relative_to: Path | None = None,
+) -> ReplayPlatform:
+    """Build the platform.
+
+    Args:
+        period: of a tick in [s].
+        bag: recording or fault record: a file or a folder, beside the workflow or from here.
+        start: how much is left out at the beginning, in [s].
+        loop: begin anew at the end.
+        moment: of the recorded ticks: `received`, or `sent` for what was there at their ends.
+        also: states to write besides what was measured, such as velocity_command.
+        each: give a recorded tick in every tick, also where the two have other rates.
+        relative_to: folder of the workflow.
+
+    Raises:
+        PlatformError: no bag is given, or it does not fit the robot.
+    """
+    if not bag:
+        raise PlatformError(
+            "platform 'replay' needs a recording; give platforms: {replay: {bag: FILE.mcap}}, or "
+            "run unicon replay FILE.mcap WORKFLOW"
+        )
+    try:
+        record = opened(bag, relative_to)
+        if moment not in record.moments:
+            known = ", ".join(record.moments)
+            raise PlatformError(f"no moment {moment!r} in the record; moments: {known}")
+        lacking = [name for name in also if name not in record.kept[moment]]
+        if lacking:
+            known = ", ".join(record.kept[moment])
+            raise PlatformError(f"no state {lacking[0]!r} at {moment!r}; kept there: {known}")
+        names = [*_measured(record.facts), *also]
+        series = Series(record, names, moment, states, None if each else period, start)
+    except PlatformError:
+        raise
+    except UniconError as error:
+        raise PlatformError(f"platform 'replay': {bag}: {error}") from error
+    if "joint_pos" not in series.names:
+        raise PlatformError(f"platform 'replay': {bag} has no joint_pos of robot {robot.name}")
+    return ReplayPlatform(series, loop)
+
+
+def replayed_on(document: WorkflowDocument, bag: str | Path, **options: Any) -> None:
+    """Let a workflow run on this platform: what disturbs a simulation is in the record."""
+    told = {name: value for name, value in options.items() if value}
+    document.values["platform"] = TARGET
+    document.values["platforms"] = {TARGET: {"bag": str(Path(bag).absolute()), **told}}
+    scene = document.values.get("scene")
+    if isinstance(scene, dict):
+        document.values["scene"] = {k: v for k, v in scene.items() if k not in DISTURBANCES}
+
+
+def _measured(facts: Mapping[str, str]) -> Sequence[str]:
+    """Return the states that the recorded platform wrote, or may have written."""
+    every = (*SIMULATED, *HARDWARE_STATES)
+    try:
+        writes = json.loads(facts["platform_facts"])["writes"]
+    except (KeyError, TypeError, ValueError):
+        return every
+    return [*(name for name in every if name in writes), "stamp_ns"]

@@ -1,0 +1,122 @@
+"""Player: a record's states go to ROS topics, with `/clock`, as they were; nothing is computed.
+
+A program whose platform writes all recorded states of a tick and whose flow does nothing, so that
+bridge, services and frames are those of any run.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from contextlib import nullcontext
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from unicon_core.errors import UniconError
+from unicon_core.flow import Block
+from unicon_core.runtime import Report, Runner, RunOptions
+from unicon_core.states.standard import HARDWARE_STATES, standard_states
+from unicon_core.workflow import Program
+from unicon_ros.bridge.controls import Controls
+from unicon_ros.recording import Record, open_record
+from unicon_ros.replay.keys import Keys
+from unicon_ros.replay.platform import TARGET, ReplayPlatform
+
+if TYPE_CHECKING:
+    from unicon_ros.bridge import RosSession
+
+__all__ = ["play"]
+
+SEEK = 5.0
+"""By an arrow, of the record's time in [s]."""
+
+
+def play(
+    path: str | Path,
+    *,
+    rate: float = 1.0,
+    loop: bool = False,
+    start: float = 0.0,
+    duration: float | None = None,
+    session: RosSession | None = None,
+    keys: bool = False,
+    warn: Callable[[str], None] = print,
+    status: Callable[[dict[str, Any]], None] | None = None,
+) -> Report:
+    """Play a record to its end.
+
+    Args:
+        path: of a recording or fault record: a file or a folder.
+        rate: how many times faster than it was.
+        loop: begin anew at its end.
+        start: how much is left out at its beginning, in [s].
+        duration: end after this time in [s]; None: with the record.
+        session: of ROS, which is told of the run; it hears no topics. Not closed.
+        keys: a terminal is there: space pauses, arrows seek.
+        warn: takes warnings, one line each.
+        status: called about once a second.
+
+    Raises:
+        UniconError: it cannot be read, or its robot is not known.
+    """
+    record = open_record(path)
+    hooks = []
+    if session is not None:
+        session.map = replace(session.map, subscribe=())  # the record alone says what is
+        hooks.append(session.hook)
+    program = Program(
+        None,
+        hooks=hooks,
+        **_described(record, Path(path).absolute(), rate, loop=loop, start=start),
+    )
+    try:
+        platform = program.platform
+        assert isinstance(platform, ReplayPlatform)
+        options = RunOptions(duration=duration, warn=warn, status=status)
+        runner = Runner(program, options)
+        if session is not None:
+            session.attach(runner)
+            controls = session.controls
+        else:
+            controls = Controls(time.sleep)
+            controls.runner = runner
+        ticks = round(SEEK / float(record.facts["period_s"]))
+        with Keys(controls, platform.seek, ticks) if keys else nullcontext():
+            return runner.run()
+    finally:
+        program.close()
+
+
+def _nothing() -> None:
+    """Do nothing: all is recorded."""
+
+
+def _described(
+    record: Record, path: Path, rate: float, *, loop: bool, start: float
+) -> dict[str, Any]:
+    """Return the keys of the program that plays a record."""
+    layout, robot = record.layout, record.facts.get("robot", "")
+    if "joint_pos" not in layout.specs:
+        raise UniconError(f"{path.name} has no joint_pos: no robot can be shown")
+    standard = standard_states(layout.specs["joint_pos"].names)
+    own = [n for n in layout.specs if n not in standard and n not in HARDWARE_STATES]
+    options = {
+        "bag": str(path),
+        "moment": "sent",
+        "also": [name for name in layout.specs if name != "tick"],
+        "each": True,
+        "loop": loop,
+        "start": start,
+    }
+    return {
+        "name": f"play_{record.facts.get('workflow') or path.stem}",
+        "robot": robot,
+        "platform": TARGET,
+        "platforms": {TARGET: options},
+        "rate": rate / float(record.facts["period_s"]),
+        "pacing": {"overrun": "catch_up"},
+        "num_robots": layout.num_robots,
+        "states": {name: layout.specs[name].to_dict() for name in own},
+        "flow": Block("nothing", _nothing, endless=True),
+    }

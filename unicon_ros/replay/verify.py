@@ -1,0 +1,149 @@
+"""Verify: replays a record and compares every state of every tick with the recorded, to the bit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.errors import Fault, StateError
+from unicon_core.runtime.phases import Phase
+from unicon_core.states.standard import COMMAND_STATES
+from unicon_core.workflow import WorkflowDocument
+from unicon_ros.recording import Record
+from unicon_ros.replay.difference import Difference, located
+from unicon_ros.replay.replayed import Replayed
+from unicon_ros.replay.workflow import others, versions
+
+__all__ = ["Verdict", "verify"]
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What became of a replay.
+
+    Attributes:
+        ticks: that were replayed.
+        differing: those of them in which a state differs.
+        commands: those of them in which a command differs.
+        first: where the first of them differs, or None.
+        period: of a tick in [s].
+        notes: what is not as it was recorded, or could not be replayed, one line each.
+        fault: whether the recorded fault came again, "" where there was none.
+    """
+
+    ticks: int
+    differing: int
+    commands: int
+    first: Difference | None
+    period: float
+    notes: tuple[str, ...]
+    fault: str = ""
+
+
+def verify(record: Record, document: WorkflowDocument) -> Verdict:
+    """Replay a record in a program that is built anew, and compare.
+
+    Each tick begins with the recorded states, so that one that differs makes none behind it differ.
+
+    Args:
+        record: what was recorded.
+        document: the workflow.
+
+    Raises:
+        StateError: the record is of another robot, is empty, or nothing in it can be replayed.
+        UniconError: the workflow cannot be built.
+    """
+    if not record.ended.any():
+        raise StateError("the record holds no tick that ended: there is nothing to compare")
+    comparison = _Comparison(record)
+    replayed = Replayed(record, document, comparison.look)
+    comparison.replayed = replayed
+    program = replayed.program
+    try:
+        notes = others(record, program)
+        ticks = replayed.run(comparison.failed)
+    finally:
+        program.close()
+    notes += [
+        f"what {name!r} remembered is left out: there is no such block here"
+        for name in sorted(replayed.homeless)
+    ]
+    notes += [f"{n} ticks {which} cannot be replayed" for which, n in replayed.skipped.items()]
+    if not ticks:
+        raise StateError(f"nothing in the record can be replayed: {'; '.join(notes)}")
+    notes += replayed.columns.lacking
+    if replayed.scaled:
+        factors = ", ".join(f"{factor:g}" for factor in sorted(replayed.scaled))
+        notes.append(f"the gains were scaled from outside, by {factors}")
+    if comparison.first is not None:
+        notes += versions(record)
+    return Verdict(
+        ticks,
+        len(comparison.rows),
+        comparison.commands,
+        comparison.first,
+        program.period,
+        tuple(notes),
+        "" if replayed.fault is None else _fault(record, replayed.fault),
+    )
+
+
+def _fault(record: Record, again: str) -> str:
+    """Return what became of the recorded fault; one from outside does not come again."""
+    reason = record.facts.get("reason", "")
+    if not again:
+        return f"the recorded fault did not come again: {reason or 'its reason is not recorded'}"
+    if not reason or reason == again:
+        return f"the fault came again: {again}"
+    return f"another fault than the recorded one came: {again}; recorded: {reason}"
+
+
+class _Comparison:
+    def __init__(self, record: Record) -> None:
+        self._record = record
+        self.replayed: Replayed | None = None
+        self.rows: set[int] = set()
+        self.commands = 0
+        self.first: Difference | None = None
+
+    def look(self, row: int) -> None:
+        """Compare all states at the end of a tick."""
+        replayed = self.replayed
+        assert replayed is not None
+        states, columns = replayed.program.states, replayed.columns
+        beyond = replayed.beyond
+        if self._record.phases[row] == Phase.WAIT.value:  # gates mark what was measured
+            beyond = beyond.union(replayed.program.platform.facts.writes)
+        names = [
+            name
+            for name in columns.names
+            if name not in beyond
+            and states[name].tobytes() != columns.column(name, "sent")[row].tobytes()
+        ]
+        if not names:
+            return
+        self.rows.add(row)
+        self.commands += not set(names).isdisjoint(COMMAND_STATES)
+        if self.first is None:
+
+            def recorded(name: str) -> NDArray[np.generic]:
+                value: NDArray[np.generic] = np.asarray(columns.column(name, "sent")[row])
+                return value
+
+            self.first = located(self._begun(row), names, recorded, states, replayed.graph)
+
+    def failed(self, row: int, error: Exception) -> None:
+        """Take a tick that raised where the recorded one did not."""
+        self.rows.add(row)
+        self.commands += 1
+        if self.first is None:
+            kind = "" if isinstance(error, Fault) else f"{type(error).__name__}: "
+            found = self._begun(row)
+            self.first = Difference(
+                found.row, found.tick, found.phase, fault=f"{kind}{' '.join(str(error).split())}"
+            )
+
+    def _begun(self, row: int) -> Difference:
+        return Difference(row, int(self._record.ticks[row]), self._record.phases[row])
