@@ -1,0 +1,112 @@
+"""A run out of an `.npz`: one of ours, of anybody's, or UniCon's with the keys of its recorder."""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.errors import UniconError
+from unicon_core.gap.trajectories import Array
+from unicon_ros.analysis.run import BASE, JOINTS, Run, Window, make_run
+
+__all__ = ["UNICON_KEYS", "read_npz"]
+
+UNICON_KEYS = {
+    "states_q": "joint_pos",
+    "states_qd": "joint_vel",
+    "states_q_ctrl": "joint_pos_target",
+    "states_q_tau": "joint_effort",
+    "states_q_temp": "motor_temperature",
+    "states_tau_ctrl": "joint_effort_ff",
+    "states_ang_vel": "base_ang_vel",
+}
+"""UniCon's key (`cb_rec` of its `unicon/general.py`, states of `unicon/run.py`) to ours. Besides:
+`states_rpy` becomes `projected_gravity`, `ts` are seconds, and rows behind `len` were never
+written. Its quaternions and speeds are in each robot's own order and frame, and are left out."""
+
+LARGEST = 8 << 30
+"""Bytes of an unpacked file: a day of 29 joints at 500 Hz has 5 GB."""
+
+_WRONG = (ValueError, KeyError, EOFError, OverflowError, zipfile.BadZipFile, zipfile.LargeZipFile)
+
+
+def read_npz(path: Path, window: Window) -> Run:
+    """Read a run.
+
+    Keys are names of states, shape (n, d); `joint_names` names the joints; time is `stamp_ns` in
+    [ns], or `dt` or `period` between two samples in [s].
+
+    Raises:
+        UniconError: it cannot be read, or lacks what a comparison needs.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            size = sum(entry.file_size for entry in archive.infolist())
+        if size > LARGEST:
+            raise UniconError(
+                f"{path} unpacks to {size >> 30} GiB; at most {LARGEST >> 30} are read"
+            )
+        with np.load(path, allow_pickle=False) as file:
+            return _run(path, file, window)
+    except OSError as error:
+        raise UniconError(f"cannot read {path}: {error.strerror or error}") from error
+    except MemoryError:
+        raise UniconError(f"{path} does not fit into memory; cut it into pieces") from None
+    except _WRONG as error:
+        raise UniconError(f"{path} is not an .npz of numbers: {error}") from error
+
+
+def _run(path: Path, file: Any, window: Window) -> Run:
+    known = [name for name in (*JOINTS, *BASE) if name in file]
+    found: dict[str, NDArray[Any]] = {name: file[name] for name in known}
+    for key, name in UNICON_KEYS.items():
+        if key in file and name not in found:
+            found[name] = file[key]
+    if "states_rpy" in file and "projected_gravity" not in found:
+        found["projected_gravity"] = _gravity(file["states_rpy"])
+    for name, values in found.items():
+        if values.ndim != 2 or values.dtype.kind not in "fiu":
+            raise UniconError(
+                f"{path}: {name} has shape {values.shape} and type {values.dtype}; "
+                "give numbers of shape (samples, elements)"
+            )
+    count = len(found["joint_pos"]) if "joint_pos" in found else 0
+    if "len" in file and "ts" in file:  # the index of the last row that was written
+        count = min(count, int(file["len"]) + 1)
+        found = {name: values[:count] for name, values in found.items()}
+    names = next((file[key] for key in ("joint_names", "dof_names") if key in file), ())
+    about = {name: str(file[name]) for name in ("robot", "workflow", "platform") if name in file}
+    return make_run(path, about, _clocks(file, count), tuple(map(str, names)), found, window)
+
+
+def _clocks(file: Any, count: int) -> list[tuple[str, Array]]:
+    """Return what may tell the time, in [s]."""
+    clocks: list[tuple[str, Array]] = []
+    if "stamp_ns" in file:
+        stamps = np.asarray(file["stamp_ns"]).reshape(-1)[:count]
+        if len(stamps) == count and stamps.dtype.kind in "iu":
+            clocks.append(("stamp_ns", (stamps - stamps[:1]) * 1e-9))
+    clocks += [
+        (key, np.asarray(float(file[key]) * np.arange(count), np.float64))
+        for key in ("dt", "period")
+        if key in file
+    ]
+    if "ts" in file:
+        times = np.asarray(file["ts"], np.float64).reshape(-1)[:count]
+        if len(times) == count:
+            clocks.append(("ts", times))
+    return clocks
+
+
+def _gravity(rpy: NDArray[Any]) -> Array:
+    """Return the unit vector of gravity in the base frame of roll, pitch and yaw in [rad]."""
+    if rpy.ndim != 2 or rpy.shape[1] != 3:
+        raise ValueError(f"states_rpy has shape {rpy.shape}, not (samples, 3)")
+    roll, pitch = rpy[:, 0].astype(np.float64), rpy[:, 1].astype(np.float64)
+    return np.stack(
+        [np.sin(pitch), -np.sin(roll) * np.cos(pitch), -np.cos(roll) * np.cos(pitch)], axis=1
+    )
