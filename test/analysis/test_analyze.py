@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+import os
 import re
 import sys
 from pathlib import Path
@@ -94,7 +95,7 @@ def test_runs_that_are_one_differ_in_nothing(tmp_path: Path) -> None:
         ("sign", "A sign seems to be turned: RR_thigh."),
         ("late", "Later than the other joints, by up to 60 ms: RL_calf."),
         ("gain", "Moves less far, down to 0.50 times as far: RL_calf."),
-        ("zero", "Always beside, by up to 0.10 rad (a zero, or a weak motor): FL_hip."),
+        ("zero", "Off by a constant, up to 0.10 rad (a wrong zero, or a weak motor): FL_hip."),
         ("fall", "The real robot fell at 4.00 s, the simulated one did not."),
     ],
 )
@@ -250,6 +251,8 @@ NAN[12:, 3] = np.nan
         (changed(joint_pos=np.zeros(50)), [], "joint_pos has shape (50,) and type float64; give "),
         (changed(joint_pos=np.full((50, 12), "x")), [], "has shape (50, 12) and type <U1; give "),
         (changed(joint_pos=np.full((50, 12), None)), [], "real.npz is not an .npz of numbers: Obj"),
+        (changed(stamp_ns=None, dt=[1.0, 2.0]), [], "real.npz is not an .npz of numbers: only "),
+        (changed(stamp_ns=None, dt=np.nan), [], "no clock that goes on, only ['dt']"),
         (GOOD, ["--from", "7"], "real.npz has 0 samples from 7 to inf s; it lasts 0.98 s: choose"),
         (GOOD, ["--from", "0.5", "--to", "0.6"], "has 6 samples from 0.5 to 0.6 s"),
         (GOOD, ["--rate", "2"], "has 2 samples at 2 Hz; at least 16 tell something: give a higher"),
@@ -274,17 +277,20 @@ def test_what_cannot_be_compared_is_one_line(
         ("garbage.mcap", b"garbage", "is not a "),
         ("missing.npz", None, "cannot read "),
         ("missing.mcap", None, "cannot read "),
+        ("pipe.npz", "pipe", "is neither a file nor a folder; give a recording"),
     ],
 )
 def test_what_is_not_a_run_is_one_line(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
     name: str,
-    content: bytes | None,
+    content: Any,
     message: str,
 ) -> None:
     path = tmp_path / name
-    if content is not None:
+    if content == "pipe":
+        os.mkfifo(path)
+    elif content is not None:
         path.write_bytes(content)
     assert main(["analyze", str(path), str(path), "--out", str(tmp_path / "out")]) == 1
     error = capsys.readouterr().err.splitlines()[-1]

@@ -44,6 +44,14 @@ def findings(comparison: Comparison) -> list[str]:
             said.append(f"{text}: {_names(comparison, which)}.")
 
     tell("A sign seems to be turned", correlation <= -SURE)
+    if "strength" in joints:
+        strength = np.where(np.isfinite(joints["strength"]), joints["strength"], 1.0)
+        less, more = strength <= 1.0 / STRENGTH, strength >= STRENGTH
+        tell(f"Less torque for what is asked, down to {100 * strength.min():.0f} %", less)
+        tell(f"More torque for what is asked, up to {100 * strength.max():.0f} %", more)
+    if "temperature_rise_real" in joints:
+        warmer = joints["temperature_rise_real"] - joints["temperature_rise_sim"]
+        tell(f"Warms more, by up to {warmer.max():.0f} K", warmer >= WARMER_K)
     lag = joints["lag_s"] - np.median(joints["lag_s"])
     # What is found at the end of the window is not a delay: the curves differ in shape.
     late = (correlation >= VERY_SURE) & (joints["lag_s"] < 0.9 * LAG_S)
@@ -54,15 +62,7 @@ def findings(comparison: Comparison) -> list[str]:
     tell(f"Moves less far, down to {gain.min():.2f} times as far", gain <= 1.0 / GAIN)
     bias = np.abs(joints["position_bias"])
     beside = (bias >= BIAS) & (bias**2 > 0.5 * joints["position_rmse"] ** 2)
-    tell(f"Always beside, by up to {bias.max():.2f} rad (a zero, or a weak motor)", beside)
-    if "strength" in joints:
-        strength = np.where(np.isfinite(joints["strength"]), joints["strength"], 1.0)
-        less, more = strength <= 1.0 / STRENGTH, strength >= STRENGTH
-        tell(f"Less torque for what is asked, down to {100 * strength.min():.0f} %", less)
-        tell(f"More torque for what is asked, up to {100 * strength.max():.0f} %", more)
-    if "temperature_rise_real" in joints:
-        warmer = joints["temperature_rise_real"] - joints["temperature_rise_sim"]
-        tell(f"Warms more, by up to {warmer.max():.0f} K", warmer >= WARMER_K)
+    tell(f"Off by a constant, up to {bias.max():.2f} rad (a wrong zero, or a weak motor)", beside)
     return said
 
 

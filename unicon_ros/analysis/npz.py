@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zipfile
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +32,10 @@ written. Its quaternions and speeds are in each robot's own order and frame, and
 LARGEST = 8 << 30
 """Bytes of an unpacked file: a day of 29 joints at 500 Hz has 5 GB."""
 
-_WRONG = (ValueError, KeyError, EOFError, OverflowError, zipfile.BadZipFile, zipfile.LargeZipFile)
+_WRONG = (
+    ValueError, TypeError, KeyError, EOFError, OverflowError,
+    zipfile.BadZipFile, zipfile.LargeZipFile, zlib.error,
+)  # fmt: skip
 
 
 def read_npz(path: Path, window: Window) -> Run:
@@ -87,9 +91,9 @@ def _clocks(file: Any, count: int) -> list[tuple[str, Array]]:
     """Return what may tell the time, in [s]."""
     clocks: list[tuple[str, Array]] = []
     if "stamp_ns" in file:
-        stamps = np.asarray(file["stamp_ns"]).reshape(-1)[:count]
-        if len(stamps) == count and stamps.dtype.kind in "iu":
-            clocks.append(("stamp_ns", (stamps - stamps[:1]) * 1e-9))
+        stamps = np.asarray(file["stamp_ns"], np.int64).reshape(-1)[:count]
+        if len(stamps) == count:
+            clocks.append(("stamp_ns", np.asarray((stamps - stamps[:1]) * 1e-9, np.float64)))
     clocks += [
         (key, np.asarray(float(file[key]) * np.arange(count), np.float64))
         for key in ("dt", "period")

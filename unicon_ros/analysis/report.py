@@ -51,6 +51,7 @@ body { font: 15px/1.5 system-ui, sans-serif; color: #222; margin: 2em auto; max-
        padding: 0 1em; }
 h1 { font-size: 1.6em; margin-bottom: 0; } h2 { font-size: 1.2em; margin: 2em 0 .3em; }
 img { max-width: 100%; } .sub, figcaption { color: #666; } figure { margin: 0; }
+figcaption { margin-bottom: .6em; }
 ul.findings { background: #f2f5fb; border-left: 4px solid #1f4e9c; padding: .8em 1em .8em 2.2em; }
 ul.findings li:first-child { font-weight: 600; }
 .wide { overflow-x: auto; } table { border-collapse: collapse; font-size: 13px; }

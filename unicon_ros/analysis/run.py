@@ -81,6 +81,8 @@ def read_run(path: Path, window: Window = (0.0, math.inf)) -> Run:
     Raises:
         UniconError: it cannot be read, or does not hold what a comparison needs.
     """
+    if path.exists() and not (path.is_file() or path.is_dir()):  # a pipe would never end
+        raise UniconError(f"{path} is neither a file nor a folder; give a recording")
     if path.suffix.lower() == ".npz":
         from unicon_ros.analysis.npz import read_npz
 

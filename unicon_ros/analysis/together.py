@@ -170,7 +170,5 @@ def _until(
     if count < FEWEST:
         notes.append(f"{run.path.name} begins with a fall; what follows was compared all the same.")
         return states
-    notes.append(
-        f"{run.path.name} fell; what came after was left out of the comparison (--whole keeps it)."
-    )
+    notes.append(f"What came after the fall in {run.path.name} was left out (--whole keeps it).")
     return {name: values[:count] for name, values in states.items()}

@@ -74,7 +74,7 @@ def _analyze(arguments: argparse.Namespace) -> int:
     runs = []
     for who in ("real", "sim"):
         path = Path(getattr(arguments, who))
-        _tell(f"reading {path}")
+        _tell(f"reading {path}{_size(path)}")
         long = {"sim": "simulated"}.get(who, who)
         runs.append(
             read_run(path, (getattr(arguments, f"{long}_from"), getattr(arguments, f"{long}_to")))
@@ -88,6 +88,13 @@ def _analyze(arguments: argparse.Namespace) -> int:
         print(text)
     print(f"report  {folder / 'report.html'}")
     return 0
+
+
+def _size(path: Path) -> str:
+    try:
+        return f" ({path.stat().st_size / 1e6:,.1f} MB)" if path.is_file() else ""
+    except OSError:
+        return ""
 
 
 def _list(value: Any) -> list[str]:
