@@ -140,10 +140,14 @@ def make_run(
             f"{path} has {kept.sum()} samples from {window[0]:g} to {window[1]:g} s; it lasts "
             f"{time[-1]:.2f} s: choose --from and --to so that at least {FEWEST} are left"
         )
-    time = time[kept]
+    rows: Any = kept
+    inside = np.flatnonzero(kept)
+    if inside[-1] - inside[0] + 1 == len(inside):  # a view, where an index would be a copy
+        rows = slice(inside[0], inside[-1] + 1)
+    time = time[rows]
     states = {}
     for name, values in found.items():
-        array = np.asarray(values[kept], np.float64)
+        array = np.asarray(values[rows], np.float64)
         if what := _not_numbers(name, array, time, joints):
             if name == "joint_pos":
                 raise UniconError(
