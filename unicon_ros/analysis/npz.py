@@ -13,27 +13,19 @@ from numpy.typing import NDArray
 from unicon_core.errors import UniconError
 from unicon_core.gap.trajectories import Array
 from unicon_ros.analysis.run import BASE, JOINTS, Run, Window, make_run
+from unicon_ros.recording.import_npz import KEYS
 
-__all__ = ["UNICON_KEYS", "read_npz"]
+__all__ = ["read_npz"]
 
-UNICON_KEYS = {
-    "states_q": "joint_pos",
-    "states_qd": "joint_vel",
-    "states_q_ctrl": "joint_pos_target",
-    "states_q_tau": "joint_effort",
-    "states_q_temp": "motor_temperature",
-    "states_tau_ctrl": "joint_effort_ff",
-    "states_ang_vel": "base_ang_vel",
-}
-"""UniCon's key (`cb_rec` of its `unicon/general.py`, states of `unicon/run.py`) to ours. Besides:
-`states_rpy` becomes `projected_gravity`, `ts` are seconds, and rows behind `len` were never
-written. Its quaternions and speeds are in each robot's own order and frame, and are left out."""
+NOT_SURE = ("base_lin_vel", "base_lin_acc", "velocity_command")
+"""What UniCon has in a frame or an order that each of its robots chooses."""
 
+NAMES = ("joint_names", "dof_names", "DOF_NAMES")
 LARGEST = 8 << 30
-"""Bytes of an unpacked file: a day of 29 joints at 500 Hz has 5 GB."""
+"""Bytes of an unpacked file: an hour of 29 joints at 500 Hz has 2 GB."""
 
 _WRONG = (
-    ValueError, TypeError, KeyError, EOFError, OverflowError,
+    ValueError, TypeError, LookupError, EOFError, OverflowError,
     zipfile.BadZipFile, zipfile.LargeZipFile, zlib.error,
 )  # fmt: skip
 
@@ -42,7 +34,8 @@ def read_npz(path: Path, window: Window) -> Run:
     """Read a run.
 
     Keys are names of states, shape (n, d); `joint_names` names the joints; time is `stamp_ns` in
-    [ns], or `dt` or `period` between two samples in [s].
+    [ns], or `dt` or `period` between two samples in [s]. Of UniCon's, `ts` are seconds, and rows
+    behind `len` were never written.
 
     Raises:
         UniconError: it cannot be read, or lacks what a comparison needs.
@@ -67,10 +60,11 @@ def read_npz(path: Path, window: Window) -> Run:
 def _run(path: Path, file: Any, window: Window) -> Run:
     known = [name for name in (*JOINTS, *BASE) if name in file]
     found: dict[str, NDArray[Any]] = {name: file[name] for name in known}
-    for key, name in UNICON_KEYS.items():
-        if key in file and name not in found:
-            found[name] = file[key]
-    if "states_rpy" in file and "projected_gravity" not in found:
+    for key, name in KEYS.items():
+        wanted = name in (*JOINTS, *BASE) and name not in (*found, *NOT_SURE)
+        if key in file and wanted:
+            found[name] = file[key][:, [3, 0, 1, 2]] if name == "base_quat" else file[key]
+    if "states_rpy" in file and not {"projected_gravity", "base_quat"} & found.keys():
         found["projected_gravity"] = _gravity(file["states_rpy"])
     for name, values in found.items():
         if values.ndim != 2 or values.dtype.kind not in "fiu":
@@ -82,7 +76,7 @@ def _run(path: Path, file: Any, window: Window) -> Run:
     if "len" in file and "ts" in file:  # the index of the last row that was written
         count = min(count, int(file["len"]) + 1)
         found = {name: values[:count] for name, values in found.items()}
-    names = next((file[key] for key in ("joint_names", "dof_names") if key in file), ())
+    names = next((file[key] for key in NAMES if key in file), ())
     about = {name: str(file[name]) for name in ("robot", "workflow", "platform") if name in file}
     return make_run(path, about, _clocks(file, count), tuple(map(str, names)), found, window)
 
@@ -96,7 +90,7 @@ def _clocks(file: Any, count: int) -> list[tuple[str, Array]]:
             clocks.append(("stamp_ns", np.asarray((stamps - stamps[:1]) * 1e-9, np.float64)))
     clocks += [
         (key, np.asarray(float(file[key]) * np.arange(count), np.float64))
-        for key in ("dt", "period")
+        for key in ("dt", "period", "rec_dt")
         if key in file
     ]
     if "ts" in file:

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from unicon_core.errors import UniconError
 from unicon_core.gap.trajectories import Array
-from unicon_core.states.standard import COMMAND_STATES
 from unicon_ros.analysis.run import BASE, JOINTS, Run, Window, make_run
 from unicon_ros.recording import open_record
 
@@ -19,8 +18,8 @@ __all__ = ["read_record"]
 def read_record(path: Path, window: Window) -> Run:
     """Read a run.
 
-    What was measured is taken behind `recv`, commands as they were sent. A tick that a fault cut
-    off is left out.
+    Every state is taken where its tick ended: what was measured and what was made of it go
+    together there. A tick that a fault cut off is left out.
 
     Raises:
         UniconError: it cannot be read, is of many robots, or lacks what a comparison needs.
@@ -32,17 +31,11 @@ def read_record(path: Path, window: Window) -> Run:
             f"{path} is of {layout.num_robots} robots at once; record one of them on its own"
         )
     whole = record.ended
-    received = "received" if "received" in record.moments else record.moments[-1]
-    sent = record.moments[-1]
-    states = {
-        name: record.states(name, sent if name in COMMAND_STATES else received)[whole]
-        for name in (*JOINTS, *BASE)
-        if name in layout.slots
-    }
+    states = {name: record.states(name)[whole] for name in (*JOINTS, *BASE) if name in layout.slots}
     states = {name: values for name, values in states.items() if values.ndim == 2}
     clocks: list[tuple[str, Array]] = []
     if "stamp_ns" in layout.slots:
-        stamps = record.states("stamp_ns", received)[whole].reshape(-1)
+        stamps = record.states("stamp_ns")[whole].reshape(-1)
         clocks.append(("the robot's own time, stamp_ns", _seconds(stamps)))
     clocks.append(("the times of the ticks", _seconds(record.stamps[whole])))
     period = float(record.facts.get("period_s") or "nan")
