@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from kinds_bag import BAG_KINDS
+from kinds_bag import bags
 from kinds_safety import preflight, safety, scene, start
 from mutate import mutate_bytes, mutate_mcap, mutate_onnx, mutate_text, mutate_tree, to_text
 from reading import Reader, tree, whole, write
@@ -298,5 +298,5 @@ KINDS: dict[str, Callable[[random.Random, Path], Reader]] = {
     "safety": safety,
     "scene": scene,
     "preflight": preflight,
-    **BAG_KINDS,
+    "bag": bags,
 }

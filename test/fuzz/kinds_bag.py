@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import random
 import tempfile
-from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
@@ -24,7 +23,7 @@ from unicon_ros.recording.import_bag import import_bag
 from unicon_ros.recording.import_npz import import_npz
 from unicon_ros.recording.info import info_of, info_text
 
-__all__ = ["BAG_KINDS"]
+__all__ = ["bags"]
 
 
 @cache
@@ -57,7 +56,7 @@ def _torn(raw: bytes, dice: random.Random) -> bytes:
     return raw[: dice.randrange(len(raw) + 1)] if dice.random() < 0.3 else raw
 
 
-def run(dice: random.Random, folder: Path) -> Reader:
+def _run(dice: random.Random, folder: Path) -> Reader:
     """A recording of a run that `unicon bag` looks into, and a replay reads."""
     raw = _recorded()
     raw = mutate_mcap(raw, dice) if dice.random() < 0.6 else mutate_bytes(raw, dice)
@@ -79,7 +78,7 @@ def run(dice: random.Random, folder: Path) -> Reader:
     return read
 
 
-def bag(dice: random.Random, folder: Path) -> Reader:
+def _bag(dice: random.Random, folder: Path) -> Reader:
     """The same as a plain bag of others, read by rosbags."""
     path = folder / "run.mcap"
     raw = _recorded()
@@ -88,7 +87,7 @@ def bag(dice: random.Random, folder: Path) -> Reader:
     return lambda: import_bag(path, folder / "fuzzed.out.mcap", go2)
 
 
-def npz(dice: random.Random, folder: Path) -> Reader:
+def _unicon(dice: random.Random, folder: Path) -> Reader:
     """A file of UniCon's."""
     path = folder / "run.npz"
     path.write_bytes(_torn(mutate_bytes(_npz(), dice), dice))
@@ -96,8 +95,6 @@ def npz(dice: random.Random, folder: Path) -> Reader:
     return lambda: import_npz(path, folder / "fuzzed.out.mcap", go2)
 
 
-BAG_KINDS: dict[str, Callable[[random.Random, Path], Reader]] = {
-    "run": run,
-    "bag": bag,
-    "npz": npz,
-}
+def bags(dice: random.Random, folder: Path) -> Reader:
+    """One of the three."""
+    return dice.choice((_run, _bag, _unicon))(dice, folder)

@@ -32,9 +32,7 @@ KINDS = (
     "safety",
     "scene",
     "preflight",
-    "run",
     "bag",
-    "npz",
 )
 QUICK, THOROUGH = 300, 5000
 FEWER = {
