@@ -160,6 +160,13 @@ def test_info_of_ours_of_others_and_of_what_is_cut_off(
     said(capsys, "recover", torn)
     whole = json.loads(said(capsys, "info", tmp_path / "run.recovered-1.mcap", "--json"))
     assert whole["cut_off"] is False
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(without_end(bag.read_bytes()))
+    said(capsys, "recover", cut)
+    assert len(open_record(tmp_path / "cut.recovered-1.mcap").ticks) == 100
+    assert cut.read_bytes() == without_end(bag.read_bytes())
+    assert "is whole; there is nothing to recover" in refused(capsys, "recover", bag)
+    assert not list(tmp_path.glob("*.partial"))
     plain = written_by_rosbags(tmp_path / "plain", StoragePlugin.SQLITE3)
     assert json.loads(said(capsys, "info", plain, "--json"))["messages"] == 60
 
@@ -176,7 +183,7 @@ def test_garbage_is_one_line(
         ("info", path),
         ("export", path, tmp_path / "x.csv"),
         ("import", path, out, "--robot", "go2"),
-        *([("recover", path)] if content or not name.endswith(".partial") else []),
+        *([("recover", path)] if content or ".mcap" not in name else []),
     ):
         refused(capsys, *arguments)
     assert sorted(tmp_path.iterdir()) == [path]
