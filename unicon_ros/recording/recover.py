@@ -6,6 +6,7 @@ that name.
 
 from __future__ import annotations
 
+import shutil
 import struct
 import zlib
 from pathlib import Path
@@ -119,7 +120,7 @@ def recover(path: str | Path, final_name: bool = False) -> tuple[Path, int] | No
     What follows the last whole chunk is cut away; it is at most the last half second.
 
     Args:
-        path: `FILE.mcap.partial`.
+        path: `FILE.mcap.partial`; of a `FILE.mcap` without its end a copy is finished.
         final_name: finish it as `FILE.mcap`, which it would have become.
 
     Returns:
@@ -130,6 +131,13 @@ def recover(path: str | Path, final_name: bool = False) -> tuple[Path, int] | No
         UniconError: it is written at this moment, is not a recording, or cannot be written.
     """
     path = Path(path)
+    if path.suffix == ".mcap" and path.is_file():
+        copy = _copied(path)
+        try:
+            return recover(copy)
+        except UniconError:
+            copy.unlink(missing_ok=True)
+            raise
     final = path.with_name(path.name.removesuffix(".partial"))
     if final == path or not path.is_file():
         raise UniconError(_no_recording(path))
@@ -166,6 +174,24 @@ def recover(path: str | Path, final_name: bool = False) -> tuple[Path, int] | No
     return target, file.messages
 
 
+def _copied(path: Path) -> Path:
+    """Return a copy of a file without its end, which `recover` takes."""
+    partial = path.with_name(f"{path.name}.partial")
+    try:
+        if scan(path).ended:
+            raise UniconError(f"{path} is whole; there is nothing to recover")
+    except (OSError, ValueError, struct.error):
+        pass  # damaged: what stands before it is whole
+    if partial.exists():
+        raise UniconError(f"{partial} exists; recover it first, or move it away")
+    try:
+        shutil.copyfile(path, partial)
+    except OSError as error:
+        partial.unlink(missing_ok=True)
+        raise UniconError(f"cannot write {partial}: {error.strerror}; make room there") from error
+    return partial
+
+
 def recover_folder(folder: Path) -> list[tuple[Path, int]]:
     """Finish what a killed run left in a bag folder, and write its `metadata.yaml` anew.
 
@@ -188,8 +214,7 @@ def recover_folder(folder: Path) -> list[tuple[Path, int]]:
                 f"{path} cannot be read: {error}; move it away from the others"
             ) from error
         types |= dict(found.topics.values())
-        counts = {found.topics[number][0]: count for number, count in found.counts.items()}
-        files.append(BagFile(path.name, counts, found.span))
+        files.append(BagFile(path.name, found.messages(), found.span))
     try:
         write_metadata(folder, files, types)
     except OSError as error:
