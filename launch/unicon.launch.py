@@ -25,7 +25,8 @@ ARGUMENTS = {
     "frame_prefix": ("", "stands before the names of all frames, such as robot1/"),
     "use_sim_time": ("false", "follow /clock; a simulator in the workflow publishes it itself"),
     "autostart": ("true", "configure and activate at start; else by lifecycle transitions"),
-    "record": ("", "file (.mcap) to record to; empty: no recording"),
+    "record": ("", "file (.mcap) or folder/ to record to; empty: no recording"),
+    "record_split": ("", "size or length of a file of a recording, such as 1GB or 60s"),
     "rviz": ("false", "open RViz with the robot, its frames and its odometry"),
     "remap": ("", "remaps as from:=to, separated by spaces"),
 }
@@ -93,7 +94,7 @@ def nodes(context: LaunchContext) -> list[Node]:
         "use_sim_time": use_sim_time,
         "autostart": truth(value["autostart"], "autostart"),
     }
-    for name in ("map", "record", "frame_prefix"):
+    for name in ("map", "record", "record_split", "frame_prefix"):
         if value[name]:
             parameters[name] = ParameterValue(value[name], value_type=str)
     started = [

@@ -12,52 +12,38 @@ and so does any reader of ROS 2 bags.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
-import platform
 import re
-import sys
 import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from importlib import metadata as packages
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import numpy as np
-import yaml
-
-from unicon_core import __version__
 from unicon_core.errors import UniconError
 from unicon_core.flow import Block, Stage
-from unicon_core.runtime.tick_ring import HEAD, PHASES, TickRing
+from unicon_core.runtime.tick_ring import FEWEST, TickRing
 from unicon_ros.recording import McapFile, recover
+from unicon_ros.recording.facts import content_of, facts_of
 from unicon_ros.recording.mcap_file import Taken
-from unicon_ros.recording.records import (
-    MESSAGE,
-    MESSAGE_HEAD,
-    ROW,
-    attachment,
-    metadata,
-)
+from unicon_ros.recording.records import attachment, metadata
+from unicon_ros.recording.tick_file import add_ticks
 from unicon_ros.recording.tick_message import tick_channel
 
 if TYPE_CHECKING:
     from unicon_core.runtime import Report, Runner
     from unicon_core.workflow import Program
+    from unicon_ros.recorder import Recording
 
-__all__ = ["KEPT", "OFF", "SCHEMA", "FaultRecord", "fault_folder"]
+__all__ = ["KEPT", "OFF", "FaultRecord", "fault_folder"]
 
-SCHEMA = "unicon.record/1"
 OFF = "off"
 KEPT = 10
 """Records in a folder; older ones make room."""
 PATIENCE = 10.0
 """For the medium in [s]: nobody is to wait for ever for the report of a fault."""
-CHUNK_BYTES = 1 << 18
-VERSIONS = ("numpy", "onnxruntime", "torch", "mujoco", "pybullet", "rclpy")
 
 
 def fault_folder(given: str | None = None) -> Path | None:
@@ -83,25 +69,34 @@ class FaultRecord:
     Args:
         folder: for the files, or `off`; see `fault_folder`.
         warn: takes warnings, one line each.
+        recording: gets every tick that is kept, also where there is no folder.
     """
 
-    def __init__(self, folder: str | None = None, warn: Callable[[str], None] = print) -> None:
-        self._folder, self._warn = fault_folder(folder), warn
+    def __init__(
+        self,
+        folder: str | None = None,
+        warn: Callable[[str], None] = print,
+        recording: Recording | None = None,
+    ) -> None:
+        self._folder, self._warn, self._recording = fault_folder(folder), warn, recording
         self._ring: TickRing | None = None
         self._runner: Runner | None = None
-        self._policies: dict[str, dict[str, str]] = {}
+        self._facts: dict[str, str] = {}
 
     def hook(self, program: Program) -> dict[Stage, list[Block]]:
         """Return the blocks that keep the ticks; give it as the last of the hooks."""
-        if self._folder is None:
+        recording = self._recording
+        if self._folder is None and recording is None:
             return {}
-        self._ring = TickRing(program)
-        if not self._ring.capacity:
+        ring = self._ring = TickRing(program, 0 if recording is None else 2)
+        if ring.capacity < FEWEST and self._folder is not None:
             self._warn(
-                f"the states of a tick take {self._ring.row_bytes >> 20} MiB: the fault record "
-                "will hold no ticks"
+                f"the states of a tick take {ring.row_bytes >> 20} MiB: the fault record "
+                f"will hold {ring.capacity or 'no'} ticks"
             )
-        return self._ring.blocks()
+        if recording is not None:
+            recording.keep(ring)
+        return ring.blocks()
 
     def attach(self, runner: Runner) -> None:
         """Get to know the runner, before the first tick."""
@@ -109,15 +104,9 @@ class FaultRecord:
         if self._ring is None:
             return
         self._ring.attach(runner)
-        # Now: the files may be others when the run ends.
-        self._policies = {
-            name: {
-                "path": str(contract.path),
-                "model": str(contract.model),
-                "sha256": hashlib.sha256(contract.model.read_bytes()).hexdigest(),
-            }
-            for name, contract in runner.program.policies.items()
-        }
+        self._facts = facts_of(runner, dict.fromkeys(self._ring.moments))
+        if self._recording is not None:
+            self._recording.attach(self._facts)
 
     def write(self, report: Report) -> Path | None:
         """Write the record of a run with a fault, and return where; never raises.
@@ -156,7 +145,7 @@ class FaultRecord:
         file = _new_file(folder, report.workflow)
         try:
             file.begin()
-            _fill(file, ring, self._runner, report, self._policies)
+            _fill(file, ring, self._runner, report, self._facts)
             lost = file.finish()
         except BaseException:
             file.discard()
@@ -174,97 +163,29 @@ def _fill(
     ring: TickRing,
     runner: Runner,
     report: Report,
-    policies: dict[str, dict[str, str]],
+    facts: dict[str, str],
 ) -> None:
     """Write what is small first: a kill in the middle then leaves what explains the rest."""
-    program, now = runner.program, time.time_ns()
-    file.add_record(metadata("unicon", _facts(program, ring, report, policies)))
+    now = time.time_ns()
+    told = {
+        "written": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+        "reason": report.faults[0],
+        "faults": json.dumps(report.faults),
+        "traceback": report.traceback,
+    }
+    file.add_record(metadata("unicon", facts | told))
     memories = ring.memories()
     first = memories[0].row if memories else 0
-    content = [
-        {"before": each.row - first, "anew": each.anew, **each.remembered.content()}
-        for each in memories
-    ]
+    content = [content_of(each, each.row - first) for each in memories]
 
     def add(name: str, text: str) -> None:
         file.add_record(attachment(name, "application/json", now, text.encode()))
 
     add("memory.json", json.dumps({"trouble": ring.trouble, "memories": content}))
     add("report.json", json.dumps(report.to_dict(), default=str))
-    file.add(tick_channel(1, program.states.layout, ring.moments))
-    _add_ticks(file, ring)
+    file.add(tick_channel(1, runner.program.states.layout, dict.fromkeys(ring.moments)))
+    add_ticks(file, ring.kept())
     add("trace.json", runner.statistics.trace(f"unicon {report.workflow}", max(ring.capacity, 1)))
-
-
-def _add_ticks(file: McapFile, ring: TickRing) -> None:
-    records = bytearray()
-    rows: list[tuple[int, int, int]] = []
-
-    def chunk() -> None:
-        file.write(bytes(records), np.array(rows, ROW))
-        records.clear()
-        rows.clear()
-
-    for raw in ring.kept():
-        stamp = max(int(HEAD.unpack_from(raw)[1]), 0)  # times in MCAP are unsigned
-        rows.append((1, stamp, len(records)))
-        size = MESSAGE_HEAD.size + len(raw)
-        records += MESSAGE_HEAD.pack(MESSAGE, size - 9, 1, 0, stamp, stamp)
-        records += raw
-        if len(records) > CHUNK_BYTES:
-            chunk()
-    if rows:
-        chunk()
-
-
-def _facts(
-    program: Program, ring: TickRing, report: Report, policies: dict[str, dict[str, str]]
-) -> dict[str, str]:
-    """Return what the ticks mean and where they come from."""
-    document, layout = program.document, program.states.layout
-    versions = {"unicon_ros": __version__, "python": platform.python_version()}
-    for name in VERSIONS:
-        if name in sys.modules:
-            with suppress(packages.PackageNotFoundError):
-                versions[name] = packages.version(name)
-    return {
-        "schema": SCHEMA,
-        "written": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
-        "reason": report.faults[0],
-        "faults": json.dumps(report.faults),
-        "traceback": report.traceback,
-        "layout": layout.to_json(),
-        "layout_hash": layout.hash,
-        "moments": json.dumps(ring.moments),
-        "phases": json.dumps([phase.value for phase in PHASES]),
-        "period_s": repr(program.period),
-        "workflow": document.name,
-        "workflow_path": str(document.path),
-        "workflow_file": _text_of(document.path),
-        "workflow_effective": _yaml(document.values),
-        "overridden": json.dumps(document.overridden),
-        "part": program.part,
-        "platform": program.platform.facts.name,
-        "robot": program.robot.name,
-        "robot_file": _text_of(program.robot.path),
-        "policies": json.dumps(policies),
-        "versions": json.dumps(versions),
-    }
-
-
-def _text_of(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError):
-        return ""
-
-
-def _yaml(values: dict[str, Any]) -> str:
-    """Return a workflow with all overrides; what was written in Python is not text."""
-    try:
-        return str(yaml.safe_dump(values, sort_keys=False, allow_unicode=True))
-    except yaml.YAMLError:
-        return ""
 
 
 def _new_file(folder: Path, workflow: str) -> McapFile:

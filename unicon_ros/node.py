@@ -272,13 +272,15 @@ class UniconNode(LifecycleNode):
             estop=self.estop,
         )
         hooks: list[Hook] = [session.hook, self.tuning.hook]
+        recording = None
         if settings["record"]:
             from unicon_ros.recorder import Recording
 
             patient = settings.speed == "max"
-            recording = Recording(settings["record"], map_name, session, warn, patient)
+            split = settings["record_split"]
+            recording = Recording(settings["record"], map_name, session, warn, patient, split)
             hooks.append(recording.hook)
-        self._record = FaultRecord(warn=warn)
+        self._record = FaultRecord(warn=warn, recording=recording)
         hooks.append(self._record.hook)  # the last one: it looks behind the others
         program = Program(document, hooks=hooks, part=settings["part"])
         try:

@@ -27,7 +27,8 @@ AT_CONFIGURE: tuple[tuple[str, Any, str], ...] = (
     ("overrides", [""], "path=value texts as of `unicon run --set`"),
     ("force", [""], "codes of errors of `unicon check` to go on with"),
     ("frame_prefix", "", "stands before the names of all frames, such as robot1/"),
-    ("record", "", "file (.mcap) to record to; empty: no recording"),
+    ("record", "", "file (.mcap) or folder/ to record every state and message to; empty: none"),
+    ("record_split", "", "size or length of a file of a recording, such as 1GB or 60s"),
     ("speed", "real", "real: by the wall clock; max: as fast as it can"),
     ("rate", 0.0, "ticks per second in [Hz], 0: the workflow's own"),
 )

@@ -1,14 +1,15 @@
-"""Recorder: writes the messages of a map into an MCAP file, for `unicon run --record`.
+"""Recorder: writes the messages of a map and every tick into MCAP, for `unicon run --record`.
 
-`ros2 bag play`, rosbags and Foxglove read it. While it grows it is called `FILE.partial`; what a
-killed run left of that name is finished as `FILE.recovered-N.mcap` when the next one begins.
+`ros2 bag play`, rosbags and Foxglove read it; `open_record` reads the ticks to the bit. While it
+grows it is called `FILE.partial`; what a killed run left of that name is finished as
+`FILE.recovered-N.mcap` when the next one begins.
 """
 
 from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,11 +19,16 @@ from unicon_core.flow import Block, Stage
 from unicon_core.resources import find_config
 from unicon_msgs_map import Encoder, MapStateError, load_map
 from unicon_msgs_map.layout.messages import message_definition
+from unicon_ros.recorded_ticks import RecordedTicks
 from unicon_ros.recording import Background, McapFile, recover
-from unicon_ros.recording.mcap_file import Taken
+from unicon_ros.recording.bag_folder import BagFolder, Split
+from unicon_ros.recording.mcap_file import Buffer, Taken
 from unicon_ros.recording.records import Channel
+from unicon_ros.recording.tick_message import Kept, tick_channel
 
 if TYPE_CHECKING:
+    from unicon_core.runtime.tick_ring import TickRing
+    from unicon_core.states import Layout
     from unicon_core.workflow import Program
     from unicon_ros.bridge import RosSession
 
@@ -36,21 +42,33 @@ class Recorder(Background):
         path: of the file, must not exist; folders are made.
         warn: takes warnings, one line each, from a thread.
         patient: wait for a slow disk rather than drop messages.
+        split: where a next file begins; then the path is that of a bag folder, as it is where it
+            ends with a slash.
 
     Raises:
-        MissingDependencyError: rosbags is not installed.
         UniconError: the file exists, or cannot be written.
     """
 
     def __init__(
-        self, path: str | Path, warn: Callable[[str], None] = print, patient: bool = False
+        self,
+        path: str | Path,
+        warn: Callable[[str], None] = print,
+        patient: bool = False,
+        split: Split | None = None,
     ) -> None:
         self.path = Path(path)
+        self._split = split or Split()
+        self._folder = split is not None or str(path).endswith(os.sep)
+        if self._folder and self.path.suffix == ".mcap":
+            raise UniconError(
+                f"recording {path} is split into files of a folder: give a name without .mcap"
+            )
         if os.path.lexists(self.path):  # a link that points nowhere too
             raise UniconError(f"recording {path} exists; move it away or give another name")
         super().__init__(self._create(warn), warn, patient)
 
-    def _create(self, warn: Callable[[str], None]) -> McapFile:
+    def _create(self, warn: Callable[[str], None]) -> McapFile | BagFolder:
+        file: McapFile | BagFolder
         rest = self.path.with_name(f"{self.path.name}.partial")
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
@@ -61,7 +79,7 @@ class Recorder(Background):
                         f"an earlier run was cut off while it recorded to {self.path}; its "
                         f"{found[1]} messages are in {found[0]} now"
                     )
-            file = McapFile(self.path)
+            file = BagFolder(self.path, self._split) if self._folder else McapFile(self.path)
         except Taken:
             raise UniconError(
                 f"recording {self.path} is being written by another run; give another name"
@@ -81,7 +99,7 @@ class Recorder(Background):
             "with room"
         )
 
-    def channel(self, topic: str, kind: str) -> Callable[[int, bytes], None]:
+    def channel(self, topic: str, kind: str) -> Callable[[int, Buffer], bool]:
         """Add a topic, before `start`, and return what takes its messages: `write(stamp_ns, cdr)`.
 
         Args:
@@ -96,13 +114,22 @@ class Recorder(Background):
         except OSError as error:
             raise self._cannot(error) from error
 
-    def discard(self) -> None:
-        """Delete the file, where `start` was not called."""
-        self._file.discard()
+    def tick_channel(self, layout: Layout, kept: Kept) -> Callable[[int, Buffer], bool]:
+        """Add the channel of ticks, before `start`, and return what takes them."""
+        try:
+            return self.add(tick_channel(self._file.channels + 1, layout, kept))
+        except OSError as error:
+            raise self._cannot(error) from error
 
 
 class Recording:
-    """Records what a map publishes, at its rates, after `send`: a recorder as a hook.
+    """Records what a map publishes, at its rates, after `send`, and every state of every tick.
+
+        recording = Recording("walk.mcap")
+        record = FaultRecord(recording=recording)
+        program = load_workflow("go2_walk", hooks=[recording.hook, record.hook])
+        runner = Runner(program)
+        record.attach(runner)
 
     Args:
         path: of the MCAP file.
@@ -111,6 +138,11 @@ class Recording:
             must then stand behind the session's own.
         warn: takes warnings, one line each, from a thread.
         patient: wait for a slow disk rather than drop messages: for runs at full speed.
+        split: where a next file of a bag folder begins, such as `1GB` or `60s`; "" for nowhere.
+
+    Raises:
+        MissingDependencyError: rosbags is not installed.
+        UniconError: nothing can be split so.
     """
 
     def __init__(
@@ -120,6 +152,7 @@ class Recording:
         session: RosSession | None = None,
         warn: Callable[[str], None] = print,
         patient: bool = False,
+        split: str = "",
     ) -> None:
         try:
             import rosbags  # noqa: F401  (the texts of the message types are its)
@@ -129,7 +162,9 @@ class Recording:
             ) from error
         self._path, self._map_name, self._session = path, map_name, session
         self._warn, self._patient = warn, patient
+        self._split = Split.of(split) if split else None
         self._recorder: Recorder | None = None
+        self._ticks: RecordedTicks | None = None
 
     def counts(self) -> dict[str, Any]:
         """Return messages in the file, those dropped, bytes, and the error or ""."""
@@ -147,15 +182,26 @@ class Recording:
         """Return the block that records."""
         # A robot does not wait for a disk, however its run is paced.
         patient = self._patient and program.platform.facts.simulated
-        recorder = Recorder(self._path, self._warn, patient)
+        recorder = Recorder(self._path, self._warn, patient, self._split)
         try:
             blocks = _blocks(recorder, program, self._map_name, self._session)
         except BaseException:
-            recorder.discard()
+            recorder.close()
             raise
-        recorder.start()
         self._recorder = recorder
         return {Stage.OBSERVE: blocks}
+
+    def keep(self, ring: TickRing) -> None:
+        """Record the ticks that a ring keeps; behind the hook."""
+        assert self._recorder is not None
+        self._ticks = RecordedTicks(self._recorder, ring)
+
+    def attach(self, facts: Mapping[str, str]) -> None:
+        """Get the facts of the run, and begin to write, before the first tick."""
+        assert self._recorder is not None
+        if self._ticks is not None:
+            self._ticks.attach(facts)
+        self._recorder.start()
 
 
 def _blocks(
@@ -172,7 +218,7 @@ def _blocks(
         return int(stamp[0]) if simulated else time.time_ns()
 
     leaving = {id(out.spec): out for out in session.outgoing} if session is not None else {}
-    due: list[tuple[int, Callable[[], bytes], Callable[[int, bytes], None]]] = []
+    due: list[tuple[int, Callable[[], bytes], Callable[[int, Buffer], bool]]] = []
     reads: set[str] = set()
     mapping = (
         session.map if session is not None else load_map(find_config("maps", map_name or "default"))
@@ -195,6 +241,8 @@ def _blocks(
 
     def record() -> None:
         nonlocal tick
+        if not tick:
+            recorder.start()  # where nobody attached it to a runner
         for every, encode, write in due:
             if tick % every == 0:
                 write(now(), encode())
@@ -203,5 +251,5 @@ def _blocks(
     return [Block("recorder", record, reads=tuple(sorted(reads)), close=recorder.close)]
 
 
-def _stamped(write: Callable[[int, bytes], None], now: Callable[[], int], raw: bytes) -> None:
+def _stamped(write: Callable[[int, Buffer], bool], now: Callable[[], int], raw: bytes) -> None:
     write(now(), raw)

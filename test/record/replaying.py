@@ -111,16 +111,17 @@ class Feed:
     record: Record
     row: int = 0
     differences: list[str] = field(default_factory=list)
+    told: dict[tuple[str, str], Any] = field(default_factory=dict)
 
     def hook(self, program: Program) -> dict[Stage, list[Block]]:
-        buffers = self.record.buffers
-        assert program.states.layout.hash == self.record.layout.hash
+        record, states = self.record, program.states
+        assert states.layout.hash == record.layout.hash
 
         def put(moment: str) -> Callable[[], None]:
             def tick() -> None:
                 if moment != "received":
                     self.compare(program, moment, before=True)
-                program.states.buffer[:] = buffers[moment][self.row]
+                record.feed(moment, self.row, states)
 
             return tick
 
@@ -129,16 +130,16 @@ class Feed:
             self.row += 1
 
         names = {Stage.RECV: "received", Stage.INPUT: "input", Stage.TUNE: "tuned"}
-        stages = {s: [Block(f"feed {m}", put(m))] for s, m in names.items() if m in buffers}
+        stages = {s: [Block(f"feed {m}", put(m))] for s, m in names.items() if m in record.moments}
         return stages | {Stage.OBSERVE: [Block("compare", sent)]}
 
     def compare(self, program: Program, moment: str, before: bool = False) -> None:
-        row = self.record.buffers[moment][self.row]
-        for name, slot in self.record.layout.slots.items():
-            there = row[slot.offset : slot.offset + slot.nbytes].tobytes()
+        for name in self.record.kept[moment]:
             if before and name in GIVEN:  # what came from outside is fed, not foretold
                 continue
-            if program.states[name].tobytes() != there:
+            if (name, moment) not in self.told:
+                self.told[name, moment] = self.record.states(name, moment)
+            if program.states[name].tobytes() != self.told[name, moment][self.row].tobytes():
                 self.differences.append(f"{moment} of row {self.row}: {name}")
 
 

@@ -403,7 +403,7 @@ def test_a_damaged_file_is_refused_or_read_and_never_more(tmp_path: Path) -> Non
         except UniconError as error:
             said.append(str(error))
     assert 0 < len(said) < 60
-    assert all("is not a fault record" in text for text in said)
+    assert all("is not a record of ticks" in text for text in said)
     with pytest.raises(UniconError, match="cannot read"):
         open_record(tmp_path / "nope.mcap")
 

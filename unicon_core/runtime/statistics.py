@@ -74,13 +74,18 @@ class TickStatistics:
             return self.rows[: self.count]
         return np.roll(self.rows, -(self.count % capacity), axis=0)
 
-    def tick_us(self) -> dict[str, float]:
-        """Return p50, p99, max of recv → send in [µs]."""
+    def durations_us(self) -> NDArray[np.float64]:
+        """Return recv → send of each kept tick in [µs], shape (ticks,)."""
         rows = self.kept()
         ends = [4 + i for i in range(len(self.names)) if i not in self.deferred]
         if not rows.size or not ends:
-            return percentiles(np.empty(0))
-        return percentiles((rows[:, ends].max(axis=1) - rows[:, 2]) * 1e-3)
+            return np.empty(0)
+        took: NDArray[np.float64] = (rows[:, ends].max(axis=1) - rows[:, 2]) * 1e-3
+        return took
+
+    def tick_us(self) -> dict[str, float]:
+        """Return p50, p99, max of recv → send in [µs]."""
+        return percentiles(self.durations_us())
 
     def lateness_us(self) -> dict[str, float]:
         """Return p50, p99, max of start minus deadline in [µs]."""

@@ -1,4 +1,4 @@
-"""TickRing: the last ticks to the bit, in memory, for a record of why a run was cut off.
+"""TickRing: the last ticks to the bit, in memory, for fault records and recordings.
 
 A tick is kept as the whole buffer of the states at each *moment* at which something came from
 outside, and at its end: `received` (behind recv), `input` and `tuned` (behind blocks that a hook
@@ -11,14 +11,14 @@ from __future__ import annotations
 import struct
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from unicon_core.flow import Block, Node, Stage, Switch
-from unicon_core.flow.nodes import children_of
+from unicon_core.flow.nodes import blocks_of, children_of
 from unicon_core.memory import Memory, Remembered
 from unicon_core.runtime.phases import Phase
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from unicon_core.runtime.runner import Runner
     from unicon_core.workflow import Program
 
-__all__ = ["HEAD", "PHASES", "KeptMemory", "TickRing"]
+__all__ = ["FEWEST", "HEAD", "PHASES", "KeptMemory", "TickRing"]
 
 KEPT_S = 10.0
 """Of ticks that are kept at least in [s]; up to half as much more, since it begins at a memory."""
@@ -36,6 +36,9 @@ LARGEST = 64 << 20
 """Bytes of a ring; with larger states it goes back less far."""
 FEWEST = 16
 """Ticks; where not even so many have room nothing is kept."""
+
+BETWEEN = ("tick", "velocity_command")
+"""States that the runner changes between two ticks."""
 
 HEAD = struct.Struct("<4sqqII")
 """What a kept tick begins with: the head of CDR, time [ns], number, phase, 1 where it has ended."""
@@ -65,31 +68,44 @@ class TickRing:
 
     Args:
         program: whose hooks before have given their blocks already.
+        least: ticks that are kept however large the states are.
 
     Attributes:
+        layout: of the states.
         moments: names of what is kept of a tick, in order.
+        outside: moment to the states that blocks from outside may have changed just before it, as
+            they declare; None where one of them declares nothing, and in `sent`.
+        tap: gets every tick when it has ended, in some microseconds, before `rows` counts it; or
+            None.
         capacity: ticks; 0 where the states are too large.
         row_bytes: of a tick: `HEAD`, then the states at each moment.
         rows: ticks that were kept since the beginning.
         trouble: why memories are missing, or "".
     """
 
-    def __init__(self, program: Program) -> None:
+    def __init__(self, program: Program, least: int = 0) -> None:
         states = program.states
         self._program, self._states = program, states.buffer.data.cast("B")
+        self.layout = states.layout
         self._tick = states["tick"].reshape(-1)
         self._stamp = states["stamp_ns"].reshape(-1) if program.platform.facts.simulated else None
         given = [stage for stage in (Stage.INPUT, Stage.TUNE) if program.stages[stage]]
         names = {Stage.INPUT: "input", Stage.TUNE: "tuned"}
         self.moments = ("received", *(names[stage] for stage in given), "sent")
+        self.outside: dict[str, frozenset[str] | None] = {
+            "received": _changed(program.stages[Stage.RECV], program.platform.facts.writes),
+            **{names[stage]: _changed(program.stages[stage]) for stage in given},
+            "sent": None,
+        }
+        self.tap: Callable[[memoryview], object] | None = None
         self._given = given
-        self._size = states.layout.nbytes
+        self._size = self.layout.nbytes
         self.row_bytes = HEAD.size + len(self.moments) * self._size
         stride = max(round(KEPT_S / STRIDES / program.period), 1)
         self._stride = min(stride, LARGEST // self.row_bytes // (STRIDES + 1))
         self.capacity = self._stride * (STRIDES + 1)
         if self.capacity < FEWEST:
-            self.capacity = 0
+            self.capacity, self._stride = least, 1 << 62
         self.rows = 0
         self.trouble = ""
         # Written once, so that no page of it is new to a tick.
@@ -97,7 +113,8 @@ class TickRing:
         starts = range(HEAD.size, len(self._data), self.row_bytes)
         self._received_rows = [self._data[at : at + self._size] for at in starts]
         self._slot = self._at = 0  # of the present row
-        self._open = self._anew = self._frozen = False
+        self._reached = 0  # moments of the present row that are kept
+        self._anew = self._frozen = False
         self._runner: Runner | None = None
         self._phase, self._phase_number = PHASES[0], 0
         self._memory: Memory | None = None
@@ -136,7 +153,7 @@ class TickRing:
             self._anew = False
             self._remember(True)
         self._copy()  # all that the command waits for
-        self._open = True
+        self._reached = 1
 
     def _copy(self) -> None:
         self._received_rows[self._slot][:] = self._states
@@ -157,21 +174,34 @@ class TickRing:
         def take() -> None:
             at = self._at + offset
             data[at : at + size] = states
+            self._reached = number + 1
 
         return take
 
     def _sent(self) -> None:
         if self._frozen:
             return
-        end = self._at + self.row_bytes
-        self._data[end - self._size : end] = self._states
+        self._fill()
         self._head(1)
         self._next()
         if self.rows % self._stride == 0:
             self._remember(False)
 
+    def _fill(self) -> None:
+        """Keep the states as they are now at the moments that were not reached.
+
+        That is `sent` alone in a tick of the run; there is no input in one that only damps.
+        """
+        size, data = self._size, self._data
+        at = self._at + HEAD.size + self._reached * size
+        for _ in range(self._reached, len(self.moments)):
+            data[at : at + size] = self._states
+            at += size
+
     def _next(self) -> None:
-        self._open = False
+        if self.tap is not None:
+            self.tap(self._data[self._at : self._at + self.row_bytes])
+        self._reached = 0
         self.rows += 1
         self._slot = self.rows % self.capacity
         self._at = self._slot * self.row_bytes
@@ -197,17 +227,17 @@ class TickRing:
 
         Between two ticks it is a tick of its own, the first time.
         """
-        if not self.capacity or (self._frozen and not self._open):
+        if not self.capacity or self._frozen:
             return
         self._frozen = True
-        if not self._open:
-            self._copy()
+        self._fill()
         self._head(0)
-        at = self._at + HEAD.size + self._size
-        for _ in self.moments[1:]:
-            self._data[at : at + self._size] = self._states
-            at += self._size
         self._next()
+
+    @property
+    def newest(self) -> KeptMemory | None:
+        """What was remembered last."""
+        return self._memories[-1] if self._memories else None
 
     def memories(self) -> list[KeptMemory]:
         """Return the memories of the ticks that are still there, the oldest first."""
@@ -217,9 +247,19 @@ class TickRing:
     def kept(self) -> Iterator[memoryview]:
         """Yield the ticks from the oldest memory on, each as CDR."""
         memories = self.memories()
-        for row in range(memories[0].row if memories else 0, self.rows):
+        oldest = max(self.rows - self.capacity, 0)
+        for row in range(memories[0].row if memories else oldest, self.rows):
             at = row % self.capacity * self.row_bytes
             yield self._data[at : at + self.row_bytes]
+
+
+def _changed(nodes: Sequence[Node], more: Sequence[str] = ()) -> frozenset[str] | None:
+    """Return the states that blocks change, with those that the runner sets between two ticks."""
+    blocks = [block for node in nodes for block in blocks_of(node)]
+    if not all(block.writes or block.amends for block in blocks):
+        return None  # nobody knows
+    found = {state for block in blocks for state in (*block.writes, *block.amends)}
+    return frozenset({*found, *more, *BETWEEN})
 
 
 def memory_of(program: Program, runner: Runner) -> Memory:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from math import prod
 from typing import Any
 
@@ -100,6 +101,18 @@ class Layout:
             sections[dtype] = (start, (offset - start) // itemsize)
             offset = -(-offset // ALIGNMENT) * ALIGNMENT
         return {name: places[name] for name in self.specs}, sections, max(offset, ALIGNMENT)
+
+    def elements(self, name: str) -> list[str]:
+        """Return the elements of a state in C order, `joint_pos.FL_hip_joint` or `contact.0`.
+
+        Raises:
+            KeyError: no such state.
+        """
+        names = self.specs[name].names
+        axes: list[Sequence[object]] = [range(length) for length in self.slots[name].shape]
+        if names:
+            axes[-1] = names
+        return [".".join([name, *map(str, place)]) for place in product(*axes)]
 
     @cached_property
     def hash(self) -> str:

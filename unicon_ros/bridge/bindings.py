@@ -7,9 +7,17 @@ from typing import Any
 from numpy.typing import NDArray
 
 from unicon_core.errors import UniconError
+from unicon_core.robots import Robot
 from unicon_core.workflow import Program
 
-__all__ = ["arrays_of", "checked_prefix", "given_by_blocks", "names_of", "variables_of"]
+__all__ = [
+    "arrays_of",
+    "checked_prefix",
+    "given_by_blocks",
+    "names_of",
+    "robot_variables",
+    "variables_of",
+]
 
 
 def arrays_of(program: Program) -> dict[str, NDArray[Any]]:
@@ -28,7 +36,11 @@ def names_of(program: Program) -> dict[str, tuple[str, ...]]:
 
 def variables_of(program: Program, frame_prefix: str = "") -> dict[str, object]:
     """Return what a map may call `$name`; `frame_prefix` stands before the names of frames."""
-    robot = program.robot
+    return robot_variables(program.robot, frame_prefix)
+
+
+def robot_variables(robot: Robot, frame_prefix: str = "") -> dict[str, object]:
+    """Return the same of a robot alone."""
     return {
         "joint_names": list(robot.joint_names),
         "robot": robot.name,

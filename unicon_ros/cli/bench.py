@@ -17,6 +17,7 @@ BENCHES = {
     "faults": "unicon_ros.bench.faults.bench_faults",
     "latency": "unicon_ros.bench.latency",
     "policy": "unicon_ros.bench.policy",
+    "record": "unicon_ros.bench.record",
     "safety": "unicon_ros.bench.safety",
     "sloc": "unicon_ros.bench.sloc",
     "stores": "unicon_ros.bench.stores",
@@ -37,6 +38,7 @@ _OPTIONS: dict[str, dict[str, dict[str, Any]]] = {
         "joints": {"type": int, "help": "number of joints"},
         "seconds": {"type": float, "help": "measured time of a variant in a round"},
     },
+    "record": {"seconds": {"type": float, "help": "time of a run, 10 s unless told"}},
 }
 """Bench to its own options: name to what `add_argument` takes."""
 

@@ -55,7 +55,17 @@ def add(commands: Any) -> None:
     parser.add_argument(
         "--part", metavar="NAME", default="", help="run one part of a workflow that has parts"
     )
-    parser.add_argument("--record", metavar="FILE.mcap", help="record the states' messages")
+    parser.add_argument(
+        "--record",
+        metavar="FILE.mcap|FOLDER/",
+        help="record every state of every tick, and the messages of the map",
+    )
+    parser.add_argument(
+        "--record-split",
+        metavar="1GB|60s",
+        default="",
+        help="record to a bag folder whose files are that large or long, or both: 1GB,10min",
+    )
     parser.add_argument(
         "--faults",
         metavar="DIR",
@@ -149,12 +159,21 @@ def _run(
         )
         hooks.append(session.hook)
     try:
+        if arguments.record_split and not arguments.record:
+            raise UniconError("--record-split goes with --record FOLDER/; add it")
         if arguments.record:
             from unicon_ros.recorder import Recording
 
             map_name = arguments.map or document.get("map", str)
             patient = arguments.speed == "max"
-            recording = Recording(arguments.record, map_name, session, console.warn, patient)
+            recording = Recording(
+                arguments.record,
+                map_name,
+                session,
+                console.warn,
+                patient,
+                arguments.record_split,
+            )
             hooks.append(recording.hook)
         if arguments.picture:
             from unicon_ros.picture import Picture
@@ -163,7 +182,7 @@ def _run(
             hooks.append(picture.hook)
         if arguments.view:
             hooks.append(_viewer)
-        record = FaultRecord(arguments.faults, console.warn)
+        record = FaultRecord(arguments.faults, console.warn, recording)
         hooks.append(record.hook)  # the last one: it looks behind the others
         program = Program(document, hooks=hooks, part=arguments.part, silent=arguments.dry)
         guard.damp = program.damp_now

@@ -7,7 +7,6 @@ import os
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import product
 from typing import Any, Protocol
 
 from unicon_core.errors import StateError, alternatives
@@ -130,7 +129,7 @@ class _Csv:
         self._views = [owner[state].states[state] for state in chosen]
         self._columns = [f"{group}.stamp_ns" for group in watched]
         for state in chosen:
-            self._columns += _element_names(state, owner[state].states)
+            self._columns += owner[state].states.layout.elements(state)
         self._write = csv.writer(sys.stdout, lineterminator="\n").writerow
 
     def head(self) -> None:
@@ -166,12 +165,3 @@ class _Text:
             numbers = " ".join(f"{number_text(x):>9}" for x in flat)
             print(f"{time_text}  {state:<{self._width}}  {numbers}")
             time_text = " " * len(time_text)
-
-
-def _element_names(state: str, states: States) -> list[str]:
-    """Return a column for each element: its indices behind the state's name, or its own name."""
-    view, names = states[state], states.spec(state).names
-    axes: list[Sequence[object]] = [range(length) for length in view.shape]
-    if names:
-        axes[-1] = names
-    return [".".join([state, *map(str, place)]) for place in product(*axes)]

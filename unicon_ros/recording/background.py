@@ -1,10 +1,10 @@
 """Background writing: the tick copies messages into memory, a thread brings them into the file.
 
-The tick never waits for the disk: where eight blocks of 1 MiB are full, messages are dropped and
+The tick never waits for the disk: where four blocks of 2 MiB are full, messages are dropped and
 counted. Nothing is done per message in the thread, which would hold the interpreter's lock: a chunk
-is one system call on the memory that the tick wrote. Every 0.4 s what is there goes to the kernel
-(a kill loses no more), every second the kernel is told to bring it to the medium (a power loss
-loses up to 1.5 s, and longer where the medium is slow).
+is one system call on the memory that the tick wrote. Every 0.7 s what is there goes to the kernel (a
+kill loses no more), which is told at once to bring it to the medium (a power loss loses up to 1 s,
+and longer where the medium is slow). More often would be felt: each time takes 1 ms of a core.
 """
 
 from __future__ import annotations
@@ -20,15 +20,17 @@ from typing import Any
 
 import numpy as np
 
-from unicon_ros.recording.mcap_file import McapFile
+from unicon_ros.recording.bag_folder import BagFolder
+from unicon_ros.recording.mcap_file import Buffer, McapFile
 from unicon_ros.recording.records import MESSAGE, MESSAGE_HEAD, ROW, Channel
 
 __all__ = ["Background"]
 
-FLUSH_S = 0.4
-SYNC_S = 1.0
+FLUSH_S = 0.7
+SYNC_S = 0.5
+"""Between two syncs in [s], where blocks are full earlier."""
 CLOSE_S = 5.0
-BLOCKS, BLOCK_BYTES, BLOCK_ROWS = 8, 1 << 20, 1 << 14
+BLOCKS, BLOCK_BYTES, BLOCK_ROWS = 4, 1 << 21, 1 << 15
 
 _ROW = struct.Struct("<HQQ")
 
@@ -41,7 +43,7 @@ class _Block:
         taken: those of them that the thread has dealt with.
     """
 
-    def __init__(self, size: int = BLOCK_BYTES) -> None:
+    def __init__(self, size: int) -> None:
         # Written once, so that no page of it is new to the tick.
         self.data = bytearray(b"\xff") * size
         self.rows = bytearray(b"\xff") * (BLOCK_ROWS * _ROW.size)
@@ -58,25 +60,30 @@ class Background:
             run as fast as they can.
     """
 
-    def __init__(self, file: McapFile, warn: Callable[[str], None], patient: bool = False) -> None:
+    def __init__(
+        self, file: McapFile | BagFolder, warn: Callable[[str], None], patient: bool = False
+    ) -> None:
         self._file, self._warn, self._patient = file, warn, patient
         self._label = f"recording {file.path}"
-        self._block = _Block()
+        self._block = _Block(BLOCK_BYTES)
         self._queue = deque([self._block])
-        self._free = deque(_Block() for _ in range(BLOCKS - 1))
+        self._free = deque(_Block(BLOCK_BYTES) for _ in range(BLOCKS - 1))
+        self._others: deque[Callable[[], bytes]] = deque()
         self._overflow = self._discarded = 0
         self._error = ""
         self._open = True
         self._ending = False
-        self._wake, self._ended = threading.Event(), threading.Event()
+        self._wake, self._flushed, self._ended = (threading.Event() for _ in range(3))
         self._file_in_use = threading.Lock()
         self._threads = [
             threading.Thread(target=work, name=f"recorder {name}", daemon=True)
             for name, work in (("writer", self._work), ("sync", self._sync))
         ]
 
-    def add(self, channel: Channel) -> Callable[[int, bytes], None]:
+    def add(self, channel: Channel) -> Callable[[int, Buffer], bool]:
         """Add a topic, before `start`, and return what takes its messages: `write(stamp_ns, cdr)`.
+
+        What it returns is False for a message that is dropped.
 
         Raises:
             OSError: it cannot be written.
@@ -84,10 +91,19 @@ class Background:
         self._file.add(channel)
         return partial(self._put, channel.number)
 
+    def add_record(self, make: Callable[[], bytes]) -> None:
+        """Add an attachment or metadata, from the tick too: it is made and written by the thread.
+
+        Args:
+            make: returns it as of `records.attachment` and `records.metadata`.
+        """
+        self._others.append(make)
+
     def start(self) -> None:
-        """Start the threads."""
-        for thread in self._threads:
-            thread.start()
+        """Start the threads; safe to call twice."""
+        if self._threads[0].ident is None:
+            for thread in self._threads:
+                thread.start()
 
     def counts(self) -> dict[str, Any]:
         """Return messages in the file, those dropped, bytes of the file, and the error or ""."""
@@ -99,10 +115,17 @@ class Background:
         }
 
     def close(self) -> None:
-        """Write the rest, finish the file; at most 5 s. Never raises, and safe to call twice."""
+        """Write the rest, finish the file; at most 5 s. Never raises, and safe to call twice.
+
+        Where it was not even started the file is deleted.
+        """
         self._ending = True
         self._wake.set()
         self._ended.set()
+        self._flushed.set()
+        if self._threads[0].ident is None:
+            self._file.discard()
+            return
         if not any(thread.is_alive() for thread in self._threads):
             return
         end = time.monotonic() + CLOSE_S
@@ -113,8 +136,8 @@ class Background:
 
     # -- the tick's side ------------------------------------------------------------------------
 
-    def _put(self, channel: int, stamp_ns: int, raw: bytes) -> None:
-        """Take a message; it is copied."""
+    def _put(self, channel: int, stamp_ns: int, raw: Buffer) -> bool:
+        """Take a message; it is copied. False where it is dropped."""
         block = self._block
         begin, count = block.mark
         body = begin + MESSAGE_HEAD.size
@@ -122,7 +145,7 @@ class Background:
         if end > len(block.data) or count == BLOCK_ROWS:
             if not self._turn(end - begin):
                 self._overflow += 1
-                return
+                return False
             block = self._block
             begin, count, body, end = 0, 0, MESSAGE_HEAD.size, end - begin
         if stamp_ns < 0:  # times in MCAP are unsigned
@@ -134,6 +157,7 @@ class Background:
         data[body:end] = raw
         _ROW.pack_into(block.rows, count * _ROW.size, channel, stamp_ns, begin)
         block.mark = (end, count + 1)
+        return True
 
     def _turn(self, size: int) -> bool:
         """Go on to a block that is free and has room for a message; False where there is none."""
@@ -163,6 +187,7 @@ class Background:
             self._wake.clear()
             ending = self._ending
             self._drain()
+            self._flushed.set()
             if self._overflow and not lost:
                 lost = self._overflow
                 self._fail(
@@ -177,6 +202,13 @@ class Background:
 
     def _drain(self) -> None:
         """Write what the tick has completed; blocks that it has left become free."""
+        while self._others:
+            make = self._others.popleft()
+            if self._open:
+                try:
+                    self._file.add_record(make())
+                except Exception as error:  # whatever it is, the run goes on
+                    self._stop(str(getattr(error, "strerror", None) or error), 0)
         while True:
             block = self._queue[0]
             left = len(self._queue) > 1  # asked before the mark is read: then the mark is final
@@ -191,7 +223,7 @@ class Background:
                 block.mark = block.taken = (0, 0)
                 self._free.append(block)
             else:
-                self._free.append(_Block())
+                self._free.append(_Block(BLOCK_BYTES))
 
     def _chunk(self, block: _Block, begin: int, end: int, first: int, last: int) -> None:
         if not self._open:
@@ -218,8 +250,7 @@ class Background:
         """Finish the file and return what went wrong, "" where nothing did."""
         self._open = False
         if self._file.gone():
-            self._discarded += self._file.messages
-            self._file.forget()
+            self._discarded += self._file.forget()
             return "somebody deleted it"
         if not self._file.messages:
             self._file.discard()
@@ -232,6 +263,8 @@ class Background:
 
     def _sync(self) -> None:
         while not self._ended.wait(SYNC_S):
+            self._flushed.wait()
+            self._flushed.clear()
             with self._file_in_use:
                 if not self._open:
                     return

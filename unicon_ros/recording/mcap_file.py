@@ -10,6 +10,7 @@ import errno
 import fcntl
 import os
 import zlib
+from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -192,11 +193,25 @@ class McapFile:
             if descriptor >= 0:
                 os.close(descriptor)
 
-    def forget(self) -> None:
-        """Close it, where it was deleted: nothing of it is kept."""
-        self.messages = self.size = 0
+    def forget(self) -> int:
+        """Close it, where it was deleted; return how many messages are lost with it."""
+        lost, self.messages, self.size = self.messages, 0, 0
         self._chunks.clear()
         self.leave()
+        return lost
+
+    def counts(self) -> Counter[int]:
+        """Return the number of messages by that of their channel."""
+        counts: Counter[int] = Counter()
+        for chunk in self._chunks:
+            counts.update(chunk.counts)
+        return counts
+
+    def span(self) -> tuple[int, int] | None:
+        """Return first and last time of the messages in [ns], None without any."""
+        if not self._chunks:
+            return None
+        return min(c.first for c in self._chunks), max(c.last for c in self._chunks)
 
     def discard(self) -> None:
         """Close and delete it."""

@@ -1,12 +1,14 @@
-"""Reading of a fault record, for replay and analysis: `open_record(PATH).states("joint_pos")`."""
+"""Reading of recordings and fault records: `open_record(PATH).states("joint_pos")`."""
 
 from __future__ import annotations
 
+import base64
 import json
+import re
 import struct
-import zlib
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from bisect import bisect_right
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -15,22 +17,16 @@ from numpy.typing import NDArray
 
 from unicon_core.errors import StateError, UniconError
 from unicon_core.runtime.tick_ring import HEAD
-from unicon_core.states import Layout
-from unicon_ros.recording.records import (
-    ATTACHMENT,
-    CHUNK,
-    CHUNK_HEAD,
-    DATA_END,
-    MAGIC,
-    MESSAGE,
-    MESSAGE_HEAD,
-    METADATA,
-)
+from unicon_core.states import Layout, States
+from unicon_ros.recording.facts import SCHEMA
+from unicon_ros.recording.scan import Scan, gather, scan
+from unicon_ros.recording.tick_message import Kept, Moment, kept_moments
 
-__all__ = ["Record", "open_record"]
+__all__ = ["Record", "files_of", "open_record"]
 
 _WRONG = (
     ArithmeticError,
+    AttributeError,
     LookupError,
     RecursionError,
     StateError,
@@ -39,148 +35,244 @@ _WRONG = (
     struct.error,
 )
 
+_HEADS = np.dtype(
+    [("cdr", "V4"), ("stamp", "<i8"), ("tick", "<i8"), ("phase", "<u4"), ("ended", "<u4")]
+)
+_MEMORY = re.compile(r"memory(-\d+)?\.json")
+
 
 @dataclass(frozen=True)
 class Record:
-    """A record of ticks, to the bit.
+    """A record of ticks, to the bit. Its files are mapped: what is asked for is read.
 
     Attributes:
         facts: reason, workflow, robot, versions, … as texts.
         layout: of the states.
         moments: what is kept of a tick: `received`, …, `sent`.
+        kept: moment to the states that are kept there; at `sent` they are all. Of a recording the
+            others have those that came from outside there.
         stamps: time of each tick in [ns], shape (ticks,).
         ticks: number of each, shape (ticks,).
         phases: phase of each, as text.
         ended: False for the tick in which the fault was, shape (ticks,).
-        buffers: moment to the packed states, uint8, shape (ticks, layout.nbytes).
         memories: what the blocks remembered: `before` (index of a tick), `anew` (the flow was
             reset before it), and what `Memory.restore` takes.
         files: name to content of what goes along: `report.json`, `trace.json`.
+        paths: the files that it was read from.
     """
 
     facts: Mapping[str, str]
     layout: Layout
     moments: tuple[str, ...]
+    kept: Mapping[str, tuple[str, ...]]
     stamps: NDArray[np.int64]
     ticks: NDArray[np.int64]
     phases: tuple[str, ...]
     ended: NDArray[np.bool_]
-    buffers: Mapping[str, NDArray[np.uint8]]
     memories: list[dict[str, Any]]
     files: Mapping[str, bytes]
+    paths: tuple[Path, ...]
+    _places: Mapping[str, Moment]
+    _scans: Sequence[Scan]
+    _begins: Sequence[int]
+    _whole: Mapping[int, NDArray[np.uint8]]
+    _feeds: dict[tuple[int, str], tuple[States, Any]] = field(default_factory=dict)
 
-    def states(self, name: str, moment: str = "sent") -> NDArray[Any]:
-        """Return a state in every tick, shape (ticks, …).
+    def states(self, name: str, moment: str = "sent", rows: slice = slice(None)) -> NDArray[Any]:
+        """Return a state in every tick, shape (ticks, …), or in some of them.
 
         Raises:
-            StateError: no such state.
+            StateError: no such state, or it is not kept at that moment.
         """
         slot = self.layout.slots.get(name)
-        if slot is None or moment not in self.buffers:
+        if slot is None or moment not in self._places:
             raise StateError(
                 f"no state {name!r} at {moment!r} in the record; states: "
                 f"{', '.join(self.layout.slots)}; moments: {', '.join(self.moments)}"
             )
-        packed = self.buffers[moment][:, slot.offset : slot.offset + slot.nbytes]
-        return np.ascontiguousarray(packed).view(slot.dtype).reshape(-1, *slot.shape)
+        place = self._places[moment]
+        if name not in place.places:
+            raise StateError(
+                f"state {name!r} is not kept at {moment!r}, where it did not come from outside; "
+                f"ask for it at 'sent'; kept there: {', '.join(self.kept[moment])}"
+            )
+        at = place.begin + place.places[name]
+        begin, end, _ = rows.indices(len(self.ticks))
+        parts = [
+            gather(
+                each.data, each.ticks[max(begin - first, 0) : max(end - first, 0)] + at, slot.nbytes
+            )
+            for each, first in zip(self._scans, self._begins)
+        ]
+        packed = np.concatenate(parts)
+        return packed.view(slot.dtype).reshape(-1, *slot.shape)
+
+    def feed(self, moment: str, row: int, states: States) -> None:
+        """Put what came from outside at a moment of a tick into live states.
+
+        Where blocks were reset before the tick, and in the first one, that is all of `received`.
+        States of another layout get those that they have too, by name.
+
+        Args:
+            moment: of `moments`.
+            row: index of the tick.
+            states: of a program.
+
+        Raises:
+            StateError: no such moment.
+        """
+        known = self._feeds.get((id(states), moment))
+        if known is None:
+            if moment not in self._places:
+                raise StateError(
+                    f"no moment {moment!r} in the record; moments: {', '.join(self.moments)}"
+                )
+            known = states, self._copies(moment, states)
+            self._feeds[id(states), moment] = known
+        whole, live = self._whole.get(row), states.buffer
+        if whole is not None and moment == "received":
+            for to, source in self._common(states, self.layout.slots):
+                live[to] = whole[source]
+            return
+        number = bisect_right(self._begins, row) - 1
+        found = self._scans[number]
+        data, at = found.data, int(found.ticks[row - self._begins[number]])
+        for to, begin, end in known[1]:
+            live[to] = data[at + begin : at + end]
+
+    def _copies(self, moment: str, states: States) -> list[tuple[slice, int, int]]:
+        place = self._places[moment]
+        if states.layout.hash == self.layout.hash:
+            pairs = [(to, source) for source, to in place.copies(self.layout)]
+        else:
+            offsets = {name: place.begin + at for name, at in place.places.items()}
+            pairs = [
+                (to, slice(offsets[name], offsets[name] + to.stop - to.start))
+                for name, to in self._alike(states)
+                if name in offsets
+            ]
+        return [(to, source.start, source.stop) for to, source in pairs]
+
+    def _common(self, states: States, slots: Mapping[str, Any]) -> list[tuple[slice, slice]]:
+        return [
+            (to, slice(slots[name].offset, slots[name].offset + slots[name].nbytes))
+            for name, to in self._alike(states)
+        ]
+
+    def _alike(self, states: States) -> list[tuple[str, slice]]:
+        """Return the states that are of one shape and type in both, and where they stand there."""
+        mine, found = self.layout.slots, []
+        for name, slot in states.layout.slots.items():
+            there = mine.get(name)
+            if there is not None and (there.shape, there.dtype) == (slot.shape, slot.dtype):
+                found.append((name, slice(slot.offset, slot.offset + slot.nbytes)))
+        return found
+
+
+def files_of(path: Path) -> list[Path]:
+    """Return the files of a recording: itself, or those of its folder in their order.
+
+    Raises:
+        UniconError: there is none.
+    """
+    if not path.is_dir():
+        return [path]
+    found = [each for each in path.iterdir() if re.search(r"\.mcap(\.partial)?$", each.name)]
+    if not found:
+        raise UniconError(f"{path} has no recording in it; give a file or folder with .mcap files")
+
+    def number(each: Path) -> tuple[int, str]:
+        told = re.search(r"_(\d+)(\.recovered-\d+)?\.mcap(\.partial)?$", each.name)
+        return (int(told[1]) if told else -1, each.name)
+
+    return sorted(found, key=number)
 
 
 def open_record(path: str | Path) -> Record:
-    """Read a fault record; of one that a kill cut off, what is whole.
+    """Open a recording or fault record; of one that a kill cut off, what is whole.
+
+    Args:
+        path: of a file, or of a folder with the files of one recording.
 
     Raises:
         UniconError: it cannot be read, or is not such a record.
     """
     try:
-        raw = Path(path).read_bytes()
+        paths = files_of(Path(path))
+        return _record(paths, [_scan(each) for each in paths])
     except OSError as error:
         raise UniconError(f"cannot read {path}: {error.strerror}") from error
-    try:
-        return _record(raw)
     except _WRONG as error:
+        reason = f"{error.args[0]!r} is missing" if isinstance(error, KeyError) else error
         raise UniconError(
-            f"{path} is not a fault record: {error}; give one that unicon wrote"
+            f"{path} is not a record of ticks: {reason}; give one that unicon wrote, or make one "
+            "with unicon bag import"
         ) from error
 
 
-def _record(raw: bytes) -> Record:
-    facts: dict[str, str] = {}
-    files: dict[str, bytes] = {}
-    rows: list[memoryview] = []
-    if not raw.startswith(MAGIC):
-        raise ValueError("it does not begin as MCAP does")
-    for opcode, content in _records(memoryview(raw), len(MAGIC)):
-        if opcode == METADATA:
-            facts |= _metadata(content)
-        elif opcode == ATTACHMENT:
-            name, data = _attachment(content)
-            files[name] = data
-        elif opcode == CHUNK:
-            head = CHUNK_HEAD.size - 9
-            inner = content[head:]
-            if zlib.crc32(inner) != CHUNK_HEAD.unpack_from(bytes(9) + content[:head])[5]:
-                raise ValueError("a chunk is damaged")
-            rows += [c[MESSAGE_HEAD.size - 9 :] for o, c in _records(inner, 0) if o == MESSAGE]
-        elif opcode == DATA_END:
-            break
+def _scan(path: Path) -> Scan:
+    found = scan(path)
+    if not found.facts.get("schema"):
+        raise ValueError("it has no facts of unicon")
+    if found.facts["schema"] != SCHEMA:
+        raise ValueError(f"its schema is {found.facts['schema']!r}, known is {SCHEMA}")
+    return found
+
+
+def _record(paths: Sequence[Path], scans: Sequence[Scan]) -> Record:
+    facts = scans[0].facts
+    for path, each in zip(paths, scans):
+        for fact in ("layout_hash", "moments", "kept", "run"):
+            if each.facts.get(fact) != facts.get(fact):
+                raise ValueError(f"{path.name} is of another run ({fact})")
     layout = Layout.from_json(facts["layout"])
     moments = tuple(json.loads(facts["moments"]))
-    names = json.loads(facts["phases"])
-    width = HEAD.size + len(moments) * layout.nbytes
-    if any(len(row) != width for row in rows):
+    some: Kept = {m: frozenset(n) for m, n in json.loads(facts.get("kept", "{}")).items()}
+    places = kept_moments(layout, {moment: some.get(moment) for moment in moments})
+    width = HEAD.size + sum(moment.size for moment in places.values())
+    if any((each.sizes != width).any() for each in scans):
         raise ValueError("its ticks are of another layout")
-    table = np.frombuffer(b"".join(rows), np.uint8).reshape(-1, width)
-    heads = [HEAD.unpack_from(row) for row in rows]
-    buffers = {
-        moment: table[:, begin : begin + layout.nbytes]
-        for moment, begin in zip(moments, range(HEAD.size, width, layout.nbytes))
+    heads = np.concatenate([gather(each.data, each.ticks, HEAD.size) for each in scans])
+    heads = heads.view(_HEADS).reshape(-1)
+    names = json.loads(facts["phases"])
+    begins = [0]
+    for each in scans:
+        begins.append(begins[-1] + len(each.ticks))
+    files = {name: content for each in scans for name, content in each.files.items()}
+    memories = _memories(files, int(facts.get("first_row", "0")), begins[-1])
+    whole = {
+        each["before"]: np.frombuffer(base64.b64decode(each.pop("received")), np.uint8)
+        for each in memories
+        if "received" in each
     }
-    memories = json.loads(files.get("memory.json", b'{"memories": []}'))["memories"]
+    if any(len(each) != layout.nbytes for each in whole.values()):
+        raise ValueError("its memory is of another layout")
     return Record(
         facts,
         layout,
         moments,
-        np.array([head[1] for head in heads], np.int64),
-        np.array([head[2] for head in heads], np.int64),
-        tuple(names[head[3]] for head in heads),
-        np.array([head[4] for head in heads], np.bool_),
-        buffers,
+        {moment: tuple(place.places) for moment, place in places.items()},
+        heads["stamp"].astype(np.int64),
+        heads["tick"].astype(np.int64),
+        tuple(names[number] for number in heads["phase"].tolist()),
+        heads["ended"].astype(np.bool_),
         memories,
         files,
+        tuple(paths),
+        places,
+        scans,
+        begins[:-1],
+        whole,
     )
 
 
-def _records(raw: memoryview, position: int) -> Iterator[tuple[int, memoryview]]:
-    """Yield opcode and content of the records that are whole."""
-    while position + 9 <= len(raw):
-        opcode, length = struct.unpack_from("<BQ", raw, position)
-        position += 9
-        if position + length > len(raw):
-            return
-        yield opcode, raw[position : position + length]
-        position += length
-
-
-def _text(raw: memoryview, at: int) -> tuple[str, int]:
-    (length,) = struct.unpack_from("<I", raw, at)
-    return bytes(raw[at + 4 : at + 4 + length]).decode(), at + 4 + length
-
-
-def _metadata(raw: memoryview) -> dict[str, str]:
-    _, at = _text(raw, 0)
-    at += 4
-    values: dict[str, str] = {}
-    while at < len(raw):
-        key, at = _text(raw, at)
-        values[key], at = _text(raw, at)
-    return values
-
-
-def _attachment(raw: memoryview) -> tuple[str, bytes]:
-    name, at = _text(raw, 16)
-    _, at = _text(raw, at)
-    (length,) = struct.unpack_from("<Q", raw, at)
-    data = bytes(raw[at + 8 : at + 8 + length])
-    if struct.unpack_from("<I", raw, at + 8 + length)[0] != zlib.crc32(raw[:-4]):
-        raise ValueError(f"{name} is damaged")
-    return name, data
+def _memories(files: Mapping[str, bytes], first: int, ticks: int) -> list[dict[str, Any]]:
+    """Return what was remembered before ticks that are there, in their order."""
+    found = [
+        {**each, "before": each["before"] - first}
+        for name, content in files.items()
+        if _MEMORY.fullmatch(name)
+        for each in json.loads(content)["memories"]
+    ]
+    there = [each for each in found if 0 <= each["before"] < max(ticks, 1)]
+    return sorted(there, key=lambda each: int(each["before"]))

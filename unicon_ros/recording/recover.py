@@ -1,22 +1,21 @@
 """Recovery: finishes a recording that was cut off by a kill or a power loss.
 
-    python -m unicon_ros.recording.recover FILE.mcap.partial
-
-`unicon run --record FILE.mcap` does so by itself when it finds one of that name.
+For `unicon bag recover`; `unicon run --record FILE.mcap` does so by itself when it finds one of
+that name.
 """
 
 from __future__ import annotations
 
-import argparse
 import struct
-import sys
 import zlib
 from pathlib import Path
 
 import numpy as np
 
 from unicon_core.errors import UniconError
+from unicon_ros.recording.bag_folder import BagFile, write_metadata
 from unicon_ros.recording.mcap_file import McapFile, Taken
+from unicon_ros.recording.read import files_of
 from unicon_ros.recording.records import (
     ATTACHMENT,
     CHANNEL,
@@ -33,8 +32,9 @@ from unicon_ros.recording.records import (
     index_of,
     message_indexes,
 )
+from unicon_ros.recording.scan import scan
 
-__all__ = ["recover", "salvage"]
+__all__ = ["recover", "recover_folder", "salvage"]
 
 LONGEST = 1 << 30
 """No record of ours is longer; a length beyond is rubble of a power loss."""
@@ -113,13 +113,14 @@ def _chunk(file: McapFile, record: bytes, start: int) -> Chunk | None:
     return Chunk(start, len(record), size, first, last, offsets, len(indexes), counts)
 
 
-def recover(path: str | Path) -> tuple[Path, int] | None:
+def recover(path: str | Path, final_name: bool = False) -> tuple[Path, int] | None:
     """Finish a recording that was cut off, as `FILE.recovered-N.mcap` beside it.
 
     What follows the last whole chunk is cut away; it is at most the last half second.
 
     Args:
         path: `FILE.mcap.partial`.
+        final_name: finish it as `FILE.mcap`, which it would have become.
 
     Returns:
         Where it is now and its number of messages; None where there was none in it, and then it is
@@ -150,9 +151,10 @@ def recover(path: str | Path) -> tuple[Path, int] | None:
         if not file.messages:
             file.discard()
             return None
-        number = 1
-        while (target := final.with_name(f"{final.stem}.recovered-{number}.mcap")).exists():
+        number, target = 0, final
+        while not final_name and (not number or target.exists()):
             number += 1
+            target = final.with_name(f"{final.stem}.recovered-{number}.mcap")
         file.finish(target)
     except ValueError:
         file.leave()
@@ -164,24 +166,38 @@ def recover(path: str | Path) -> tuple[Path, int] | None:
     return target, file.messages
 
 
+def recover_folder(folder: Path) -> list[tuple[Path, int]]:
+    """Finish what a killed run left in a bag folder, and write its `metadata.yaml` anew.
+
+    Returns:
+        The files of the folder, each with its number of messages.
+
+    Raises:
+        UniconError: as of `recover`, or there is no recording in the folder.
+    """
+    for path in files_of(folder):
+        if path.suffix == ".partial":
+            recover(path, final_name=True)
+    files: list[BagFile] = []
+    types: dict[str, str] = {}
+    for path in files_of(folder):
+        try:
+            found = scan(path)
+        except (OSError, ValueError, struct.error) as error:
+            raise UniconError(
+                f"{path} cannot be read: {error}; move it away from the others"
+            ) from error
+        types |= dict(found.topics.values())
+        counts = {found.topics[number][0]: count for number, count in found.counts.items()}
+        files.append(BagFile(path.name, counts, found.span))
+    try:
+        write_metadata(folder, files, types)
+    except OSError as error:
+        raise UniconError(
+            f"cannot write {folder / 'metadata.yaml'}: {error.strerror}; make room there"
+        ) from error
+    return [(folder / file.name, sum(file.counts.values())) for file in files]
+
+
 def _no_recording(path: Path) -> str:
     return f"{path} is not a recording that a killed run left; move it away or give another name"
-
-
-def main() -> int:
-    """Recover the files that are named."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("file", nargs="+", metavar="FILE.mcap.partial")
-    status = 0
-    for name in parser.parse_args().file:
-        try:
-            done = recover(name)
-            print(f"{name}: no message in it" if done is None else f"{done[0]}: {done[1]} messages")
-        except UniconError as error:
-            print(f"unicon: error: {error}", file=sys.stderr)
-            status = 1
-    return status
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -1,0 +1,415 @@
+"""`unicon bag`: recordings looked into, recovered, exported; bags and UniCon's npz imported."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+import struct
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rosbags")
+
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+from test_recorded_runs import noise, recorded, written
+
+from unicon_core.robots import load_robot
+from unicon_core.runtime import Runner, RunOptions
+from unicon_core.workflow import Program, load_document
+from unicon_ros.cli.main import main
+from unicon_ros.fault_record import FaultRecord
+from unicon_ros.recorder import Recorder, Recording
+from unicon_ros.recording import Record, open_record
+from unicon_ros.recording.bag_folder import Split
+
+GO2 = load_robot("go2")
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording of 100 ticks."""
+    folder = tmp_path_factory.mktemp("bag")
+    recorded(written(folder), folder / "run.mcap", (noise,))
+    return folder / "run.mcap"
+
+
+def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+    """Run the command, which is refused in one line; return it."""
+    assert main(["bag", *map(str, arguments)]) == 1
+    told = capsys.readouterr().err
+    assert told.count("\n") == 1
+    return told
+
+
+def said(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+    assert main(["bag", *map(str, arguments)]) == 0
+    return capsys.readouterr().out
+
+
+def without_end(raw: bytes) -> bytes:
+    """Return a file of MCAP without its summary and what says that it is whole."""
+    (begin,) = struct.unpack_from("<Q", raw, len(raw) - 8 - 20)
+    return raw[: begin - 13]
+
+
+# -- folders ---------------------------------------------------------------------------------------
+
+
+def split_run(folder: Path, split: str, **more: Any) -> Record:
+    """Record to a bag folder, chunk by chunk."""
+    recording = Recording(f"{folder}/", patient=True, split=split)
+    record = FaultRecord("off", recording=recording)
+    document = load_document(written(folder.parent, duration=20.0, **more))
+    program = Program(document, hooks=[recording.hook, record.hook])
+    runner = Runner(program, RunOptions(speed="max", warn=str))
+    record.attach(runner)
+    runner.run()
+    assert recording.counts()["error"] == ""
+    return open_record(folder)
+
+
+@pytest.mark.parametrize("split", ["150kB", "4 s", "1GB,5s", ""])
+def test_a_folder_is_one_bag_for_others_and_one_record_for_us(
+    split: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("unicon_ros.recording.background.BLOCK_BYTES", 50_000)
+    monkeypatch.setattr("unicon_ros.recording.background.BLOCKS", 40)
+    record = split_run(tmp_path / "bag", split)
+    names = sorted(path.name for path in (tmp_path / "bag").iterdir())
+    files = [f"bag_{number}.mcap" for number in range(len(names) - 1)]
+    assert names == sorted([*files, "metadata.yaml"])
+    assert (len(files) > 3) == bool(split)
+    assert [path.name for path in record.paths] == files
+    assert record.ticks.tolist() == list(range(1000))
+    assert record.states("tick").reshape(-1).tolist() == list(range(1000))
+    assert record.states("tick", rows=slice(300, 700)).reshape(-1).tolist() == list(range(300, 700))
+    with AnyReader([tmp_path / "bag"]) as reader:
+        counts = {c.topic: c.msgcount for c in reader.connections}
+        assert counts["/unicon/ticks"] == counts["/joint_states"] == 1000
+        assert len(list(reader.messages())) == sum(counts.values()) == reader.message_count
+    part = open_record(tmp_path / "bag" / files[-1])
+    assert part.facts["run"] == record.facts["run"]
+    if split:
+        assert part.ticks[-1] == 999
+        assert part.memories == []
+        assert int(part.facts["first_row"]) == part.ticks[0] > 0
+
+
+def test_a_folder_that_a_kill_left_is_mended(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("unicon_ros.recording.background.BLOCK_BYTES", 50_000)
+    monkeypatch.setattr("unicon_ros.recording.background.BLOCKS", 40)
+    split_run(tmp_path / "bag", "150kB")
+    left = tmp_path / "left"
+    left.mkdir()
+    for path in (tmp_path / "bag").glob("*.mcap"):
+        shutil.copy(path, left / path.name)
+    last = sorted(left.iterdir(), key=lambda path: int(path.stem.split("_")[1]))[-1]
+    torn = last.with_name(f"{last.name}.partial")
+    torn.write_bytes(without_end(last.read_bytes())[:-100])  # in the last chunk
+    last.unlink()
+    before = open_record(left)
+    assert 0 < len(before.ticks) <= 1000
+    said(capsys, "recover", left)
+    after = open_record(left)
+    assert after.ticks.tolist() == before.ticks.tolist()
+    assert not list(left.glob("*.partial"))
+    with AnyReader([left]) as reader:
+        assert len(list(reader.messages())) == reader.message_count
+
+
+@pytest.mark.parametrize("text", ["1", "GB", "0s", "-1GB", "1 parsec", "1GB;2s", "nan s"])
+def test_what_is_no_size_and_no_time_splits_nothing(text: str, tmp_path: Path) -> None:
+    from unicon_core.errors import UniconError
+
+    with pytest.raises(UniconError, match="give a size or a time, such as 500MB"):
+        Split.of(text)
+    assert Split.of("2kB, 1.5min") == Split(2000, 90_000_000_000)
+    with pytest.raises(UniconError, match="give a name without"):
+        Recorder(tmp_path / "run.mcap", split=Split(1))
+    (tmp_path / "there").mkdir()
+    with pytest.raises(UniconError, match="exists"):
+        Recorder(f"{tmp_path}/there/")
+
+
+# -- info and recover ------------------------------------------------------------------------------
+
+
+def test_info_of_ours_of_others_and_of_what_is_cut_off(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = said(capsys, "info", bag)
+    for line in ("ticks      100 at 50 Hz (run 100)", "/joint_states", "robot      go2"):
+        assert line in text
+    info = json.loads(said(capsys, "info", bag, "--json"))
+    assert info["ticks"] == info["topics"]["/unicon/ticks"]["messages"] == 100
+    assert info["cut_off"] is False
+    assert info["missing_ticks"] == 0
+    torn = tmp_path / "run.mcap.partial"
+    torn.write_bytes(without_end(bag.read_bytes()))
+    assert json.loads(said(capsys, "info", torn, "--json"))["cut_off"] is True
+    assert "unicon bag recover" in said(capsys, "info", torn)
+    said(capsys, "recover", torn)
+    whole = json.loads(said(capsys, "info", tmp_path / "run.recovered-1.mcap", "--json"))
+    assert whole["cut_off"] is False
+    plain = written_by_rosbags(tmp_path / "plain", StoragePlugin.SQLITE3)
+    assert json.loads(said(capsys, "info", plain, "--json"))["messages"] == 60
+
+
+@pytest.mark.parametrize("content", [b"", b"garbage", b"\x89MCAP0\r\n", b"\x89MCAP0\r\n" * 40])
+@pytest.mark.parametrize("name", ["x.mcap", "x.mcap.partial", "x.db3", "x.npz", "x"])
+def test_garbage_is_one_line(
+    name: str, content: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / name
+    path.write_bytes(content)
+    out = tmp_path / "out.mcap"
+    for arguments in (
+        ("info", path),
+        ("export", path, tmp_path / "x.csv"),
+        ("import", path, out, "--robot", "go2"),
+        *([("recover", path)] if content or not name.endswith(".partial") else []),
+    ):
+        refused(capsys, *arguments)
+    assert sorted(tmp_path.iterdir()) == [path]
+
+
+def test_a_folder_without_recordings_and_a_name_that_is_not_there(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for what in ("info", "recover"):
+        refused(capsys, what, tmp_path)
+        refused(capsys, what, tmp_path / "nope")
+    assert "has no recording in it" in refused(capsys, "export", tmp_path, tmp_path / "x.csv")
+
+
+# -- export ----------------------------------------------------------------------------------------
+
+
+def test_what_is_exported_is_what_was_recorded(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    record = open_record(bag)
+    said(capsys, "export", bag, tmp_path / "x.npz")
+    with np.load(tmp_path / "x.npz") as file:
+        for name in record.kept["sent"]:
+            assert file[name].tobytes() == record.states(name).tobytes()
+        assert file["phase"].tolist() == list(record.phases)
+        assert file["joint_pos.names"].tolist() == list(GO2.joint_names)
+    wanted = ("--states", "joint_pos", "base_quat", "--moment", "received")
+    said(capsys, "export", bag, tmp_path / "x.csv", *wanted)
+    with (tmp_path / "x.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert len(rows) == 100
+    assert list(rows[0])[:5] == ["stamp_ns", "tick", "phase", "ended", "joint_pos.FR_hip_joint"]
+    pos = record.states("joint_pos", "received")
+    for k, row in enumerate(rows):
+        told = [float(row[f"joint_pos.{name}"]) for name in GO2.joint_names]
+        assert np.array(told, np.float32).tobytes() == pos[k].tobytes()
+
+
+def test_exports_that_are_refused(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "there.csv").write_text("mine")
+    for told, arguments in (
+        ("give a name that ends in .npz, .csv, .parquet", ("x.txt",)),
+        ("there.csv exists; move it away", ("there.csv",)),
+        ("no state 'joint_po' at 'sent'; did you mean", ("x.csv", "--states", "joint_po")),
+        ("no moment 'then'", ("x.csv", "--moment", "then")),
+        ("cannot write", ("nowhere/x.csv",)),
+    ):
+        assert told in refused(capsys, "export", bag, tmp_path / arguments[0], *arguments[1:])
+    assert [path.name for path in tmp_path.iterdir()] == ["there.csv"]
+
+
+def test_parquet_asks_for_pyarrow(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    try:
+        from pyarrow import parquet
+    except ModuleNotFoundError:
+        told = refused(capsys, "export", bag, tmp_path / "x.parquet")
+        assert "export to Parquet needs pyarrow: pip install 'unicon_ros[parquet]'" in told
+        return
+    said(capsys, "export", bag, tmp_path / "x.parquet")
+    table = parquet.read_table(tmp_path / "x.parquet")
+    pos = open_record(bag).states("joint_pos")[:, 0]
+    assert table["joint_pos.FR_hip_joint"].to_numpy().tobytes() == pos.tobytes()
+
+
+# -- import ----------------------------------------------------------------------------------------
+
+
+def written_by_rosbags(
+    path: Path, storage: StoragePlugin, kind: str = "sensor_msgs/msg/JointState", count: int = 40
+) -> Path:
+    """Write a bag with rosbags alone: joints in another order, an IMU at half the rate."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    types = store.types
+    header, stamp = types["std_msgs/msg/Header"], types["builtin_interfaces/msg/Time"]
+    names = list(reversed(GO2.joint_names))
+    with Writer(path, version=9, storage_plugin=storage) as writer:
+        joints = writer.add_connection("/joint_states", kind, typestore=store)
+        imu = writer.add_connection("/imu/data", "sensor_msgs/msg/Imu", typestore=store)
+        for k in range(count):
+            now = 10**9 + k * 20_000_000
+            head = header(stamp(now // 10**9, now % 10**9), "")
+            if kind != "sensor_msgs/msg/JointState":
+                message: Any = types[kind](data="no joints")
+            else:
+                pos = np.arange(12.0)[::-1] + 0.01 * k
+                message = types[kind](head, names, pos, 2 * pos, np.zeros(0))
+            writer.write(joints, now, store.serialize_cdr(message, kind))
+            if k % 2 == 0:
+                vector, quat = (
+                    types["geometry_msgs/msg/Vector3"],
+                    types["geometry_msgs/msg/Quaternion"],
+                )
+                text = types["sensor_msgs/msg/Imu"](
+                    head,
+                    quat(0.0, 0.0, np.sin(0.01 * k), np.cos(0.01 * k)),
+                    np.zeros(9),
+                    vector(0.1 * k, 0.0, 0.0),
+                    np.zeros(9),
+                    vector(0.0, 0.0, 9.81),
+                    np.zeros(9),
+                )
+                writer.write(imu, now, store.serialize_cdr(text, "sensor_msgs/msg/Imu"))
+    return path
+
+
+@pytest.mark.parametrize("storage", [StoragePlugin.SQLITE3, StoragePlugin.MCAP])
+def test_a_bag_by_rosbags_alone_becomes_a_record(
+    storage: StoragePlugin, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plain = written_by_rosbags(tmp_path / "plain", storage)
+    said(capsys, "import", plain, tmp_path / "x.mcap", "--robot", "go2")
+    record = open_record(tmp_path / "x.mcap")
+    expected = np.arange(12.0) + 0.01 * np.arange(40)[:, None]
+    assert np.array_equal(record.states("joint_pos"), expected.astype(np.float32))
+    assert np.array_equal(record.states("joint_vel"), (2 * expected).astype(np.float32))
+    quat = record.states("base_quat", "received")
+    assert quat.shape == (40, 4)
+    assert np.allclose(quat[11], [np.cos(0.1), 0, 0, np.sin(0.1)], atol=1e-6)
+    assert np.allclose(record.states("projected_gravity")[20], [0, 0, -1], atol=1e-6)
+    assert record.stamps.tolist() == [10**9 + k * 20_000_000 for k in range(40)]
+    assert float(record.facts["period_s"]) == pytest.approx(0.02)
+    assert "joint_pos_target" not in record.kept["received"]
+    said(capsys, "import", plain, tmp_path / "y.mcap", "--robot", "go2", "--rate", "100")
+    slow = open_record(tmp_path / "y.mcap")
+    assert np.diff(slow.stamps).tolist() == [10_000_000] * (len(slow.ticks) - 1)
+    assert np.array_equal(slow.states("joint_pos")[::2], record.states("joint_pos")[:39])
+
+
+def test_bags_that_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    plain = written_by_rosbags(tmp_path / "plain", StoragePlugin.MCAP)
+    other = written_by_rosbags(tmp_path / "other", StoragePlugin.MCAP, "std_msgs/msg/String")
+    out = tmp_path / "x.mcap"
+    for told, arguments in (
+        ("topic /joint_states is std_msgs/msg/String, and map ros_robot says", (other, out)),
+        (
+            "has no topic of map clock_in (clock); it has /imu/data, /joint",
+            (plain, out, "--map", "clock_in"),
+        ),
+        ("every message of a topic was refused", (plain, out, "--robot", "n1")),
+        ("give a name that ends in .mcap", (plain, tmp_path / "x.csv")),
+        ("--joints goes with an .npz", (plain, out, "--joints", "a")),
+        ("unknown robot 'go3'", (plain, out, "--robot", "go3")),
+    ):
+        assert told in refused(capsys, "import", "--robot", "go2", *arguments)
+    assert not out.exists()
+
+
+def unicon_npz(path: Path, **more: Any) -> Path:
+    """Write what UniCon records."""
+    frames = np.arange(30.0)[:, None]
+    values = {
+        "type": "unicon",
+        "rec_dt": 0.02,
+        "DOF_NAMES": np.array(list(reversed(GO2.joint_names))),
+        "states_q": np.arange(12.0)[::-1] + 0.1 * frames,
+        "states_q_ctrl": np.arange(12.0)[::-1] - 0.1 * frames,
+        "states_quat": np.tile([0.0, 0.0, 0.6, 0.8], (30, 1)),
+        "states_rpy": np.zeros((30, 3)),
+        "states_cmd": np.tile([0.5, 0.0, 0.1, 7.0], (30, 1)),
+        "args": np.array({"an": "object"}, object),
+    } | more
+    np.savez(path, **{key: value for key, value in values.items() if value is not None})
+    return path
+
+
+def test_the_keys_of_unicon_become_a_record(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    said(capsys, "import", unicon_npz(tmp_path / "x.npz"), tmp_path / "x.mcap", "--robot", "go2")
+    record = open_record(tmp_path / "x.mcap")
+    expected = np.arange(12.0) + 0.1 * np.arange(30)[:, None]
+    assert np.array_equal(record.states("joint_pos", "received"), expected.astype(np.float32))
+    assert record.states("joint_pos_target")[5, 3] == np.float32(2.5)
+    assert record.states("base_quat")[0].tolist() == [np.float32(0.8), 0.0, 0.0, np.float32(0.6)]
+    assert np.allclose(record.states("velocity_command")[3], [0.5, 0.0, 0.1])
+    assert np.diff(record.stamps).tolist() == [20_000_000] * 29
+    file = unicon_npz(
+        tmp_path / "y.npz", states_quat=None, states_rpy=np.tile([0, 0, 0.5], (30, 1))
+    )
+    said(capsys, "import", file, tmp_path / "y.mcap", "--robot", "go2", "--rate", "500")
+    quat = open_record(tmp_path / "y.mcap").states("base_quat")[7]
+    assert np.allclose(quat, [np.cos(0.25), 0, 0, np.sin(0.25)])
+    others = [name for name in GO2.joint_names if "FL" not in name]
+    for told, more in (
+        ("does not say the order of its 12 joints (DOF_NAMES); give --joints", {"DOF_NAMES": None}),
+        ("has no joint 'FL_hip_joint'", {"DOF_NAMES": np.array([*others, "a", "b", "c"])}),
+        ("has 12 joints, and 9 names", {"DOF_NAMES": np.array(others)}),
+        ("has neither rec_dt nor ts", {"rec_dt": None}),
+        ("rec_dt is nan s", {"rec_dt": np.nan}),
+        ("ts does not grow", {"rec_dt": None, "ts": np.zeros(30, np.float32)}),
+        ("of one length", {"states_qd": np.zeros((7, 12))}),
+        ("states_rpy has shape (30, 2)", {"states_quat": None, "states_rpy": np.zeros((30, 2))}),
+        ("numbers are wanted", {"states_q": np.full((30, 12), "x")}),
+        ("is not an .npz file of arrays", {"states_q": np.full((30, 12), None)}),
+    ):
+        file = unicon_npz(tmp_path / "z.npz", **more)
+        assert told in refused(capsys, "import", file, tmp_path / "z.mcap", "--robot", "go2")
+    np.savez(tmp_path / "z.npz", mine=np.zeros(3))
+    told = refused(capsys, "import", tmp_path / "z.npz", tmp_path / "z.mcap", "--robot", "go2")
+    assert "has no key of UniCon; known: states_q, " in told
+    assert "exists" in refused(
+        capsys, "import", tmp_path / "x.npz", tmp_path / "x.mcap", "--robot", "go2"
+    )
+
+
+# -- readers of others -----------------------------------------------------------------------------
+
+
+def test_other_readers_find_the_same_values(bag: Path) -> None:
+    make_reader = pytest.importorskip("mcap.reader").make_reader
+    decoder = pytest.importorskip("mcap_ros2.decoder").DecoderFactory()
+    record = open_record(bag)
+    same: list[Callable[[int], Any]] = []
+    with AnyReader([bag]) as reader:
+        connections = [c for c in reader.connections if c.topic == "/unicon/ticks"]
+        found = [reader.deserialize(raw, c.msgtype) for c, _, raw in reader.messages(connections)]
+        same.append(lambda row: found[row])
+    with bag.open("rb") as stream:
+        other = make_reader(stream, validate_crcs=True, decoder_factories=[decoder])
+        decoded = [m for *_, m in other.iter_decoded_messages(topics=["/unicon/ticks"])]
+        same.append(lambda row: decoded[row])
+        assert {each.name for each in other.iter_attachments()} == set(record.files)
+        assert {each.name for each in other.iter_metadata()} == {"unicon"}
+    assert len(found) == len(decoded) == len(record.ticks)
+    for moment, names in record.kept.items():
+        for name in names:
+            values = record.states(name, moment)
+            for row in (0, 41, 99):
+                for message in same:
+                    there = np.asarray(getattr(getattr(message(row), moment), name), values.dtype)
+                    assert there.tobytes() == values[row].tobytes()

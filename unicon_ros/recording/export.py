@@ -1,0 +1,147 @@
+"""Export of recorded states to NPZ, CSV and Parquet, for `unicon bag export`."""
+
+from __future__ import annotations
+
+import csv
+import os
+import zipfile
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.errors import MissingDependencyError, StateError, UniconError, alternatives
+from unicon_ros.recording.read import Record
+
+__all__ = ["FORMATS", "export"]
+
+HEADS = ("stamp_ns", "tick", "phase", "ended")
+"""Columns that stand before the states."""
+BLOCK = 4096
+"""Ticks that are written at once."""
+
+
+def export(record: Record, path: Path, states: Sequence[str] = (), moment: str = "sent") -> int:
+    """Write states of every tick; return the number of ticks.
+
+    Args:
+        record: where they come from.
+        path: ends in `.npz`, `.csv` or `.parquet`; it does not exist.
+        states: names of those that are wanted; all that are kept at the moment unless told.
+        moment: `received`, …, `sent`.
+
+    Raises:
+        UniconError: it exists, cannot be written, or has another ending.
+        StateError: no such state.
+        MissingDependencyError: Parquet without pyarrow.
+    """
+    write = FORMATS.get(path.suffix)
+    if write is None:
+        raise UniconError(f"cannot export to {path}; give a name that ends in {', '.join(FORMATS)}")
+    if moment not in record.kept:
+        raise StateError(f"no moment {moment!r}; {alternatives(moment, record.moments)}")
+    for name in states:
+        if name not in record.kept[moment]:
+            raise StateError(
+                f"no state {name!r} at {moment!r}; {alternatives(name, record.kept[moment])}"
+            )
+    if os.path.lexists(path):
+        raise UniconError(f"{path} exists; move it away or give another name")
+    # The columns before the states have these names already.
+    names = [name for name in states or record.kept[moment] if name not in HEADS]
+    partial = path.with_name(f"{path.name}.partial")
+    try:
+        write(record, partial, names, moment)
+        partial.replace(path)
+    except OSError as error:
+        reason = error.strerror or error
+        raise UniconError(
+            f"cannot write {path}: {reason}; make room or give another path"
+        ) from error
+    finally:
+        partial.unlink(missing_ok=True)
+    return len(record.ticks)
+
+
+def _heads(record: Record, begin: int = 0, end: int | None = None) -> dict[str, NDArray[Any]]:
+    rows = slice(begin, end)
+    return {
+        "stamp_ns": record.stamps[rows],
+        "tick": record.ticks[rows],
+        "phase": np.array(record.phases[rows], "U8"),
+        "ended": record.ended[rows],
+    }
+
+
+def _npz(record: Record, path: Path, names: Sequence[str], moment: str) -> None:
+    """Write one state after the other, so that only one is in memory."""
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_STORED, allowZip64=True) as archive:
+
+        def add(name: str, values: NDArray[Any]) -> None:
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
+                np.lib.format.write_array(file, values, allow_pickle=False)
+
+        for name, values in _heads(record).items():
+            add(name, values)
+        for name in names:
+            add(name, record.states(name, moment))
+            elements = record.layout.specs[name].names
+            if elements:
+                add(f"{name}.names", np.array(elements))
+
+
+def _csv(record: Record, path: Path, names: Sequence[str], moment: str) -> None:
+    with path.open("w", encoding="utf-8", newline="") as file:
+        write = csv.writer(file, lineterminator="\n")
+        write.writerow([*HEADS, *(each for name in names for each in record.layout.elements(name))])
+        for heads, values in _blocks(record, names, moment):
+            columns = [_plain(column).tolist() for column in heads.values()]
+            columns += [column.tolist() for each in values for column in _plain(each).T]
+            write.writerows(zip(*columns))
+
+
+def _parquet(record: Record, path: Path, names: Sequence[str], moment: str) -> None:
+    try:
+        import pyarrow
+        from pyarrow import parquet
+    except ModuleNotFoundError as error:
+        raise MissingDependencyError(
+            "export to Parquet", "pyarrow", "pip install 'unicon_ros[parquet]'"
+        ) from error
+    titles = [*HEADS, *(each for name in names for each in record.layout.elements(name))]
+    writer = None
+    try:
+        for heads, values in _blocks(record, names, moment):
+            columns = [pyarrow.array(column) for column in heads.values()]
+            columns += [pyarrow.array(np.ascontiguousarray(c)) for v in values for c in v.T]
+            table = pyarrow.table(columns, names=titles)
+            writer = writer or parquet.ParquetWriter(path, table.schema)
+            writer.write_table(table)
+    finally:
+        if writer is not None:
+            writer.close()
+
+
+def _blocks(
+    record: Record, names: Sequence[str], moment: str
+) -> Iterator[tuple[dict[str, NDArray[Any]], list[NDArray[Any]]]]:
+    """Yield the heads and the states, each of shape (ticks, elements), some ticks at a time."""
+    for begin in range(0, max(len(record.ticks), 1), BLOCK):
+        end = min(begin + BLOCK, len(record.ticks))
+        values = [record.states(name, moment, slice(begin, end)) for name in names]
+        yield _heads(record, begin, end), [each.reshape(end - begin, -1) for each in values]
+
+
+def _plain(values: NDArray[Any]) -> NDArray[Any]:
+    """Return bools as 0 and 1."""
+    return values.view(np.uint8) if values.dtype == bool else values
+
+
+FORMATS: dict[str, Callable[[Record, Path, Sequence[str], str], None]] = {
+    ".npz": _npz,
+    ".csv": _csv,
+    ".parquet": _parquet,
+}
+"""Ending of the file to what writes it."""

@@ -1,0 +1,143 @@
+"""What recorded ticks mean and where they come from: the facts of recordings and fault records."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import platform
+import sys
+import time
+import uuid
+from contextlib import suppress
+from importlib import metadata as packages
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import yaml
+
+from unicon_core import __version__
+from unicon_core.flow import Stage
+from unicon_core.runtime.tick_ring import PHASES, KeptMemory
+from unicon_ros.recording.tick_message import Kept
+
+if TYPE_CHECKING:
+    from unicon_core.runtime import Runner
+    from unicon_core.states import Layout
+    from unicon_core.workflow import Program
+
+__all__ = ["SCHEMA", "content_of", "facts_of", "layout_facts", "versions_here"]
+
+SCHEMA = "unicon.record/1"
+VERSIONS = ("numpy", "onnxruntime", "torch", "mujoco", "pybullet", "rclpy")
+
+
+def layout_facts(layout: Layout, kept: Kept) -> dict[str, str]:
+    """Return what a reader needs to know of the ticks.
+
+    Args:
+        layout: of the states.
+        kept: moment to the states that are kept there; None for all.
+    """
+    some = {moment: sorted(names) for moment, names in kept.items() if names is not None}
+    return {
+        "schema": SCHEMA,
+        "written": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+        "layout": layout.to_json(),
+        "layout_hash": layout.hash,
+        "moments": json.dumps(list(kept)),
+        "kept": json.dumps(some),
+        "phases": json.dumps([phase.value for phase in PHASES]),
+    }
+
+
+def facts_of(runner: Runner, kept: Kept) -> dict[str, str]:
+    """Return the facts of a run; call it before the first tick: files may be others later."""
+    program = runner.program
+    document = program.document
+    scene = document.values.get("scene")
+    options = {"speed": runner.options.speed, "duration": runner.options.duration}
+    policies = {
+        name: {
+            "path": str(contract.path),
+            "model": str(contract.model),
+            "sha256": hashlib.sha256(contract.model.read_bytes()).hexdigest(),
+        }
+        for name, contract in program.policies.items()
+    }
+    return layout_facts(program.states.layout, kept) | {
+        "run": uuid.uuid4().hex,
+        "period_s": repr(program.period),
+        "workflow": document.name,
+        "workflow_path": str(document.path),
+        "workflow_file": _text_of(document.path),
+        "workflow_effective": _yaml(document.values),
+        "overridden": json.dumps(document.overridden),
+        "options": json.dumps(options),
+        "seed": str(scene.get("seed", 0) if isinstance(scene, dict) else 0),
+        "part": program.part,
+        "dry": json.dumps(program.silent),
+        "platform": program.platform.facts.name,
+        "platform_facts": json.dumps(_platform_facts(program)),
+        "outside": json.dumps(_outside(program)),
+        "robot": program.robot.name,
+        "robot_file": _text_of(program.robot.path),
+        "policies": json.dumps(policies),
+        "versions": json.dumps(versions_here()),
+    }
+
+
+def content_of(memory: KeptMemory, row: int) -> dict[str, Any]:
+    """Return what was remembered before a tick, for `memory.json`.
+
+    Args:
+        memory: it.
+        row: index of the tick in the file.
+    """
+    return {"before": row, "anew": memory.anew, **memory.remembered.content()}
+
+
+def versions_here() -> dict[str, str]:
+    """Return the versions of what is loaded by now."""
+    versions = {"unicon_ros": __version__, "python": platform.python_version()}
+    for name in VERSIONS:
+        if name in sys.modules:
+            with suppress(packages.PackageNotFoundError):
+                versions[name] = packages.version(name)
+    return versions
+
+
+def _platform_facts(program: Program) -> dict[str, Any]:
+    """Return what a stand-in needs to be built into the same graph."""
+    facts = program.platform.facts
+    return {
+        "simulated": facts.simulated,
+        "reads": facts.reads,
+        "writes": facts.writes,
+        "silent": program.silent,
+    }
+
+
+def _outside(program: Program) -> dict[str, list[str]]:
+    """Return the states that hooks write, such as topics, by the moment that follows."""
+    moments = {Stage.INPUT: "input", Stage.TUNE: "tuned", Stage.OBSERVE: "sent"}
+    given: dict[str, list[str]] = {}
+    for block in program.outside:
+        if block.stage in moments:
+            moment = moments[block.stage]
+            given[moment] = sorted({*given.get(moment, ()), *block.writes, *block.amends})
+    return given
+
+
+def _text_of(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError):
+        return ""
+
+
+def _yaml(values: dict[str, Any]) -> str:
+    """Return a workflow with all overrides; what was written in Python is not text."""
+    try:
+        return str(yaml.safe_dump(values, sort_keys=False, allow_unicode=True))
+    except yaml.YAMLError:
+        return ""

@@ -1,0 +1,148 @@
+"""Import of plain ROS bags through a message map, of either storage, with rosbags alone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.errors import MissingDependencyError, UniconError
+from unicon_core.resources import find_config
+from unicon_core.robots import Robot
+from unicon_core.states import States
+from unicon_msgs_map import Decoder, MapStateError, load_map
+from unicon_ros.bridge.bindings import robot_variables
+from unicon_ros.recording.imported import layout_of, write_imported
+
+__all__ = ["MAP", "import_bag", "open_bag"]
+
+MAP = "ros_robot"
+"""The map that says what a bag's topics mean, unless told: those of a robot behind ROS."""
+
+
+def open_bag(path: Path) -> Any:
+    """Return a bag that is open, of rosbags: a folder or a file of either storage.
+
+    Raises:
+        MissingDependencyError: rosbags is not installed.
+        UniconError: it cannot be read.
+    """
+    try:
+        from rosbags.highlevel import AnyReader
+    except ModuleNotFoundError as error:
+        raise MissingDependencyError(
+            "reading bags", "rosbags", "pip install 'unicon_ros[bags]'"
+        ) from error
+    from rosbags.typesys import Stores, get_typestore
+
+    if not path.exists():
+        raise UniconError(f"cannot read {path}: there is no such file or folder")
+    try:
+        reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY))
+        reader.open()
+    except Exception as error:  # whatever its storages raise
+        raise UniconError(f"{path} is not a bag that can be read: {_line(error)}") from error
+    return reader
+
+
+def import_bag(
+    source: Path, out: Path, robot: Robot, map_name: str = MAP, rate: float | None = None
+) -> int:
+    """Write a record of ticks; return how many.
+
+    There is a tick for each message of the map's first topic that the bag has; the others' newest
+    values before it count, and a state has its initial value until its first message.
+
+    Args:
+        source: the bag.
+        out: of the record.
+        robot: whose states they are.
+        map_name: message map whose `subscribe` says what topics mean, a name or path.
+        rate: ticks per second in [Hz], at even times, instead.
+
+    Raises:
+        UniconError: the bag, the map or the robot is wrong.
+    """
+    mapping = load_map(find_config("maps", map_name))
+    specs = {spec.topic.strip("/"): spec for spec in mapping.subscribe}
+    named = {state for spec in mapping.subscribe for state in spec.states}
+    states = States(layout_of(robot, named))
+    arrays = {name: states[name] for name in states}
+    layout = states.layout.specs
+    names = {name: spec.names for name, spec in layout.items() if spec.names}
+    reader = open_bag(source)
+    try:
+        decoders = {}
+        for connection in reader.connections:
+            topic = connection.topic.strip("/")
+            spec = specs.get(topic)
+            if spec is None or topic in decoders:
+                continue
+            if spec.type != connection.msgtype:
+                raise UniconError(
+                    f"{source}: topic /{topic} is {connection.msgtype}, and map {map_name} says "
+                    f"{spec.type}; give another with --map"
+                )
+            try:
+                decoders[topic] = Decoder.build(spec, arrays, names, robot_variables(robot))
+            except MapStateError:
+                if not spec.optional:
+                    raise
+        if not decoders:
+            there = sorted({connection.topic for connection in reader.connections})
+            raise UniconError(
+                f"{source} has no topic of map {map_name} ({', '.join(sorted(specs)) or 'none'}); "
+                f"it has {', '.join(there) or 'none'}: give another with --map"
+            )
+        lead = next(topic for topic in specs if topic in decoders)
+        rows = _rows(reader, decoders, lead, states, rate)
+    except UniconError:
+        raise
+    except Exception as error:  # whatever its storages raise at damaged content
+        raise UniconError(f"{source} cannot be read to its end: {_line(error)}") from error
+    finally:
+        reader.close()
+    refused = [decoder for decoder in decoders.values() if not decoder.received]
+    if refused:
+        raise UniconError(
+            f"{source}: every message of a topic was refused: "
+            f"{refused[0].last_error or refused[0].spec.topic}; give another map with --map"
+        )
+    stamps = np.array([stamp for stamp, _ in rows], np.int64)
+    given = {s for each in decoders.values() for s in each.spec.states} - {"stamp_ns"}
+    table = np.stack([raw for _, raw in rows]) if rows else np.zeros((0, states.buffer.size))
+    columns = {name: _column(states, table, name) for name in layout if name in given}
+    return write_imported(out, source, robot, stamps, columns)
+
+
+def _rows(
+    reader: Any, decoders: dict[str, Decoder], lead: str, states: States, rate: float | None
+) -> list[tuple[int, NDArray[np.uint8]]]:
+    """Return time in [ns] and all states of each tick."""
+    step = None if rate is None else 1e9 / rate
+    rows: list[tuple[int, NDArray[np.uint8]]] = []
+    first: int | None = None
+    connections = [c for c in reader.connections if c.topic.strip("/") in decoders]
+    for connection, stamp, raw in reader.messages(connections):
+        topic = connection.topic.strip("/")
+        if step is not None and first is not None:  # what was known before this message
+            while first + round(len(rows) * step) < stamp:
+                rows.append((first + round(len(rows) * step), states.buffer.copy()))
+        if decoders[topic].decode(bytes(raw)) and topic == lead:
+            if step is None:
+                rows.append((stamp, states.buffer.copy()))
+            elif first is None:
+                first = stamp
+    return rows
+
+
+def _column(states: States, table: NDArray[Any], name: str) -> NDArray[Any]:
+    slot = states.layout.slots[name]
+    packed = np.ascontiguousarray(table[:, slot.offset : slot.offset + slot.nbytes])
+    return packed.view(slot.dtype).reshape(-1, *slot.shape)
+
+
+def _line(error: BaseException) -> str:
+    return " ".join(f"{error}".split())[:300] or type(error).__name__

@@ -1,0 +1,109 @@
+"""What is imported from others becomes a record of ticks: states by name, as of one robot."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.blocks.projected_gravity import projected_gravity
+from unicon_core.errors import UniconError
+from unicon_core.robots import Robot
+from unicon_core.runtime.phases import Phase
+from unicon_core.runtime.tick_ring import HEAD, PHASES
+from unicon_core.states import Layout, States
+from unicon_core.states.standard import COMMAND_STATES, hardware_states, standard_states
+from unicon_ros.recording.facts import versions_here
+from unicon_ros.recording.tick_file import write_ticks
+from unicon_ros.recording.tick_message import Kept, kept_moments
+
+__all__ = ["layout_of", "write_imported"]
+
+CDR = bytes((0, 1, 0, 0))
+LONGEST = 86_400.0
+"""Of a period in [s]."""
+
+
+def layout_of(robot: Robot, names: Mapping[str, Any] | set[str]) -> Layout:
+    """Return the states of a robot: the standard ones, and those of hardware that are named."""
+    specs = standard_states(robot.joint_names)
+    more = hardware_states(robot.joint_names)
+    return Layout(specs | {name: more[name] for name in more if name in names})
+
+
+def write_imported(
+    path: Path,
+    source: Path,
+    robot: Robot,
+    stamps: NDArray[np.int64],
+    states: Mapping[str, NDArray[Any]],
+) -> int:
+    """Write a record of what was imported; return the number of ticks.
+
+    Commands are where the tick ends alone: they did not come from outside before it.
+
+    Args:
+        path: of the record.
+        source: where it comes from, for its facts.
+        robot: whose states they are, joints in its order.
+        stamps: time of each tick in [ns], shape (ticks,).
+        states: name to values, shape (ticks, …); what is not among them keeps its initial value.
+
+    Raises:
+        UniconError: there is nothing in it, or it cannot be written.
+    """
+    if not len(stamps):
+        raise UniconError(f"{source} has nothing that could be imported; is it the right map?")
+    layout = layout_of(robot, states)
+    measured = {*states, "stamp_ns", "tick"} - {*COMMAND_STATES}
+    if "base_quat" in states:
+        measured.add("projected_gravity")
+    given = frozenset(measured)
+    kept: Kept = {"received": given, "sent": None}
+    period = float(np.median(np.diff(stamps))) * 1e-9 if len(stamps) > 1 else 0.0
+    if not 0.0 < period < LONGEST:
+        raise UniconError(
+            f"{source}: {len(stamps)} ticks have no period (median {period:g} s); its times are "
+            "wrong: give --rate HZ"
+        )
+    facts = {
+        "run": "",
+        "period_s": repr(period),
+        "workflow": "",
+        "platform": "imported",
+        "robot": robot.name,
+        "robot_file": robot.path.read_text("utf-8"),
+        "imported_from": str(source),
+        "imported_states": json.dumps(sorted(states)),
+        "policies": "{}",
+        "versions": json.dumps(versions_here()),
+    }
+    return write_ticks(path, layout, kept, facts, _ticks(layout, kept, stamps, states))
+
+
+def _ticks(
+    layout: Layout, kept: Kept, stamps: NDArray[np.int64], states: Mapping[str, NDArray[Any]]
+) -> Iterator[bytes]:
+    live = States(layout)
+    turn = None
+    if "base_quat" in states and "projected_gravity" not in states:
+        turn = projected_gravity(live["base_quat"], live["projected_gravity"])
+    moments = kept_moments(layout, kept).values()
+    copies = [pair for moment in moments for pair in moment.copies(layout)]
+    row = bytearray(HEAD.size + sum(moment.size for moment in moments))
+    run = PHASES.index(Phase.RUN)
+    for number, stamp in enumerate(stamps.tolist()):
+        for name, values in states.items():
+            live[name][...] = values[number]
+        live["stamp_ns"][...] = stamp
+        live["tick"][...] = number
+        if turn is not None:
+            turn()
+        for to, source in copies:
+            row[to] = live.buffer[source].tobytes()
+        HEAD.pack_into(row, 0, CDR, stamp, number, run, 1)
+        yield bytes(row)

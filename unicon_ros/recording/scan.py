@@ -1,0 +1,208 @@
+"""A look through an MCAP file of ours: where its ticks stand, and what goes along; for readers.
+
+The file is mapped, not read: a look costs a pass over its checksums, and no memory of its own.
+"""
+
+from __future__ import annotations
+
+import mmap
+import struct
+import zlib
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_ros.recording.records import (
+    ATTACHMENT,
+    CHANNEL,
+    CHUNK,
+    CHUNK_HEAD,
+    DATA_END,
+    MAGIC,
+    MESSAGE,
+    MESSAGE_HEAD,
+    MESSAGE_INDEX,
+    METADATA,
+    SCHEMA,
+)
+from unicon_ros.recording.tick_message import TOPIC
+
+__all__ = ["Scan", "gather", "scan"]
+
+_HEAD = CHUNK_HEAD.size - 9
+_BODY = MESSAGE_HEAD.size - 9
+
+
+@dataclass
+class Scan:
+    """What stands in a file.
+
+    Attributes:
+        data: the file, mapped, shape (bytes,).
+        facts: of the metadata record `unicon`.
+        files: name to content of the attachments.
+        topics: number of a channel to its topic and type.
+        counts: number of a channel to its messages.
+        ticks: where the bytes of each tick stand in the file, shape (ticks,).
+        sizes: of each in [bytes], shape (ticks,).
+        span: first and last time of all messages in [ns], or None.
+        ended: it has its end, so that nobody cut it off.
+    """
+
+    data: NDArray[np.uint8]
+    facts: dict[str, str] = field(default_factory=dict)
+    files: dict[str, bytes] = field(default_factory=dict)
+    topics: dict[int, tuple[str, str]] = field(default_factory=dict)
+    counts: Counter[int] = field(default_factory=Counter)
+    ticks: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    sizes: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    span: tuple[int, int] | None = None
+    ended: bool = False
+
+
+def gather(data: NDArray[np.uint8], places: NDArray[np.int64], size: int) -> NDArray[np.uint8]:
+    """Return the `size` bytes at each place, shape (places, size)."""
+    if not size or not len(places):
+        return np.zeros((len(places), size), np.uint8)
+    # Items that overlap: one for each byte, so that a place is an index.
+    items = np.ndarray((len(data) - size + 1,), f"V{size}", data, strides=(1,))
+    packed: NDArray[np.uint8] = items[places].view(np.uint8)
+    return packed.reshape(-1, size)
+
+
+def scan(path: Path) -> Scan:
+    """Look through a file; of one that a kill cut off, through what is whole.
+
+    Raises:
+        OSError: it cannot be read.
+        ValueError, struct.error: it is not a file of ours, or damaged.
+    """
+    with path.open("rb") as file:
+        if path.stat().st_size < len(MAGIC):
+            raise ValueError("it does not begin as MCAP does")
+        raw = memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
+    if raw[: len(MAGIC)] != MAGIC:
+        raise ValueError("it does not begin as MCAP does")
+    found = Scan(np.frombuffer(raw, np.uint8))
+    torn = path.suffix == ".partial"
+    places: list[NDArray[np.int64]] = []
+    types: dict[int, str] = {}
+    chunk: tuple[int, int] | None = None  # whose message indexes follow
+    indexes: dict[int, tuple[int, int]] = {}
+
+    def settle() -> None:
+        if chunk is not None:
+            places.append(_messages(found, chunk, indexes))
+
+    for opcode, begin, end in _records(raw, len(MAGIC), len(raw)):
+        if opcode == MESSAGE_INDEX:
+            number, size = struct.unpack_from("<HI", raw, begin)
+            indexes[number] = (begin + 6, size)
+            continue
+        settle()
+        chunk, indexes = None, {}
+        if opcode == METADATA:
+            name, values = _metadata(raw[begin:end])
+            if name == "unicon":
+                found.facts.update(values)
+        elif opcode == ATTACHMENT:
+            name, content = _attachment(raw[begin:end])
+            found.files[name] = content
+        elif opcode == SCHEMA:
+            types[struct.unpack_from("<H", raw, begin)[0]] = _text(raw, begin + 2)[0]
+        elif opcode == CHANNEL:
+            number, schema = struct.unpack_from("<HH", raw, begin)
+            found.topics[number] = (_text(raw, begin + 4)[0], types.get(schema, ""))
+        elif opcode == CHUNK:
+            _, _, first, last, _, crc, named, _ = CHUNK_HEAD.unpack_from(raw, begin - 9)
+            if named:
+                raise ValueError("its chunks are compressed; write it anew without compression")
+            if zlib.crc32(raw[begin + _HEAD : end]) != crc:
+                if torn:
+                    break
+                raise ValueError("a chunk is damaged")
+            chunk = (begin + _HEAD, end)
+            before = found.span or (first, last)
+            found.span = (min(first, before[0]), max(last, before[1]))
+        elif opcode == DATA_END:
+            found.ended = True
+            break
+    settle()
+    if places:
+        found.ticks = np.concatenate(places)
+    lengths = gather(found.data, found.ticks - _BODY - 8, 8).reshape(-1).view("<i8")
+    found.sizes = lengths.astype(np.int64) - _BODY
+    return found
+
+
+def _messages(
+    found: Scan, chunk: tuple[int, int], indexes: dict[int, tuple[int, int]]
+) -> NDArray[np.int64]:
+    """Count the messages of a chunk; return where those of the ticks stand."""
+    ours = next((number for number, (topic, _) in found.topics.items() if topic == TOPIC), -1)
+    if indexes:
+        for number, (_, size) in indexes.items():
+            found.counts[number] += size // 16
+        begin, size = indexes.get(ours, (0, 0))
+        offsets = found.data[begin : begin + size].view("<i8")[1::2].astype(np.int64)
+    else:  # cut off behind it
+        told: list[int] = []
+        raw = found.data.data
+        for opcode, begin, _ in _records(raw, *chunk):
+            if opcode == MESSAGE:
+                (number,) = struct.unpack_from("<H", raw, begin)
+                found.counts[number] += 1
+                if number == ours:
+                    told.append(begin - 9 - chunk[0])
+        offsets = np.array(told, np.int64)
+    begins = chunk[0] + offsets
+    if len(begins) and (
+        begins.min() < chunk[0]
+        or begins.max() + MESSAGE_HEAD.size > chunk[1]
+        or (found.data[begins] != MESSAGE).any()
+    ):
+        raise ValueError("a message index is damaged")
+    return begins + MESSAGE_HEAD.size
+
+
+def _records(raw: memoryview, position: int, until: int) -> Iterator[tuple[int, int, int]]:
+    """Yield opcode, begin and end of the content of the records that are whole."""
+    while position + 9 <= until:
+        opcode, length = struct.unpack_from("<BQ", raw, position)
+        position += 9
+        if position + length > until:
+            return
+        yield opcode, position, position + length
+        position += length
+
+
+def _text(raw: memoryview, at: int) -> tuple[str, int]:
+    (length,) = struct.unpack_from("<I", raw, at)
+    if at + 4 + length > len(raw):
+        raise ValueError("a text is cut off")
+    return bytes(raw[at + 4 : at + 4 + length]).decode(), at + 4 + length
+
+
+def _metadata(raw: memoryview) -> tuple[str, dict[str, str]]:
+    name, at = _text(raw, 0)
+    at += 4
+    values: dict[str, Any] = {}
+    while at < len(raw):
+        key, at = _text(raw, at)
+        values[key], at = _text(raw, at)
+    return name, values
+
+
+def _attachment(raw: memoryview) -> tuple[str, bytes]:
+    name, at = _text(raw, 16)
+    _, at = _text(raw, at)
+    (length,) = struct.unpack_from("<Q", raw, at)
+    data = bytes(raw[at + 8 : at + 8 + length])
+    if struct.unpack_from("<I", raw, at + 8 + length)[0] != zlib.crc32(raw[:-4]):
+        raise ValueError(f"{name} is damaged")
+    return name, data
