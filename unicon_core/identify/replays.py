@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+import signal
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
@@ -70,6 +71,7 @@ _given: tuple[Robot, Scene, Motion] | None = None
 
 def _begin(robot: Robot, scene: Scene, motion: Motion) -> None:
     global _given
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's, which ends this one
     _given = robot, scene, motion
 
 
