@@ -144,6 +144,9 @@ def build_twin(
         beside.close()
         raise wrong("the base moves and the platform measures no base_quat; leave the twin out")
     place = [name for name in PLACE if name in measured]
+    # What is made at the first use is made now: 50 ms of a tick.
+    beside.put({name: context.states[name] for name in place})
+    unfolded_mse(np.zeros((1, 2, 1)), np.zeros((1, 2, 1)))
     tick = LiveTwin(beside, context.states, place, settings, context.period)
     return Block(
         "twin",

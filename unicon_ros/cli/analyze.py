@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from unicon_core.errors import MissingDependencyError, UniconError
+from unicon_ros.cli.fit import add_fit, run_fit
 from unicon_ros.cli.workflow_arguments import positive
 
 __all__ = ["add"]
@@ -20,7 +21,9 @@ def add(commands: Any) -> None:
         "analyze", help="compare a real run with a simulated one", description=__doc__
     )
     parser.add_argument("real", metavar="REAL", help="record (.mcap) or .npz of the robot")
-    parser.add_argument("sim", metavar="SIM", help="record (.mcap) or .npz of the simulator")
+    parser.add_argument(
+        "sim", metavar="SIM", nargs="?", help="record (.mcap) or .npz of the simulator"
+    )
     parser.add_argument("--out", metavar="DIR", required=True, help="folder for the report")
     for side, who in (("", "real"), ("sim-", "simulated")):
         parser.add_argument(
@@ -41,6 +44,7 @@ def add(commands: Any) -> None:
         "--rate", type=positive, metavar="HZ", help="compare at this rate (default: the slower's)"
     )
     parser.add_argument("--whole", action="store_true", help="compare what comes after a fall, too")
+    add_fit(parser)
     parser.set_defaults(function=_analyze)
 
 
@@ -53,6 +57,12 @@ def _time(text: str) -> float:
 
 def _analyze(arguments: argparse.Namespace) -> int:
     """Run the command; exit status 0."""
+    if arguments.sim is None and arguments.fit is None:
+        raise UniconError("unicon analyze REAL needs SIM, or --fit; give a record of the simulator")
+    if arguments.fit is not None:
+        run_fit(arguments, _folder(arguments.out))
+        if arguments.sim is None:
+            return 0
     try:
         import matplotlib  # noqa: F401 - said before the work, not after it
     except ModuleNotFoundError as error:
@@ -64,13 +74,7 @@ def _analyze(arguments: argparse.Namespace) -> int:
     from unicon_ros.analysis.run import read_run
     from unicon_ros.analysis.together import Options, bring_together
 
-    folder = Path(arguments.out)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UniconError(
-            f"cannot make the folder {folder}: {error.strerror}; give another to --out"
-        ) from error
+    folder = _folder(arguments.out)
     runs = []
     for who in ("real", "sim"):
         path = Path(getattr(arguments, who))
@@ -88,6 +92,17 @@ def _analyze(arguments: argparse.Namespace) -> int:
         print(text)
     print(f"report  {folder / 'report.html'}")
     return 0
+
+
+def _folder(text: str) -> Path:
+    folder = Path(text)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UniconError(
+            f"cannot make the folder {folder}: {error.strerror}; give another to --out"
+        ) from error
+    return folder
 
 
 def _size(path: Path) -> str:

@@ -1,0 +1,32 @@
+"""/diagnostics tells each joint's gap and lag to the live twin, and warns of those that differ."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+pytest.importorskip("rclpy", reason="this one needs ROS")
+
+from unicon_core.robots import load_robot
+from unicon_core.states import States
+from unicon_core.workflow.live_twin import twin_states
+from unicon_ros.bridge.diagnostics import ERROR, OK, WARN, _twin
+
+
+def test_gaps_lags_and_flags_are_told_by_joint() -> None:
+    robot = load_robot("go2")
+    states = States(twin_states(robot))
+    runner: Any = SimpleNamespace(program=SimpleNamespace(states=states, robot=robot))
+    values: dict[str, str] = {}
+    assert _twin(runner, values, OK, "running") == (OK, "running")
+    assert values["twin RL_calf_joint"] == "gap 0.000 rad, lag +0 ms"
+    states["twin_gap"][11], states["twin_lag"][11], states["twin_flag"][11] = 0.31, 0.04, 1
+    level, message = _twin(runner, values, OK, "running")
+    assert (level, message) == (
+        WARN,
+        "not as the twin: RL_calf_joint; worst RL_calf_joint, 0.31 rad",
+    )
+    assert values["twin RL_calf_joint"] == "gap 0.310 rad, lag +40 ms"
+    assert _twin(runner, values, ERROR, "latched") == (ERROR, "latched")
