@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from kinds_bag import bags
 from kinds_safety import preflight, safety, scene, start
 from mutate import mutate_bytes, mutate_mcap, mutate_onnx, mutate_text, mutate_tree, to_text
 from reading import Reader, tree, whole, write
@@ -182,7 +183,7 @@ def recorded() -> bytes:
             cdr = b"\x00\x01\x00\x00" + number.to_bytes(8, "little")
             writers[number % 2](number + 1, cdr)
             if number % 10 == 9:
-                time.sleep(0.5)  # a chunk
+                time.sleep(0.9)  # a chunk
         recorder.close()
         return path.read_bytes()
 
@@ -297,4 +298,5 @@ KINDS: dict[str, Callable[[random.Random, Path], Reader]] = {
     "safety": safety,
     "scene": scene,
     "preflight": preflight,
+    "bag": bags,
 }

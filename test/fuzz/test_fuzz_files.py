@@ -32,9 +32,18 @@ KINDS = (
     "safety",
     "scene",
     "preflight",
+    "bag",
 )
 QUICK, THOROUGH = 300, 5000
-FEWER = {"start": 100, "safety": 100, "scene": 100, "preflight": 60}
+FEWER = {
+    "start": 100,
+    "safety": 100,
+    "scene": 100,
+    "preflight": 60,
+    "run": 60,
+    "bag": 20,
+    "npz": 60,
+}
 """Quick cases of the kinds whose cases take longest."""
 SEED = 7
 STUCK_S = 120.0

@@ -100,7 +100,7 @@ def _run(
     counts = {} if recording is None else recording.counts()
     statistics, first = runner.statistics, round(SETTLED * RATE)
     rows = statistics.kept()[first:]
-    whole = (rows[:, 1] - rows[:, 2]) * 1e-3
+    whole = np.asarray((rows[:, 1] - rows[:, 2]) * 1e-3, np.float64)
     return {TICK: statistics.durations_us()[first:], WHOLE: whole}, counts
 
 

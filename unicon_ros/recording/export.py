@@ -128,10 +128,12 @@ def _blocks(
     record: Record, names: Sequence[str], moment: str
 ) -> Iterator[tuple[dict[str, NDArray[Any]], list[NDArray[Any]]]]:
     """Yield the heads and the states, each of shape (ticks, elements), some ticks at a time."""
+    widths = [len(record.layout.elements(name)) for name in names]
     for begin in range(0, max(len(record.ticks), 1), BLOCK):
         end = min(begin + BLOCK, len(record.ticks))
         values = [record.states(name, moment, slice(begin, end)) for name in names]
-        yield _heads(record, begin, end), [each.reshape(end - begin, -1) for each in values]
+        flat = [each.reshape(end - begin, width) for each, width in zip(values, widths)]
+        yield _heads(record, begin, end), flat
 
 
 def _plain(values: NDArray[Any]) -> NDArray[Any]:

@@ -6,7 +6,6 @@ Its arrays are `states_q`, `states_qd`, … of shape (frames, …), with `ts` [s
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -95,8 +94,9 @@ def _arrays(source: Path) -> dict[str, NDArray[Any]]:
                         raise
     except OSError as error:
         raise UniconError(f"cannot read {source}: {error.strerror or error}") from error
-    except (AttributeError, EOFError, TypeError, ValueError, zipfile.BadZipFile) as error:
-        raise UniconError(f"{source} is not an .npz file of arrays: {error}") from error
+    except Exception as error:  # whatever zip files and headers of arrays raise
+        told = " ".join(f"{error}".split())[:300] or type(error).__name__
+        raise UniconError(f"{source} is not an .npz file of arrays: {told}") from error
     return arrays
 
 

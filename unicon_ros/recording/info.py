@@ -45,7 +45,7 @@ def _ours(path: Path, paths: list[Path], scans: list[Scan]) -> dict[str, Any]:
     types: dict[str, str] = {}
     for each in scans:
         types |= dict(each.topics.values())
-        counts.update({each.topics[number][0]: count for number, count in each.counts.items()})
+        counts.update(each.messages())
     spans = [each.span for each in scans if each.span is not None]
     return {
         "path": str(path),

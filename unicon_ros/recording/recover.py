@@ -188,8 +188,7 @@ def recover_folder(folder: Path) -> list[tuple[Path, int]]:
                 f"{path} cannot be read: {error}; move it away from the others"
             ) from error
         types |= dict(found.topics.values())
-        counts = {found.topics[number][0]: count for number, count in found.counts.items()}
-        files.append(BagFile(path.name, counts, found.span))
+        files.append(BagFile(path.name, found.messages(), found.span))
     try:
         write_metadata(folder, files, types)
     except OSError as error:

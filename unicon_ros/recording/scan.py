@@ -64,6 +64,13 @@ class Scan:
     span: tuple[int, int] | None = None
     ended: bool = False
 
+    def messages(self) -> Counter[str]:
+        """Return the number of messages of each topic."""
+        found: Counter[str] = Counter()
+        for number, count in self.counts.items():
+            found[self.topics.get(number, (f"channel {number}", ""))[0]] += count
+        return found
+
 
 def gather(data: NDArray[np.uint8], places: NDArray[np.int64], size: int) -> NDArray[np.uint8]:
     """Return the `size` bytes at each place, shape (places, size)."""
@@ -137,6 +144,8 @@ def scan(path: Path) -> Scan:
         found.ticks = np.concatenate(places)
     lengths = gather(found.data, found.ticks - _BODY - 8, 8).reshape(-1).view("<i8")
     found.sizes = lengths.astype(np.int64) - _BODY
+    if (found.ticks + found.sizes > len(found.data)).any():
+        raise ValueError("a message index is damaged")
     return found
 
 

@@ -1,0 +1,100 @@
+"""What the fuzz does to recordings of whole runs, to plain bags and to UniCon's npz."""
+
+from __future__ import annotations
+
+import random
+import tempfile
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from mutate import mutate_bytes, mutate_mcap
+from reading import Reader
+
+from unicon_core import Program, block
+from unicon_core.robots import load_robot
+from unicon_core.runtime import Runner, RunOptions
+from unicon_core.states import States
+from unicon_ros.fault_record import FaultRecord
+from unicon_ros.recorder import Recording
+from unicon_ros.recording import open_record
+from unicon_ros.recording.export import export
+from unicon_ros.recording.import_bag import import_bag
+from unicon_ros.recording.import_npz import import_npz
+from unicon_ros.recording.info import info_of, info_text
+
+__all__ = ["bags"]
+
+
+@cache
+def _recorded() -> bytes:
+    """Return a recording of ten ticks."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "run.mcap"
+        recording = Recording(file, patient=True)
+        record = FaultRecord("off", recording=recording)
+        hooks = [recording.hook, record.hook]
+        flow = block("hold")
+        program = Program(robot="go2", platform="fake", rate=50, flow=flow, hooks=hooks)
+        runner = Runner(program, RunOptions(speed="max", duration=0.2, warn=str))
+        record.attach(runner)
+        runner.run()
+        return file.read_bytes()
+
+
+@cache
+def _npz() -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "run.npz"
+        names = np.array(load_robot("go2").joint_names)
+        values = {"states_q": np.ones((9, 12)), "states_quat": np.ones((9, 4)), "rec_dt": 0.02}
+        np.savez(file, DOF_NAMES=names, allow_pickle=False, **values)  # type: ignore[arg-type]
+        return file.read_bytes()
+
+
+def _torn(raw: bytes, dice: random.Random) -> bytes:
+    return raw[: dice.randrange(len(raw) + 1)] if dice.random() < 0.3 else raw
+
+
+def _run(dice: random.Random, folder: Path) -> Reader:
+    """A recording of a run that `unicon bag` looks into, and a replay reads."""
+    raw = _recorded()
+    raw = mutate_mcap(raw, dice) if dice.random() < 0.6 else mutate_bytes(raw, dice)
+    path = folder / dice.choice(["run.mcap", "run.mcap.partial"])
+    path.write_bytes(_torn(raw, dice))
+
+    def read() -> object:
+        told = info_text(info_of(path))
+        record = open_record(path)
+        live = States(record.layout)
+        for moment, names in record.kept.items():
+            for name in names:
+                record.states(name, moment)
+            if len(record.ticks):
+                record.feed(moment, len(record.ticks) - 1, live)
+        export(record, folder / "x.csv")
+        return told
+
+    return read
+
+
+def _bag(dice: random.Random, folder: Path) -> Reader:
+    """The same as a plain bag of others, read by rosbags."""
+    path = folder / "run.mcap"
+    raw = _recorded()
+    path.write_bytes(_torn(mutate_bytes(raw, dice), dice))
+    go2 = load_robot("go2")
+    return lambda: import_bag(path, folder / "fuzzed.out.mcap", go2)
+
+
+def _unicon(dice: random.Random, folder: Path) -> Reader:
+    """A file of UniCon's."""
+    path = folder / "run.npz"
+    path.write_bytes(_torn(mutate_bytes(_npz(), dice), dice))
+    go2 = load_robot("go2")
+    return lambda: import_npz(path, folder / "fuzzed.out.mcap", go2)
+
+
+def bags(dice: random.Random, folder: Path) -> Reader:
+    """One of the three."""
+    return dice.choice((_run, _bag, _unicon))(dice, folder)
