@@ -27,6 +27,7 @@ from unicon_core.gap import (
     spectral_distance,
     unfolded_mse,
     warming,
+    wasserstein,
 )
 from unicon_core.gap.matching import assign
 
@@ -182,6 +183,20 @@ def test_spectral_distance_knows_no_phase() -> None:
     assert spectral_distance([[1.0]], [[2.0]]).tolist() == [0.0]
 
 
+@given(st.integers(1, 8), st.integers(1, 8), st.integers(0, 2**32 - 1))
+@settings(max_examples=40, deadline=None)
+def test_wasserstein_is_the_difference_of_what_is_sorted(n: int, m: int, seed: int) -> None:
+    random = np.random.default_rng(seed)
+    real, sim = random.normal(size=(2, n, 2)), random.normal(size=(m, 2))
+    found = wasserstein(real, sim)
+    assert found.shape == (2, 2)
+    for b, k in np.ndindex(2, 2):
+        # As many copies as make both equally long.
+        x, y = np.sort(np.repeat(real[b, :, k], m)), np.sort(np.repeat(sim[:, k], n))
+        assert found[b, k] == pytest.approx(np.mean(np.abs(x - y)))
+    np.testing.assert_allclose(wasserstein(sim, real), found)
+
+
 def test_loads_and_temperatures_are_compared() -> None:
     torque = np.array([[1.0, -2.0], [-3.0, -2.0]])
     found = load(torque)
@@ -214,7 +229,9 @@ def test_fall_time_is_when_the_base_stays_down() -> None:
     np.testing.assert_allclose(both, [time for _, time in cases])
 
 
-@pytest.mark.parametrize("metric", [mse, rmse, affine, match_elements, chamfer, spectral_distance])
+@pytest.mark.parametrize(
+    "metric", [mse, rmse, affine, match_elements, chamfer, spectral_distance, wasserstein]
+)
 def test_every_metric_refuses_what_is_not_a_trajectory(metric: Callable[..., Any]) -> None:
     good = np.zeros((5, 2))
     for bad in (np.zeros((0, 2)), np.full((5, 2), np.nan), np.zeros((5, 3)), np.zeros(5)):

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from unfolded_twins import admissible, mean_at, unfolded
 
 from unicon_core.errors import UniconError
-from unicon_core.gap import unfolded_mse, unfolded_norm
+from unicon_core.gap import shift_losses, unfolded_mse, unfolded_norm
 
 Floats = NDArray[np.float64]
 
@@ -51,6 +51,9 @@ def test_both_forms_equal_their_definitions(
     found = unfolded_mse(real, sim, max_shift, min_overlap)
     slow = unfolded(real, sim, True, max_shift, min_overlap)
     assert abs(float(found.loss) - slow) <= 1e-9 * energy(real, sim)
+    shifts, losses = shift_losses(real, sim, max_shift, min_overlap)
+    assert abs(float(losses.min()) - slow) <= 1e-9 * energy(real, sim)
+    assert shifts.tolist() == admissible(len(real), len(sim), max_shift, min_overlap)
     at, count = mean_at(real, sim, int(found.shift), squared=True)
     assert 2.0 * at == pytest.approx(float(found.loss), rel=1e-12)
     assert int(found.overlap) == count

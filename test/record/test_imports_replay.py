@@ -14,6 +14,7 @@ from test_bag_command import unicon_npz, written_by_rosbags
 from test_recorded_runs import written
 from test_replay_forms import driving, ran, replayed
 
+from unicon_core.errors import WorkflowError
 from unicon_core.workflow import load_workflow
 from unicon_ros.cli.main import main
 from unicon_ros.recording import open_record
@@ -30,6 +31,10 @@ def test_a_bag_by_rosbags_alone_drives_a_workflow(storage: StoragePlugin, tmp_pa
     bag = imported(written_by_rosbags(tmp_path / "plain", storage), tmp_path)
     report, program = ran(replayed(written(tmp_path, flow="hold"), bag))
     assert (report.ended, report.ticks, report.faults) == ("done", 40, [])
+    with pytest.raises(
+        WorkflowError, match="gives no joint_pos_target for the joints of robot go2"
+    ):
+        load_workflow(driving(tmp_path, bag))
     last = (np.arange(12.0) + 0.01 * 39).astype(np.float32)
     assert program.states["joint_pos"].tobytes() == last.tobytes()
 

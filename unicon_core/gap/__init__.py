@@ -9,8 +9,8 @@ from unicon_core.gap.affine import Affine, affine
 from unicon_core.gap.matching import Matching, match_elements
 from unicon_core.gap.squared import mse, rmse
 from unicon_core.gap.strain import Load, Warming, compare, fall_time, load, warming
-from unicon_core.gap.timeless import chamfer, spectral_distance
-from unicon_core.gap.unfolded import Unfolded, unfolded_mse, unfolded_norm
+from unicon_core.gap.timeless import chamfer, spectral_distance, wasserstein
+from unicon_core.gap.unfolded import Unfolded, shift_losses, unfolded_mse, unfolded_norm
 
 __all__ = [
     "Affine",
@@ -26,8 +26,10 @@ __all__ = [
     "match_elements",
     "mse",
     "rmse",
+    "shift_losses",
     "spectral_distance",
     "unfolded_mse",
     "unfolded_norm",
     "warming",
+    "wasserstein",
 ]

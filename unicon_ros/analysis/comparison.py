@@ -1,0 +1,200 @@
+"""Comparison: every figure of the report, of two runs that were brought together."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from unicon_core.gap import (
+    affine,
+    chamfer,
+    compare,
+    load,
+    match_elements,
+    mse,
+    rmse,
+    spectral_distance,
+    unfolded_mse,
+    unfolded_norm,
+    warming,
+    wasserstein,
+)
+from unicon_core.gap.trajectories import Array
+from unicon_ros.analysis.together import Together
+
+__all__ = ["Comparison", "compare_runs", "tracking_error"]
+
+LAG_S = 0.1
+"""Largest lag of a joint against the others in [s]: less than a quarter of a stride."""
+LETTER_S = 1.0
+"""Window of shifts for the unfolded MSE to the letter in [s], around the one with squares."""
+LETTER_WORK = 200_000_000
+"""Numbers that it may look at: two seconds' work. Longer runs get a smaller window."""
+PATHS = 2000
+"""Samples of each run at most for the chamfer distance, evenly taken: it grows with the square."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What a comparison says.
+
+    Attributes:
+        together: the runs.
+        ranked_by: what `gap` of a joint is, in words.
+        order: joints from the largest gap to the smallest, as their columns.
+        joints: figure to a value for each joint, in their columns' order. NaN: there is none.
+        states: name to figure to value, for each state as a whole.
+        swapped: joints whose movements are swapped, as cycles of their columns.
+    """
+
+    together: Together
+    ranked_by: str
+    order: list[int]
+    joints: dict[str, Array]
+    states: dict[str, dict[str, float]]
+    swapped: list[tuple[int, ...]]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return all of it as plain values, joints in the order of their rank."""
+        both = self.together
+        names = both.joints
+        return {
+            "period_s": both.period,
+            "method": both.method,
+            "shift_samples": int(both.unfolded.shift),
+            "shift_s": int(both.unfolded.shift) * both.period,
+            "samples": int(both.unfolded.overlap),
+            "begins_s": {"real": both.begins[0], "sim": both.begins[1]},
+            "fall_s": {"real": _plain(both.falls[0]), "sim": _plain(both.falls[1])},
+            "ranked_by": self.ranked_by,
+            "joints": [
+                {"name": names[k], "rank": rank}
+                | {figure: _plain(values[k]) for figure, values in self.joints.items()}
+                for rank, k in enumerate(self.order, 1)
+            ],
+            "states": {
+                name: {figure: _plain(value) for figure, value in figures.items()}
+                for name, figures in self.states.items()
+            },
+            "swapped_joints": [[names[k] for k in cycle] for cycle in self.swapped],
+            "notes": both.notes,
+        }
+
+
+def tracking_error(states: dict[str, Array]) -> Array | None:
+    """Return target − position in [rad], shape (n, d); None where no target is known."""
+    target = states.get("joint_pos_target")
+    return None if target is None else target - states["joint_pos"]
+
+
+def compare_runs(both: Together) -> Comparison:
+    """Return all figures."""
+    real, sim = both.real, both.sim
+    errors = tracking_error(real), tracking_error(sim)
+    lag = max(1, round(LAG_S / both.period))
+    position = affine(real["joint_pos"], sim["joint_pos"], lag)
+    each = unfolded_mse(real["joint_pos"].T[..., None], sim["joint_pos"].T[..., None], lag)
+    joints = {
+        "position_rmse": rmse(real["joint_pos"], sim["joint_pos"], "element"),
+        "position_bias": np.mean(real["joint_pos"] - sim["joint_pos"], axis=0),
+        "position_unfolded_mse": each.loss,
+        "position_distribution": wasserstein(real["joint_pos"], sim["joint_pos"]),
+        "lag_s": position.lag * both.period,
+        "gain": position.gain,
+        "offset": position.offset,
+        "sign": position.sign.astype(np.float64),
+        "correlation": position.correlation,
+        "spectral_distance": spectral_distance(real["joint_pos"], sim["joint_pos"]),
+    }
+    if errors[0] is None or errors[1] is None:
+        ranked_by = "distance of the distributions of the position (Wasserstein-1) in rad"
+        gap = joints["position_distribution"]
+    else:
+        ranked_by = "distance of the distributions of the tracking error (Wasserstein-1) in rad"
+        gap = wasserstein(errors[0], errors[1])
+        joints["tracking_rms_real"], joints["tracking_rms_sim"] = (
+            np.sqrt(np.mean(error**2, axis=0)) for error in errors if error is not None
+        )
+    joints = {"gap": gap} | joints | _strain(both)
+    return Comparison(
+        both,
+        ranked_by,
+        sorted(range(len(both.joints)), key=lambda k: -float(gap[k])),
+        joints,
+        {name: _whole(name, both) for name in real},
+        match_elements(real["joint_pos"], sim["joint_pos"]).cycles(),
+    )
+
+
+def _strain(both: Together) -> dict[str, Array]:
+    """Return what torques and temperatures tell, where both runs have them."""
+    real, sim = both.real, both.sim
+    figures: dict[str, Array] = {}
+    if "joint_effort" in real:
+        loads = load(real["joint_effort"]), load(sim["joint_effort"])
+        figures["effort_rms_real"], figures["effort_rms_sim"] = loads[0].rms, loads[1].rms
+        figures["effort_ratio"] = compare(loads[0].rms, loads[1].rms)
+        asked = [torque for side in (real, sim) if (torque := _asked(side)) is not None]
+        if len(asked) == 2:
+            gains = [
+                affine(side["joint_effort"][1:], torque, max_lag=0).gain
+                for side, torque in zip((real, sim), asked)
+            ]
+            figures["strength"] = compare(gains[0], gains[1])
+    if "motor_temperature" in real:
+        warm = [warming(side["motor_temperature"], both.period) for side in (real, sim)]
+        figures["temperature_rise_real"], figures["temperature_rise_sim"] = (
+            warm[0].rise,
+            warm[1].rise,
+        )
+        figures["temperature_peak_real"], figures["temperature_peak_sim"] = (
+            warm[0].peak,
+            warm[1].peak,
+        )
+    return figures
+
+
+def _asked(states: dict[str, Array]) -> Array | None:
+    """Return the torque in [N·m] that is asked for when the next sample is taken, shape (n − 1, d).
+
+    kp (q* − q) + kd (q̇* − q̇) + τ_ff: the command is the last one's, q and q̇ are the next one's.
+    """
+    needed = ("joint_pos_target", "joint_stiffness", "joint_damping", "joint_vel")
+    if any(name not in states for name in needed):
+        return None
+    target, kp, kd = (states[name][:-1] for name in needed[:3])
+    still = np.zeros_like(target)
+    torque = kp * (target - states["joint_pos"][1:])
+    torque += kd * (states.get("joint_vel_target", still)[: len(still)] - states["joint_vel"][1:])
+    torque += states.get("joint_effort_ff", still)[: len(still)]
+    return np.asarray(torque, np.float64)
+
+
+def _whole(name: str, both: Together) -> dict[str, float]:
+    """Return the figures of a state as a whole; unfolded ones are over all that was compared."""
+    real, sim = both.real[name], both.sim[name]
+    count = min(both.ends)
+    step = max(1, len(real) // PATHS)
+    figures = {
+        "rmse_step_by_step": float(
+            rmse(both.real_whole[name][:count], both.sim_whole[name][:count])
+        ),
+        "rmse_shifted": float(rmse(real, sim)),
+        "unfolded_mse_of_shift": 2.0 * real.shape[1] * float(mse(real, sim)),
+        "chamfer": float(chamfer(real[::step], sim[::step])),
+        "spectral_distance": float(np.mean(spectral_distance(real, sim))),
+    }
+    if name == "joint_pos":
+        figures["unfolded_mse"] = float(both.unfolded.loss)
+        window = min(round(LETTER_S / both.period), LETTER_WORK // (2 * real.size))
+        letter = unfolded_norm(real, sim, window)
+        figures["unfolded_to_the_letter"] = float(letter.loss)
+    return figures
+
+
+def _plain(value: float) -> float | None:
+    """Return a number as JSON has it: what is not finite is null."""
+    return float(value) if math.isfinite(value) else None

@@ -1,0 +1,283 @@
+"""Pictures of a comparison, each a PNG, for the report and beside it."""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.gap import rmse, shift_losses
+from unicon_core.gap.trajectories import Array
+from unicon_ros.analysis.comparison import Comparison, tracking_error
+
+__all__ = ["PICTURES", "draw"]
+
+REAL, SIM, PALE = "#1f4e9c", "#e07b00", "#b8b8b8"
+POINTS = 1500
+"""Of a curve: of more than twice as many the lowest and the highest of each stretch are drawn."""
+COLUMNS = 400
+"""Of the heat map in time."""
+TOP = 6
+"""Joints whose curves are drawn."""
+MOST = 32
+"""Joints in the other pictures; the rest are in the table."""
+ZOOM_S = 3.0
+
+
+def draw(name: str, comparison: Comparison) -> bytes | None:
+    """Return a picture as PNG; None where the runs have nothing to show in it.
+
+    Args:
+        name: one of `PICTURES`.
+        comparison: what is shown.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(dpi=110, layout="constrained")
+    if not PICTURES[name][0](figure, comparison):
+        return None
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png")
+    return stream.getvalue()
+
+
+def _ranking(figure: Any, comparison: Comparison) -> bool:
+    order = comparison.order[:MOST]
+    figure.set_size_inches(10.0, 1.0 + 0.28 * len(order))
+    axes = figure.add_subplot()
+    names = [comparison.together.joints[k] for k in order]
+    values = comparison.joints["gap"][order]
+    colours = [REAL if place == 0 else "#8fa9d3" for place in range(len(order))]
+    axes.barh(names, values, color=colours)
+    axes.invert_yaxis()
+    axes.bar_label(axes.containers[0], fmt=" %.3g", fontsize=8)
+    axes.set(xlabel="gap [rad]")
+    axes.margins(x=0.12)
+    axes.grid(axis="x", alpha=0.3)
+    return True
+
+
+def _alignment(figure: Any, comparison: Comparison) -> bool:
+    both = comparison.together
+    figure.set_size_inches(11.0, 6.0)
+    above, below = figure.subplots(2)
+    real, sim = (
+        side["joint_pos"][:end] for side, end in zip((both.real_whole, both.sim_whole), both.ends)
+    )
+    shifts, losses = shift_losses(real, sim)
+    found = int(both.unfolded.shift) * both.period
+    above.plot(*_envelope(shifts * both.period, losses), color="0.2", linewidth=0.9)
+    above.plot(
+        [found], [float(both.unfolded.loss)], "o", color=REAL, label=f"found: {found:+.3f} s"
+    )
+    above.set(xlabel="shift of the simulated run [s]", ylabel="loss [rad²]")
+    above.set_title("unfolded MSE of all joint positions at each shift", fontsize=10)
+    above.legend()
+    k = comparison.order[0]
+    time = both.begins[0] - max(0.0, found) + both.period * np.arange(len(real))
+    own = time[0] + both.period * np.arange(len(sim))
+    below.plot(*_envelope(own, sim[:, k]), color=PALE, label="simulated, as it was recorded")
+    below.plot(*_envelope(own + found, sim[:, k]), color=SIM, label="simulated, shifted")
+    below.plot(*_envelope(time, real[:, k]), color=REAL, label="real")
+    below.axvspan(both.time[0], both.time[-1], color="0.5", alpha=0.1, label="compared")
+    below.set(xlabel="time of the real run [s]", ylabel="[rad]")
+    below.set_title(f"{both.joints[k]}: position before and after the shift", fontsize=10)
+    below.legend(loc="upper right", fontsize=8, ncols=4)
+    _grids(above, below)
+    return True
+
+
+def _curves(figure: Any, comparison: Comparison) -> bool:
+    both = comparison.together
+    order, time = comparison.order[:TOP], both.time
+    figure.set_size_inches(12.0, 0.6 + 1.7 * len(order))
+    rows = figure.subplots(len(order), 2, squeeze=False, width_ratios=[2.0, 1.0])
+    count = min(len(time), max(2, round(ZOOM_S / both.period)))
+    for (left, right), k in zip(rows, order):
+        real, sim = both.real["joint_pos"][:, k], both.sim["joint_pos"][:, k]
+        sums = np.concatenate([[0.0], np.cumsum((real - sim) ** 2)])
+        worst = int(np.argmax(sums[count:] - sums[:-count]))
+        part = slice(worst, worst + count)
+        for axes, seen in ((left, slice(None)), (right, part)):
+            axes.plot(
+                *_envelope(time[seen], sim[seen]), color=SIM, linewidth=1.0, label="simulated"
+            )
+            axes.plot(*_envelope(time[seen], real[seen]), color=REAL, linewidth=1.0, label="real")
+        left.axvspan(time[part][0], time[part][-1], color="0.5", alpha=0.15)
+        left.set_title(both.joints[k], fontsize=10, loc="left")
+        left.set_ylabel("[rad]")
+        _grids(left, right)
+    rows[0][0].legend(loc="upper right", fontsize=8, ncols=2)
+    rows[0][1].set_title(f"the {count * both.period:.3g} s that differ most", fontsize=10)
+    for axes in rows[-1]:
+        axes.set_xlabel("time of the real run [s]")
+    return True
+
+
+def _heat(figure: Any, comparison: Comparison) -> bool:
+    both = comparison.together
+    order = comparison.order[:MOST]
+    figure.set_size_inches(12.0, 2.6 + 0.24 * len(order))
+    above, below = figure.subplots(2, sharex=True, height_ratios=[1.0, 0.5 + 0.18 * len(order)])
+    real, sim = both.real["joint_pos"], both.sim["joint_pos"]
+    above.plot(*_envelope(both.time, rmse(real, sim, "frame")), color="0.2", linewidth=0.9)
+    above.set_ylabel("RMSE of all [rad]")
+    edges = np.unique(np.linspace(0, len(real), min(COLUMNS, len(real)) + 1).astype(int))
+    squares = (real - sim)[:, order] ** 2
+    means = np.add.reduceat(squares, edges[:-1], axis=0) / np.diff(edges)[:, None]
+    image = below.imshow(
+        np.sqrt(means).T,
+        aspect="auto",
+        cmap="magma",
+        interpolation="nearest",
+        extent=(both.time[0], both.time[-1] + both.period, len(order) - 0.5, -0.5),
+    )
+    below.set_yticks(range(len(order)), [both.joints[k] for k in order], fontsize=8)
+    below.set_xlabel("time of the real run [s]")
+    figure.colorbar(image, ax=below, label="difference [rad]", pad=0.01)
+    _grids(above)
+    return True
+
+
+def _tracking(figure: Any, comparison: Comparison) -> bool:
+    both = comparison.together
+    real, sim = tracking_error(both.real), tracking_error(both.sim)
+    if real is None or sim is None:
+        return False
+    order = comparison.order[:MOST]
+    lines = math.ceil(len(order) / 4)
+    figure.set_size_inches(12.0, 0.6 + 1.6 * lines)
+    grid = figure.subplots(lines, 4, squeeze=False).reshape(-1)
+    for axes in grid[len(order) :]:
+        axes.set_axis_off()
+    for axes, k in zip(grid, order):
+        low, high = np.percentile(np.concatenate([real[:, k], sim[:, k]]), [0.2, 99.8])
+        bins = np.linspace(low, max(high, low + 1e-6), 60)
+        for values, colour, label in ((sim, SIM, "simulated"), (real, REAL, "real")):
+            counts, _ = np.histogram(np.clip(values[:, k], bins[0], bins[-1]), bins)
+            axes.stairs(counts, bins, fill=True, color=colour, alpha=0.55, label=label)
+        axes.axvline(0.0, color="0.3", linewidth=0.6)
+        axes.set_title(both.joints[k], fontsize=9)
+        axes.set_yticks([])
+        axes.tick_params(labelsize=7)
+    grid[0].legend(fontsize=7)
+    figure.supxlabel("target − position [rad]", fontsize=9)
+    return True
+
+
+def _effort(figure: Any, comparison: Comparison) -> bool:
+    figures, both = comparison.joints, comparison.together
+    warm = "motor_temperature" in both.real
+    if "effort_rms_real" not in figures and not warm:
+        return False
+    order = comparison.order[:MOST]
+    places = np.arange(len(order))
+    pairs = [("effort_rms", "RMS of torque [N·m]")] if "effort_rms_real" in figures else []
+    pairs += [("temperature_peak", "highest temperature [°C]")] if warm else []
+    figure.set_size_inches(11.0, 3.2 * len(pairs))
+    for axes, (key, label) in zip(figure.subplots(len(pairs), squeeze=False)[:, 0], pairs):
+        axes.bar(places - 0.2, figures[f"{key}_real"][order], 0.4, color=REAL, label="real")
+        axes.bar(places + 0.2, figures[f"{key}_sim"][order], 0.4, color=SIM, label="simulated")
+        names = [both.joints[k] for k in order]
+        axes.set_xticks(places, names, rotation=35, ha="right", fontsize=8)
+        axes.set_ylabel(label)
+        axes.legend(fontsize=8)
+        axes.grid(axis="y", alpha=0.3)
+    return True
+
+
+def _base(figure: Any, comparison: Comparison) -> bool:
+    both = comparison.together
+    shown = [
+        (name, label)
+        for name, label in (
+            ("projected_gravity", "lean [rad]"),
+            ("base_ang_vel", "turning: z [rad/s]"),
+            ("base_lin_vel", "speed: x [m/s]"),
+        )
+        if name in both.real
+    ]
+    if not shown:
+        return False
+    figure.set_size_inches(12.0, 0.5 + 1.8 * len(shown))
+    rows = figure.subplots(len(shown), sharex=True, squeeze=False)[:, 0]
+    found = int(both.unfolded.shift)
+    begin = both.begins[0] - max(0, found) * both.period
+    for axes, (name, label) in zip(rows, shown):
+        sides = ((both.sim_whole, found, SIM, "simulated"), (both.real_whole, 0, REAL, "real"))
+        for side, shift, colour, who in sides:
+            values = _shown_of_base(name, side[name])
+            time = begin + both.period * (shift + np.arange(len(values)))
+            axes.plot(*_envelope(time, values), color=colour, linewidth=0.9, label=who)
+        axes.axvspan(both.time[0], both.time[-1], color="0.5", alpha=0.1, label="compared")
+        axes.set_ylabel(label)
+        _grids(axes)
+    rows[0].legend(loc="upper left", fontsize=8, ncols=3)
+    rows[-1].set_xlabel("time of the real run [s]")
+    return True
+
+
+def _shown_of_base(name: str, values: Array) -> Array:
+    if name == "projected_gravity":
+        return np.asarray(np.arccos(np.clip(-values[:, 2], -1.0, 1.0)), np.float64)
+    return values[:, 2] if name == "base_ang_vel" else values[:, 0]
+
+
+def _envelope(time: NDArray[Any], values: Array) -> tuple[NDArray[Any], Array]:
+    """Return a curve with few enough points that no peak is lost."""
+    if len(values) <= 2 * POINTS:
+        return time, values
+    each = math.ceil(len(values) / POINTS)
+    starts = np.arange(0, len(values), each)
+    low, high = (f.reduceat(values, starts) for f in (np.minimum, np.maximum))
+    return np.repeat(time[starts], 2), np.stack([low, high], axis=1).reshape(-1)
+
+
+def _grids(*all_axes: Any) -> None:
+    for axes in all_axes:
+        axes.grid(alpha=0.3)
+        axes.margins(x=0.01)
+
+
+PICTURES: dict[str, tuple[Callable[[Any, Comparison], bool], str, str]] = {
+    "ranking": (
+        _ranking,
+        "Joints by gap",
+        "How far the joint's tracking error (target − position) is distributed otherwise on the "
+        "robot than in the simulator; of positions where no targets were recorded.",
+    ),
+    "alignment": (
+        _alignment,
+        "Alignment in time",
+        "The simulated run is shifted so that all joint positions together differ least. Where the "
+        "upper curve has many equal dips the movement repeats, and the smallest shift was taken.",
+    ),
+    "joints": (
+        _curves,
+        "The joints that differ most",
+        "Positions after the shift; on the right the stretch that differs most (grey on the left).",
+    ),
+    "heat": (
+        _heat,
+        "When and where",
+        "Difference of the positions after the shift: above of all joints in each sample, below of "
+        "each joint, in the order of the gap.",
+    ),
+    "tracking": (
+        _tracking,
+        "Tracking error",
+        "How often each joint was how far from its target. A weak motor is farther away, a joint "
+        "whose zero is wrong is beside it, friction makes it broad.",
+    ),
+    "effort": (_effort, "Torque and temperature", "In the stretch that was compared."),
+    "base": (
+        _base,
+        "The base",
+        "From beginning to end, falls included; grey is what was compared.",
+    ),
+}
+"""Name to function, heading and caption, in the report's order."""

@@ -1,0 +1,174 @@
+"""Together: two runs brought to the same joints, one rate, one length and the shift that suits."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from unicon_core.errors import UniconError
+from unicon_core.gap import Unfolded, fall_time, unfolded_mse
+from unicon_core.gap.trajectories import Array
+from unicon_ros.analysis.resampling import common_period, resample
+from unicon_ros.analysis.run import FEWEST, JOINTS, Run
+
+__all__ = ["Options", "Together", "bring_together"]
+
+HOLE = 10.0
+"""Periods without a sample that are told of."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """What the user asked for.
+
+    Attributes:
+        max_shift: largest |shift| in [s], None for all that leave half of the shorter run.
+        rate: in [Hz] at which both are compared, None for the slower one's.
+        whole: compare what comes after a fall, too.
+    """
+
+    max_shift: float | None = None
+    rate: float | None = None
+    whole: bool = False
+
+
+@dataclass(frozen=True)
+class Together:
+    """Two runs that can be compared sample by sample.
+
+    Attributes:
+        joints: names of those that both have, in the real robot's order.
+        period: between two samples in [s].
+        method: how both came to it, in words.
+        unfolded: of the joint positions, in samples.
+        real, sim: states that both have, shifted and of one length, shape (n, d).
+        real_whole, sim_whole: the same before the shift and the cut at a fall.
+        ends: samples of each of these that the cut at a fall leaves.
+        begins: time of the first common sample in the real file and in the simulated one, in [s].
+        falls: when each fell in [s] of its file, NaN for not at all.
+        notes: what was left out or assumed, in sentences.
+    """
+
+    joints: tuple[str, ...]
+    period: float
+    method: str
+    unfolded: Unfolded
+    real: dict[str, Array]
+    sim: dict[str, Array]
+    real_whole: dict[str, Array]
+    sim_whole: dict[str, Array]
+    ends: tuple[int, int]
+    begins: tuple[float, float]
+    falls: tuple[float, float]
+    notes: list[str]
+
+    @property
+    def time(self) -> Array:
+        """Time of each common sample in [s] of the real file."""
+        count = len(self.real["joint_pos"])
+        return np.asarray(self.begins[0] + self.period * np.arange(count), np.float64)
+
+
+def bring_together(real: Run, sim: Run, options: Options) -> Together:
+    """Bring two runs together.
+
+    Raises:
+        UniconError: no joint in common, too little in common in time, or options out of range.
+    """
+    notes = [*real.notes, *sim.notes]
+    joints, columns = _joints(real, sim, notes)
+    period, method = common_period(real, sim, options.rate)
+    sides = []
+    for run, column in zip((real, sim), columns):
+        holes = np.diff(run.time)
+        if holes.max() > HOLE * period:
+            notes.append(
+                f"{run.path.name}: up to {holes.max():.2f} s are without samples; the missing ones "
+                "were drawn as a straight line."
+            )
+        states = {
+            name: values[:, column] if name in JOINTS else values
+            for name, values in run.states.items()
+        }
+        sides.append(states if method == "" else resample(run.time, states, period))
+    common = [name for name in sides[0] if name in sides[1]]
+    for one, other, run in ((0, 1, sim), (1, 0, real)):
+        if missing := [name for name in sides[one] if name not in sides[other]]:
+            notes.append(f"{run.path.name} has no {', '.join(missing)}.")
+    a, b = ({name: side[name] for name in common} for side in sides)
+    falls = [_fall(side, period) for side in sides]
+    whole = dict(a), dict(b)
+    if not options.whole:
+        a, b = (
+            _until(side, fall, period, run, notes)
+            for side, fall, run in zip((a, b), falls, (real, sim))
+        )
+    for side, run in ((a, real), (b, sim)):
+        if len(side["joint_pos"]) < FEWEST:
+            raise UniconError(
+                f"{run.path} has {len(side['joint_pos'])} samples at {1 / period:g} Hz; at least "
+                f"{FEWEST} tell something: give a higher --rate or a longer run"
+            )
+    limit = None if options.max_shift is None else math.floor(options.max_shift / period)
+    unfolded = unfolded_mse(a["joint_pos"], b["joint_pos"], limit)
+    shift, count = int(unfolded.shift), int(unfolded.overlap)
+    first_a, first_b = max(0, shift), max(0, -shift)
+    return Together(
+        joints,
+        period,
+        method or "both were sampled at one rate; nothing was resampled",
+        unfolded,
+        {name: values[first_a : first_a + count] for name, values in a.items()},
+        {name: values[first_b : first_b + count] for name, values in b.items()},
+        *whole,
+        (len(a["joint_pos"]), len(b["joint_pos"])),
+        (real.begins + first_a * period, sim.begins + first_b * period),
+        (real.begins + falls[0], sim.begins + falls[1]),
+        notes,
+    )
+
+
+def _joints(real: Run, sim: Run, notes: list[str]) -> tuple[tuple[str, ...], list[list[int]]]:
+    """Return the names of the common joints and their columns in both runs."""
+    counts = [run.states["joint_pos"].shape[1] for run in (real, sim)]
+    if not real.joints or not sim.joints:
+        if counts[0] != counts[1]:
+            raise UniconError(
+                f"{real.path} has {counts[0]} joints, {sim.path} {counts[1]}, and not both name "
+                "them: put joint_names into the .npz"
+            )
+        names = real.joints or sim.joints or tuple(f"joint {k}" for k in range(counts[0]))
+        nameless = " and ".join(run.path.name for run in (real, sim) if not run.joints)
+        notes.append(f"{nameless} names no joints: the same order was assumed in both.")
+        return names, [list(range(counts[0]))] * 2
+    common = tuple(name for name in real.joints if name in sim.joints)
+    if not common:
+        raise UniconError(
+            f"no joint of {real.path} ({', '.join(real.joints[:3])}, …) is in {sim.path} "
+            f"({', '.join(sim.joints[:3])}, …); give two runs of one robot"
+        )
+    for run in (real, sim):
+        left = [name for name in run.joints if name not in common]
+        notes += [f"Only {run.path.name} has {', '.join(left)}: left out."] if left else []
+    return common, [[run.joints.index(name) for name in common] for run in (real, sim)]
+
+
+def _fall(states: dict[str, Array], period: float) -> float:
+    gravity = states.get("projected_gravity")
+    return math.nan if gravity is None else float(fall_time(gravity, period))
+
+
+def _until(
+    states: dict[str, Array], fall: float, period: float, run: Run, notes: list[str]
+) -> dict[str, Array]:
+    """Return what was before a fall: afterwards every joint differs, and nobody learns why."""
+    if math.isnan(fall):
+        return states
+    count = round(fall / period)
+    if count < FEWEST:
+        notes.append(f"{run.path.name} begins with a fall; what follows was compared all the same.")
+        return states
+    notes.append(f"What came after the fall in {run.path.name} was left out (--whole keeps it).")
+    return {name: values[:count] for name, values in states.items()}
