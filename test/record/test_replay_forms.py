@@ -198,6 +198,23 @@ def test_what_is_no_record(
     assert "bag.mcap" in told
 
 
+@pytest.mark.parametrize(
+    ("told", "arguments"),
+    [
+        ("--speed does not go with --verify; leave it out", ["--verify", "--speed", "max"]),
+        ("--loop does not go with --verify", ["--verify", "--loop"]),
+        ("--record does not go with --play; it takes --start", ["--play", "--record", "x.mcap"]),
+        ("WORKFLOW does not go with --play", ["go2_walk", "--play"]),
+        ("--set does not go with --play", ["--play", "--set", "rate=5"]),
+        ("--rate goes with --play", ["--rate", "2"]),
+    ],
+)
+def test_options_that_would_be_left_alone(
+    told: str, arguments: list[str], bag: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert told in refused(capsys, str(bag), *arguments)
+
+
 @pytest.mark.parametrize("form", [["--verify"], ["--speed", "max"]])
 def test_another_robots_bag(
     form: list[str], bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]

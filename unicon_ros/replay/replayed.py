@@ -21,6 +21,7 @@ from unicon_core.runtime import Runner, RunOptions
 from unicon_core.runtime.phases import Phase
 from unicon_core.runtime.runner import approach_tree, waiting_tree
 from unicon_core.runtime.tick_ring import memory_of
+from unicon_core.signals import SIGNALS
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_core.workflow import Program, WorkflowDocument
 from unicon_ros.recording import Record
@@ -107,6 +108,7 @@ class Replayed:
         record, ran = self.record, 0
         lost = False
         for row, phase in enumerate(record.phases):
+            SIGNALS.check()
             if row in self._memories:
                 self._restore(self._memories[row])
                 lost = False
