@@ -65,7 +65,7 @@ class Replayed:
     ) -> None:
         self.record, self._told = record, told
         facts, silent = recorded_facts(record)
-        self._row = 0
+        self._row, self._told_of = 0, -1
         self.scaled: dict[float, None] = {}
         self.skipped: dict[str, int] = {}
         self.homeless: set[str] = set()
@@ -127,8 +127,11 @@ class Replayed:
             try:
                 graph.step()
                 graph.deferred()
-            except Exception as error:  # the recorded tick went on: it differs
-                failed(row, error)
+            except Exception as error:
+                if self._told_of == row and not all(record.ended[row + 1 : row + 2]):
+                    self.fault = _text(error)  # found behind send, as in the run
+                    break
+                failed(row, error)  # the recorded tick went on: it differs
         return ran
 
     def _fail_again(self, row: int, graph: CompiledGraph) -> None:
@@ -139,7 +142,7 @@ class Replayed:
             graph.step()
             graph.deferred()
         except Exception as error:
-            self.fault = " ".join(str(error).split()) or type(error).__name__
+            self.fault = _text(error)
 
     def _missing_before(self, row: int) -> bool:
         """Return whether ticks are missing: what the blocks remembered is not known then."""
@@ -220,6 +223,7 @@ class Replayed:
                 own[...] = recorded
 
     def _sent(self) -> None:
+        self._told_of = self._row
         self._told(self._row)
 
     # -- what was remembered --------------------------------------------------------------------
@@ -316,6 +320,10 @@ def _factor(own: Any, recorded: Any) -> float | None:
     ratios = recorded[moved].astype(float) / own[moved]
     near = bool(np.all(np.abs(ratios - ratios[0]) <= 1e-5 * abs(ratios[0])))
     return round(float(ratios[0]), 5) if near else None
+
+
+def _text(error: Exception) -> str:
+    return " ".join(str(error).split()) or type(error).__name__
 
 
 def _json(text: str | bytes | None, default: Any = None) -> Any:
