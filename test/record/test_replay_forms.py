@@ -198,6 +198,23 @@ def test_what_is_no_record(
     assert "bag.mcap" in told
 
 
+@pytest.mark.parametrize(
+    ("told", "arguments"),
+    [
+        ("--speed does not go with --verify; leave it out", ["--verify", "--speed", "max"]),
+        ("--loop does not go with --verify", ["--verify", "--loop"]),
+        ("--record does not go with --play; it takes --start", ["--play", "--record", "x.mcap"]),
+        ("WORKFLOW does not go with --play", ["go2_walk", "--play"]),
+        ("--set does not go with --play", ["--play", "--set", "rate=5"]),
+        ("--rate goes with --play", ["--rate", "2"]),
+    ],
+)
+def test_options_that_would_be_left_alone(
+    told: str, arguments: list[str], bag: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert told in refused(capsys, str(bag), *arguments)
+
+
 @pytest.mark.parametrize("form", [["--verify"], ["--speed", "max"]])
 def test_another_robots_bag(
     form: list[str], bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -287,3 +304,28 @@ def test_the_wait_and_the_approach_of_a_robot_are_compared(
     told = capsys.readouterr().out
     assert "25 ticks of phase damp cannot be replayed" in told
     assert " 0 of " in f" {told.splitlines()[-1]}"
+
+
+def test_a_fault_that_is_found_behind_send_comes_again(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stuck = {"encoder_stop": {"timeout": 0.1, "motion": 0.05}}
+    workflow = written(tmp_path, platform="fake", safety=["finite", stuck])
+
+    def still(program: Program) -> dict[Stage, list[Block]]:
+        pos, tick = program.states["joint_pos"], program.states["tick"]
+
+        def hold() -> None:
+            if tick.flat[0] > 3:
+                pos[4] = 0.5
+
+        return {Stage.RECV: [Block("still", hold, amends=("joint_pos",))]}
+
+    flow = {"chain": [{"pose": {"to": "rest", "duration": 1.0}}, "hold"]}
+    path = tmp_path / "run.mcap"
+    record, _ = recorded(workflow, path, (still,), flow=flow)
+    assert not record.ended[-1]
+    assert main(["replay", str(path), "--verify"]) == 0
+    told = capsys.readouterr().out
+    assert "the fault came again: joint FL_thigh_joint is stuck" in told
+    assert f"0 of {len(record.ticks) - 1} ticks differ" in told

@@ -21,7 +21,7 @@ FELLED = ["--set", "scene.push={every: 3.0, velocity: 6.0}"]
 RUNS: dict[str, tuple[str, list[str], int]] = {
     "go2 with its commands": ("go2_walk", [], 0),
     "go2 pushed, with noise and delay": ("go2_walk", [*PUSHED, *NOISY], 0),
-    "go2 at 500 Hz": ("go2_teleop", ["--duration", "4"], 0),
+    "go2 at 500 Hz": ("go2_teleop", ["--duration", "4", "--set", "rate=500"], 0),
     "go2 that falls: its fault record": ("go2_walk", FELLED, 3),
     "go1": ("go1_walk", ["--duration", "6"], 0),
     "g1": ("g1_walk", ["--duration", "6"], 0),

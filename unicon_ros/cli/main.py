@@ -17,18 +17,7 @@ from contextlib import suppress
 import unicon_core
 from unicon_core.errors import UniconError
 from unicon_core.signals import SIGNALS, Interrupted
-from unicon_ros.cli import (
-    analyze,
-    bag,
-    bench,
-    check,
-    known,
-    preflight,
-    replay,
-    run,
-    show,
-    states,
-)
+from unicon_ros.cli import analyze, bag, bench, check, known, preflight, replay, run, show, states
 
 __all__ = ["main"]
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 from unicon_core.errors import UniconError
@@ -39,16 +41,42 @@ def add(commands: Any) -> None:
     parser.add_argument("--loop", action="store_true", help="begin anew at the end")
     parser.add_argument("--rate", type=positive, metavar="X", help="with --play: X times faster")
     add_options(parser)
-    parser.set_defaults(function=replay)
+    parser.set_defaults(function=partial(replay, parser))
 
 
-def replay(arguments: argparse.Namespace) -> int:
+PLAYS = ("start", "loop", "rate", "duration", "ros", "map", "namespace", "frame_prefix", "quiet")
+"""Options that go with `--play`, besides those of ROS."""
+
+
+def replay(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> int:
     """Run the command; exit status 0 done or equal, 1 different, 3 fault."""
-    if arguments.rate is not None and not arguments.play:
-        raise UniconError("replay: --rate goes with --play; a workflow has --speed")
     if arguments.verify:
+        _refuse_others(parser, arguments, ("workflow", "overrides"), "--verify")
         return _verify(arguments)
-    return _play(arguments) if arguments.play else _run(arguments)
+    if arguments.play:
+        _refuse_others(parser, arguments, (*PLAYS, "ros_args"), "--play")
+        return _play(arguments)
+    if arguments.rate is not None:
+        raise UniconError("replay: --rate goes with --play; a workflow has --speed")
+    return _run(arguments)
+
+
+def _refuse_others(
+    parser: argparse.ArgumentParser,
+    arguments: argparse.Namespace,
+    known: Sequence[str],
+    form: str,
+) -> None:
+    """Refuse what would be left alone in silence."""
+    own = ("bag", "verify", "play", "command", "function", *known)
+    for name, value in vars(arguments).items():
+        if name not in own and value != parser.get_default(name):
+            word = {"workflow": "WORKFLOW", "overrides": "--set"}.get(name)
+            allowed = ", ".join(f"--{each.replace('_', '-')}" for each in known if each in PLAYS)
+            raise UniconError(
+                f"replay: {word or '--' + name.replace('_', '-')} does not go with {form}; "
+                f"{f'it takes {allowed}' if allowed else 'leave it out'}"
+            )
 
 
 def _seconds(text: str) -> float:
@@ -74,8 +102,6 @@ def _play(arguments: argparse.Namespace) -> int:
     from unicon_ros.replay.keys import HELP
     from unicon_ros.replay.player import play
 
-    if arguments.workflow or arguments.overrides:
-        raise UniconError("replay: --play computes nothing; leave WORKFLOW and --set out")
     console, session, status = Console(), None, 1
     keys = console.terminal and sys.stdin is not None and sys.stdin.isatty()
     try:

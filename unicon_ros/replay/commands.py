@@ -6,6 +6,7 @@ flow:
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 
 import numpy as np
@@ -14,6 +15,7 @@ from unicon_core.blocks.joint_command import robot_gains
 from unicon_core.errors import WorkflowError
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_core.workflow.autowire import BuildContext
+from unicon_ros.recording import Record
 from unicon_ros.replay.series import Series, opened
 
 __all__ = ["Recorded", "recorded"]
@@ -70,6 +72,14 @@ class Recorded:
         self._tick = 0
 
 
+def _known(record: Record) -> frozenset[str]:
+    """Return what an imported record was told; all else in it was never commanded."""
+    try:
+        return frozenset(json.loads(record.facts.get("imported_states", "[]")))
+    except (TypeError, ValueError):
+        return frozenset()
+
+
 def recorded(
     context: BuildContext,
     *,
@@ -100,12 +110,13 @@ def recorded(
                 f"recorded: {name!r} is not a command state; known: {', '.join(COMMAND_STATES)}"
             )
     record = opened(bag, context.relative_to)
-    wanted = [name for name in COMMAND_STATES if name in take]
+    there = _known(record)
+    wanted = [name for name in COMMAND_STATES if name in take and (not there or name in there)]
     series = Series(record, wanted, "sent", context.states, context.period, start)
     if TARGET not in series.names:
         raise WorkflowError(
             f"recorded: {bag} gives no {TARGET} for the joints of robot {context.robot.name}; it "
-            f"is of robot {record.facts.get('robot', '?')}"
+            f"is of robot {record.facts.get('robot', '?')}, and take is {', '.join(take)}"
         )
     for name in series.names:
         bad = np.argwhere(~np.isfinite(series.values(name).astype(float)))

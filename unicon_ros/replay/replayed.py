@@ -21,6 +21,7 @@ from unicon_core.runtime import Runner, RunOptions
 from unicon_core.runtime.phases import Phase
 from unicon_core.runtime.runner import approach_tree, waiting_tree
 from unicon_core.runtime.tick_ring import memory_of
+from unicon_core.signals import SIGNALS
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_core.workflow import Program, WorkflowDocument
 from unicon_ros.recording import Record
@@ -64,7 +65,7 @@ class Replayed:
     ) -> None:
         self.record, self._told = record, told
         facts, silent = recorded_facts(record)
-        self._row = 0
+        self._row, self._told_of = 0, -1
         self.scaled: dict[float, None] = {}
         self.skipped: dict[str, int] = {}
         self.homeless: set[str] = set()
@@ -107,6 +108,7 @@ class Replayed:
         record, ran = self.record, 0
         lost = False
         for row, phase in enumerate(record.phases):
+            SIGNALS.check()
             if row in self._memories:
                 self._restore(self._memories[row])
                 lost = False
@@ -125,8 +127,11 @@ class Replayed:
             try:
                 graph.step()
                 graph.deferred()
-            except Exception as error:  # the recorded tick went on: it differs
-                failed(row, error)
+            except Exception as error:
+                if self._told_of == row and not all(record.ended[row + 1 : row + 2]):
+                    self.fault = _text(error)  # found behind send, as in the run
+                    break
+                failed(row, error)  # the recorded tick went on: it differs
         return ran
 
     def _fail_again(self, row: int, graph: CompiledGraph) -> None:
@@ -137,7 +142,7 @@ class Replayed:
             graph.step()
             graph.deferred()
         except Exception as error:
-            self.fault = " ".join(str(error).split()) or type(error).__name__
+            self.fault = _text(error)
 
     def _missing_before(self, row: int) -> bool:
         """Return whether ticks are missing: what the blocks remembered is not known then."""
@@ -218,6 +223,7 @@ class Replayed:
                 own[...] = recorded
 
     def _sent(self) -> None:
+        self._told_of = self._row
         self._told(self._row)
 
     # -- what was remembered --------------------------------------------------------------------
@@ -314,6 +320,10 @@ def _factor(own: Any, recorded: Any) -> float | None:
     ratios = recorded[moved].astype(float) / own[moved]
     near = bool(np.all(np.abs(ratios - ratios[0]) <= 1e-5 * abs(ratios[0])))
     return round(float(ratios[0]), 5) if near else None
+
+
+def _text(error: Exception) -> str:
+    return " ".join(str(error).split()) or type(error).__name__
 
 
 def _json(text: str | bytes | None, default: Any = None) -> Any:
