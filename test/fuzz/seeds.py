@@ -29,7 +29,7 @@ schema: unicon.workflow/1
 name: postures
 robot: go2
 platform: fake
-scene: {initial_pose: rest, noise: {joint_vel: 0.1}, delay: 1, seed: 3}
+scene: {initial_pose: rest, noise: {joint_vel: 0.1}, delay: 1, seed: 3, joints: {}}
 platforms: {fake: {time_constant: 0.05}, mujoco: {timestep: 0.002}}
 rate: 50
 duration: 3.0
@@ -48,6 +48,7 @@ flow:
     - loop:
         do: {sway: {gains: {"*_thigh_joint": [0.2, 0, 0]}, amplitude: [0.1, 0, 0], frequency: 0.5}}
         until: "lean[0] > 0.1 or (tick > 100 and abs(base_ang_vel[2]) < 0.5 ** 2)"
+    - excite: {signal: chirp, joints: ["R*"], amplitude: {"*": 0.1}, fade: 0.2, duration: 0.5}
     - every: {n: 2, do: {hold: {duration: 0.2}}}
     - when: {if: {tilted: {angle: 0.5}}, do: {hold: {duration: 0.5}}}
     - switch: {on: "tick > 50", cases: {a: {hold: {duration: 1.0}}, b: damp}, blend: 0.2}

@@ -141,7 +141,7 @@ def test_time_stamps_do_not_drift(build: Build, timestep: float, period: float) 
     assert states.stamp_ns == 0
     robot = platform.robots[0]
     for ticks in (1, 7, 10**6, 10**9):
-        robot._ticks = ticks
+        robot.ticks = ticks
         platform.recv()
         # A rate of 1/3 is itself a rounded number: 1e-16 of the time is what it can be off.
         assert abs(int(states.stamp_ns) - ticks * period * 1e9) <= 1 + 4e-16 * ticks * period * 1e9

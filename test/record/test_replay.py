@@ -199,3 +199,11 @@ def some_flow(rng: random.Random, depth: int = 0) -> Any:
         return {"when": {"if": "commanded", "do": below[0]}}
     blend = rng.choice([0, 0.1, 0.2])
     return {"switch": {"on": "commanded", "blend": blend, "cases": {"a": below[0], "b": below[1]}}}
+
+
+def test_a_live_twin_goes_on_where_it_was(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    twin = {"twin": {"platform": "mujoco", "window": 0.14}}
+    told = cut_off("go2_walk", tmp_path, 610, overrides=twin)
+    assert told.record.ticks[0] % 7 != 1  # it begins within a window of the twin
+    assert replay("go2_walk", told.record, twin) == []

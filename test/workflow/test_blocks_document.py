@@ -69,6 +69,14 @@ def test_the_loop_example_builds(folder: Path) -> None:
     load_workflow(path).close()
 
 
+def test_the_excitation_example_builds(folder: Path) -> None:
+    flow = yaml.safe_load(next(code for code in YAML if code.startswith("excite:")))
+    path = folder / "excite.yaml"
+    values = {"robot": "go2", "platform": "fake", "rate": 50, "flow": flow}
+    path.write_text(yaml.safe_dump(values), encoding="utf-8")
+    load_workflow(path).close()
+
+
 def test_the_pacing_example_names_every_option_with_its_default() -> None:
     values = yaml.safe_load(next(code for code in YAML if code.startswith("pacing:")))["pacing"]
     assert set(values) == set(Pacing.__dataclass_fields__)

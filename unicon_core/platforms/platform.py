@@ -34,6 +34,7 @@ __all__ = [
     "Facts",
     "Informative",
     "Pausable",
+    "Placeable",
     "Platform",
     "Pushable",
     "ReportsVariant",
@@ -63,6 +64,7 @@ class Facts:
         batch: takes states of several robots.
         reads: states that `send` reads.
         writes: states that `recv` writes; what is not named here is not there for policies.
+        physics: what it can be told of joints, of `robots/joint_physics.py`.
         protocols: of robot files (`transport.protocol`), those that it speaks; empty for any.
         notes: what could not be looked at, one line each.
         examine: takes what the factory takes and tells, without opening anything, how it would be
@@ -74,6 +76,7 @@ class Facts:
     batch: bool = False
     reads: tuple[str, ...] = COMMAND_STATES
     writes: tuple[str, ...] = ("joint_pos", "joint_vel")
+    physics: tuple[str, ...] = ()
     protocols: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     examine: Callable[..., Binding] | None = None
@@ -182,6 +185,23 @@ class Pushable(Protocol):
 
     def push(self, velocity: NDArray[np.float64]) -> None:
         """Add to the bases' horizontal velocity [m/s] in the world, shape (..., 2)."""
+        ...
+
+
+@runtime_checkable
+class Placeable(Protocol):
+    """A simulator that can be put where a robot was measured, for twins and identification."""
+
+    def put(self, measured: Mapping[str, NDArray[Any]]) -> None:
+        """Take positions and velocities of joints and base; what is not measured stays.
+
+        Without `base_pos_w` the base keeps its place, at a height at which the lowest point touches
+        the floor.
+
+        Args:
+            measured: state to value, of `joint_pos`, `joint_vel`, `base_quat`, `base_ang_vel`,
+                `base_pos_w` and `base_lin_vel`; others are not looked at.
+        """
         ...
 
 

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.errors import RobotError
-from unicon_core.located_yaml import read_yaml
+from unicon_core.errors import RobotError, WorkflowError
+from unicon_core.located_yaml import Located, read_yaml
 from unicon_core.resources import find_config, list_config
+from unicon_core.robots.poses import joints_like
 from unicon_core.robots.robot import JOINT_FIELDS, Imu, Robot
-from unicon_core.robots.validate import validate
+from unicon_core.robots.validate import is_overlay, validate, validate_overlay
 
 __all__ = ["load_robot", "robot_names"]
 
@@ -34,20 +36,27 @@ def load_robot(name_or_path: str | Path) -> Robot:
     """
     path = find_config("robots", name_or_path, ".yaml", error=RobotError)
     located = read_yaml(path, RobotError)
+    return _extended(located) if is_overlay(located) else _robot(located)
+
+
+def _robot(located: Located) -> Robot:
     validate(located)
     document: dict[str, Any] = located.value
     joints = document["joints"]
     imu = document["imu"]
+    arrays: dict[str, Any] = {
+        field: _array([joint[key] for joint in joints]) for key, field in JOINT_FIELDS.items()
+    }
     return Robot(
         name=document["name"],
         description=document["description"],
         manufacturer=document["manufacturer"],
         kind=document["kind"],
-        path=path,
+        path=located.path,
         models=document["models"],
         base_frame=document["base_frame"],
         joint_names=tuple(joint["name"] for joint in joints),
-        **{field: _array([joint[key] for joint in joints]) for key, field in JOINT_FIELDS.items()},
+        **arrays,
         imu=imu
         and Imu(
             imu["frame"], _array(imu["position"] or [None] * 3), _array(imu["quat"] or [None] * 4)
@@ -60,7 +69,30 @@ def load_robot(name_or_path: str | Path) -> Robot:
             axis: (float(low), float(high))
             for axis, (low, high) in (document.get("command_ranges") or {}).items()
         },
+        simulated=document.get("simulated") or {},
     )
+
+
+def _extended(located: Located) -> Robot:
+    """Return the robot that an overlay extends, with what the overlay says of its simulation."""
+    validate_overlay(located)
+    base, simulated = located.value["extends"], located.value["simulated"]
+    folder = located.path.parent
+    path = find_config("robots", base, ".yaml", error=RobotError, relative_to=folder)
+    extended = read_yaml(path, RobotError)
+    if is_overlay(extended):
+        named = extended.value["extends"]
+        raise located.error(
+            ("extends",), f"extends names {path}, an overlay itself (of {named!r}); extend a robot"
+        )
+    robot = _robot(extended)
+    for pattern in simulated:
+        try:
+            joints_like(pattern, robot)
+        except WorkflowError as error:
+            raise located.error(("simulated", pattern), str(error)) from error
+    both = dict(robot.simulated) | simulated
+    return replace(robot, simulated=both, overlay=located.path)
 
 
 def _array(values: list[float | None]) -> NDArray[np.float32]:

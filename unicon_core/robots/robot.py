@@ -88,6 +88,10 @@ class Robot:
     """Dotted facts that were not found, such as `joints.velocity`."""
     command_ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """`vx`, `vy` in [m/s] and `wz` in [rad/s] to the lowest and highest allowed command."""
+    simulated: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    """What simulators alone are told: joint or pattern to figures, see `joint_physics`."""
+    overlay: Path | None = None
+    """The file that `extends` it, where it was read through one."""
 
     @property
     def num_joints(self) -> int:

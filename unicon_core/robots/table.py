@@ -64,7 +64,11 @@ def robot_table(robot: Robot) -> str:
     if robot.command_ranges:
         ranges = [f"{k} {low:g}…{high:g}" for k, (low, high) in robot.command_ranges.items()]
         head.append(("commands", ", ".join(ranges)))
+    if robot.overlay is not None:
+        head.append(("overlay", str(robot.overlay)))
     parts = [_wrapped(head), _joints(robot)]
+    if robot.simulated:
+        parts.append("simulated\n" + _wrapped(_flat(robot.simulated), indent="  "))
     parts.append("transport\n" + _wrapped(_flat(robot.transport), indent="  "))
     parts.append("sources\n" + _wrapped(list(robot.sources.items()), indent="  "))
     parts.append(_missing(robot))

@@ -1,4 +1,7 @@
-"""Checks a robot file with exact messages, for `load_robot`; the JSON Schema is for editors."""
+"""Checks robot files and overlays with exact messages, for `load_robot`.
+
+The JSON Schema is for editors.
+"""
 
 from __future__ import annotations
 
@@ -21,9 +24,10 @@ from unicon_core.robots.checks import (
     check_text,
     wrong,
 )
+from unicon_core.robots.joint_physics import wrong_physics
 from unicon_core.robots.robot import JOINT_FIELDS, MODEL_FORMATS
 
-__all__ = ["COMMANDS", "KINDS", "SCHEMA", "validate"]
+__all__ = ["COMMANDS", "KINDS", "SCHEMA", "is_overlay", "validate", "validate_overlay"]
 
 SCHEMA = "unicon.robot/1"
 KINDS = ("quadruped", "humanoid", "hand", "arm")
@@ -43,7 +47,8 @@ _REQUIRED = (
     "transport",
     "sources",
 )
-_OPTIONAL = ("feet", "fingertips", "command_ranges", "unknown")
+_OPTIONAL = ("feet", "fingertips", "command_ranges", "simulated", "unknown")
+_OVERLAY = ("schema", "extends", "simulated")
 
 
 def validate(located: Located) -> None:
@@ -56,10 +61,7 @@ def validate(located: Located) -> None:
     if not isinstance(document, dict):
         raise located.error((), "a robot file is a mapping; begin with `schema: unicon.robot/1`")
     check_keys(located, (), document, _REQUIRED, _OPTIONAL)
-    if document["schema"] != SCHEMA:
-        raise wrong(
-            located, ("schema",), f"{document['schema']!r} is not known; write `schema: {SCHEMA}`"
-        )
+    _schema(located, document)
     for key in ("name", "description", "manufacturer"):
         check_text(located, (key,), document[key])
     check_name(located, ("base_frame",), document["base_frame"])
@@ -77,8 +79,42 @@ def validate(located: Located) -> None:
     check_contacts(located, document)
     check_command_ranges(located, document.get("command_ranges"))
     _transport(located, document["transport"])
+    _simulated(located, document.get("simulated"))
     _unknown(located, document)
     _sources(located, document)
+
+
+def is_overlay(located: Located) -> bool:
+    """Return whether a file says only what another robot file does not: it `extends` it."""
+    return isinstance(located.value, dict) and "extends" in located.value
+
+
+def validate_overlay(located: Located) -> None:
+    """Check an overlay: `extends` and `simulated`; the first finding is raised.
+
+    Raises:
+        RobotError: `file:line: ` and the culprit, the alternatives and the remedy.
+    """
+    document = located.value
+    check_keys(located, (), document, _OVERLAY, ("description",))
+    _schema(located, document)
+    check_text(located, ("extends",), document["extends"])
+    if document.get("description") is not None:
+        check_text(located, ("description",), document["description"])
+    _simulated(located, document["simulated"])
+
+
+def _schema(located: Located, document: dict[str, Any]) -> None:
+    if document["schema"] != SCHEMA:
+        raise wrong(
+            located, ("schema",), f"{document['schema']!r} is not known; write `schema: {SCHEMA}`"
+        )
+
+
+def _simulated(located: Located, simulated: Any) -> None:
+    found = None if simulated is None else wrong_physics(simulated)
+    if found is not None:
+        raise located.error(("simulated",), f"simulated: {found}")
 
 
 def _one_of(located: Located, where: Where, value: Any, known: tuple[str, ...]) -> None:

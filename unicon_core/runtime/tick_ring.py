@@ -269,14 +269,16 @@ def memory_of(program: Program, runner: Runner) -> Memory:
     """
     trees = [tree for tree in (program.root, program.wind_down) if tree is not None]
     nodes = list(dict.fromkeys(node for tree in trees for node in _nodes(tree)))
-    foreign = (Stage.RECV, Stage.SEND, Stage.OBSERVE)
+    foreign = (Stage.RECV, Stage.SEND)
     roots: dict[str, Any] = {}
     leave: list[Any] = [program, program.platform, program.robot, program.context, runner, *nodes]
     for node in nodes:
         if isinstance(node, Switch) and node.blender is not None:
             roots[_label("blend", roots)] = node.blender
         if isinstance(node, Block):
-            if node.stage in foreign or node in program.outside:
+            # Of the observers those count that write states, which a safety block may read.
+            seen = node.stage is Stage.OBSERVE and not node.writes
+            if node.stage in foreign or seen or node in program.outside:
                 leave.append(node.tick)
             else:
                 roots[_label(node.name, roots)] = node.tick

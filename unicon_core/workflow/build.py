@@ -25,6 +25,7 @@ from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.expression import expression
 from unicon_core.workflow.flow_yaml import FlowReader
 from unicon_core.workflow.hardware import declared_facts
+from unicon_core.workflow.live_twin import twin_states
 from unicon_core.workflow.platforms import find_platform
 from unicon_core.workflow.policies import declared_states, policy_factory
 from unicon_core.workflow.registry import Factory, find_factory
@@ -207,6 +208,8 @@ def specs_of(
     specs = standard_states(robot.joint_names)
     hardware = hardware_states(robot.joint_names)
     specs |= {name: spec for name, spec in hardware.items() if name in _declared(document)}
+    if document.values.get("twin") is not None:
+        specs |= twin_states(robot)
     given = document.get("states", dict, {})
     for name, values in given.items():
         standard = specs.get(name) or hardware.get(name)

@@ -42,6 +42,7 @@ KEYS = {
     "wind_down": "the graph after the run, before the platform damps and closes; at most 5 s",
     "safety": "blocks between the flow and send, or only: and blocks, or none",
     "deferred": "blocks after send",
+    "twin": "{platform, window, over, bound}: a simulator beside the robot, under its commands",
     "pacing": "{trigger, overrun, hang, spin_us, dry_run_us, priority, cpu, lock_memory}",
     "check": "settings of the preflight check",
 }

@@ -49,6 +49,7 @@ from unicon_core.workflow.command_bounds import (
 )
 from unicon_core.workflow.document import WorkflowDocument, document_of, load_document
 from unicon_core.workflow.gate import Gate
+from unicon_core.workflow.live_twin import TWIN_STATES, build_twin, twin_of
 from unicon_core.workflow.parts import check_places, divided, publishers, read_parts, read_store
 from unicon_core.workflow.platforms import build_platform
 from unicon_core.workflow.policies import controllers_reading, load_policies
@@ -70,8 +71,9 @@ recorder, a viewer. They stand behind the program's own blocks of that stage."""
 
 MOST_ROBOTS = 4096
 """Of a batch: each takes half a megabyte and 1.5 ms to begin in MuJoCo."""
-GIVEN = ("tick", COMMAND, "joint_vel_target", "joint_effort_ff")
-"""States that may be read though no block writes them: the runner does, or zero is meant."""
+GIVEN = ("tick", COMMAND, "joint_vel_target", "joint_effort_ff", *TWIN_STATES)
+"""States that may be read though no block writes them before: the runner does, zero is meant, or a
+twin tells what it saw a tick ago."""
 
 
 class Program:
@@ -220,6 +222,7 @@ class Program:
             heard = [as_block(arrival) for arrival in self._arrivals]
             self.blocks += heard  # before the hooks: a bridge amends what comes from a part
             stages[Stage.RECV] += heard
+        self._beside()
         for hook in hooks:  # one by one: what a hook has opened is closed when the next one fails
             for stage, blocks in hook(self).items():
                 self.blocks += blocks
@@ -251,6 +254,17 @@ class Program:
         from unicon_core.gates.build import gates_of
 
         self.gates += gates_of(self)
+
+    def _beside(self) -> None:
+        """Let a twin follow what is sent, before the hooks: a recorder sees what it writes."""
+        settings = twin_of(self.document)
+        if settings is None or self.silent or not self.has_platform:
+            return
+        estimates = [b for node in self.stages[Stage.ESTIMATE] for b in blocks_of(node)]
+        measured = {*self.platform.facts.writes, *(n for b in estimates for n in b.writes)}
+        twin = build_twin(self.document, settings, self.context, measured)
+        self.blocks.append(twin)
+        self.stages[Stage.OBSERVE].append(twin)
 
     def _safety(self, builder: Builder, listed: Sequence[Node]) -> list[Node]:
         """Return the safety blocks: of a robot also those that the workflow does not list."""

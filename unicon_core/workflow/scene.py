@@ -6,10 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from unicon_core.errors import PlatformError, WorkflowError, alternatives
+from unicon_core.errors import PlatformError, RobotError, WorkflowError, alternatives
 from unicon_core.platforms.kit.scene import DISTURBANCES, SCENE_KEYS, Scene
 from unicon_core.platforms.platform import Facts
 from unicon_core.robots import joint_index
+from unicon_core.robots.joint_physics import joint_physics
 from unicon_core.workflow.autowire import BuildContext
 from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.option_types import wrong_option
@@ -17,10 +18,18 @@ from unicon_core.workflow.option_types import wrong_option
 __all__ = ["read_scene"]
 
 
-def read_scene(document: WorkflowDocument, context: BuildContext, facts: Facts) -> Scene:
+def read_scene(
+    document: WorkflowDocument, context: BuildContext, facts: Facts, *, disturbed: bool = True
+) -> Scene:
     """Return the scene of a workflow for a platform.
 
     A robot begins where it is, so that the same file runs on it; what would disturb it is refused.
+
+    Args:
+        document: the workflow.
+        context: what it is built with.
+        facts: of the platform.
+        disturbed: take what disturbs it, too; a twin is not disturbed.
 
     Raises:
         WorkflowError: an unknown key, a wrong value, or a disturbance that is meant for a robot.
@@ -37,7 +46,8 @@ def read_scene(document: WorkflowDocument, context: BuildContext, facts: Facts) 
                 "scene",
                 key,
             )
-    values = {key: value for key, value in values.items() if value is not None}
+    left = () if disturbed else DISTURBANCES
+    values = {key: v for key, v in values.items() if v is not None and key not in left}
     wrong = wrong_option(Scene, values)
     if wrong:
         raise document.error(f"scene.{wrong}", "scene")
@@ -48,8 +58,18 @@ def read_scene(document: WorkflowDocument, context: BuildContext, facts: Facts) 
         scene = Scene(**values, folder=context.relative_to)
         if not scene.posed_by_model:
             scene.joint_pos(context.robot)
-    except (PlatformError, WorkflowError) as error:
+        physics = joint_physics(context.robot, scene.joints)
+    except (PlatformError, RobotError, WorkflowError) as error:
         raise document.error(str(error), "scene") from error
+    unable = [word for word in physics.words if word not in facts.physics]
+    if facts.simulated and unable:
+        able = ", ".join(facts.physics) or "nothing of joints"
+        file = context.robot.overlay or context.robot.path
+        raise document.error(
+            f"platform {facts.name!r} simulates no {unable[0]} of joints (it can: {able}); take it "
+            f"out of scene.joints or of `simulated` in {file}, or choose platform: mujoco",
+            *(("scene", "joints") if scene.joints else ("robot",)),
+        )
     return scene
 
 

@@ -93,6 +93,8 @@ class Diagnostics:
         if overruns > 0.01 * max(ticks, 1):
             level, message = WARN, f"{overruns} overruns in {seconds:.1f} s"
         level, message = self._topics(values, seconds, level, message)
+        if "twin_gap" in runner.program.states:
+            level, message = _twin(runner, values, level, message)
         for name in TEMPERATURES:
             if name in runner.program.states:
                 values[f"{name}_max"] = f"{float(runner.program.states[name].max()):.1f}"
@@ -129,6 +131,19 @@ class Diagnostics:
     def close(self) -> None:
         """Destroy the publisher."""
         self._node.destroy_publisher(self._publisher)
+
+
+def _twin(runner: Runner, values: dict[str, str], level: bytes, message: str) -> tuple[bytes, str]:
+    """Tell how far the robot is from its live twin, joint by joint."""
+    states, names = runner.program.states, runner.program.robot.joint_names
+    gaps, lags = states["twin_gap"], states["twin_lag"]
+    for name, gap, lag in zip(names, gaps, lags):
+        values[f"twin {name}"] = f"gap {gap:.3f} rad, lag {lag * 1e3:+.0f} ms"
+    flagged = [names[i] for i in np.flatnonzero(states["twin_flag"])]
+    if flagged and level == OK:
+        worst = names[int(np.argmax(gaps))]
+        return WARN, f"not as the twin: {', '.join(flagged)}; worst {worst}, {gaps.max():.2f} rad"
+    return level, message
 
 
 def _recent_us(statistics: TickStatistics, ticks: int) -> dict[str, float]:

@@ -17,11 +17,12 @@ from numpy.typing import NDArray
 from unicon_core.errors import PlatformError, alternatives
 from unicon_core.models.find import pick_model
 from unicon_core.robots import Robot
+from unicon_core.robots.joint_physics import wrong_physics
 from unicon_core.robots.poses import named_pose, robot_poses
 
 __all__ = ["DISTURBANCES", "KEYFRAME", "SCENE_KEYS", "Scene"]
 
-DISTURBANCES = ("seed", "noise", "delay", "push", "terrain")
+DISTURBANCES = ("seed", "noise", "delay", "push", "terrain", "joints")
 """What a simulator can be told and a robot cannot."""
 
 KEYFRAME = "keyframe:"
@@ -46,6 +47,8 @@ class Scene:
         delay: ticks by which commands come late.
         noise: state to standard deviation of white noise, in the state's unit.
         push: `every` in [s] and `velocity` in [m/s]: random horizontal pushes of the base.
+        joints: joint names and patterns to `strength`, `friction`, `armature` and `delay` in place
+            of the model's, see `robots/joint_physics.py`; over those of the robot file.
         folder: of the workflow, for a relative `model`; not a key of the file.
         pose: all joints in [rad], shape (n,), in place of `initial_pose`; not a key of the file.
 
@@ -61,6 +64,7 @@ class Scene:
     delay: int = 0
     noise: Mapping[str, float] = field(default_factory=dict)
     push: Mapping[str, float] = field(default_factory=dict)
+    joints: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     folder: Path | None = None
     pose: NDArray[np.float32] | None = None
 
@@ -84,6 +88,9 @@ class Scene:
                 f"scene.push: every {every} s with {velocity} m/s does nothing; "
                 "give every [s] and velocity [m/s] above 0"
             )
+        wrong = wrong_physics(self.joints)
+        if wrong is not None:
+            raise PlatformError(f"scene.joints: {wrong}")
 
     @property
     def posed_by_model(self) -> bool:

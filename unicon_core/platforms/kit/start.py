@@ -13,6 +13,7 @@ from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.models.posed import PosedModel
 from unicon_core.platforms.kit.scene import KEYFRAME, Scene
 from unicon_core.robots import Robot
+from unicon_core.robots.joint_physics import JointPhysics, joint_physics
 
 __all__ = ["Start", "initial_positions", "start_of"]
 
@@ -31,6 +32,7 @@ class Start:
         position: of the base in the world in [m], shape (3,).
         quat: of the base, base to world, wxyz, shape (4,).
         floating: whether the base can move.
+        physics: what the simulator is told of the joints.
     """
 
     loaded: LoadedModel
@@ -38,6 +40,7 @@ class Start:
     position: Float
     quat: Float
     floating: bool
+    physics: JointPhysics
 
 
 def start_of(robot: Robot, scene: Scene) -> Start:
@@ -53,7 +56,8 @@ def start_of(robot: Robot, scene: Scene) -> Start:
     pose = np.array((0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0))
     if base is not None:
         pose = qpos[int(loaded.model.jnt_qposadr[base]) :][:7]
-    return Start(loaded, qpos[loaded.addresses], pose[:3], pose[3:], base is not None)
+    physics = joint_physics(robot, scene.joints)
+    return Start(loaded, qpos[loaded.addresses], pose[:3], pose[3:], base is not None, physics)
 
 
 def initial_positions(loaded: LoadedModel, robot: Robot, scene: Scene) -> Float:

@@ -13,6 +13,7 @@ from unicon_core.errors import Fault
 from unicon_core.platforms.kit.base import BaseStates, WorldPose
 from unicon_core.platforms.kit.clock import steps_in, tick_ns
 from unicon_core.platforms.kit.command import Command
+from unicon_core.platforms.kit.joint_delay import JointDelay, delay_of, strength_of
 from unicon_core.platforms.kit.servo import Servo
 from unicon_core.platforms.kit.start import Start
 from unicon_core.platforms.platform import Facts
@@ -61,7 +62,12 @@ class SteppedSimulator(ABC):
         self.timestep, self.decimation = timestep, steps_in(period, timestep, self.model_path)
         self._tick_ns = tick_ns(timestep, self.decimation)
         self._command = Command(states, robot.joint_names)
-        self._servo = Servo(self._command.rows, robot.effort_limit)
+        self._acting = np.zeros_like(self._command.rows)
+        self._servo = Servo(self._acting, robot.effort_limit)
+        self._strength = strength_of(start.physics)
+        delay = delay_of(start.physics, timestep)
+        rows = self._command.rows
+        self._delay = None if delay is None else JointDelay(rows, delay, self.decimation)
         views = {name: states[name] for name in self.facts.writes}
         self._told = [views[name] for name in JOINT_STATES]
         self._stamp = views["stamp_ns"]
@@ -89,6 +95,8 @@ class SteppedSimulator(ABC):
         self.place()
         self._ticks = 0
         self._servo.torque[...] = 0.0
+        if self._delay is not None:
+            self._delay.reset()
         self._measured = self.joints()
         self._now = self._before = self.base()
 
@@ -107,11 +115,18 @@ class SteppedSimulator(ABC):
             Fault: a command is not finite, or the physics blew up.
         """
         self._command.take()
-        for left in range(self.decimation, 0, -1):
-            if left == 1:
-                self._before = self.base()
-            self.step(self._servo(*self._measured))
-            self._measured = self.joints()
+        left, rows = self.decimation, self._command.rows
+        for steps, command in ((left, rows),) if self._delay is None else self._delay():
+            self._acting[...] = command
+            for _ in range(steps):
+                if left == 1:
+                    self._before = self.base()
+                left -= 1
+                torque = self._servo(*self._measured)
+                if self._strength is not None:
+                    torque *= self._strength
+                self.step(torque)
+                self._measured = self.joints()
         self._now = self.base()
         self._ticks += 1
         speeds = np.abs(self._measured[1])

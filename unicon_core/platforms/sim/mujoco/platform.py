@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -13,13 +14,16 @@ from numpy.typing import NDArray
 from unicon_core.models.load import load_model
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.platforms.kit.clock import steps_in
+from unicon_core.platforms.kit.joint_delay import delay_of, strength_of
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.platforms.kit.start import initial_positions
 from unicon_core.platforms.platform import SIMULATED, Facts
+from unicon_core.platforms.sim.mujoco.placement import Placement
 from unicon_core.platforms.sim.mujoco.servo import Servo
 from unicon_core.platforms.sim.mujoco.simulated_robot import SimulatedRobot
 from unicon_core.platforms.sim.mujoco.viewer import Viewer
 from unicon_core.robots import Robot
+from unicon_core.robots.joint_physics import JOINT_PHYSICS, JointPhysics, joint_physics
 from unicon_core.states import States
 from unicon_core.states.standard import BASE_STATES
 
@@ -64,7 +68,9 @@ class MujocoPlatform:
         decimation: physics steps in a tick.
     """
 
-    facts = Facts("mujoco", simulated=True, batch=True, writes=SIMULATED)
+    facts = Facts(
+        "mujoco", simulated=True, batch=True, writes=SIMULATED, physics=tuple(JOINT_PHYSICS)
+    )
 
     def __init__(
         self,
@@ -85,7 +91,10 @@ class MujocoPlatform:
         qpos = initial_positions(loaded, robot, scene)
         # A blow-up must be seen: by itself MuJoCo would go on from the initial state.
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-        self._servo = Servo(mujoco, model, loaded.joints, robot.effort_limit)
+        self._physics = physics = joint_physics(robot, scene.joints)
+        _tell_joints(mujoco, loaded, physics)
+        self._servo = Servo(mujoco, model, loaded.joints, robot.effort_limit, strength_of(physics))
+        delay = delay_of(physics, float(model.opt.timestep))
         count = states.num_robots
         self.robots = [
             SimulatedRobot(
@@ -101,12 +110,17 @@ class MujocoPlatform:
                 },
                 qpos,
                 k,
+                delay,
             )
             for k in range(count or 1)
         ]
         if len(self.robots) == 1:  # one call less in every tick
             self.recv = self.robots[0].read  # type: ignore[method-assign]
             self.send = self.robots[0].step  # type: ignore[method-assign]
+
+    @cached_property
+    def _placement(self) -> Placement:
+        return Placement(self._loaded, self.robots)
 
     @property
     def data(self) -> Any:
@@ -138,6 +152,18 @@ class MujocoPlatform:
         """Add to the bases' horizontal velocity [m/s], shape (2,), of a batch (N, 2)."""
         for robot, each in zip(self.robots, np.atleast_2d(velocity)):
             robot.push(each)
+
+    def put(self, measured: Mapping[str, NDArray[Any]]) -> None:
+        """Put the robot where one was measured, every one of a batch; see `Placeable`."""
+        self._placement.put(measured)
+
+    def memory(self) -> list[dict[str, Any]]:
+        """Return what the physics go on from, for a replay."""
+        return self._placement.memory()
+
+    def restore(self, memory: list[dict[str, Any]]) -> None:
+        """Go on as another platform would that was built alike."""
+        self._placement.restore(memory)
 
     def close(self) -> None:
         """Let go; a simulation has no motors to damp."""
@@ -172,6 +198,7 @@ class MujocoPlatform:
     def info(self) -> Mapping[str, Any]:
         """Return model, physics step, actuators, limits, IMU sources and what was changed."""
         mujoco, model, servo, loaded = self._mujoco, self.model, self._servo, self._loaded
+        physics = self._physics
         own, body = {*loaded.joints, loaded.base}, None
         if loaded.base is not None:
             carries = int(model.jnt_bodyid[loaded.base])
@@ -196,6 +223,20 @@ class MujocoPlatform:
             "actuators": dict(zip(self._robot.joint_names, servo.kinds)),
             "effort_lower": dict(zip(self._robot.joint_names, servo.effort_lower.tolist())),
             "effort_upper": dict(zip(self._robot.joint_names, servo.effort_upper.tolist())),
+            "joints": {word: getattr(physics, word).tolist() for word in physics.words},
             "warnings": self._warnings(),
             "notes": notes,
         }
+
+
+def _tell_joints(mujoco: Any, loaded: LoadedModel, physics: JointPhysics) -> None:
+    """Put friction [N·m] and armature [kg·m²] of joints in place of the model's own."""
+    model = loaded.model
+    told = {"dof_frictionloss": physics.friction, "dof_armature": physics.armature}
+    if all(np.isnan(values).all() for values in told.values()):
+        return
+    dofs = model.jnt_dofadr[loaded.joints]
+    for name, values in told.items():
+        array = getattr(model, name)
+        array[dofs] = np.where(np.isnan(values), array[dofs], values)
+    mujoco.mj_setConst(model, mujoco.MjData(model))  # the solver's inverse inertias follow

@@ -44,6 +44,8 @@ class Servo:
         model: the `MjModel`, changed in place.
         joints: joint id of each robot joint.
         effort_limit: largest torque of each joint in [N·m], NaN for none, shape (n,).
+        strength: what the motors give of the torque above, and of its limits, shape (n,); None for
+            all of it.
 
     Attributes:
         kinds: what each actuator was in the model: `motor`, `position`, `velocity` or `general`.
@@ -51,7 +53,12 @@ class Servo:
     """
 
     def __init__(
-        self, mujoco: Any, model: Any, joints: Sequence[int], effort_limit: NDArray[np.float32]
+        self,
+        mujoco: Any,
+        model: Any,
+        joints: Sequence[int],
+        effort_limit: NDArray[np.float32],
+        strength: Float | None = None,
     ) -> None:
         driven = drives(mujoco, model)
         self.actuators = [driven[joint][0] for joint in joints]
@@ -75,6 +82,11 @@ class Servo:
         for i in (*self.actuators, *self.silenced):
             model.actuator_gainprm[i, :] = 0.0
             model.actuator_biasprm[i, :] = 0.0
+        if strength is not None:
+            self.effort_lower *= strength
+            self.effort_upper *= strength
+            model.actuator_forcerange[self.actuators] *= strength[:, None]
+        self._strength = strength
         self.index = index_of(self.actuators)
         self._gain = model.actuator_gainprm[:, 0]
         self._bias = model.actuator_biasprm
@@ -107,6 +119,8 @@ class Servo:
             command: rows q*, qd*, tau_ff, kp, kd in [rad], [rad/s], [N·m], [N·m/rad],
                 [N·m·s/rad], shape (5, n).
         """
+        if self._strength is not None:
+            command = np.concatenate((command[:2], command[2:] * self._strength))
         index, b0 = self.index, self._b0
         np.multiply(command[4], command[1], out=b0)
         b0 += command[2]

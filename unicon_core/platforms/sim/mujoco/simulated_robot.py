@@ -12,6 +12,7 @@ from unicon_core.errors import Fault
 from unicon_core.models.loaded import LoadedModel
 from unicon_core.platforms.kit.clock import tick_ns
 from unicon_core.platforms.kit.command import Command
+from unicon_core.platforms.kit.joint_delay import JointDelay
 from unicon_core.platforms.sim.mujoco.imu import BaseReader
 from unicon_core.platforms.sim.mujoco.servo import Servo, actuator_kind, index_of
 
@@ -35,6 +36,7 @@ class SimulatedRobot:
         views: this robot's state arrays by name, without a batch axis.
         qpos: initial positions of the model.
         rank: number of the robot in its batch.
+        delay: by which each joint's commands come late in physics steps, shape (n,); None for none.
     """
 
     def __init__(
@@ -47,6 +49,7 @@ class SimulatedRobot:
         views: dict[str, NDArray[Any]],
         qpos: Float,
         rank: int,
+        delay: NDArray[np.int64] | None = None,
     ) -> None:
         model, joints, base = loaded.model, loaded.joints, loaded.base
         self.data = mujoco.MjData(model)
@@ -68,7 +71,8 @@ class SimulatedRobot:
         self._stamp = views.get("stamp_ns")
         self._tick_ns = tick_ns(float(model.opt.timestep), decimation)
         command = Command(views, self._names, self._who)
-        self._take, self._command = command.take, command.rows
+        self._take, self.command = command.take, command.rows
+        self.delay = None if delay is None else JointDelay(self.command, delay, decimation)
         self._qvel = data.qvel
         self._split = model.opt.integrator != int(mujoco.mjtIntegrator.mjINT_RK4)
         self.reset()
@@ -79,10 +83,12 @@ class SimulatedRobot:
         mujoco.mj_resetData(self._model, data)
         data.qpos[:] = self._initial
         data.ctrl[:] = self._extra_ctrl
-        self._ticks = 0
+        self.ticks = 0
         # Limp until the first command: the model's gains may be those of another robot by now.
-        self._command[...] = 0.0
-        self._servo.push(data.ctrl, self._command)
+        self.command[...] = 0.0
+        if self.delay is not None:
+            self.delay.reset()
+        self._servo.push(data.ctrl, self.command)
         mujoco.mj_forward(self._model, data)
 
     def read(self) -> None:
@@ -92,7 +98,7 @@ class SimulatedRobot:
         if self._base_reader is not None:
             self._base_reader()
         if self._stamp is not None:
-            self._stamp[...] = round(self._ticks * self._tick_ns)
+            self._stamp[...] = round(self.ticks * self._tick_ns)
 
     def step(self) -> None:
         """Take the command states and simulate one tick.
@@ -102,16 +108,21 @@ class SimulatedRobot:
         """
         self._take()
         mujoco, model, data = self._mujoco, self._model, self.data
-        self._servo.push(data.ctrl, self._command)
+        parts = ((self._decimation, self.command),) if self.delay is None else self.delay()
+        fresh = self._split  # kinematics of the next step are there: the first one needs half
+        for steps, command in parts:
+            self._servo.push(data.ctrl, command)
+            if fresh:
+                mujoco.mj_step2(model, data)
+                steps -= 1
+                fresh = False
+            if steps:
+                mujoco.mj_step(model, data, steps)
         if self._split:
-            mujoco.mj_step2(model, data)
-            if self._decimation > 1:
-                mujoco.mj_step(model, data, self._decimation - 1)
             mujoco.mj_step1(model, data)
         else:
-            mujoco.mj_step(model, data, self._decimation)
             mujoco.mj_forward(model, data)
-        self._ticks += 1
+        self.ticks += 1
         if not self._qvel.dot(self._qvel) < _TOO_FAST:  # false for NaN too
             raise Fault(self._blown_up())
 
@@ -127,12 +138,12 @@ class SimulatedRobot:
             joint = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, int(model.dof_jntid[dof]))
             what = f"joint {joint} moves at {qvel[dof]:.3g} rad/s"
         else:  # it went through every joint within the tick: name the likeliest cause
-            joint_index = int(np.argmax(np.abs(self._command[3])))
+            joint_index = int(np.argmax(np.abs(self.command[3])))
             what = (
                 "no velocity is finite any more (largest stiffness: "
-                f"{self._command[3, joint_index]:.6g} N·m/rad at joint {self._names[joint_index]})"
+                f"{self.command[3, joint_index]:.6g} N·m/rad at joint {self._names[joint_index]})"
             )
-        time = self._ticks * self._decimation * float(model.opt.timestep)
+        time = self.ticks * self._decimation * float(model.opt.timestep)
         return (
             f"{self._who}the physics blew up before {time:.3f} s: {what}; "
             "lower the gains or the physics step (timestep)"

@@ -21,7 +21,9 @@ from unicon_core.states import States
 class PybulletPlatform(SteppedSimulator):
     """One robot on a plane, which does not collide with itself; built by `make`."""
 
-    facts = Facts("pybullet", simulated=True, writes=SIMULATED)
+    facts = Facts(
+        "pybullet", simulated=True, writes=SIMULATED, physics=("strength", "friction", "delay")
+    )
 
     def __init__(
         self, client: Any, states: States, robot: Robot, period: float, step: float, start: Start
@@ -47,9 +49,11 @@ class PybulletPlatform(SteppedSimulator):
         centre = self._client.multiplyTransforms(*base, *self._centre)
         self._client.resetBasePositionAndOrientation(self._body, *centre)
         self._client.resetBaseVelocity(self._body, (0, 0, 0), (0, 0, 0))
-        for joint, angle in zip(self._joints, self.start.joint_pos):
+        friction = np.nan_to_num(self.start.physics.friction)
+        for joint, angle, brake in zip(self._joints, self.start.joint_pos, friction):
             self._client.resetJointState(self._body, joint, angle, 0.0)
-            self._client.setJointMotorControl2(self._body, joint, 0, force=0)  # its motor brakes
+            # The engine's own motor brakes with this torque, as dry friction does.
+            self._client.setJointMotorControl2(self._body, joint, 0, force=brake)
 
     def joints(self) -> tuple[Float, Float]:
         pos, vel, _, _ = zip(*self._client.getJointStates(self._body, self._joints))

@@ -1,0 +1,240 @@
+"""Strength, friction, armature and delay of joints: what they do, and where they are refused."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+from scenes import in_scene
+
+from unicon_core.errors import PlatformError, WorkflowError
+from unicon_core.platforms.kit.joint_delay import JointDelay
+from unicon_core.platforms.platform import info_of
+from unicon_core.platforms.sim.mujoco import make
+from unicon_core.robots import load_robot, robot_table
+from unicon_core.states import States, standard_states
+from unicon_core.workflow import Program, load_document
+
+HAS_PYBULLET = importlib.util.find_spec("pybullet") is not None
+
+
+def go2(joints: Any = None, period: float = 0.02, robot: str | Path = "go2") -> tuple[Any, States]:
+    """Return MuJoCo with a Go2 in the air, and its states."""
+    it = load_robot(robot)
+    states = States(standard_states(it.joint_names))
+    scene = {"initial_height": 2.0} | ({} if joints is None else {"joints": joints})
+    return in_scene(make, states, it, period, **scene), states
+
+
+def overlay(folder: Path, simulated: str) -> Path:
+    path = folder / "weak.yaml"
+    path.write_text(f"schema: unicon.robot/1\nextends: go2\nsimulated: {simulated}\n")
+    return path
+
+
+def test_what_nobody_says_leaves_the_model_as_it_is() -> None:
+    told, _ = go2({"*": {"strength": 1.0, "delay": 0.0}})
+    plain, _ = go2()
+    for name in ("dof_frictionloss", "dof_armature", "actuator_forcerange"):
+        assert (getattr(told.model, name) == getattr(plain.model, name)).all()
+    assert told._servo._strength is None
+    assert told.robots[0].delay is None
+
+
+def test_friction_and_armature_stand_in_the_model_by_name() -> None:
+    platform, _ = go2({"*_calf_joint": {"friction": 1.5}, "RL_calf_joint": {"armature": 0.05}})
+    dofs = {j: int(platform.model.joint(f"{j}_joint").dofadr[0]) for j in ("RL_calf", "FR_hip")}
+    assert platform.model.dof_frictionloss[dofs["RL_calf"]] == 1.5
+    assert platform.model.dof_frictionloss[dofs["FR_hip"]] == 0.2
+    assert platform.model.dof_armature[dofs["RL_calf"]] == 0.05
+    assert platform.model.dof_armature[dofs["FR_hip"]] == 0.01
+    assert platform.info()["joints"]["friction"][11] == 1.5
+
+
+def test_strength_scales_torque_and_limit() -> None:
+    efforts = []
+    for strength in (1.0, 0.25):
+        platform, states = go2({"RL_calf_joint": {"strength": strength}}, period=0.002)
+        states["joint_pos_target"][...] = states["joint_pos"] if strength is None else -0.9
+        states["joint_stiffness"][...] = 10.0
+        platform.send()
+        platform.recv()
+        small = states["joint_effort"].copy()
+        states["joint_stiffness"][...] = 2000.0
+        platform.send()
+        platform.recv()
+        efforts.append((small[11], states["joint_effort"][11], small[8]))
+    (small, limit, other), (weak, weak_limit, weak_other) = efforts
+    assert weak == pytest.approx(0.25 * small, rel=1e-5)
+    assert limit == pytest.approx(45.43, rel=1e-5)
+    assert weak_limit == pytest.approx(0.25 * 45.43, rel=1e-5)
+    assert weak_other == pytest.approx(other, rel=1e-3)
+
+
+@pytest.mark.parametrize("steps", [1, 5, 9, 10, 13, 30])
+def test_a_delay_is_the_same_command_some_physics_steps_later(steps: int) -> None:
+    """Ten steps a tick; the reference feeds every step by hand."""
+    delayed, states = go2({"*": {"delay": steps * 0.002}})
+    plain, told = go2(period=0.002)
+    rng = np.random.default_rng(steps)
+    targets = load_robot("go2").default_joint_pos + rng.uniform(-0.2, 0.2, (6, 12))
+    for each in (states, told):
+        each["joint_stiffness"][...], each["joint_damping"][...] = 40.0, 1.0
+    for step in range(60):
+        if step % 10 == 0:
+            states["joint_pos_target"][...] = targets[step // 10]
+            delayed.send()
+        told["joint_pos_target"][...] = targets[max(step - steps, 0) // 10]
+        plain.send()
+    assert np.abs(delayed.data.qpos - plain.data.qpos).max() < 1e-9
+    assert np.abs(delayed.data.qvel).max() > 0.5
+
+
+def test_joints_are_late_each_by_its_own_delay() -> None:
+    rows = np.zeros((5, 4))
+    late = JointDelay(rows, np.array([0, 3, 10, 25]), 10)
+    acting = np.zeros((60, 4))
+    step = 0
+    for tick in range(6):
+        rows[...] = tick + 1
+        for steps, command in late():
+            acting[step : step + steps] = command[0]
+            step += steps
+    assert step == 60
+    for joint, delay in enumerate((0, 3, 10, 25)):
+        at = np.maximum(np.arange(60) - delay, 0) // 10 + 1
+        assert (acting[:, joint] == at).all()
+
+
+def test_reset_forgets_the_commands_on_their_way() -> None:
+    platform, states = go2({"*": {"delay": 0.05}})
+    ends = []
+    for _ in range(2):
+        states["joint_stiffness"][...] = 40.0
+        for target in (0.2, -0.2, 0.1, 0.0):
+            states["joint_pos_target"][...] = load_robot("go2").default_joint_pos + target
+            platform.send()
+        ends.append(platform.data.qpos.copy())
+        platform.reset()
+    assert (ends[0] == ends[1]).all()
+
+
+def test_an_overlay_is_the_robot_with_other_joints(tmp_path: Path) -> None:
+    path = overlay(tmp_path, "{RL_calf_joint: {strength: 0.5, friction: 2.0}}")
+    robot = load_robot(path)
+    assert (robot.name, robot.overlay) == ("go2", path)
+    assert robot.path == load_robot("go2").path
+    assert "RL_calf_joint.strength" in robot_table(robot)
+    platform, _ = go2(robot=path)
+    assert platform.info()["joints"]["strength"][11] == 0.5
+    over, _ = go2({"RL_calf_joint": {"strength": 0.7}}, robot=path)
+    assert over.info()["joints"]["strength"][11] == 0.7
+    assert over.info()["joints"]["friction"][11] == 2.0
+
+
+def program(tmp_path: Path, text: str) -> Program:
+    path = tmp_path / "workflow.yaml"
+    path.write_text(f"{text}\nrate: 50\nflow: hold\n")
+    return Program(load_document(path))
+
+
+@pytest.mark.parametrize(
+    ("said", "message"),
+    [
+        ("{RL_calf_joint: {strength: -1}}", "strength of joint 'RL_calf_joint' is -1; give 0 to 5"),
+        ("{RL_calf_joint: {friction: .inf}}", "friction of joint 'RL_calf_joint' is inf"),
+        ("{RL_calf_joint: {armature: true}}", "joints"),
+        ("{RL_calf_joint: {mass: 1}}", "no 'mass'; known: armature, delay, friction, strength"),
+        ("{RL_calf: {strength: 1}}", "no joint like 'RL_calf'; did you mean 'RL_calf_joint'"),
+        ("{RL_calf_joint: 0.5}", "joints"),
+        ("[RL_calf_joint]", "joints"),
+        ("{RL_calf_joint: {strength: .nan}}", "joints"),
+    ],
+)
+def test_nonsense_in_a_scene_is_one_line(tmp_path: Path, said: str, message: str) -> None:
+    with pytest.raises(WorkflowError) as caught:
+        program(tmp_path, f"robot: go2\nplatform: mujoco\nscene: {{joints: {said}}}")
+    assert message in str(caught.value)
+    assert "workflow.yaml:3" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_platform_that_cannot_says_what_it_can(tmp_path: Path) -> None:
+    weak = overlay(tmp_path, "{'*': {armature: 0.02}}")
+    with pytest.raises(WorkflowError, match=r"'fake' simulates no strength .*nothing of joints"):
+        program(tmp_path, "robot: go2\nplatform: fake\nscene: {joints: {'*': {strength: 0.5}}}")
+    with pytest.raises(WorkflowError, match=rf"simulates no armature .* in {weak}, or choose"):
+        program(tmp_path, f"robot: {weak}\nplatform: fake")
+    with pytest.raises(WorkflowError, match=r"scene\.joints is for simulators"):
+        program(tmp_path, "robot: go2\nplatform: fake_robot\nscene: {joints: {'*': {delay: 0.1}}}")
+    program(tmp_path, f"robot: {weak}\nplatform: fake_robot").close()  # a robot has its own joints
+
+
+@pytest.mark.skipif(not HAS_PYBULLET, reason="pybullet is not installed")
+def test_pybullet_knows_strength_friction_and_delay(tmp_path: Path) -> None:
+    ways = {}
+    for name, said in {
+        "plain": "{}",
+        "weak": "{RL_calf_joint: {strength: 0.3}}",
+        "rubbing": "{RL_calf_joint: {friction: 20.0}}",
+        "late": "{RL_calf_joint: {delay: 0.035}}",
+    }.items():
+        scene = f"{{initial_height: 2.0, joints: {said}}}"
+        it = program(tmp_path, f"robot: go2\nplatform: pybullet\nscene: {scene}")
+        states, begin = it.states, load_robot("go2").default_joint_pos
+        states["joint_stiffness"][...], states["joint_damping"][...] = 30.0, 1.0
+        states["joint_pos_target"][...] = begin
+        it.platform.send()
+        states["joint_pos_target"][...] = begin + 0.2
+        rows = []
+        for _ in range(3):
+            it.platform.send()
+            it.platform.recv()
+            rows.append(states["joint_pos"][[8, 11]] - begin[[8, 11]])
+        it.close()
+        ways[name] = np.array(rows)
+    for name in ("weak", "rubbing", "late"):
+        assert ways[name][0, 1] < 0.6 * ways["plain"][0, 1]
+    assert abs(ways["rubbing"][:, 1]).max() < 0.01
+    assert abs(ways["late"][0, 1]) < 0.02  # its body moves
+    assert ways["late"][2, 1] > 0.05
+    scene = "{joints: {'*': {armature: 0.02}}}"
+    with pytest.raises(WorkflowError, match=r"'pybullet' simulates no armature"):
+        program(tmp_path, f"robot: go2\nplatform: pybullet\nscene: {scene}")
+
+
+def test_a_child_is_told_the_same(tmp_path: Path) -> None:
+    scene = "{joints: {RL_calf_joint: {strength: 0.5}}}"
+    it = program(tmp_path, f"robot: go2\nplatform: {{child: mujoco}}\nscene: {scene}")
+    try:
+        assert info_of(it.platform)["joints"]["strength"][11] == 0.5
+    finally:
+        it.close()
+
+
+def test_a_batch_of_weak_robots_is_as_one(
+    toy_robot: Callable[..., Any], toy_model: Callable[..., Path], states_of: Callable[..., States]
+) -> None:
+    robot = toy_robot()
+    joints = {"elbow_joint": {"strength": 0.5, "friction": 0.1, "delay": 0.002}}
+    ends = []
+    for count in (None, 2):
+        states = states_of(robot, count)
+        platform = in_scene(make, states, robot, 0.004, model=toy_model(), joints=joints)
+        for target in (0.3, -0.2, 0.1):
+            states["joint_stiffness"][...] = 20.0
+            states["joint_pos_target"][...] = target
+            platform.send()
+        ends.append([r.data.qpos.copy() for r in platform.robots])
+    assert (ends[0][0] == ends[1]).all()
+    assert isinstance(platform.model, mujoco.MjModel)
+
+
+def test_scene_in_python_refuses_too() -> None:
+    with pytest.raises(PlatformError, match=r"scene\.joints: strength .* is nan"):
+        go2({"RL_calf_joint": {"strength": np.nan}})

@@ -1,0 +1,250 @@
+"""Block `excite`: moves joints about a pose by a known signal, to find out how they respond.
+
+flow: {chain: [pose, {excite: {signal: chirp, joints: ["*_calf_joint"], frequency: [0.2, 4]}}]}
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.blocks.joint_command import JointCommand, robot_gains, ticks_of
+from unicon_core.bounds import DURATION, POSE_DURATION, POSE_SPEED, POSITION, within
+from unicon_core.errors import WorkflowError, alternatives
+from unicon_core.robots import Robot
+from unicon_core.robots.poses import joints_like, named_pose
+
+__all__ = ["SIGNALS", "Excite", "excite"]
+
+Float = NDArray[np.float32]
+Signal = Literal["sine", "chirp", "square", "triangle", "random"]
+
+SIGNALS = get_args(Signal)
+
+FREQUENCY = 100.0
+"""In [Hz]: no leg's joint follows a tenth of it."""
+
+# Largest |slope| of a signal of amplitude 1 at 1 Hz, in [1/s]; a square's steps have none to check.
+_SLOPE = {
+    "sine": 2 * math.pi,
+    "chirp": 2 * math.pi,
+    "triangle": 4.0,
+    "random": math.pi,
+    "square": 0.0,
+}
+
+
+def excite(
+    command: JointCommand,
+    *,
+    robot: Robot,
+    period: float,
+    signal: Signal = "chirp",
+    joints: Sequence[str] = ("*",),
+    amplitude: float | Mapping[str, float] = 0.1,
+    frequency: float | Sequence[float] = 1.0,
+    duration: float = 10.0,
+    fade: float = 1.0,
+    in_turn: bool = False,
+    around: str | Mapping[str, float] = "stand",
+    seed: int = 0,
+    stiffness_scale: float = 1.0,
+    damping_scale: float = 1.0,
+) -> Excite:
+    """Move position targets about a pose: target = pose + envelope · amplitude · signal.
+
+    It goes to the pose first, within `fade`; the signal is faded in, and out before it is done.
+    Pose and amplitude together stay within the joint limits, and the signal's slope within the
+    speed limits: what does not is refused when the workflow is built.
+
+    Args:
+        signal: `sine`, `triangle`, `square` (it jumps), `chirp` (a sine whose frequency goes from
+            the first to the second, linearly), or `random` (each joint by itself: a new value
+            `frequency` times a second, smooth between them).
+        joints: names and patterns of those that move; the others hold the pose.
+        amplitude: in [rad] ([m] for sliding joints), or patterns to amplitudes.
+        frequency: in [Hz]; two of them for a chirp.
+        duration: of the signal in [s], each joint's with `in_turn`.
+        fade: in [s], at most half of the duration.
+        in_turn: one joint after the other, in the robot's order, instead of all together.
+        around: the pose, as for `pose`; joints that it does not name stand.
+        seed: of `random`.
+        stiffness_scale: factor on the robot file's stiffness.
+        damping_scale: factor on the robot file's damping.
+    """
+    if signal not in SIGNALS:
+        raise WorkflowError(f"no signal {signal!r}; {alternatives(signal, SIGNALS)}")
+    if seed < 0:
+        raise WorkflowError(f"seed is {seed}; give 0 or more")
+    within(duration, "duration", "s", DURATION)
+    within(fade, "fade", "s", duration / 2, POSE_DURATION, above=False)
+    sweep = _sweep(signal, frequency, period)
+    centre, said = named_pose(around, robot, "block 'excite'")
+    centre = np.where(said > 0.0, centre, np.nan_to_num(robot.default_joint_pos))
+    sizes = _amplitudes(robot, joints, amplitude)
+    _check(robot, signal, centre.astype(np.float32), sizes, max(sweep))
+    rows = np.diag(sizes)[sizes > 0.0] if in_turn else sizes[None]
+    ticks, fades = (ticks_of(time, period, "duration") or 1 for time in (duration, fade))
+    gains = robot_gains(robot, "excite", stiffness_scale, damping_scale)
+    wave = _Wave(signal, sweep, ticks, period, seed, robot.num_joints)
+    return Excite(command, wave, centre, rows, (ticks, fades), gains, period)
+
+
+def _sweep(signal: str, frequency: float | Sequence[float], period: float) -> tuple[float, float]:
+    """Return the first and the last frequency in [Hz]."""
+    several = isinstance(frequency, Sequence)
+    given: Sequence[float] = frequency if isinstance(frequency, Sequence) else [frequency]
+    if (signal == "chirp" and several and len(given) != 2) or (signal != "chirp" and several):
+        wanted = "one, or [first, last]" if signal == "chirp" else "one"
+        raise WorkflowError(f"frequency of a {signal} is {frequency!r}; give {wanted} in [Hz]")
+    highest = min(FREQUENCY, 0.25 / period)  # four ticks show a wave
+    first, last = (within(f, "frequency", "Hz", highest) for f in (given[0], given[-1]))
+    return (0.1 * last, last) if signal == "chirp" and not several else (first, last)
+
+
+def _amplitudes(
+    robot: Robot, joints: Sequence[str], amplitude: float | Mapping[str, float]
+) -> Float:
+    moving = sorted({i for pattern in joints for i in joints_like(pattern, robot)})
+    if not moving:
+        raise WorkflowError("joints is empty; name those that move, or leave it out for all")
+    sizes = np.full(robot.num_joints, np.nan)
+    for pattern, size in (
+        amplitude if isinstance(amplitude, Mapping) else {"*": amplitude}
+    ).items():
+        sizes[joints_like(pattern, robot)] = within(size, "amplitude", "rad", POSITION)
+    without = [robot.joint_names[i] for i in moving if math.isnan(sizes[i])]
+    if without:
+        raise WorkflowError(f"amplitude says nothing of joint {without[0]}; add it, or a pattern")
+    chosen = np.zeros(robot.num_joints, np.float32)
+    chosen[moving] = sizes[moving]
+    return chosen
+
+
+def _check(robot: Robot, signal: str, centre: Float, sizes: Float, frequency: float) -> None:
+    """Refuse what would leave the limits of position or speed."""
+    for i in np.flatnonzero(sizes):
+        name, size = robot.joint_names[i], float(sizes[i])
+        room = float(np.nanmin((robot.upper[i] - centre[i], centre[i] - robot.lower[i], POSITION)))
+        if size > room + 1e-6:
+            raise WorkflowError(
+                f"amplitude {size:g} rad about {centre[i]:g} rad is beyond the limits of joint "
+                f"{name}; give at most {max(room, 0.0):.3g}, or another pose (around)"
+            )
+        speed, limit = size * frequency * _SLOPE[signal], float(robot.velocity_limit[i])
+        if speed > limit:  # false for an unknown limit
+            raise WorkflowError(
+                f"a {signal} of {size:g} rad at {frequency:g} Hz asks joint {name} for "
+                f"{speed:.3g} rad/s, its limit is {limit:g}; lower amplitude or frequency"
+            )
+
+
+class _Wave:
+    """A signal of amplitude 1: call it with a tick of the signal, get a number or one per joint."""
+
+    def __init__(
+        self,
+        signal: str,
+        sweep: tuple[float, float],
+        ticks: int,
+        period: float,
+        seed: int,
+        count: int,
+    ) -> None:
+        self._period, self._first = period, sweep[0]
+        self._half_slope = 0.5 * (sweep[1] - sweep[0]) / (ticks * period)
+        self._seed, self._count = seed, count
+        self._shape: Callable[[float], Any] = {
+            "sine": _sine,
+            "chirp": _sine,
+            "square": _square,
+            "triangle": _triangle,
+            "random": self._random,
+        }[signal]
+
+    def __call__(self, tick: int) -> Any:
+        time = tick * self._period
+        return self._shape(time * (self._first + self._half_slope * time))
+
+    def _random(self, cycles: float) -> NDArray[np.float64]:
+        knot = math.floor(cycles)
+        share = 0.5 - 0.5 * math.cos(math.pi * (cycles - knot))
+        before, after = (_drawn(self._seed, k, self._count) for k in (knot, knot + 1))
+        return before + share * (after - before)
+
+
+def _sine(cycles: float) -> float:
+    return math.sin(2.0 * math.pi * cycles)
+
+
+def _square(cycles: float) -> float:
+    return 1.0 if cycles % 1.0 < 0.5 else -1.0
+
+
+def _triangle(cycles: float) -> float:
+    return 4.0 * abs((cycles - 0.25) % 1.0 - 0.5) - 1.0
+
+
+@lru_cache(maxsize=8)
+def _drawn(seed: int, knot: int, count: int) -> NDArray[np.float64]:
+    """Return the values of a knot, the same whenever they are asked for."""
+    return np.random.default_rng((seed, knot)).uniform(-1.0, 1.0, count)
+
+
+class Excite:
+    """The tick of `excite`."""
+
+    def __init__(
+        self,
+        command: JointCommand,
+        wave: _Wave,
+        centre: NDArray[Any],
+        amplitudes: Float,
+        times: tuple[int, int],
+        gains: tuple[Float, Float],
+        period: float,
+    ) -> None:
+        self._command, self._wave, self._centre = command, wave, centre
+        self._amplitudes, (self._ticks, self._fade) = amplitudes, times
+        self._gains, self._approach = gains, times[1]
+        self._ticks_per_rad = 0.5 * math.pi / (POSE_SPEED * period)
+        self._start, self._way = (np.zeros_like(command.joint_pos_target) for _ in range(2))
+        self._tick = 0
+
+    def __call__(self) -> bool:
+        command, target = self._command, self._command.joint_pos_target
+        if self._tick == 0:
+            command.entry(self._start)
+            np.subtract(self._centre, self._start, out=self._way)
+            farthest = float(np.abs(self._way).max())
+            if math.isfinite(farthest):
+                self._approach = max(self._fade, math.ceil(farthest * self._ticks_per_rad))
+        self._tick += 1
+        turn, tick = divmod(self._tick - self._approach, self._ticks)
+        turns = len(self._amplitudes)
+        if turn < 0 and self._tick < self._approach:
+            np.multiply(self._way, _eased(self._tick / self._approach), out=target)
+            target += self._start
+        elif turn >= turns:
+            target[...] = self._centre
+        else:
+            envelope = _eased(min(tick, self._ticks - tick, self._fade) / self._fade)
+            target[...] = self._centre + self._amplitudes[turn] * (envelope * self._wave(tick))
+        command.joint_vel_target[...] = 0.0
+        command.joint_effort_ff[...] = 0.0
+        command.joint_stiffness[...], command.joint_damping[...] = self._gains
+        return turn >= turns
+
+    def reset(self) -> None:
+        """Begin anew from wherever the joints are at the next tick."""
+        self._tick = 0
+
+
+def _eased(share: float) -> float:
+    """Half a cosine from 0 to 1."""
+    return 0.5 - 0.5 * math.cos(math.pi * share)

@@ -1,0 +1,61 @@
+"""Stop where the robot does not do what its live twin does under the same commands: `twin_stop`."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.blocks.joint_command import ticks_of
+from unicon_core.bounds import STALE, within
+from unicon_core.errors import Fault
+from unicon_core.flow.block import Reads
+from unicon_core.flow.stage import Stage
+from unicon_core.robots import Robot
+
+__all__ = ["TwinStop", "twin_stop"]
+
+
+def twin_stop(
+    twin_flag: Reads, twin_gap: Reads, *, robot: Robot, period: float, timeout: float = 0.2
+) -> TwinStop:
+    """Stop where the twin's flag stays raised; the workflow has a `twin:`, whose bound counts.
+
+    Args:
+        timeout: for which one joint's flag is raised without a break in [s]; at least one tick.
+    """
+    timeout = within(timeout, "timeout", "s", STALE, what="twin_stop")
+    return TwinStop(twin_flag, twin_gap, robot, ticks_of(timeout, period, "timeout") or 1)
+
+
+class TwinStop:
+    """The tick of `twin_stop`; it looks right behind the twin, which simulates behind `send`."""
+
+    stage = Stage.SAFETY
+    awaits = True  # that the robot follows its commands
+    patient = True
+
+    def __init__(
+        self, flag: NDArray[np.int32], gap: NDArray[np.float32], robot: Robot, ticks: int
+    ) -> None:
+        self._flag, self._gap, self._robot, self._ticks = flag, gap, robot, ticks
+        self._count = np.zeros(flag.shape, np.int64)
+
+    def __call__(self) -> None:
+        """Look.
+
+        Raises:
+            Fault: a joint differs from its twin's.
+        """
+        self._count += 1
+        self._count *= self._flag
+        worst = int(self._count.argmax())
+        if self._count[worst] >= self._ticks:
+            worst = int(np.argmax(np.where(self._count >= self._ticks, self._gap, -1.0)))
+            raise Fault(
+                f"joint {self._robot.joint_names[worst]} is {self._gap[worst]:.2f} rad from its "
+                f"twin for {self._count[worst]} ticks; is its motor weak, hot or blocked?"
+            )
+
+    def reset(self) -> None:
+        """Count anew."""
+        self._count[...] = 0
