@@ -252,6 +252,8 @@ NAN[12:, 3] = np.nan
         (changed(joint_pos=np.full((50, 12), "x")), [], "has shape (50, 12) and type <U1; give "),
         (changed(joint_pos=np.full((50, 12), None)), [], "real.npz is not an .npz of numbers: Obj"),
         (changed(stamp_ns=None, dt=[1.0, 2.0]), [], "real.npz is not an .npz of numbers: only "),
+        (changed(stamp_ns=np.full(50, np.inf)), [], "no clock that goes on, only ['stamp_ns']"),
+        (changed(stamp_ns=None, ts=np.zeros(50, complex)), [], "no clock that goes on, only []"),
         (changed(stamp_ns=None, dt=np.nan), [], "no clock that goes on, only ['dt']"),
         (GOOD, ["--from", "7"], "real.npz has 0 samples from 7 to inf s; it lasts 0.98 s: choose"),
         (GOOD, ["--from", "0.5", "--to", "0.6"], "has 6 samples from 0.5 to 0.6 s"),

@@ -92,14 +92,14 @@ def compare(real: ArrayLike, sim: ArrayLike) -> Array:
 
 
 def fall_time(
-    projected_gravity: ArrayLike, period: float, angle: float = 1.0, for_s: float = 0.1
+    projected_gravity: ArrayLike, period: float, angle: float = 0.8, for_s: float = 0.1
 ) -> Array:
     """Return when the base leaned too far and stayed there, in [s]; NaN where it did not fall.
 
     Args:
         projected_gravity: unit vector of gravity in the base frame, shape (…, n, 3).
         period: between two samples in [s].
-        angle: between the base's z axis and the vertical in [rad], as `tilt_stop` has it.
+        angle: between the base's z axis and the vertical in [rad]; `tilt_stop` ends a run at 1.
         for_s: how long it stays so, in [s]; until the end counts too, since runs end with a fall.
 
     Returns:

@@ -33,6 +33,8 @@ LETTER_S = 1.0
 """Window of shifts for the unfolded MSE to the letter in [s], around the one with squares."""
 LETTER_WORK = 200_000_000
 """Numbers that it may look at: two seconds' work. Longer runs get a smaller window."""
+SMOOTHED_S = 0.1
+"""Over which torques are averaged in [s] before they are held against what was asked."""
 PATHS = 2000
 """Samples of each run at most for the chamfer distance, evenly taken: it grows with the square."""
 
@@ -139,11 +141,14 @@ def _strain(both: Together) -> dict[str, Array]:
         figures["effort_ratio"] = compare(loads[0].rms, loads[1].rms)
         asked = [torque for side in (real, sim) if (torque := _asked(side)) is not None]
         if len(asked) == 2:
-            gains = [
-                affine(side["joint_effort"][1:], torque, max_lag=0).gain
+            # Asked of what was given: speeds are noisier than torques, and noise in what is given
+            # would make every gain smaller. The mean over a moment makes it smaller still.
+            width = max(1, min(round(SMOOTHED_S / both.period), len(real["joint_effort"]) // 4))
+            needed = [
+                affine(_smooth(torque, width), _smooth(side["joint_effort"][1:], width), 0).gain
                 for side, torque in zip((real, sim), asked)
             ]
-            figures["strength"] = compare(gains[0], gains[1])
+            figures["strength"] = compare(needed[1], needed[0])
     if "motor_temperature" in real:
         warm = [warming(side["motor_temperature"], both.period) for side in (real, sim)]
         figures["temperature_rise_real"], figures["temperature_rise_sim"] = (
@@ -171,6 +176,13 @@ def _asked(states: dict[str, Array]) -> Array | None:
     torque += kd * (states.get("joint_vel_target", still)[: len(still)] - states["joint_vel"][1:])
     torque += states.get("joint_effort_ff", still)[: len(still)]
     return np.asarray(torque, np.float64)
+
+
+def _smooth(values: Array, width: int) -> Array:
+    """Return the means of consecutive samples, shape (n + 1 − width, d)."""
+    total = np.zeros((len(values) + 1, values.shape[1]))
+    np.cumsum(values, axis=0, out=total[1:])
+    return np.asarray((total[width:] - total[:-width]) / width, np.float64)
 
 
 def _whole(name: str, both: Together) -> dict[str, float]:

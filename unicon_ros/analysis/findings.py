@@ -21,7 +21,7 @@ GAIN = 1.25
 """Factor by which a joint moves more or less."""
 BIAS = 0.04
 """Constant difference of a position in [rad]; encoders are set to within 0.02."""
-STRENGTH = 1.15
+STRENGTH = 1.2
 """Factor by which a joint's torque differs from what is asked."""
 WARMER_K = 5.0
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tokenize
 import zipfile
 import zlib
 from pathlib import Path
@@ -25,8 +26,9 @@ LARGEST = 8 << 30
 """Bytes of an unpacked file: an hour of 29 joints at 500 Hz has 2 GB."""
 
 _WRONG = (
-    ValueError, TypeError, LookupError, EOFError, OverflowError,
-    zipfile.BadZipFile, zipfile.LargeZipFile, zlib.error,
+    ValueError, TypeError, LookupError, EOFError, OverflowError, AttributeError, SyntaxError,
+    RuntimeError,  # of an archive that is encrypted, or packed in an unknown way
+    tokenize.TokenError, zipfile.BadZipFile, zipfile.LargeZipFile, zlib.error,
 )  # fmt: skip
 
 
@@ -81,12 +83,15 @@ def _run(path: Path, file: Any, window: Window) -> Run:
     return make_run(path, about, _clocks(file, count), tuple(map(str, names)), found, window)
 
 
+@np.errstate(invalid="ignore")  # of infinite times, which `rising` refuses
 def _clocks(file: Any, count: int) -> list[tuple[str, Array]]:
     """Return what may tell the time, in [s]."""
     clocks: list[tuple[str, Array]] = []
     if "stamp_ns" in file:
-        stamps = np.asarray(file["stamp_ns"], np.int64).reshape(-1)[:count]
-        if len(stamps) == count:
+        stamps = np.asarray(file["stamp_ns"]).reshape(-1)[:count]
+        if stamps.dtype.kind in "iu":
+            stamps = stamps.astype(np.int64)  # unsigned ones cannot go back
+        if len(stamps) == count and stamps.dtype.kind in "if":
             clocks.append(("stamp_ns", np.asarray((stamps - stamps[:1]) * 1e-9, np.float64)))
     clocks += [
         (key, np.asarray(float(file[key]) * np.arange(count), np.float64))
@@ -94,9 +99,9 @@ def _clocks(file: Any, count: int) -> list[tuple[str, Array]]:
         if key in file
     ]
     if "ts" in file:
-        times = np.asarray(file["ts"], np.float64).reshape(-1)[:count]
-        if len(times) == count:
-            clocks.append(("ts", times))
+        times = np.asarray(file["ts"]).reshape(-1)[:count]
+        if len(times) == count and times.dtype.kind in "iuf":
+            clocks.append(("ts", times.astype(np.float64)))
     return clocks
 
 

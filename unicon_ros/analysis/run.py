@@ -200,6 +200,7 @@ def _gravity(quat: Array) -> Array:
     return np.stack([2 * (w * y - x * z), -2 * (w * x + y * z), 2 * (x * x + y * y) - 1], axis=1)
 
 
+@np.errstate(invalid="ignore")
 def rising(time: Array) -> NDArray[np.bool_] | None:
     """Return which samples have a time of their own; None for what is not a clock.
 
