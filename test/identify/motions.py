@@ -16,7 +16,8 @@ WORKFLOW = """\
 robot: go2
 platform: mujoco
 rate: 50
-flow: {{excite: {{signal: random, frequency: 2, amplitude: 0.15, duration: {seconds}, fade: 0.5}}}}
+flow:
+  excite: {{signal: random, frequency: {quick}, amplitude: 0.1, duration: {seconds}, fade: 0.5}}
 """
 
 
@@ -39,10 +40,14 @@ def states_of(workflow: Path, overrides: dict[str, Any]) -> tuple[dict[str, Any]
 
 
 def motion(
-    folder: Path, joints: dict[str, dict[str, float]], seconds: float = 3.0, **options: Any
+    folder: Path,
+    joints: dict[str, dict[str, float]],
+    seconds: float = 3.0,
+    quick: float = 2.0,
+    **options: Any,
 ) -> Motion:
     """Return how a Go2 moved whose joints are not as its model says."""
     path = folder / "excite.yaml"
-    path.write_text(WORKFLOW.format(seconds=seconds))
+    path.write_text(WORKFLOW.format(seconds=seconds, quick=quick))
     states, period = states_of(path, {"scene.joints": joints})
     return Motion.of(states, period, np.ones(len(states["tick"]), np.bool_), **options)

@@ -70,8 +70,8 @@ def test_it_finds_every_kind_of_figure(tmp_path: Path) -> None:
         "FL_calf_joint": {"armature": 0.04},
         "RR_thigh_joint": {"delay": 0.012},
     }
-    it = motion(tmp_path, joints, seconds=8.0, most=60)
-    found = fit(it, GO2, processes=2)
+    it = motion(tmp_path, joints, seconds=5.0, quick=6.0, most=30)
+    found = fit(it, GO2, joints=list(joints), processes=2)
     said = found.joints()
     assert said["RL_calf_joint"]["strength"] == pytest.approx(0.6, abs=0.06)
     assert said["FR_thigh_joint"]["friction"] == pytest.approx(1.5, abs=0.3)
