@@ -27,6 +27,7 @@ from unicon_core.workflow import Program, load_workflow
 from unicon_ros.cli.main import main
 from unicon_ros.fault_record import KEPT, FaultRecord, fault_folder
 from unicon_ros.recording import McapFile, open_record
+from unicon_ros.recording.facts import network_hash
 
 HOLD = {
     "schema": "unicon.workflow/1",
@@ -496,3 +497,18 @@ def test_two_runs_at_once_and_one_that_is_killed(tmp_path: Path) -> None:
     assert len(records) >= 2
     assert faulty(written(tmp_path), folder, 2)[1] is not None
     assert not list(folder.glob("*.partial"))
+
+
+def test_the_hash_of_a_network_is_of_its_weights_beside_it_too(tmp_path: Path) -> None:
+    network = tmp_path / "walk.onnx"
+    network.write_bytes(b"\x00location\x12walk.onnx.data\x00")
+    (tmp_path / "another.onnx.data").write_bytes(b"not its own")
+    alone = network_hash(network)
+    (tmp_path / "walk.onnx.data").write_bytes(b"weights")
+    whole = network_hash(network)
+    assert whole != alone
+    (tmp_path / "walk.onnx.data").write_bytes(b"Weights")
+    assert network_hash(network) not in (alone, whole)
+    (tmp_path / "another.onnx.data").write_bytes(b"changed")
+    (tmp_path / "walk.onnx.data").write_bytes(b"weights")
+    assert network_hash(network) == whole

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from unicon_core.states import Layout
     from unicon_core.workflow import Program
 
-__all__ = ["SCHEMA", "content_of", "facts_of", "layout_facts", "versions_here"]
+__all__ = ["SCHEMA", "content_of", "facts_of", "layout_facts", "network_hash", "versions_here"]
 
 SCHEMA = "unicon.record/1"
 VERSIONS = ("numpy", "onnxruntime", "torch", "mujoco", "pybullet", "rclpy")
@@ -50,6 +50,19 @@ def layout_facts(layout: Layout, kept: Kept) -> dict[str, str]:
     }
 
 
+def network_hash(path: Path) -> str:
+    """Return the SHA-256 of a network's file, and of those beside it that it names.
+
+    ONNX keeps large weights in files of their own, and their names in the network.
+    """
+    raw = path.read_bytes()
+    digest = hashlib.sha256(raw)
+    for beside in sorted(path.parent.iterdir()):
+        if beside != path and beside.is_file() and beside.name.encode() in raw:
+            digest.update(beside.read_bytes())
+    return digest.hexdigest()
+
+
 def facts_of(runner: Runner, kept: Kept) -> dict[str, str]:
     """Return the facts of a run; call it before the first tick: files may be others later."""
     program = runner.program
@@ -60,7 +73,7 @@ def facts_of(runner: Runner, kept: Kept) -> dict[str, str]:
         name: {
             "path": str(contract.path),
             "model": str(contract.model),
-            "sha256": hashlib.sha256(contract.model.read_bytes()).hexdigest(),
+            "sha256": network_hash(contract.model),
         }
         for name, contract in program.policies.items()
     }

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping
-from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ from unicon_core.states.standard import HARDWARE_STATES
 from unicon_core.workflow import Program, WorkflowDocument, load_document
 from unicon_core.workflow.document import document_at
 from unicon_ros.recording import Record
+from unicon_ros.recording.facts import network_hash
 
 __all__ = ["others", "workflow_of"]
 
@@ -64,7 +64,7 @@ def others(record: Record, program: Program) -> list[str]:
         if contract is None:
             found.append(f"policy {name!r} of the record is not in workflow {program.name}")
             continue
-        now = sha256(contract.model.read_bytes()).hexdigest()
+        now = network_hash(contract.model)
         if now != was:
             found.append(
                 f"policy {name!r}: {contract.model} is not the recorded file: its sha256 is "
