@@ -111,6 +111,14 @@ def test_a_batch(tmp_path: Path) -> None:
     held(workflow, tmp_path / "faults", 120)
 
 
+def test_damping_leaves_the_oldest_tick_as_it_was(tmp_path: Path) -> None:
+    gains = {"*_thigh_joint": [0.1, 0.0, 0.0]}
+    flow = {"chain": [{"pose": {"duration": 1.0}}, {"sway": {"gains": gains}}]}
+    workflow = written(tmp_path, flow)
+    # The ring is full to the last tick: what comes next would take the place of the first.
+    held(workflow, tmp_path / "faults", 174, inputs=velocities)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", MORE)
 def test_a_policy_of_every_other_kind(kind: str, tmp_path: Path) -> None:
