@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import shutil
 import struct
 from collections.abc import Callable
@@ -26,7 +27,7 @@ from unicon_core.workflow import Program, load_document
 from unicon_ros.cli.main import main
 from unicon_ros.fault_record import FaultRecord
 from unicon_ros.recorder import Recorder, Recording
-from unicon_ros.recording import Record, open_record
+from unicon_ros.recording import Record, open_record, recover
 from unicon_ros.recording.bag_folder import Split
 
 GO2 = load_robot("go2")
@@ -187,6 +188,55 @@ def test_garbage_is_one_line(
     ):
         refused(capsys, *arguments)
     assert sorted(tmp_path.iterdir()) == [path]
+
+
+def test_a_recording_without_a_name_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", "go2_walk", "--no-ros", "--record", ""]) == 1
+    told = capsys.readouterr().err
+    assert "--record has no name; give FILE.mcap or FOLDER/" in told
+    assert told.count("\n") == 1
+
+
+def test_a_pipe_is_refused_and_not_waited_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("x.mcap", "x.mcap.partial", "x.db3"):
+        pipe = tmp_path / name
+        os.mkfifo(pipe)
+        for arguments in (
+            ("info", pipe),
+            ("recover", pipe),
+            ("export", pipe, tmp_path / "x.csv"),
+            ("import", pipe, tmp_path / "out.mcap", "--robot", "go2"),
+        ):
+            assert name in refused(capsys, *arguments)
+        pipe.unlink()
+
+
+def test_what_is_not_a_recording_is_not_copied_before_it_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "large.mcap"
+    path.touch()
+    os.truncate(path, 1 << 40)
+    monkeypatch.setattr(shutil, "copyfile", None)
+    assert f"{path} is not a recording" in refused(capsys, "recover", path)
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_ctrl_c_leaves_no_copy_of_what_is_recovered(
+    bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def cut_off(source: Path, to: Path) -> None:
+        to.write_bytes(b"half")
+        raise KeyboardInterrupt
+
+    path = tmp_path / "cut.mcap"
+    path.write_bytes(without_end(bag.read_bytes()))
+    monkeypatch.setattr(shutil, "copyfile", cut_off)
+    with pytest.raises(KeyboardInterrupt):
+        recover(path)
+    assert list(tmp_path.iterdir()) == [path]
 
 
 def test_a_folder_without_recordings_and_a_name_that_is_not_there(

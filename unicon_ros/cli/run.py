@@ -168,6 +168,8 @@ def _run(
         )
         hooks.append(session.hook)
     try:
+        if arguments.record == "":  # as of a variable that is not set
+            raise UniconError("--record has no name; give FILE.mcap or FOLDER/")
         if arguments.record_split and not arguments.record:
             raise UniconError("--record-split goes with --record FOLDER/; add it")
         if arguments.record:

@@ -39,6 +39,8 @@ def open_bag(path: Path) -> Any:
 
     if not path.exists():
         raise UniconError(f"cannot read {path}: there is no such file or folder")
+    if not (path.is_file() or path.is_dir()):  # a pipe would never open
+        raise UniconError(f"{path} is neither a file nor a folder; give a bag")
     try:
         reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY))
         reader.open()

@@ -185,10 +185,20 @@ def _copied(path: Path) -> Path:
     if partial.exists():
         raise UniconError(f"{partial} exists; recover it first, or move it away")
     try:
+        with path.open("rb") as file:
+            begins = file.read(len(MAGIC))
+    except OSError as error:
+        raise UniconError(f"cannot read {path}: {error.strerror}") from error
+    if begins != MAGIC[: len(begins)]:  # before terabytes of something else are copied
+        raise UniconError(_no_recording(path))
+    try:
         shutil.copyfile(path, partial)
     except OSError as error:
         partial.unlink(missing_ok=True)
         raise UniconError(f"cannot write {partial}: {error.strerror}; make room there") from error
+    except BaseException:  # Ctrl-C
+        partial.unlink(missing_ok=True)
+        raise
     return partial
 
 

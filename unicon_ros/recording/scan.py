@@ -89,6 +89,8 @@ def scan(path: Path) -> Scan:
         OSError: it cannot be read.
         ValueError, struct.error: it is not a file of ours, or damaged.
     """
+    if path.exists() and not path.is_file():  # a pipe would never open
+        raise ValueError("it is not a file")
     with path.open("rb") as file:
         if path.stat().st_size < len(MAGIC):
             raise ValueError("it does not begin as MCAP does")
