@@ -7,6 +7,7 @@ import json
 import os
 import shutil
 import struct
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 from test_recorded_runs import noise, recorded, written
 
+from unicon_core.errors import UniconError
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import Program, load_document
@@ -31,6 +33,7 @@ from unicon_ros.recording import Record, open_record, recover
 from unicon_ros.recording.bag_folder import Split
 
 GO2 = load_robot("go2")
+recovery = sys.modules["unicon_ros.recording.recover"]  # its package has a function of that name
 
 
 @pytest.fixture(scope="module")
@@ -222,6 +225,29 @@ def test_what_is_not_a_recording_is_not_copied_before_it_is_refused(
     monkeypatch.setattr(shutil, "copyfile", None)
     assert f"{path} is not a recording" in refused(capsys, "recover", path)
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_what_stands_behind_damage_is_not_cut_away(
+    bag: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    raw = bytearray(without_end(bag.read_bytes()))
+    raw[int(open_record(bag)._scans[0].ticks[0]) + 8] ^= 255  # in its one chunk
+    path = tmp_path / "run.mcap.partial"
+    path.write_bytes(raw)
+    monkeypatch.setattr(recovery, "REST", 1000)
+    told = refused(capsys, "recover", path)
+    assert "is damaged" in told
+    assert "rename it to end in .mcap" in told
+    assert path.read_bytes() == raw
+    with pytest.raises(UniconError, match="is damaged"):  # nor does the next run of that name
+        Recorder(tmp_path / "run.mcap")
+    assert path.read_bytes() == raw
+    path.rename(tmp_path / "run.mcap")
+    said(capsys, "recover", tmp_path / "run.mcap")  # a copy, of which nothing is whole
+    assert (tmp_path / "run.mcap").read_bytes() == raw
 
 
 def test_ctrl_c_leaves_no_copy_of_what_is_recovered(

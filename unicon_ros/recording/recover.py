@@ -40,14 +40,22 @@ __all__ = ["recover", "recover_folder", "salvage"]
 LONGEST = 1 << 30
 """No record of ours is longer; a length beyond is rubble of a power loss."""
 
+REST = 1 << 24
+"""More than a kill or a power loss leaves torn, in [bytes]: what is behind it may be worth more."""
+
 _OURS = (HEADER, SCHEMA, CHANNEL, CHUNK, ATTACHMENT, METADATA)
 
 
-def salvage(file: McapFile) -> None:
+def salvage(file: McapFile, most: int | None = None) -> None:
     """Take in what is whole in an open file; it then ends there.
+
+    Args:
+        file: it.
+        most: how much behind that may be cut away in [bytes]; None for anything.
 
     Raises:
         ValueError: it does not begin as a recording does.
+        UniconError: more would be cut away; it is left as it is.
     """
     position = len(MAGIC)
     if file.read(position, 0) != MAGIC:
@@ -84,6 +92,12 @@ def salvage(file: McapFile) -> None:
         whole = position
     if not whole:
         raise ValueError
+    if most is not None and file.read(1, whole + most):
+        raise UniconError(
+            f"{file.partial} is damaged {whole / 1e6:.1f} MB behind its beginning, and more than "
+            f"{most / 1e6:.0f} MB stand behind that; rename it to end in .mcap, and unicon bag "
+            "recover finishes a copy of what is before"
+        )
     file.adopt(whole, schemas, channels, chunks, others)
 
 
@@ -117,7 +131,8 @@ def _chunk(file: McapFile, record: bytes, start: int) -> Chunk | None:
 def recover(path: str | Path, final_name: bool = False) -> tuple[Path, int] | None:
     """Finish a recording that was cut off, as `FILE.recovered-N.mcap` beside it.
 
-    What follows the last whole chunk is cut away; it is at most the last half second.
+    What follows the last whole chunk is cut away; it is at most the last half second. Where it is
+    more than `REST` the file was damaged otherwise, and is left as it is.
 
     Args:
         path: `FILE.mcap.partial`; of a `FILE.mcap` without its end a copy is finished.
@@ -128,16 +143,21 @@ def recover(path: str | Path, final_name: bool = False) -> tuple[Path, int] | No
         deleted.
 
     Raises:
-        UniconError: it is written at this moment, is not a recording, or cannot be written.
+        UniconError: it is written at this moment, is not a recording, is damaged far from its end,
+            or cannot be written.
     """
     path = Path(path)
     if path.suffix == ".mcap" and path.is_file():
         copy = _copied(path)
         try:
-            return recover(copy)
+            return _recovered(copy, final_name=False, most=None)
         except UniconError:
             copy.unlink(missing_ok=True)
             raise
+    return _recovered(path, final_name, REST)
+
+
+def _recovered(path: Path, final_name: bool, most: int | None) -> tuple[Path, int] | None:
     final = path.with_name(path.name.removesuffix(".partial"))
     if final == path or not path.is_file():
         raise UniconError(_no_recording(path))
@@ -155,7 +175,7 @@ def recover(path: str | Path, final_name: bool = False) -> tuple[Path, int] | No
         if not file.read(1, 0):  # killed before its first byte
             file.discard()
             return None
-        salvage(file)
+        salvage(file, most)
         if not file.messages:
             file.discard()
             return None
@@ -167,6 +187,9 @@ def recover(path: str | Path, final_name: bool = False) -> tuple[Path, int] | No
     except ValueError:
         file.leave()
         raise UniconError(_no_recording(path)) from None
+    except UniconError:
+        file.leave()
+        raise
     except OSError as error:
         raise UniconError(
             f"cannot recover {path}: {error.strerror}; make room or give another name"
