@@ -76,7 +76,10 @@ def verify(record: Record, document: WorkflowDocument) -> Verdict:
     notes += replayed.columns.lacking
     if replayed.scaled:
         factors = ", ".join(f"{factor:g}" for factor in sorted(replayed.scaled))
-        notes.append(f"the gains were scaled from outside, by {factors}")
+        notes.append(
+            f"the recorded gains are those of the workflow times {factors}: scaled from outside, "
+            "as by stiffness_scale, or the workflow's are others; they are not compared"
+        )
     if comparison.first is not None:
         notes += versions(record)
     return Verdict(
