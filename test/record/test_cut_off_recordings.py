@@ -25,7 +25,7 @@ from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import Program, load_document
 from unicon_ros.cli.main import main
 from unicon_ros.fault_record import FaultRecord
-from unicon_ros.recorder import Recording
+from unicon_ros.recorder import Recorder, Recording
 from unicon_ros.recording import Record, open_record
 
 RATE = 500
@@ -109,6 +109,25 @@ def test_fifty_kills_lose_a_second_at_most(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("name", "limit"), [("run.mcap", 70_000), ("run/", 400_000)])
 def test_a_disk_that_is_full_leaves_what_was_written(name: str, limit: int, tmp_path: Path) -> None:
     full(tmp_path, name, limit)
+
+
+def test_a_full_disk_takes_the_part_of_a_chunk_for_which_there_is_room(tmp_path: Path) -> None:
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    recorder = Recorder(tmp_path / "run.mcap", warn=str)
+    write = recorder.channel("clock", "rosgraph_msgs/msg/Clock")
+    for stamp in range(2000):
+        assert write(stamp, bytes(12))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (80_000, before[1]))
+    try:
+        recorder.start()
+        recorder.close()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    counts = recorder.counts()
+    assert 500 < counts["messages"] < 2000
+    assert counts["messages"] + counts["dropped"] == 2000
+    with AnyReader([tmp_path / "run.mcap"]) as reader:
+        assert [stamp for _, stamp, _ in reader.messages()] == list(range(counts["messages"]))
 
 
 @pytest.mark.slow

@@ -231,12 +231,15 @@ class Background:
             return
         rows = np.frombuffer(block.rows, ROW, last - first, first * _ROW.size).copy()
         rows["offset"] -= np.uint64(begin)
+        before = self._file.messages
         try:
             self._file.write(memoryview(block.data)[begin:end], rows)
             if self._file.gone():
                 self._stop("", 0)
         except Exception as error:  # whatever it is, the run goes on
-            self._stop(str(getattr(error, "strerror", None) or error), last - first)
+            written = max(self._file.messages - before, 0)  # where some of them had room
+            lost = last - first - written
+            self._stop(str(getattr(error, "strerror", None) or error), lost)
 
     def _stop(self, reason: str, lost: int) -> None:
         """Finish the file as far as it is whole; what comes after is dropped and counted."""

@@ -121,12 +121,29 @@ class McapFile:
         self._others.append(entry)
 
     def write(self, records: Buffer, rows: NDArray[np.void]) -> None:
-        """Write messages as one chunk; after an error the file ends as before.
+        """Write messages as one chunk; after an error the file ends behind a whole one.
+
+        Where the medium is full they become smaller chunks, as many as there is room for.
 
         Args:
             records: message records, one after the other.
             rows: where each stands in them, of type `ROW`; at least one.
+
+        Raises:
+            OSError: not all of them are written.
         """
+        try:
+            self._write(records, rows)
+        except OSError as error:
+            half = len(rows) // 2
+            if error.errno not in FULL or not half:
+                raise
+            middle, rest = int(rows["offset"][half]), rows[half:].copy()
+            rest["offset"] -= np.uint64(middle)
+            self.write(memoryview(records)[:middle], rows[:half])
+            self.write(memoryview(records)[middle:], rest)
+
+    def _write(self, records: Buffer, rows: NDArray[np.void]) -> None:
         times = rows["time"]
         first, last = int(times.min()), int(times.max())
         head = chunk_head(len(records), zlib.crc32(records), first, last)
