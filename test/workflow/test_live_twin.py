@@ -136,6 +136,10 @@ def _written(folder: Path) -> Path:
         ({"platform": 3}, r"twin\.platform is 3"),
         ("mujoko", r"twin: unknown platform 'mujoko'; did you mean 'mujoco'"),
         ("fake_robot", r"twin: platform 'fake_robot' is a robot"),
+        (
+            "replay",
+            r"twin: platform 'replay' cannot be a twin \(.*\); write twin: \{platform: mujoco",
+        ),
         ("fake", r"twin: platform 'fake' cannot be put where a robot was measured; use mujoco"),
     ],
 )

@@ -138,7 +138,12 @@ def build_twin(
     scene = read_scene(document, context, facts, disturbed=False)
     try:
         beside = Beside(factory, context.robot, context.period, scene, options)
-    except (TypeError, UniconError) as error:
+    except TypeError as error:  # its factory takes no scene, or not these options
+        raise wrong(
+            f"platform {settings.platform!r} cannot be a twin ({error}); write twin: "
+            "{platform: mujoco}, and correct its options under platforms"
+        ) from error
+    except UniconError as error:
         raise wrong(str(error)) from error
     if beside.moves and "base_quat" not in measured:
         beside.close()
