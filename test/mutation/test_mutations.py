@@ -76,11 +76,12 @@ def test_all_that_looks_is_removed_once() -> None:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the processes of a tree are found in /proc")
-def test_what_mutated_tests_left_running_or_stopped_is_ended(tmp_path: Path) -> None:
+@pytest.mark.parametrize("behind", ["", ":elsewhere"])
+def test_what_mutated_tests_left_running_or_stopped_is_ended(behind: str, tmp_path: Path) -> None:
     code = "import os, signal; print(flush=True); os.kill(os.getpid(), signal.SIGSTOP)"
     left = subprocess.Popen(
         [sys.executable, "-c", code],
-        env=os.environ | {"PYTHONPATH": str(tmp_path)},
+        env=os.environ | {"PYTHONPATH": f"{tmp_path}{behind}"},
         stdout=subprocess.PIPE,
         start_new_session=True,
     )

@@ -180,11 +180,12 @@ def _failed(tree: Path, tests: Sequence[str], timeout: float) -> str:
 
 def end_those_of(tree: Path) -> None:
     """End what the tests in a tree left running, stopped, or in sessions of their own (Linux)."""
-    mark = f"PYTHONPATH={tree}\0".encode()
+    marks = tuple(f"PYTHONPATH={tree}{end}".encode() for end in "\0:")  # a child's is longer
     for environment in Path("/proc").glob("[0-9]*/environ"):
         with suppress(OSError):  # somebody else's, or gone
-            if mark in environment.read_bytes() and environment.parent.name != str(os.getpid()):
-                os.kill(int(environment.parent.name), signal.SIGKILL)
+            pid, text = int(environment.parent.name), environment.read_bytes()
+            if pid != os.getpid() and any(mark in text for mark in marks):
+                os.kill(pid, signal.SIGKILL)
 
 
 def main() -> int:
