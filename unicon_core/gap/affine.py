@@ -6,6 +6,7 @@ A wrong sign, a wrong unit, an encoder's zero and a delay each leave a mark of t
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -81,8 +82,8 @@ def affine(
     strength = np.abs(found[..., order, :])
     best = order[np.argmax(strength >= strength.max(axis=-2, keepdims=True) - TIE, axis=-2)]
 
-    def at(values: Array) -> Array:
-        taken: Array = np.take_along_axis(values, best[..., None, :], axis=-2)[..., 0, :]
+    def at(values: NDArray[Any]) -> NDArray[Any]:
+        taken: NDArray[Any] = np.take_along_axis(values, best[..., None, :], axis=-2)[..., 0, :]
         return taken
 
     both, with_sim = at(moves), at(moves_b)

@@ -80,8 +80,9 @@ class TickStatistics:
         ends = [4 + i for i in range(len(self.names)) if i not in self.deferred]
         if not rows.size or not ends:
             return np.empty(0)
-        took: NDArray[np.float64] = (rows[:, ends].max(axis=1) - rows[:, 2]) * 1e-3
-        return took
+        took = rows[:, ends].max(axis=1) - rows[:, 2]
+        microseconds: NDArray[np.float64] = np.multiply(took, 1e-3, dtype=np.float64)
+        return microseconds
 
     def tick_us(self) -> dict[str, float]:
         """Return p50, p99, max of recv → send in [µs]."""

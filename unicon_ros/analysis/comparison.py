@@ -99,12 +99,12 @@ def compare_runs(both: Together) -> Comparison:
     lag = max(1, round(LAG_S / both.period))
     position = affine(real["joint_pos"], sim["joint_pos"], lag)
     each = unfolded_mse(real["joint_pos"].T[..., None], sim["joint_pos"].T[..., None], lag)
-    joints = {
+    joints: dict[str, Array] = {
         "position_rmse": rmse(real["joint_pos"], sim["joint_pos"], "element"),
         "position_bias": np.mean(real["joint_pos"] - sim["joint_pos"], axis=0),
         "position_unfolded_mse": each.loss,
         "position_distribution": wasserstein(real["joint_pos"], sim["joint_pos"]),
-        "lag_s": position.lag * both.period,
+        "lag_s": np.multiply(position.lag, both.period, dtype=np.float64),
         "gain": position.gain,
         "offset": position.offset,
         "sign": position.sign.astype(np.float64),
