@@ -273,6 +273,15 @@ def test_a_run_that_ends_before_its_fault_is_repeated(monkeypatch: pytest.Monkey
     assert bench_faults.measured(Case("time", "c", Wants())).commands == 3
     left = [Measured(reached=False)]
     assert not bench_faults.measured(Case("time", "c", Wants(closed=False))).reached
+    stood = "no tick ran for 0.41 s: more than 0.25 s are a fault (pacing.hang)"
+    left = [Measured(reason=stood), Measured(reason="'joint_pos' is not finite")]
+    got = bench_faults.measured(Case("time", "c", Wants(reason="joint_pos")))
+    assert got.reason == "'joint_pos' is not finite"
+    for reason in ("", "pacing.hang"):  # this is what the case asks for
+        left = [Measured(reason=stood)]
+        assert bench_faults.measured(Case("time", "c", Wants(reason=reason))).reason == stood
+    left = [Measured(reason=stood)] * bench_faults.ATTEMPTS  # not without end
+    assert bench_faults.measured(Case("time", "c", Wants(reason="joint_pos"))).reason == stood
 
 
 def test_a_case_that_does_not_exist_is_named(capsys: pytest.CaptureFixture[str]) -> None:

@@ -41,9 +41,8 @@ def test_plain_and_our_own_pipelines_close_the_loop(monkeypatch: pytest.MonkeyPa
         # A command cannot be at the robot before the controller has sent it.
         sent, arrived = (result.cases[f"{name}: {r}"]["p50"] for r in ("recv", "end_to_end"))
         assert sent < arrived
-    assert result.cases["unicon, local, ROS a mirror: mirror"]["samples"] > 100
-    for name in chosen[3:]:
-        assert result.cases[f"{name}: mirror"]["samples"] > 100
+    for name in chosen[2:]:  # 300 on a machine that is not busy
+        assert result.cases[f"{name}: mirror"]["samples"] >= 20
     assert "mirror, of that of a plain node that publishes nothing else" in result.facts
     assert set(result.ratios) == {"end_to_end", "local", "mirror", "cpu"}
     assert all(ratio["value"] > 0.0 for ratio in result.ratios.values())
