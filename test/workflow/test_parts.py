@@ -16,7 +16,7 @@ import pytest
 from unicon_core.check import check_workflow, refuse_errors
 from unicon_core.errors import CheckError, Fault, StateError, UniconError, WorkflowError
 from unicon_core.flow import blocks_of
-from unicon_core.runtime.runner import Runner, RunOptions
+from unicon_core.runtime import Runner, RunOptions
 from unicon_core.states import States
 from unicon_core.states.backends.shm import Segment, ShmReader, ShmWriter, segments
 from unicon_core.states.groups import subset

@@ -15,11 +15,11 @@ import numpy as np
 
 from unicon_core.errors import StateError, UniconError
 from unicon_core.flow import Block, Node, Stage, blocks_of, compile_graph
-from unicon_core.flow.compiler import CompiledGraph
+from unicon_core.flow.compiled import CompiledGraph
 from unicon_core.memory import changes
 from unicon_core.runtime import Runner, RunOptions
+from unicon_core.runtime.beforehand import approach_tree, waiting_tree
 from unicon_core.runtime.phases import Phase
-from unicon_core.runtime.runner import approach_tree, waiting_tree
 from unicon_core.runtime.tick_ring import memory_of
 from unicon_core.signals import SIGNALS
 from unicon_core.states.standard import COMMAND_STATES
