@@ -8,14 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from unicon_core.errors import UniconError, WorkflowError
-from unicon_core.located_yaml import parse_yaml
+from unicon_core.located_yaml import Located, parse_yaml
 from unicon_core.states.standard import HARDWARE_STATES
 from unicon_core.workflow import Program, WorkflowDocument, load_document
 from unicon_core.workflow.document import document_at
 from unicon_ros.recording import Record
 from unicon_ros.recording.facts import network_hash
 
-__all__ = ["others", "workflow_of"]
+__all__ = ["others", "recorded_workflow", "versions", "workflow_of"]
 
 
 def workflow_of(
@@ -37,20 +37,30 @@ def workflow_of(
     if workflow is not None:
         document = load_document(workflow, overrides)
     else:
-        text = record.facts.get("workflow_effective", "")
-        if not text:
+        recorded = recorded_workflow(record)
+        if recorded is None:
             raise WorkflowError(
                 "the record holds no workflow, since it was written in Python or imported; give "
                 "one: unicon replay BAG WORKFLOW"
             )
-        path = record.facts.get("workflow_path") or "the record's workflow"
-        document = document_at(parse_yaml(text, path, WorkflowError), overrides)
+        document = document_at(recorded, overrides)
     # A platform that cannot be asked here may have declared them.
     lacking = [name for name in HARDWARE_STATES if name in record.layout.slots]
     declared = document.get("states", dict, {})
     if lacking:
         document.values["states"] = dict.fromkeys(lacking) | declared
     return document
+
+
+def recorded_workflow(record: Record) -> Located | None:
+    """Return the text of the workflow in a record, read as YAML; None where there is none.
+
+    Raises:
+        WorkflowError: it is not YAML, or more of it than is read.
+    """
+    text = record.facts.get("workflow_effective", "")
+    path = record.facts.get("workflow_path") or "the record's workflow"
+    return parse_yaml(text, path, WorkflowError) if text else None
 
 
 def others(record: Record, program: Program) -> list[str]:
