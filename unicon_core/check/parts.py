@@ -7,7 +7,8 @@ from collections.abc import Mapping
 from unicon_core.check.result import CheckResult
 from unicon_core.check.subject import Subject
 from unicon_core.states.standard import COMMAND_STATES
-from unicon_core.workflow.parts import Parts, owner_of
+from unicon_core.workflow.division import owner_of
+from unicon_core.workflow.parts import Parts
 
 __all__ = ["check_parts"]
 
