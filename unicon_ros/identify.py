@@ -85,9 +85,9 @@ def motion_of(record: Record, where: str, window: float = 0.2) -> Motion:
     layout = record.layout
     if layout.num_robots is not None:
         raise UniconError(f"{where} is of {layout.num_robots} robots; record one on its own")
-    period = float(record.facts.get("period_s") or "nan")
-    if not 0.0 < period < 1.0:
-        raise UniconError(f"{where} does not say its period; record it with unicon run --record")
+    period = record.period
+    if period > 1.0:
+        raise UniconError(f"{where} ticks every {period:g} s; a fit needs a tick each second")
     names = (*PLACE, *COMMAND_STATES, "projected_gravity")
     states: dict[str, Any] = {n: record.states(n) for n in names if n in layout.slots}
     ticks = np.asarray(record.ticks)

@@ -329,3 +329,25 @@ def test_a_fault_that_is_found_behind_send_comes_again(
     told = capsys.readouterr().out
     assert "the fault came again: joint FL_thigh_joint is stuck" in told
     assert f"0 of {len(record.ticks) - 1} ticks differ" in told
+
+
+@pytest.mark.parametrize("said", ["0.00", " nan", "abcd"])
+def test_a_record_that_does_not_say_its_period_is_named(
+    said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    good, bag = tmp_path / "good.mcap", tmp_path / "bag.mcap"
+    recorded(written(tmp_path, duration=0.2), good)
+    text = b"period_s\x04\0\0\0"
+    raw = good.read_bytes()
+    assert text + b"0.02" in raw
+    bag.write_bytes(raw.replace(text + b"0.02", text + said.encode()))
+    told = f"bag.mcap does not say its period: period_s is {said!r}"
+    for command in (
+        ["replay", str(bag), "--speed", "max"],
+        ["replay", str(bag), "--play"],
+        ["analyze", str(bag), "--fit", "--out", str(tmp_path / "out")],
+    ):
+        assert main(command) == 1, command
+        assert told in capsys.readouterr().err, command
+    for command in (["replay", str(bag), "--verify"], ["bag", "info", str(bag)]):
+        assert main(command) == 0, command

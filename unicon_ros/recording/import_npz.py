@@ -13,6 +13,7 @@ from unicon_core.errors import UniconError, alternatives
 from unicon_core.robots import Robot
 from unicon_ros.recording.imported import write_imported
 from unicon_ros.recording.npz import KEYS, NAMES, UNICONS, Archive, read_archive
+from unicon_ros.recording.read import LONGEST, SHORTEST
 
 __all__ = ["import_npz"]
 
@@ -108,6 +109,6 @@ def _stamps(archive: Archive, frames: int, rate: float | None) -> NDArray[np.int
         if not np.isfinite(told).all() or (np.diff(told) <= 0).any() or (told > 2.0**62).any():
             raise UniconError(f"{source}: ts does not grow with every frame; give --rate HZ")
         return told.astype(np.int64)
-    if not 0.0 < period < 86_400.0:
+    if not SHORTEST <= period <= LONGEST:
         raise UniconError(f"{source}: rec_dt is {period:g} s; give --rate HZ")
     return np.round(np.arange(frames) * period * 1e9).astype(np.int64)

@@ -61,9 +61,13 @@ def _ours(path: Path, paths: list[Path], scans: list[Scan]) -> dict[str, Any]:
 def _ticks(record: Record) -> dict[str, Any]:
     facts = record.facts
     told = {name: facts[name] for name in TOLD if facts.get(name)}
+    try:
+        period = record.period
+    except UniconError:
+        period = 0.0
     missing = int(np.maximum(np.diff(record.ticks) - 1, 0).sum()) if len(record.ticks) else 0
     return told | {
-        "period_s": float(facts.get("period_s", "0")),
+        "period_s": period,
         "ticks": len(record.ticks),
         "missing_ticks": missing,
         "phases": dict(Counter(record.phases)),

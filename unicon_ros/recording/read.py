@@ -24,6 +24,9 @@ from unicon_ros.recording.tick_message import Kept, Moment, kept_moments
 
 __all__ = ["Record", "files_of", "open_record"]
 
+SHORTEST, LONGEST = 1e-6, 86_400.0
+"""Of a period in [s]."""
+
 _WRONG = (
     ArithmeticError,
     AttributeError,
@@ -77,6 +80,25 @@ class Record:
     _begins: Sequence[int]
     _whole: Mapping[int, NDArray[np.uint8]]
     _feeds: dict[tuple[int, str], tuple[States, Any]] = field(default_factory=dict)
+
+    @property
+    def period(self) -> float:
+        """Time of a tick in [s].
+
+        Raises:
+            UniconError: the record does not say it.
+        """
+        said = self.facts.get("period_s", "nothing")
+        try:
+            period = float(said)
+        except ValueError:
+            period = 0.0
+        if not SHORTEST <= period <= LONGEST:
+            raise UniconError(
+                f"{self.paths[0]} does not say its period: period_s is {said!r:.40}; record it "
+                "with unicon run --record"
+            )
+        return period
 
     def states(self, name: str, moment: str = "sent", rows: slice = slice(None)) -> NDArray[Any]:
         """Return a state in every tick, shape (ticks, …), or in some of them.

@@ -245,8 +245,8 @@ class Replayed:
 
 def _refuse_other_rate(record: Record, program: Program) -> None:
     try:
-        period = float(record.facts["period_s"])
-    except (KeyError, ValueError):
+        period = record.period
+    except UniconError:
         return
     if abs(period - program.period) > 1e-6 * period:
         raise StateError(
