@@ -87,7 +87,7 @@ def motion_of(record: Record, where: str, window: float = 0.2) -> Motion:
         raise UniconError(f"{where} is of {layout.num_robots} robots; record one on its own")
     period = record.period
     if period > 1.0:
-        raise UniconError(f"{where} ticks every {period:g} s; a fit needs a tick each second")
+        raise UniconError(f"{where} ticks every {period:g} s; a fit needs ticks of at most 1 s")
     names = (*PLACE, *COMMAND_STATES, "projected_gravity")
     states: dict[str, Any] = {n: record.states(n) for n in names if n in layout.slots}
     ticks = np.asarray(record.ticks)

@@ -21,9 +21,12 @@ from unicon_core.runtime import Report, Runner, RunOptions
 from unicon_core.workflow import Program, load_workflow
 from unicon_ros.cli.main import main
 from unicon_ros.recording import open_record
+from unicon_ros.recording.info import info_of, info_text
+from unicon_ros.replay import verify, workflow_of
 from unicon_ros.replay.keys import LEFT, RIGHT, Keys
 from unicon_ros.replay.platform import TARGET, ReplayPlatform
 from unicon_ros.replay.player import play
+from unicon_ros.replay.workflow import others, versions
 
 BLOCK = "unicon_ros.replay.commands:recorded"
 
@@ -351,3 +354,24 @@ def test_a_record_that_does_not_say_its_period_is_named(
         assert told in capsys.readouterr().err, command
     for command in (["replay", str(bag), "--verify"], ["bag", "info", str(bag)]):
         assert main(command) == 0, command
+
+
+@pytest.mark.parametrize("said", ["[", "7", '[1, {"a": 1}]', '{"a": 1, "reads": 7}', "[" * 9999])
+def test_facts_that_are_damaged_are_as_if_they_were_not_there(
+    said: str, bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    record = open_record(bag)
+    document = workflow_of(record)
+    for fact in ("platform_facts", "policies", "versions", "overridden", "imported_states"):
+        record.facts[fact] = said  # type: ignore[index]
+    monkeypatch.setattr("unicon_ros.recording.info.open_record", lambda path: record)
+    assert "100 at 50 Hz" in info_text(info_of(bag))
+    assert not others(record, Program(document, dry=True))
+    assert versions(record) == []
+    assert verify(record, document).ticks == len(record.ticks)
+    monkeypatch.setattr("unicon_ros.replay.series.open_record", lambda path: record)
+    assert ran(replayed(written(tmp_path), bag))[0].ended == "done"
+    if not record.told("imported_states", list):  # else it says that no command was imported
+        load_workflow(driving(tmp_path, bag)).close()
+    record.facts["outside"] = said  # type: ignore[index]
+    assert verify(record, document).ticks == len(record.ticks)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import struct
 from collections import Counter
 from pathlib import Path
@@ -75,9 +74,9 @@ def _ticks(record: Record) -> dict[str, Any]:
         "states": len(record.layout.specs),
         "num_robots": record.layout.num_robots,
         "memories": len(record.memories),
-        "policies": json.loads(facts.get("policies", "{}")),
-        "versions": json.loads(facts.get("versions", "{}")),
-        "overridden": json.loads(facts.get("overridden", "[]")),
+        "policies": record.policies,
+        "versions": record.told("versions", dict) or {},
+        "overridden": record.told("overridden", list) or [],
         "layout_hash": record.layout.hash,
         "attachments": {name: len(content) for name, content in record.files.items()},
     }

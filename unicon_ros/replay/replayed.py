@@ -70,8 +70,12 @@ class Replayed:
         self.skipped: dict[str, int] = {}
         self.homeless: set[str] = set()
         self.fault: str | None = None
-        said = _json(record.facts.get("outside"))
-        self.outside = {m: tuple(names) for m, names in (GIVEN if said is None else said).items()}
+        said: Mapping[str, Any] | None = record.told("outside", dict)
+        self.outside = {
+            moment: tuple(map(str, names))
+            for moment, names in (GIVEN if said is None else said).items()
+            if isinstance(names, (list, tuple))
+        }
         self.program = Program(
             document,
             hooks=[self._hook],
@@ -273,7 +277,8 @@ def _memories(record: Record) -> dict[int, Mapping[str, Any]]:
                 "that nothing after it can be foretold; record again with this version"
             )
         return {}
-    built = _json(record.files.get("memory.json"), {}).get("built")
+    told = record.files.get("memory.json")
+    built = None if told is None else json.loads(told).get("built")
     if built is None and record.ticks[0] == 0:  # it holds the run from its first tick
         built = kept.get(0)
     given: dict[int, Mapping[str, Any]] = {
@@ -324,13 +329,6 @@ def _factor(own: Any, recorded: Any) -> float | None:
 
 def _text(error: Exception) -> str:
     return " ".join(str(error).split()) or type(error).__name__
-
-
-def _json(text: str | bytes | None, default: Any = None) -> Any:
-    try:
-        return default if text is None else json.loads(text)
-    except ValueError:
-        return default
 
 
 def _quiet(*_: object) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ from unicon_core.states.standard import HARDWARE_STATES
 from unicon_core.workflow import Program, WorkflowDocument, load_document
 from unicon_core.workflow.document import document_at
 from unicon_ros.recording import Record
-from unicon_ros.recording.facts import network_hash
+from unicon_ros.recording.facts import network_hash, versions_here
 
 __all__ = ["others", "recorded_workflow", "versions", "workflow_of"]
 
@@ -69,7 +68,8 @@ def others(record: Record, program: Program) -> list[str]:
     facts = record.facts
     if facts.get("robot_file") and facts["robot_file"] != _text(program.robot.path):
         found.append(f"robot {program.robot.name}: {program.robot.path} is not the recorded file")
-    for name, was in _policies(record).items():
+    for name, said in record.policies.items():
+        was = said["sha256"]
         contract = program.policies.get(name)
         if contract is None:
             found.append(f"policy {name!r} of the record is not in workflow {program.name}")
@@ -85,26 +85,13 @@ def others(record: Record, program: Program) -> list[str]:
 
 def versions(record: Record) -> list[str]:
     """Return packages of other versions than the recorded ones, one line each."""
-    from unicon_ros.recording.facts import versions_here
-
-    try:
-        recorded = json.loads(record.facts["versions"])
-        here = versions_here()
-        return [
-            f"{name} {here[name]} here, {was} in the record"
-            for name, was in recorded.items()
-            if name in here and here[name] != was
-        ]
-    except (AttributeError, KeyError, TypeError, ValueError):
-        return []
-
-
-def _policies(record: Record) -> dict[str, str]:
-    try:
-        said = json.loads(record.facts["policies"])
-        return {str(name): str(each["sha256"]) for name, each in said.items()}
-    except (AttributeError, KeyError, TypeError, ValueError):
-        return {}
+    recorded: dict[str, Any] = record.told("versions", dict) or {}
+    here = versions_here()
+    return [
+        f"{name} {here[name]} here, {was} in the record"
+        for name, was in recorded.items()
+        if name in here and here[name] != was
+    ]
 
 
 def _text(path: Path) -> str:
