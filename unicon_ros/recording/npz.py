@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.errors import UniconError
+from unicon_core.errors import UniconError, one_line
 
 __all__ = ["KEYS", "NAMES", "UNICONS", "Archive", "read_archive", "too_large"]
 
@@ -169,8 +169,7 @@ def read_archive(path: Path, wanted: Collection[str], plain: Collection[str] = (
     except MemoryError:
         raise too_large(path) from None
     except Exception as error:  # whatever zip files and headers of arrays raise
-        told = " ".join(f"{error}".split())[:300] or type(error).__name__
-        raise UniconError(f"{path} is not an .npz of arrays: {told}") from error
+        raise UniconError(f"{path} is not an .npz of arrays: {one_line(error)[:300]}") from error
     return Archive(path, keys, arrays)
 
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from unicon_core.errors import StateError, UniconError
+from unicon_core.errors import StateError, UniconError, one_line
 from unicon_core.flow import Block, Node, Stage, blocks_of, compile_graph
 from unicon_core.flow.compiled import CompiledGraph
 from unicon_core.memory import changes
@@ -133,7 +133,7 @@ class Replayed:
                 graph.deferred()
             except Exception as error:
                 if self._told_of == row and not all(record.ended[row + 1 : row + 2]):
-                    self.fault = _text(error)  # found behind send, as in the run
+                    self.fault = one_line(error)  # found behind send, as in the run
                     break
                 failed(row, error)  # the recorded tick went on: it differs
         return ran
@@ -146,7 +146,7 @@ class Replayed:
             graph.step()
             graph.deferred()
         except Exception as error:
-            self.fault = _text(error)
+            self.fault = one_line(error)
 
     def _missing_before(self, row: int) -> bool:
         """Return whether ticks are missing: what the blocks remembered is not known then."""
@@ -325,10 +325,6 @@ def _factor(own: Any, recorded: Any) -> float | None:
     ratios = recorded[moved].astype(float) / own[moved]
     near = bool(np.all(np.abs(ratios - ratios[0]) <= 1e-5 * abs(ratios[0])))
     return round(float(ratios[0]), 5) if near else None
-
-
-def _text(error: Exception) -> str:
-    return " ".join(str(error).split()) or type(error).__name__
 
 
 def _quiet(*_: object) -> None:
