@@ -419,7 +419,6 @@ ROWS = [
         ),
         ("Runner._begun", "Waiting(program.gates, ", "Waiting([], "),
         ("Runner._begun", "self.asks, self.options.warn", "False, self.options.warn"),
-        ("waiting_tree", "Zip(*program.hearing, ", "Zip("),
         ("Runner._approached", "True"),
         ("Runner._wind_down", REMOVED),
         ("Runner._wind_down", 'self.program.states["velocity_command"][...] = 0.0', "pass"),
@@ -432,8 +431,9 @@ ROWS = [
         ("Runner.close", "self.program.gate.close()", "pass"),
         ("Runner.run", "for act in self.at_fault:", "for act in []:"),
         ("Runner._ticked", "if ticker.stop:", "if False:"),
-        ("_refuse_pace", REMOVED),
     ),
+    *_rows("runtime/beforehand.py", ENDS, ("waiting_tree", "Zip(*program.hearing, ", "Zip(")),
+    *_rows("runtime/options.py", ENDS, ("refuse_pace", REMOVED)),
     *_rows(
         "runtime/runner.py",
         SIGNALS,

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.errors import MissingDependencyError, UniconError
+from unicon_core.errors import MissingDependencyError, UniconError, one_line
 from unicon_core.resources import find_config
 from unicon_core.robots import Robot
 from unicon_core.states import States
@@ -45,7 +45,9 @@ def open_bag(path: Path) -> Any:
         reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY))
         reader.open()
     except Exception as error:  # whatever its storages raise
-        raise UniconError(f"{path} is not a bag that can be read: {_line(error)}") from error
+        raise UniconError(
+            f"{path} is not a bag that can be read: {one_line(error)[:300]}"
+        ) from error
     return reader
 
 
@@ -103,7 +105,7 @@ def import_bag(
     except UniconError:
         raise
     except Exception as error:  # whatever its storages raise at damaged content
-        raise UniconError(f"{source} cannot be read to its end: {_line(error)}") from error
+        raise UniconError(f"{source} cannot be read to its end: {one_line(error)[:300]}") from error
     finally:
         reader.close()
     refused = [decoder for decoder in decoders.values() if not decoder.received]
@@ -144,7 +146,3 @@ def _column(states: States, table: NDArray[Any], name: str) -> NDArray[Any]:
     slot = states.layout.slots[name]
     packed = np.ascontiguousarray(table[:, slot.offset : slot.offset + slot.nbytes])
     return packed.view(slot.dtype).reshape(-1, *slot.shape)
-
-
-def _line(error: BaseException) -> str:
-    return " ".join(f"{error}".split())[:300] or type(error).__name__

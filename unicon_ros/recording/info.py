@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import struct
 from collections import Counter
 from pathlib import Path
@@ -61,9 +60,13 @@ def _ours(path: Path, paths: list[Path], scans: list[Scan]) -> dict[str, Any]:
 def _ticks(record: Record) -> dict[str, Any]:
     facts = record.facts
     told = {name: facts[name] for name in TOLD if facts.get(name)}
+    try:
+        period = record.period
+    except UniconError:
+        period = 0.0
     missing = int(np.maximum(np.diff(record.ticks) - 1, 0).sum()) if len(record.ticks) else 0
     return told | {
-        "period_s": float(facts.get("period_s", "0")),
+        "period_s": period,
         "ticks": len(record.ticks),
         "missing_ticks": missing,
         "phases": dict(Counter(record.phases)),
@@ -71,9 +74,9 @@ def _ticks(record: Record) -> dict[str, Any]:
         "states": len(record.layout.specs),
         "num_robots": record.layout.num_robots,
         "memories": len(record.memories),
-        "policies": json.loads(facts.get("policies", "{}")),
-        "versions": json.loads(facts.get("versions", "{}")),
-        "overridden": json.loads(facts.get("overridden", "[]")),
+        "policies": record.policies,
+        "versions": record.told("versions", dict) or {},
+        "overridden": record.told("overridden", list) or [],
         "layout_hash": record.layout.hash,
         "attachments": {name: len(content) for name, content in record.files.items()},
     }

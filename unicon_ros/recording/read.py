@@ -10,7 +10,7 @@ from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,11 @@ from unicon_ros.recording.scan import Scan, gather, scan
 from unicon_ros.recording.tick_message import Kept, Moment, kept_moments
 
 __all__ = ["Record", "files_of", "open_record"]
+
+_T = TypeVar("_T")
+
+SHORTEST, LONGEST = 1e-6, 86_400.0
+"""Of a period in [s]."""
 
 _WRONG = (
     ArithmeticError,
@@ -77,6 +82,43 @@ class Record:
     _begins: Sequence[int]
     _whole: Mapping[int, NDArray[np.uint8]]
     _feeds: dict[tuple[int, str], tuple[States, Any]] = field(default_factory=dict)
+
+    @property
+    def period(self) -> float:
+        """Time of a tick in [s].
+
+        Raises:
+            UniconError: the record does not say it.
+        """
+        said = self.facts.get("period_s", "nothing")
+        try:
+            period = float(said)
+        except ValueError:
+            period = 0.0
+        if not SHORTEST <= period <= LONGEST:
+            raise UniconError(
+                f"{self.paths[0]} does not say its period: period_s is {said!r:.40}; record it "
+                "with unicon run --record"
+            )
+        return period
+
+    def told(self, name: str, kind: type[_T]) -> _T | None:
+        """Return a fact that is written as JSON, None where there is none of that kind."""
+        try:
+            said = json.loads(self.facts.get(name, ""))
+        except (RecursionError, ValueError):
+            return None
+        return said if isinstance(said, kind) else None
+
+    @property
+    def policies(self) -> dict[str, dict[str, Any]]:
+        """Name of a policy to `path`, `model`, and the `sha256` of its network."""
+        policies: dict[str, Any] = self.told("policies", dict) or {}
+        return {
+            name: said
+            for name, said in policies.items()
+            if isinstance(said, dict) and isinstance(said.get("sha256"), str)
+        }
 
     def states(self, name: str, moment: str = "sent", rows: slice = slice(None)) -> NDArray[Any]:
         """Return a state in every tick, shape (ticks, …), or in some of them.

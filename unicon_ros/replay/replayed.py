@@ -13,13 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from unicon_core.errors import StateError, UniconError
+from unicon_core.errors import StateError, UniconError, one_line
 from unicon_core.flow import Block, Node, Stage, blocks_of, compile_graph
-from unicon_core.flow.compiler import CompiledGraph
+from unicon_core.flow.compiled import CompiledGraph
 from unicon_core.memory import changes
 from unicon_core.runtime import Runner, RunOptions
+from unicon_core.runtime.beforehand import approach_tree, waiting_tree
 from unicon_core.runtime.phases import Phase
-from unicon_core.runtime.runner import approach_tree, waiting_tree
 from unicon_core.runtime.tick_ring import memory_of
 from unicon_core.signals import SIGNALS
 from unicon_core.states.standard import COMMAND_STATES
@@ -70,8 +70,12 @@ class Replayed:
         self.skipped: dict[str, int] = {}
         self.homeless: set[str] = set()
         self.fault: str | None = None
-        said = _json(record.facts.get("outside"))
-        self.outside = {m: tuple(names) for m, names in (GIVEN if said is None else said).items()}
+        said: Mapping[str, Any] | None = record.told("outside", dict)
+        self.outside = {
+            moment: tuple(map(str, names))
+            for moment, names in (GIVEN if said is None else said).items()
+            if isinstance(names, (list, tuple))
+        }
         self.program = Program(
             document,
             hooks=[self._hook],
@@ -129,7 +133,7 @@ class Replayed:
                 graph.deferred()
             except Exception as error:
                 if self._told_of == row and not all(record.ended[row + 1 : row + 2]):
-                    self.fault = _text(error)  # found behind send, as in the run
+                    self.fault = one_line(error)  # found behind send, as in the run
                     break
                 failed(row, error)  # the recorded tick went on: it differs
         return ran
@@ -142,7 +146,7 @@ class Replayed:
             graph.step()
             graph.deferred()
         except Exception as error:
-            self.fault = _text(error)
+            self.fault = one_line(error)
 
     def _missing_before(self, row: int) -> bool:
         """Return whether ticks are missing: what the blocks remembered is not known then."""
@@ -245,8 +249,8 @@ class Replayed:
 
 def _refuse_other_rate(record: Record, program: Program) -> None:
     try:
-        period = float(record.facts["period_s"])
-    except (KeyError, ValueError):
+        period = record.period
+    except UniconError:
         return
     if abs(period - program.period) > 1e-6 * period:
         raise StateError(
@@ -273,7 +277,8 @@ def _memories(record: Record) -> dict[int, Mapping[str, Any]]:
                 "that nothing after it can be foretold; record again with this version"
             )
         return {}
-    built = _json(record.files.get("memory.json"), {}).get("built")
+    told = record.files.get("memory.json")
+    built = None if told is None else json.loads(told).get("built")
     if built is None and record.ticks[0] == 0:  # it holds the run from its first tick
         built = kept.get(0)
     given: dict[int, Mapping[str, Any]] = {
@@ -320,17 +325,6 @@ def _factor(own: Any, recorded: Any) -> float | None:
     ratios = recorded[moved].astype(float) / own[moved]
     near = bool(np.all(np.abs(ratios - ratios[0]) <= 1e-5 * abs(ratios[0])))
     return round(float(ratios[0]), 5) if near else None
-
-
-def _text(error: Exception) -> str:
-    return " ".join(str(error).split()) or type(error).__name__
-
-
-def _json(text: str | bytes | None, default: Any = None) -> Any:
-    try:
-        return default if text is None else json.loads(text)
-    except ValueError:
-        return default
 
 
 def _quiet(*_: object) -> None:

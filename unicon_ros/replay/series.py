@@ -13,6 +13,7 @@ from unicon_core.runtime.phases import Phase
 from unicon_core.states import States
 from unicon_core.states.standard import JOINT_STATES
 from unicon_ros.recording import Record, open_record
+from unicon_ros.replay.alignment import elements, refuse_other_batch
 
 __all__ = ["Series", "opened"]
 
@@ -92,10 +93,7 @@ def _rows(record: Record, period: float | None, start: float) -> NDArray[np.intp
     rows = rows if len(rows) else ended
     if not len(rows):
         raise StateError("the record holds no tick that ended: nothing can be replayed")
-    try:
-        own = float(record.facts["period_s"])
-    except (KeyError, ValueError) as error:
-        raise UniconError("the record does not say its period (period_s)") from error
+    own = record.period
     # Clocks may be set back.
     times = np.maximum.accumulate(record.stamps[rows] - record.stamps[rows[0]]) * 1e-9
     same = period is None or abs(period - own) <= 1e-6 * own
@@ -115,11 +113,7 @@ def _aligned(record: Record, name: str, moment: str, states: States) -> NDArray[
     """Return a state of the record with the program's elements, None where they do not fit."""
     theirs, ours = record.layout.specs[name], states.spec(name)
     values: NDArray[np.generic] = record.states(name, moment)
-    if record.layout.num_robots != states.num_robots:
-        raise StateError(
-            f"the record is of {record.layout.num_robots or 1} robots and the workflow of "
-            f"{states.num_robots or 1}; give the workflow the same num_robots"
-        )
+    refuse_other_batch(record, states)
     if theirs.names != ours.names:
         lacking = [each for each in ours.names if each not in theirs.names]
         if lacking and name in JOINT_STATES:
@@ -129,6 +123,7 @@ def _aligned(record: Record, name: str, moment: str, states: States) -> NDArray[
             )
         if lacking or not ours.names:
             return None
-        values = values[..., [theirs.names.index(each) for each in ours.names]]
+        order = elements(theirs.names, ours.names)
+        values = values if order is None else values[..., order]
     same = values.shape[1:] == states[name].shape and values.dtype == states[name].dtype
     return values if same else None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -47,12 +46,12 @@ class StandIn:
 def recorded_facts(record: Record) -> tuple[Facts, bool]:
     """Return the facts of the platform that a record was made on, and whether nothing was sent."""
     name = record.facts.get("platform", "")
+    said = record.told("platform_facts", dict) or {}
     try:
-        said = json.loads(record.facts["platform_facts"])
         reads, writes = tuple(map(str, said["reads"])), tuple(map(str, said["writes"]))
         simulated, silent = said["simulated"] is True, said["silent"] is True
         return Facts(name, simulated=simulated, batch=True, reads=reads, writes=writes), silent
-    except (KeyError, TypeError, ValueError):  # of a version that did not write them
+    except (KeyError, TypeError):  # of a version that did not write them
         pass
     try:
         facts = declared_facts(find_factory("platforms", name, PlatformError), name)
