@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import StateError, UniconError
-from unicon_core.runtime.tick_ring import HEAD
+from unicon_core.runtime.tick_ring import DONE, HEAD
 from unicon_core.states import Layout, States
 from unicon_ros.recording.facts import SCHEMA
 from unicon_ros.recording.scan import Scan, gather, scan
@@ -55,6 +55,8 @@ class Record:
         ticks: number of each, shape (ticks,).
         phases: phase of each, as text.
         ended: False for the tick in which the fault was, shape (ticks,).
+        done: True for a tick with which its phase was done, shape (ticks,): the flow, or who gives
+            the states. Older records do not say it.
         memories: what the blocks remembered: `before` (index of a tick), `anew` (the flow was
             reset before it), and what `Memory.restore` takes.
         files: name to content of what goes along: `report.json`, `trace.json`.
@@ -69,6 +71,7 @@ class Record:
     ticks: NDArray[np.int64]
     phases: tuple[str, ...]
     ended: NDArray[np.bool_]
+    done: NDArray[np.bool_]
     memories: list[dict[str, Any]]
     files: Mapping[str, bytes]
     paths: tuple[Path, ...]
@@ -256,6 +259,7 @@ def _record(paths: Sequence[Path], scans: Sequence[Scan]) -> Record:
         heads["tick"].astype(np.int64),
         tuple(names[number] for number in heads["phase"].tolist()),
         heads["ended"].astype(np.bool_),
+        (heads["ended"] & DONE).astype(np.bool_),
         memories,
         files,
         tuple(paths),

@@ -105,7 +105,8 @@ class Replayed:
         Raises:
             StateError: what the blocks remembered cannot be given to these.
         """
-        record, ran = self.record, 0
+        record, platform, ran = self.record, self.program.platform, 0
+        assert isinstance(platform, StandIn)
         lost = False
         for row, phase in enumerate(record.phases):
             SIGNALS.check()
@@ -123,6 +124,8 @@ class Replayed:
                 self.skipped[why] = self.skipped.get(why, 0) + 1
                 continue
             self._row, self.graph = row, graph
+            # Where the flow itself was done this changes nothing: all begins anew either way.
+            platform.done = bool(record.done[row])
             ran += 1
             try:
                 graph.step()
