@@ -92,7 +92,8 @@ class Replayed:
             raise
         self.graph: CompiledGraph = runner.graph
         # What no command depends on is heard in the slack, behind the moment at which it is kept.
-        needed = {s for block in self.program.critical for s in (*block.reads, *block.amends)}
+        own = self.program.critical.difference(self.program.outside)
+        needed = {s for block in own for s in (*block.reads, *block.amends)}
         given = {*self.outside.get("input", ()), *self.outside.get("tuned", ())}
         self.beyond = {*self.outside.get("sent", ()), *(given - needed)}
 
@@ -186,7 +187,8 @@ class Replayed:
         self._at_tuned = self._kept("tuned", [name for name in names if name not in made])
         self._gains = self._kept("tuned", self.outside.get("tuned", ()))
         written = {s for block in program.blocks for s in (*block.writes, *block.amends)}
-        # Undeclared, so that they stay where they are; what they write is declared beside them.
+        # Undeclared, so that they stay where they are. What they give is declared beside them, as
+        # it was in the run: the graph puts off behind `send` what it put off there.
         stages = {
             Stage.RECV: [Block("received again", self._received, endless=True)],
             Stage.OBSERVE: [Block("compare", self._sent, endless=True)],
@@ -196,8 +198,12 @@ class Replayed:
             if moment not in self.record.moments:
                 continue
             stages[stage] = [Block(f"{moment} again", tick, endless=True)]
-            if fresh := [name for name in self.outside.get(moment, ()) if name not in written]:
-                stages[stage].append(Block("given", _quiet, writes=tuple(fresh), endless=True))
+            if theirs := self.outside.get(moment, ()):
+                fresh = tuple(name for name in theirs if name not in written)
+                amended = tuple(name for name in theirs if name in written)
+                stages[stage].append(
+                    Block("given", _quiet, writes=fresh, amends=amended, endless=True)
+                )
         return stages
 
     def _kept(self, moment: str, names: Sequence[str]) -> list[str]:
