@@ -31,6 +31,8 @@ from unicon_ros.fault_record import FaultRecord
 from unicon_ros.recorder import Recorder, Recording
 from unicon_ros.recording import Record, open_record, recover
 from unicon_ros.recording.bag_folder import Split
+from unicon_ros.recording.info import info_of
+from unicon_ros.recording.scan import Scan, scan
 
 GO2 = load_robot("go2")
 recovery = sys.modules["unicon_ros.recording.recover"]  # its package has a function of that name
@@ -173,6 +175,19 @@ def test_info_of_ours_of_others_and_of_what_is_cut_off(
     assert not list(tmp_path.glob("*.partial"))
     plain = written_by_rosbags(tmp_path / "plain", StoragePlugin.SQLITE3)
     assert json.loads(said(capsys, "info", plain, "--json"))["messages"] == 60
+
+
+def test_info_looks_through_a_file_once(bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    looked: list[Path] = []
+
+    def look(path: Path) -> Scan:
+        looked.append(path)
+        return scan(path)
+
+    for module in ("info", "read"):
+        monkeypatch.setattr(f"unicon_ros.recording.{module}.scan", look)
+    assert info_of(bag)["ticks"] == 100
+    assert looked == [bag]
 
 
 @pytest.mark.parametrize("content", [b"", b"garbage", b"\x89MCAP0\r\n", b"\x89MCAP0\r\n" * 40])

@@ -37,7 +37,7 @@ def info_of(path: Path) -> dict[str, Any]:
         return _foreign(path, error)
     if not any(each.facts for each in scans):
         return _foreign(path, None)
-    return _ours(path, paths, scans) | _ticks(open_record(path))
+    return _ours(path, paths, scans) | _ticks(open_record(path, scans))
 
 
 def _ours(path: Path, paths: list[Path], scans: list[Scan]) -> dict[str, Any]:

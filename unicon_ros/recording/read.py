@@ -191,18 +191,20 @@ def files_of(path: Path) -> list[Path]:
     return sorted(found, key=number)
 
 
-def open_record(path: str | Path) -> Record:
+def open_record(path: str | Path, looked: Sequence[Scan] | None = None) -> Record:
     """Open a recording or fault record; of one that a kill cut off, what is whole.
 
     Args:
         path: of a file, or of a folder with the files of one recording.
+        looked: what `scan` found in each of `files_of(path)`, where somebody has looked already:
+            a look is a pass over the whole file.
 
     Raises:
         UniconError: it cannot be read, or is not such a record.
     """
     try:
         paths = files_of(Path(path))
-        return _record(paths, [_scan(each) for each in paths])
+        return _record(paths, [scan(each) for each in paths] if looked is None else looked)
     except OSError as error:
         raise UniconError(f"cannot read {path}: {error.strerror}") from error
     except _WRONG as error:
@@ -213,18 +215,13 @@ def open_record(path: str | Path) -> Record:
         ) from error
 
 
-def _scan(path: Path) -> Scan:
-    found = scan(path)
-    if not found.facts.get("schema"):
-        raise ValueError("it has no facts of unicon")
-    if found.facts["schema"] != SCHEMA:
-        raise ValueError(f"its schema is {found.facts['schema']!r}, known is {SCHEMA}")
-    return found
-
-
 def _record(paths: Sequence[Path], scans: Sequence[Scan]) -> Record:
     facts = scans[0].facts
     for path, each in zip(paths, scans):
+        if not each.facts.get("schema"):
+            raise ValueError("it has no facts of unicon")
+        if each.facts["schema"] != SCHEMA:
+            raise ValueError(f"its schema is {each.facts['schema']!r}, known is {SCHEMA}")
         for fact in ("layout_hash", "moments", "kept", "run"):
             if each.facts.get(fact) != facts.get(fact):
                 raise ValueError(f"{path.name} is of another run ({fact})")
