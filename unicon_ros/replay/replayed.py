@@ -12,6 +12,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from unicon_core.errors import StateError, UniconError
 from unicon_core.flow import Block, Node, Stage, blocks_of, compile_graph
@@ -22,7 +23,7 @@ from unicon_core.runtime.phases import Phase
 from unicon_core.runtime.runner import approach_tree, waiting_tree
 from unicon_core.runtime.tick_ring import memory_of
 from unicon_core.signals import SIGNALS
-from unicon_core.states.standard import COMMAND_STATES
+from unicon_core.states.standard import COMMAND_STATES, GAIN_SCALE, GAIN_SCALE_SPEC
 from unicon_core.workflow import Program, WorkflowDocument
 from unicon_ros.recording import Record
 from unicon_ros.replay.columns import Columns
@@ -185,7 +186,12 @@ class Replayed:
         self._at_input = self._kept("input", wanted)
         made |= {*given, *_written(program, Stage.INPUT, Stage.FLOW), *COMMAND_STATES}
         self._at_tuned = self._kept("tuned", [name for name in names if name not in made])
-        self._gains = self._kept("tuned", self.outside.get("tuned", ()))
+        gains = self._kept("tuned", self.outside.get("tuned", ()))
+        self._gains = [name for name in gains if name != GAIN_SCALE]
+        self._scales: NDArray[np.float64] | None = None
+        if GAIN_SCALE in gains:
+            scales = self.columns.column(GAIN_SCALE, "tuned")
+            self._scales = scales.reshape(len(scales), -1)[:, :2]  # of a batch they are all alike
         written = {s for block in program.blocks for s in (*block.writes, *block.amends)}
         # Undeclared, so that they stay where they are. What they give is declared beside them, as
         # it was in the run: the graph puts off behind `send` what it put off there.
@@ -222,6 +228,12 @@ class Replayed:
     def _tuned(self) -> None:
         """Scale the gains as somebody wished; other gains are those of another workflow."""
         self._put("tuned", self._at_tuned)
+        if self._scales is not None:
+            for name, factor in zip(GAIN_SCALE_SPEC.names, self._scales[self._row].tolist()):
+                if factor != 1.0:
+                    own = self.program.states[name]
+                    np.multiply(own, factor, out=own, casting="unsafe")
+            return
         for name in self._gains:
             own, recorded = self.program.states[name], self.columns.column(name, "tuned")[self._row]
             if own.tobytes() == recorded.tobytes():

@@ -9,7 +9,7 @@ from typing import Any
 
 from unicon_core.errors import UniconError, WorkflowError
 from unicon_core.located_yaml import parse_yaml
-from unicon_core.states.standard import HARDWARE_STATES
+from unicon_core.states.standard import GAIN_SCALE, GAIN_SCALE_SPEC, HARDWARE_STATES
 from unicon_core.workflow import Program, WorkflowDocument, load_document
 from unicon_core.workflow.document import document_at
 from unicon_ros.recording import Record
@@ -46,10 +46,13 @@ def workflow_of(
         path = record.facts.get("workflow_path") or "the record's workflow"
         document = document_at(parse_yaml(text, path, WorkflowError), overrides)
     # A platform that cannot be asked here may have declared them.
-    lacking = [name for name in HARDWARE_STATES if name in record.layout.slots]
+    there = record.layout.specs
+    lacking: dict[str, Any] = {name: None for name in HARDWARE_STATES if name in there}
+    if there.get(GAIN_SCALE) == GAIN_SCALE_SPEC:
+        lacking[GAIN_SCALE] = GAIN_SCALE_SPEC.to_dict()
     declared = document.get("states", dict, {})
     if lacking:
-        document.values["states"] = dict.fromkeys(lacking) | declared
+        document.values["states"] = lacking | declared
     return document
 
 
