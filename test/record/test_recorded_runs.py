@@ -227,6 +227,30 @@ def test_other_layouts_are_fed_by_name(tmp_path: Path) -> None:
         program.close()
 
 
+def test_the_overlay_of_a_robot_is_in_it(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    overlay = tmp_path / "weak.yaml"
+    text = "schema: unicon.robot/1\nextends: go2\nsimulated: {'*': {friction: 1.0}}\n"
+    overlay.write_text(text, "utf-8")
+    workflow = written(tmp_path, robot="./weak.yaml", scene={"initial_pose": "rest"}, duration=0.1)
+    record, _ = recorded(workflow, tmp_path / "weak.mcap", platform="mujoco")
+    assert record.facts["robot_overlay"] == text
+    assert yaml.safe_load(record.facts["robot_file"])["name"] == "go2"
+    assert replay(record) == []
+    plain = {"robot": "go2"}
+    (told,) = replay(record, overrides=plain)
+    assert told == "robot go2: the recorded one was extended by an overlay, and this one is not"
+    overlay.write_text(text.replace("1.0", "2.0"), "utf-8")
+    (told,) = replay(record)
+    assert told == f"robot go2: {overlay} is not the recorded overlay"
+    record.facts["robot_overlay"] = ""  # type: ignore[index]
+    assert replay(record) == [
+        f"robot go2: {overlay} extends it, and the recorded one was not extended"
+    ]
+    del record.facts["robot_overlay"]  # type: ignore[attr-defined]
+    assert replay(record) == []  # of an older record nobody knows
+
+
 BRIEF = {"safety": ["finite"], "duration": 2.0, "flow.chain.0.pose.duration": 0.4}
 
 

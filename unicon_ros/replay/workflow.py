@@ -9,6 +9,7 @@ from typing import Any
 
 from unicon_core.errors import UniconError, WorkflowError
 from unicon_core.located_yaml import parse_yaml
+from unicon_core.robots import Robot
 from unicon_core.states.standard import GAIN_SCALE, GAIN_SCALE_SPEC, HARDWARE_STATES
 from unicon_core.workflow import Program, WorkflowDocument, load_document
 from unicon_core.workflow.document import document_at
@@ -58,10 +59,7 @@ def workflow_of(
 
 def others(record: Record, program: Program) -> list[str]:
     """Return what a program was not built of as the recorded one was, one line each."""
-    found = []
-    facts = record.facts
-    if facts.get("robot_file") and facts["robot_file"] != _text(program.robot.path):
-        found.append(f"robot {program.robot.name}: {program.robot.path} is not the recorded file")
+    found = _other_robot(record.facts, program.robot)
     for name, was in _policies(record).items():
         contract = program.policies.get(name)
         if contract is None:
@@ -73,6 +71,25 @@ def others(record: Record, program: Program) -> list[str]:
                 f"policy {name!r}: {contract.model} is not the recorded file: its sha256 is "
                 f"{now[:12]}…, recorded is {was[:12]}…"
             )
+    return found
+
+
+def _other_robot(facts: Mapping[str, str], robot: Robot) -> list[str]:
+    found = []
+    if facts.get("robot_file") and facts["robot_file"] != _text(robot.path):
+        found.append(f"robot {robot.name}: {robot.path} is not the recorded file")
+    was = facts.get("robot_overlay")
+    if was is None:  # of a version that did not write it
+        return found
+    now = "" if robot.overlay is None else _text(robot.overlay)
+    if now != was:
+        if not now:
+            told = "the recorded one was extended by an overlay, and this one is not"
+        elif not was:
+            told = f"{robot.overlay} extends it, and the recorded one was not extended"
+        else:
+            told = f"{robot.overlay} is not the recorded overlay"
+        found.append(f"robot {robot.name}: {told}")
     return found
 
 
