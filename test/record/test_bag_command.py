@@ -202,9 +202,11 @@ def test_garbage_is_one_line(
         ("info", path),
         ("export", path, tmp_path / "x.csv"),
         ("import", path, out, "--robot", "go2"),
-        *([("recover", path)] if content or ".mcap" not in name else []),
+        *([("recover", path)] if content or not name.endswith(".partial") else []),
     ):
-        refused(capsys, *arguments)
+        told = refused(capsys, *arguments)
+        assert f"{path} " in told or f"{path}:" in told
+        assert "; " in told, told  # the remedy
     assert sorted(tmp_path.iterdir()) == [path]
 
 
@@ -213,6 +215,26 @@ def test_a_recording_without_a_name_is_refused(capsys: pytest.CaptureFixture[str
     told = capsys.readouterr().err
     assert "--record has no name; give FILE.mcap or FOLDER/" in told
     assert told.count("\n") == 1
+
+
+def test_what_holds_no_message_yet(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    raw = bag.read_bytes()
+    position = 8
+    while raw[position] != 6:  # the first chunk
+        position += 9 + int(struct.unpack_from("<Q", raw, position + 1)[0])
+    for content in (b"", raw[:position]):
+        left, whole = tmp_path / "run.mcap.partial", tmp_path / "run.mcap"
+        left.write_bytes(content)
+        told = said(capsys, "recover", left)
+        assert told == f"{left}: its run was killed before a message was in it; it is deleted\n"
+        assert not left.exists()
+        whole.write_bytes(content)
+        told = refused(capsys, "recover", whole)
+        assert f"{whole} has no whole message of a recording in it" in told
+        assert list(tmp_path.iterdir()) == [whole]
+        whole.unlink()
 
 
 def test_a_pipe_is_refused_and_not_waited_for(
@@ -261,7 +283,8 @@ def test_what_stands_behind_damage_is_not_cut_away(
         Recorder(tmp_path / "run.mcap")
     assert path.read_bytes() == raw
     path.rename(tmp_path / "run.mcap")
-    said(capsys, "recover", tmp_path / "run.mcap")  # a copy, of which nothing is whole
+    told = refused(capsys, "recover", tmp_path / "run.mcap")  # a copy, of which nothing is whole
+    assert "has no whole message" in told
     assert (tmp_path / "run.mcap").read_bytes() == raw
 
 

@@ -45,7 +45,10 @@ def open_bag(path: Path) -> Any:
         reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY))
         reader.open()
     except Exception as error:  # whatever its storages raise
-        raise UniconError(f"{path} is not a bag that can be read: {_line(error)}") from error
+        raise UniconError(
+            f"{path} is not a bag that can be read: {_line(error)}; give a recording of unicon, or "
+            "a bag of ROS 2: a folder, .mcap or .db3"
+        ) from error
     return reader
 
 

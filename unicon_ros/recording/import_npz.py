@@ -96,7 +96,10 @@ def _arrays(source: Path) -> dict[str, NDArray[Any]]:
         raise UniconError(f"cannot read {source}: {error.strerror or error}") from error
     except Exception as error:  # whatever zip files and headers of arrays raise
         told = " ".join(f"{error}".split())[:300] or type(error).__name__
-        raise UniconError(f"{source} is not an .npz file of arrays: {told}") from error
+        reason = told.partition(". If you trust")[0]  # of NumPy: nobody is to load what it is then
+        raise UniconError(
+            f"{source} is not an .npz file of arrays: {reason}; give one that UniCon wrote"
+        ) from error
     return arrays
 
 

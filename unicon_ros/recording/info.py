@@ -85,7 +85,10 @@ def _foreign(path: Path, why: Exception | None) -> dict[str, Any]:
         reader = open_bag(path)
     except UniconError as error:
         if path.suffix == ".partial":
-            raise UniconError(f"{path} is not a recording that was cut off: {why}") from error
+            raise UniconError(
+                f"{path} is not a recording that was cut off: {why or 'it says nothing of itself'}; "
+                "give what a run has left or is writing"
+            ) from error
         raise
     try:
         topics: dict[str, dict[str, Any]] = {}

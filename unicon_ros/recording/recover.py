@@ -139,28 +139,36 @@ def recover(path: str | Path, final_name: bool = False) -> tuple[Path, int] | No
         final_name: finish it as `FILE.mcap`, which it would have become.
 
     Returns:
-        Where it is now and its number of messages; None where there was none in it, and then it is
-        deleted.
+        Where it is now and its number of messages; None where a run was killed before there was one
+        in it, and then it is deleted.
 
     Raises:
         UniconError: it is written at this moment, is not a recording, is damaged far from its end,
-            or cannot be written.
+            cannot be written, or is a `FILE.mcap` without a whole message.
     """
     path = Path(path)
     if path.suffix == ".mcap" and path.is_file():
         copy = _copied(path)
         try:
-            return _recovered(copy, final_name=False, most=None)
+            done = _recovered(copy, path, final_name=False, most=None)
         except UniconError:
             copy.unlink(missing_ok=True)
             raise
-    return _recovered(path, final_name, REST)
+        if done is None:
+            raise UniconError(
+                f"{path} has no whole message of a recording in it: there is nothing to recover; "
+                "give what a killed run left (FILE.mcap.partial), or move it away"
+            )
+        return done
+    return _recovered(path, path, final_name, REST)
 
 
-def _recovered(path: Path, final_name: bool, most: int | None) -> tuple[Path, int] | None:
+def _recovered(
+    path: Path, given: Path, final_name: bool, most: int | None
+) -> tuple[Path, int] | None:
     final = path.with_name(path.name.removesuffix(".partial"))
     if final == path or not path.is_file():
-        raise UniconError(_no_recording(path))
+        raise UniconError(_no_recording(given))
     try:
         file = McapFile(final)
     except Taken:
@@ -186,7 +194,7 @@ def _recovered(path: Path, final_name: bool, most: int | None) -> tuple[Path, in
         file.finish(target)
     except ValueError:
         file.leave()
-        raise UniconError(_no_recording(path)) from None
+        raise UniconError(_no_recording(given)) from None
     except UniconError:
         file.leave()
         raise
