@@ -15,6 +15,7 @@ from unicon_core.states import States
 from unicon_msgs_map import Decoder, MapStateError, load_map
 from unicon_ros.bridge.bindings import robot_variables
 from unicon_ros.recording.imported import layout_of, write_imported
+from unicon_ros.recording.read import missing
 
 __all__ = ["MAP", "import_bag", "open_bag"]
 
@@ -38,7 +39,7 @@ def open_bag(path: Path) -> Any:
     from rosbags.typesys import Stores, get_typestore
 
     if not path.exists():
-        raise UniconError(f"cannot read {path}: there is no such file or folder")
+        raise UniconError(missing(path))
     if not (path.is_file() or path.is_dir()):  # a pipe would never open
         raise UniconError(f"{path} is neither a file nor a folder; give a bag")
     try:

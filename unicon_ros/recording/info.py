@@ -13,7 +13,7 @@ import numpy as np
 from unicon_core.aligned import aligned
 from unicon_core.errors import UniconError
 from unicon_ros.recording.import_bag import open_bag
-from unicon_ros.recording.read import Record, files_of, open_record
+from unicon_ros.recording.read import Record, files_of, missing, open_record
 from unicon_ros.recording.scan import Scan, scan
 
 __all__ = ["info_of", "info_text"]
@@ -29,7 +29,7 @@ def info_of(path: Path) -> dict[str, Any]:
         UniconError: it cannot be read.
     """
     if not path.exists():
-        raise UniconError(f"cannot read {path}: there is no such file or folder")
+        raise UniconError(missing(path))
     try:
         paths = files_of(path)
         scans = [scan(each) for each in paths]

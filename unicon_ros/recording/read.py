@@ -22,7 +22,7 @@ from unicon_ros.recording.facts import SCHEMA
 from unicon_ros.recording.scan import Scan, gather, scan
 from unicon_ros.recording.tick_message import Kept, Moment, kept_moments
 
-__all__ = ["Record", "files_of", "open_record"]
+__all__ = ["Record", "files_of", "missing", "open_record"]
 
 _WRONG = (
     ArithmeticError,
@@ -191,6 +191,14 @@ def files_of(path: Path) -> list[Path]:
     return sorted(found, key=number)
 
 
+def missing(path: Path) -> str:
+    """Return what is told of a recording that is not there."""
+    partial = path.with_name(f"{path.name}.partial")
+    there = partial.exists()
+    hint = f"a run writes it, or was cut off: give {partial}" if there else "correct the name"
+    return f"cannot read {path}: there is no such file or folder; {hint}"
+
+
 def open_record(path: str | Path, looked: Sequence[Scan] | None = None) -> Record:
     """Open a recording or fault record; of one that a kill cut off, what is whole.
 
@@ -205,6 +213,8 @@ def open_record(path: str | Path, looked: Sequence[Scan] | None = None) -> Recor
     try:
         paths = files_of(Path(path))
         return _record(paths, [scan(each) for each in paths] if looked is None else looked)
+    except FileNotFoundError as error:
+        raise UniconError(missing(Path(path))) from error
     except OSError as error:
         raise UniconError(f"cannot read {path}: {error.strerror}") from error
     except _WRONG as error:
@@ -224,7 +234,10 @@ def _record(paths: Sequence[Path], scans: Sequence[Scan]) -> Record:
             raise ValueError(f"its schema is {each.facts['schema']!r}, known is {SCHEMA}")
         for fact in ("layout_hash", "moments", "kept", "run"):
             if each.facts.get(fact) != facts.get(fact):
-                raise ValueError(f"{path.name} is of another run ({fact})")
+                raise UniconError(
+                    f"{path} is of another run than {paths[0].name} ({fact}): a folder is read as "
+                    "one recording; give one of its files, or move the others away"
+                )
     layout = Layout.from_json(facts["layout"])
     moments = tuple(json.loads(facts["moments"]))
     some: Kept = {m: frozenset(n) for m, n in json.loads(facts.get("kept", "{}")).items()}
@@ -236,10 +249,15 @@ def _record(paths: Sequence[Path], scans: Sequence[Scan]) -> Record:
     heads = heads.view(_HEADS).reshape(-1)
     names = json.loads(facts["phases"])
     begins = [0]
-    for each in scans:
+    first = int(facts.get("first_row", "0"))
+    for path, each in zip(paths, scans):
+        if len(each.ticks) and int(each.facts.get("first_row", "0")) < first + begins[-1]:
+            raise UniconError(
+                f"{path} has ticks that another file of its folder has, too; move the copy away"
+            )
         begins.append(begins[-1] + len(each.ticks))
     files = {name: content for each in scans for name, content in each.files.items()}
-    memories = _memories(files, int(facts.get("first_row", "0")), begins[-1])
+    memories = _memories(files, first, begins[-1])
     whole = {
         each["before"]: np.frombuffer(base64.b64decode(each.pop("received")), np.uint8)
         for each in memories

@@ -16,7 +16,7 @@ import numpy as np
 from unicon_core.errors import UniconError
 from unicon_ros.recording.bag_folder import BagFile, write_metadata
 from unicon_ros.recording.mcap_file import McapFile, Taken
-from unicon_ros.recording.read import files_of
+from unicon_ros.recording.read import files_of, missing
 from unicon_ros.recording.records import (
     ATTACHMENT,
     CHANNEL,
@@ -147,6 +147,8 @@ def recover(path: str | Path, final_name: bool = False) -> tuple[Path, int] | No
             cannot be written, or is a `FILE.mcap` without a whole message.
     """
     path = Path(path)
+    if not path.exists():
+        raise UniconError(missing(path))
     if path.suffix == ".mcap" and path.is_file():
         copy = _copied(path)
         try:
@@ -173,7 +175,8 @@ def _recovered(
         file = McapFile(final)
     except Taken:
         raise UniconError(
-            f"recording {path} is being written by another run; give another name"
+            f"recording {path} is being written by another run; let that end first, or give "
+            "another name"
         ) from None
     except OSError as error:
         raise UniconError(
@@ -247,6 +250,7 @@ def recover_folder(folder: Path) -> list[tuple[Path, int]]:
             recover(path, final_name=True)
     files: list[BagFile] = []
     types: dict[str, str] = {}
+    runs: set[str | None] = set()
     for path in files_of(folder):
         try:
             found = scan(path)
@@ -254,6 +258,12 @@ def recover_folder(folder: Path) -> list[tuple[Path, int]]:
             raise UniconError(
                 f"{path} cannot be read: {error}; move it away from the others"
             ) from error
+        runs.add(found.facts.get("run"))
+        if len(runs) > 1:
+            raise UniconError(
+                f"{path} is of another run than the files before it: a folder is one bag; move it "
+                "to a folder of its own"
+            )
         types |= dict(found.topics.values())
         files.append(BagFile(path.name, found.messages(), found.span))
     try:

@@ -46,6 +46,7 @@ def workflow_of(
             )
         path = record.facts.get("workflow_path") or "the record's workflow"
         document = document_at(parse_yaml(text, path, WorkflowError), overrides)
+        _refuse_absent(document)
     # A platform that cannot be asked here may have declared them.
     there = record.layout.specs
     lacking: dict[str, Any] = {name: None for name in HARDWARE_STATES if name in there}
@@ -55,6 +56,25 @@ def workflow_of(
     if lacking:
         document.values["states"] = lacking | declared
     return document
+
+
+def _refuse_absent(document: WorkflowDocument) -> None:
+    """Refuse a recorded workflow whose files stayed where it was recorded."""
+    named = {"robot": document.values.get("robot")}
+    policies = document.values.get("policies")
+    for name, said in policies.items() if isinstance(policies, dict) else ():
+        named[f"policies.{name}"] = said.get("path") if isinstance(said, dict) else said
+    folder = document.path.parent
+    for key, text in named.items():
+        if not isinstance(text, str) or not text.startswith(("/", "./", "../")):
+            continue
+        if any(f"{key}.".startswith(f"{each}.") for each in document.overridden):
+            continue  # it is whoever set it whom its loader tells
+        if not (folder / text).exists() and not Path(text).exists():
+            raise WorkflowError(
+                f"the recorded workflow has {key}: {text}, which was in {folder} where it was "
+                f"recorded and is not there now; give another: --set {key}=NAME, or a WORKFLOW"
+            )
 
 
 def others(record: Record, program: Program) -> list[str]:
