@@ -94,6 +94,31 @@ def test_files_that_stayed_on_another_machine(
     assert "policy './gone': no such file" in told
 
 
+@pytest.mark.parametrize("name", ["x" * 300, "~nobody-of-this-name/x.mcap", "a/b.mcap"])
+def test_names_that_no_file_has(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for arguments in [*every_reader(Path(name), tmp_path), ("bag", "recover", name)]:
+        assert name in refused(capsys, *arguments)
+    replays: list[dict[str, Any]] = [
+        {"platform": "replay", "platforms": {"replay": {"bag": name}}},
+        {"flow": {"recorded": {"bag": name}}},
+    ]
+    for options in replays:
+        workflow = written(tmp_path, **options)
+        assert name in refused(capsys, "run", workflow, "--no-ros", "--speed", "max")
+
+
+@pytest.mark.parametrize("start", [1e308, -1.0, 0.41])
+def test_a_start_that_is_not_in_it(
+    start: float, bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    platforms = {"replay": {"bag": str(bag), "start": start}}
+    workflow = written(tmp_path, platform="replay", platforms=platforms)
+    told = refused(capsys, "run", workflow, "--no-ros", "--speed", "max")
+    assert "the record is 0.38 s long; give less, from 0 on" in told
+
+
 def test_what_is_being_written(
     bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

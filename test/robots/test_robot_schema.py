@@ -11,8 +11,8 @@ import yaml
 from json_schema_reference import accepts
 
 from unicon_core.robots.checks import IMU_KEYS
-from unicon_core.robots.robot import JOINT_FIELDS
 from unicon_core.robots.joint_physics import JOINT_PHYSICS
+from unicon_core.robots.robot import JOINT_FIELDS
 from unicon_core.robots.validate import _OPTIONAL, _OVERLAY, _REQUIRED, COMMANDS, KINDS, SCHEMA
 
 HERE = Path(__file__).parent
@@ -67,7 +67,9 @@ def test_schema_accepts_overlays_and_what_the_weak_calf_is_told() -> None:
     weak = _document(HERE.parents[1] / "examples" / "weak_calf.yaml")["scene"]["joints"]
     overlay = {"schema": SCHEMA, "extends": "go2", "simulated": weak}
     assert accepts(ROBOT_SCHEMA, overlay, ROBOT_SCHEMA)
-    assert accepts(ROBOT_SCHEMA, {**overlay, "description": "Weak.", "simulated": None}, ROBOT_SCHEMA)
+    assert accepts(
+        ROBOT_SCHEMA, {**overlay, "description": "Weak.", "simulated": None}, ROBOT_SCHEMA
+    )
     for wrong in (
         {"simulated": {"RL_calf_joint": {"strong": 0.3}}},
         {"simulated": {"RL_calf_joint": {"strength": -1}}},

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +39,7 @@ def open_bag(path: Path) -> Any:
         ) from error
     from rosbags.typesys import Stores, get_typestore
 
-    if not path.exists():
+    if not os.path.exists(path):  # of a name that is too long, too
         raise UniconError(missing(path))
     if not (path.is_file() or path.is_dir()):  # a pipe would never open
         raise UniconError(f"{path} is neither a file nor a folder; give a bag")

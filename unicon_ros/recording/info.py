@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import struct
 from collections import Counter
 from pathlib import Path
@@ -28,7 +29,7 @@ def info_of(path: Path) -> dict[str, Any]:
     Raises:
         UniconError: it cannot be read.
     """
-    if not path.exists():
+    if not os.path.exists(path):  # of a name that is too long, too
         raise UniconError(missing(path))
     try:
         paths = files_of(path)
@@ -86,8 +87,8 @@ def _foreign(path: Path, why: Exception | None) -> dict[str, Any]:
     except UniconError as error:
         if path.suffix == ".partial":
             raise UniconError(
-                f"{path} is not a recording that was cut off: {why or 'it says nothing of itself'}; "
-                "give what a run has left or is writing"
+                f"{path} is not a recording that was cut off: "
+                f"{why or 'it says nothing of itself'}; give what a run has left or is writing"
             ) from error
         raise
     try:

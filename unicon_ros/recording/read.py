@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+import os
 import re
 import struct
 from bisect import bisect_right
@@ -194,7 +195,7 @@ def files_of(path: Path) -> list[Path]:
 def missing(path: Path) -> str:
     """Return what is told of a recording that is not there."""
     partial = path.with_name(f"{path.name}.partial")
-    there = partial.exists()
+    there = os.path.exists(partial)
     hint = f"a run writes it, or was cut off: give {partial}" if there else "correct the name"
     return f"cannot read {path}: there is no such file or folder; {hint}"
 

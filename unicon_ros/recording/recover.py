@@ -6,6 +6,7 @@ that name.
 
 from __future__ import annotations
 
+import os
 import shutil
 import struct
 import zlib
@@ -147,7 +148,7 @@ def recover(path: str | Path, final_name: bool = False) -> tuple[Path, int] | No
             cannot be written, or is a `FILE.mcap` without a whole message.
     """
     path = Path(path)
-    if not path.exists():
+    if not os.path.exists(path):  # of a name that is too long, too
         raise UniconError(missing(path))
     if path.suffix == ".mcap" and path.is_file():
         copy = _copied(path)

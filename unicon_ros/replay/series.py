@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -27,7 +28,9 @@ def opened(bag: str, relative_to: Path | None) -> Record:
         UniconError: it cannot be read.
     """
     beside = None if relative_to is None else relative_to / bag
-    return open_record(beside if beside is not None and beside.exists() else Path(bag).expanduser())
+    if beside is not None and os.path.exists(beside):
+        return open_record(beside)
+    return open_record(os.path.expanduser(bag))  # which leaves a user alone who is not known
 
 
 class Series:
@@ -94,8 +97,12 @@ def _rows(record: Record, period: float | None, start: float) -> NDArray[np.intp
         raise StateError("the record holds no tick that ended: nothing can be replayed")
     try:
         own = float(record.facts["period_s"])
+        if not 0.0 < own < float("inf"):
+            raise ValueError
     except (KeyError, ValueError) as error:
-        raise UniconError("the record does not say its period (period_s)") from error
+        raise UniconError(
+            "the record does not say its period (period_s); give one that unicon wrote"
+        ) from error
     # Clocks may be set back.
     times = np.maximum.accumulate(record.stamps[rows] - record.stamps[rows[0]]) * 1e-9
     same = period is None or abs(period - own) <= 1e-6 * own
@@ -103,12 +110,13 @@ def _rows(record: Record, period: float | None, start: float) -> NDArray[np.intp
         assert period is not None
         grid = np.arange(int(float(times[-1]) / period + 1e-6) + 1) * period
         rows = rows[np.searchsorted(times, grid + 1e-9, side="right") - 1]
-    skipped = round(start / (own if same or period is None else period))
-    if not 0 <= skipped < len(rows):
+    skipped = start / (own if same or period is None else period)
+    if not 0.0 <= skipped < len(rows) - 0.5:
         raise UniconError(
-            f"start is {start:g} s, and the record is {float(times[-1]):.3g} s long; give less"
+            f"start is {start:g} s, and the record is {float(times[-1]):.3g} s long; give less, "
+            "from 0 on"
         )
-    return rows[skipped:]
+    return rows[round(skipped) :]
 
 
 def _aligned(record: Record, name: str, moment: str, states: States) -> NDArray[np.generic] | None:

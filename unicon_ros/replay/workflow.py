@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -70,7 +71,7 @@ def _refuse_absent(document: WorkflowDocument) -> None:
             continue
         if any(f"{key}.".startswith(f"{each}.") for each in document.overridden):
             continue  # it is whoever set it whom its loader tells
-        if not (folder / text).exists() and not Path(text).exists():
+        if not os.path.exists(folder / text) and not os.path.exists(text):
             raise WorkflowError(
                 f"the recorded workflow has {key}: {text}, which was in {folder} where it was "
                 f"recorded and is not there now; give another: --set {key}=NAME, or a WORKFLOW"
