@@ -74,7 +74,13 @@ def test_a_report_that_cannot_be_written_does_not_hide_the_fault(tmp_path: Path)
     assert "give a path in a writable folder" in err
 
 
-@pytest.mark.parametrize("closed", [">&- 2>&-", "2>&-", "<&- >&- 2>&-"])
+@pytest.mark.parametrize(
+    "closed",
+    [
+        "<&- >&- 2>&-",
+        *(pytest.param(some, marks=pytest.mark.slow) for some in ("2>&-", ">&- 2>&-")),
+    ],
+)
 def test_a_run_without_standard_files_ends_as_it_should(closed: str, tmp_path: Path) -> None:
     pytest.importorskip("rosbags")
     (tmp_path / "w.yaml").write_text("robot: go2\nplatform: fake\nrate: 50\nflow: hold\n")

@@ -44,7 +44,7 @@ FEWER = {
     "run": 60,
     "bag": 20,
     "npz": 60,
-    "replay": 60,
+    "replay": 30,
 }
 """Quick cases of the kinds whose cases take longest."""
 SEED = 7
