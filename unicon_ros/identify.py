@@ -52,7 +52,7 @@ def fit_record(
         UniconError: the record lacks something, or is of another robot.
     """
     said, folder = _workflow(record)
-    robot = robot or _robot(record, said, folder)
+    robot = robot or _robot(record, where, said, folder)
     specs = record.layout.specs
     names = specs["joint_pos"].names if "joint_pos" in specs else ()
     if tuple(names) != robot.joint_names:
@@ -111,7 +111,12 @@ def _workflow(record: Record) -> tuple[dict[str, Any], Path | None]:
     return (said if isinstance(said, dict) else {}), (Path(path).parent if path else None)
 
 
-def _robot(record: Record, said: dict[str, Any], folder: Path | None) -> Robot:
+def _robot(record: Record, where: str, said: dict[str, Any], folder: Path | None) -> Robot:
     text = str(said.get("robot") or record.facts.get("robot") or "")
     beside = (folder or Path()) / text
+    if "/" in text and not beside.is_file() and not Path(text).is_file():
+        raise UniconError(
+            f"{where} is of robot {text}, which was in {folder} where it was recorded and is not "
+            "there now; give the robot with --robot"
+        )
     return load_robot(beside if "/" in text and beside.is_file() else text)

@@ -33,6 +33,7 @@ KINDS = (
     "scene",
     "preflight",
     "bag",
+    "replay",
 )
 QUICK, THOROUGH = 300, 5000
 FEWER = {
@@ -43,6 +44,7 @@ FEWER = {
     "run": 60,
     "bag": 20,
     "npz": 60,
+    "replay": 30,
 }
 """Quick cases of the kinds whose cases take longest."""
 SEED = 7

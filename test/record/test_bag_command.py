@@ -32,6 +32,8 @@ from unicon_ros.fault_record import FaultRecord
 from unicon_ros.recorder import Recorder, Recording
 from unicon_ros.recording import Record, open_record, recover
 from unicon_ros.recording.bag_folder import Split
+from unicon_ros.recording.info import info_of
+from unicon_ros.recording.scan import Scan, scan
 
 GO2 = load_robot("go2")
 recovery = sys.modules["unicon_ros.recording.recover"]  # its package has a function of that name
@@ -176,6 +178,19 @@ def test_info_of_ours_of_others_and_of_what_is_cut_off(
     assert json.loads(said(capsys, "info", plain, "--json"))["messages"] == 60
 
 
+def test_info_looks_through_a_file_once(bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    looked: list[Path] = []
+
+    def look(path: Path) -> Scan:
+        looked.append(path)
+        return scan(path)
+
+    for module in ("info", "read"):
+        monkeypatch.setattr(f"unicon_ros.recording.{module}.scan", look)
+    assert info_of(bag)["ticks"] == 100
+    assert looked == [bag]
+
+
 @pytest.mark.parametrize("content", [b"", b"garbage", b"\x89MCAP0\r\n", b"\x89MCAP0\r\n" * 40])
 @pytest.mark.parametrize("name", ["x.mcap", "x.mcap.partial", "x.db3", "x.npz", "x"])
 def test_garbage_is_one_line(
@@ -188,9 +203,11 @@ def test_garbage_is_one_line(
         ("info", path),
         ("export", path, tmp_path / "x.csv"),
         ("import", path, out, "--robot", "go2"),
-        *([("recover", path)] if content or ".mcap" not in name else []),
+        *([("recover", path)] if content or not name.endswith(".partial") else []),
     ):
-        refused(capsys, *arguments)
+        told = refused(capsys, *arguments)
+        assert f"{path} " in told or f"{path}:" in told
+        assert "; " in told, told  # the remedy
     assert sorted(tmp_path.iterdir()) == [path]
 
 
@@ -199,6 +216,26 @@ def test_a_recording_without_a_name_is_refused(capsys: pytest.CaptureFixture[str
     told = capsys.readouterr().err
     assert "--record has no name; give FILE.mcap or FOLDER/" in told
     assert told.count("\n") == 1
+
+
+def test_what_holds_no_message_yet(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    raw = bag.read_bytes()
+    position = 8
+    while raw[position] != 6:  # the first chunk
+        position += 9 + int(struct.unpack_from("<Q", raw, position + 1)[0])
+    for content in (b"", raw[:position]):
+        left, whole = tmp_path / "run.mcap.partial", tmp_path / "run.mcap"
+        left.write_bytes(content)
+        told = said(capsys, "recover", left)
+        assert told == f"{left}: its run was killed before a message was in it; it is deleted\n"
+        assert not left.exists()
+        whole.write_bytes(content)
+        told = refused(capsys, "recover", whole)
+        assert f"{whole} has no whole message of a recording in it" in told
+        assert list(tmp_path.iterdir()) == [whole]
+        whole.unlink()
 
 
 def test_a_pipe_is_refused_and_not_waited_for(
@@ -247,7 +284,8 @@ def test_what_stands_behind_damage_is_not_cut_away(
         Recorder(tmp_path / "run.mcap")
     assert path.read_bytes() == raw
     path.rename(tmp_path / "run.mcap")
-    said(capsys, "recover", tmp_path / "run.mcap")  # a copy, of which nothing is whole
+    told = refused(capsys, "recover", tmp_path / "run.mcap")  # a copy, of which nothing is whole
+    assert "has no whole message" in told
     assert (tmp_path / "run.mcap").read_bytes() == raw
 
 

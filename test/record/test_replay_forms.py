@@ -12,6 +12,7 @@ import yaml
 
 pytest.importorskip("rosbags")
 
+from replaying import replay
 from test_recorded_runs import noise, recorded, written
 
 from unicon_core.errors import UniconError
@@ -106,6 +107,17 @@ def test_every_workflow_runs_on_it_that_needs_what_was_measured(bag: Path, tmp_p
     report, _ = ran(replayed(Path("go2_walk"), bag, loop=True))
     assert report.ticks == 1150
     assert report.faults == []
+
+
+def test_a_recording_of_a_replay_to_its_end_replays_to_the_bit(bag: Path, tmp_path: Path) -> None:
+    pytest.importorskip("onnxruntime")
+    platforms = {TARGET: {"bag": str(bag)}}
+    flow = {"flow.chain.0.pose.duration": 0.4, "wind_down": None, "safety": ["finite"]}
+    path = tmp_path / "again.mcap"
+    record, _ = recorded("go2_walk", path, platform=TARGET, platforms=platforms, **flow)
+    assert record.done.tolist() == [False] * 99 + [True]
+    assert not record.states("action")[-1].any()  # the policy began anew
+    assert replay(record) == []
 
 
 # -- as command source --------------------------------------------------------------------------

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from types import CellType, FunctionType
 
@@ -13,6 +13,9 @@ from unicon_core.flow.block import Block
 from unicon_core.flow.scope import LABEL
 
 __all__ = ["CompiledGraph"]
+
+WITHIN = ("due", "ending", "anew")
+"""Variables that tell `deferred` what `step` put off: they are 0 between two ticks."""
 
 
 @dataclass
@@ -43,7 +46,10 @@ class CompiledGraph:
     stamps: NDArray[np.int64]
 
     def memory(self) -> dict[str, int]:
-        """Return the variables that live from tick to tick: where chains and switches are."""
+        """Return the variables that live from tick to tick: where chains and switches are.
+
+        What says that something was put off is not among them: it is 0 between two ticks.
+        """
         return {name: cell.cell_contents for name, cell in self._counters().items()}
 
     def restore(self, memory: Mapping[str, int]) -> None:
@@ -53,10 +59,11 @@ class CompiledGraph:
             ValueError: it is of another tree.
         """
         counters = self._counters()
-        if set(memory) != set(counters):
+        own, theirs = _places(counters), _places(memory)
+        if [kind for kind, _ in own] != [kind for kind, _ in theirs]:
             raise ValueError("the flow is another one")
-        for name, cell in counters.items():
-            cell.cell_contents = memory[name]
+        for (_, name), (_, their) in zip(own, theirs):
+            counters[name].cell_contents = memory[their]
 
     def _counters(self) -> dict[str, CellType]:
         """Return the generated functions' own variables: all else that they enclose are objects."""
@@ -72,7 +79,22 @@ class CompiledGraph:
             seen.add(id(function))
             for name, cell in zip(function.__code__.co_freevars, function.__closure__ or ()):
                 if type(cell.cell_contents) is int:
-                    found[name] = cell
+                    if _kind(name) not in WITHIN:
+                        found[name] = cell
                 else:
                     todo.append(cell.cell_contents)
         return found
+
+
+def _kind(name: str) -> str:
+    return name.rstrip("0123456789")
+
+
+def _places(names: Iterable[str]) -> list[tuple[str, str]]:
+    """Return kind and name of the variables between ticks, each kind in the order of the tree.
+
+    Numbers count all variables: they are others where a hook gives other blocks, which may be put
+    off. Memories of older records name what was put off, too.
+    """
+    told = [name for name in map(str, names) if _kind(name) not in WITHIN]
+    return sorted(((_kind(n), n) for n in told), key=lambda p: (p[0], int(p[1][len(p[0]) :] or 0)))

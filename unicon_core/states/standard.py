@@ -12,6 +12,8 @@ from unicon_core.states.spec import StateSpec
 __all__ = [
     "BASE_STATES",
     "COMMAND_STATES",
+    "GAIN_SCALE",
+    "GAIN_SCALE_SPEC",
     "HARDWARE_STATES",
     "JOINT_STATES",
     "hardware_states",
@@ -39,6 +41,16 @@ COMMAND_STATES = (
     "joint_damping",
 )
 """What leaves for the motors: the states that a platform's `send` reads."""
+
+GAIN_SCALE = "gain_scale"
+GAIN_SCALE_SPEC = StateSpec(
+    (2,),
+    "float64",
+    names=("joint_stiffness", "joint_damping"),
+    description="factors of the gains, by whoever hosts the workflow",
+    initial=1.0,
+)
+"""Of the state that a host which scales gains adds to a workflow, so that records tell it."""
 
 
 HARDWARE_STATES = ("motor_temperature", "motor_error", "battery_charge", "battery_voltage")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from unicon_core.states import States
 from unicon_msgs_map import Decoder, MapStateError, load_map
 from unicon_ros.bridge.bindings import robot_variables
 from unicon_ros.recording.imported import layout_of, write_imported
+from unicon_ros.recording.read import missing
 
 __all__ = ["MAP", "import_bag", "open_bag"]
 
@@ -37,8 +39,8 @@ def open_bag(path: Path) -> Any:
         ) from error
     from rosbags.typesys import Stores, get_typestore
 
-    if not path.exists():
-        raise UniconError(f"cannot read {path}: there is no such file or folder")
+    if not os.path.exists(path):  # of a name that is too long, too
+        raise UniconError(missing(path))
     if not (path.is_file() or path.is_dir()):  # a pipe would never open
         raise UniconError(f"{path} is neither a file nor a folder; give a bag")
     try:
@@ -46,7 +48,8 @@ def open_bag(path: Path) -> Any:
         reader.open()
     except Exception as error:  # whatever its storages raise
         raise UniconError(
-            f"{path} is not a bag that can be read: {one_line(error)[:300]}"
+            f"{path} is not a bag that can be read: {one_line(error)[:300]}; give a recording of "
+            "unicon, or a bag of ROS 2: a folder, .mcap or .db3"
         ) from error
     return reader
 

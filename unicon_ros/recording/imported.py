@@ -17,7 +17,7 @@ from unicon_core.runtime.phases import Phase
 from unicon_core.runtime.tick_ring import HEAD, PHASES
 from unicon_core.states import Layout, States
 from unicon_core.states.standard import COMMAND_STATES, hardware_states, standard_states
-from unicon_ros.recording.facts import versions_here
+from unicon_ros.recording.facts import robot_facts, versions_here
 from unicon_ros.recording.read import LONGEST, SHORTEST
 from unicon_ros.recording.tick_file import write_ticks
 from unicon_ros.recording.tick_message import Kept, kept_moments
@@ -74,8 +74,7 @@ def write_imported(
         "period_s": repr(period),
         "workflow": "",
         "platform": "imported",
-        "robot": robot.name,
-        "robot_file": robot.path.read_text("utf-8"),
+        **robot_facts(robot),
         "imported_from": str(source),
         "imported_states": json.dumps(sorted(states)),
         "policies": "{}",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import struct
 from collections import Counter
 from pathlib import Path
@@ -12,7 +13,7 @@ import numpy as np
 from unicon_core.aligned import aligned
 from unicon_core.errors import UniconError
 from unicon_ros.recording.import_bag import open_bag
-from unicon_ros.recording.read import Record, files_of, open_record
+from unicon_ros.recording.read import Record, files_of, missing, open_record
 from unicon_ros.recording.scan import Scan, scan
 
 __all__ = ["info_of", "info_text"]
@@ -27,8 +28,8 @@ def info_of(path: Path) -> dict[str, Any]:
     Raises:
         UniconError: it cannot be read.
     """
-    if not path.exists():
-        raise UniconError(f"cannot read {path}: there is no such file or folder")
+    if not os.path.exists(path):  # of a name that is too long, too
+        raise UniconError(missing(path))
     try:
         paths = files_of(path)
         scans = [scan(each) for each in paths]
@@ -36,7 +37,7 @@ def info_of(path: Path) -> dict[str, Any]:
         return _foreign(path, error)
     if not any(each.facts for each in scans):
         return _foreign(path, None)
-    return _ours(path, paths, scans) | _ticks(open_record(path))
+    return _ours(path, paths, scans) | _ticks(open_record(path, scans))
 
 
 def _ours(path: Path, paths: list[Path], scans: list[Scan]) -> dict[str, Any]:
@@ -88,7 +89,10 @@ def _foreign(path: Path, why: Exception | None) -> dict[str, Any]:
         reader = open_bag(path)
     except UniconError as error:
         if path.suffix == ".partial":
-            raise UniconError(f"{path} is not a recording that was cut off: {why}") from error
+            raise UniconError(
+                f"{path} is not a recording that was cut off: "
+                f"{why or 'it says nothing of itself'}; give what a run has left or is writing"
+            ) from error
         raise
     try:
         topics: dict[str, dict[str, Any]] = {}

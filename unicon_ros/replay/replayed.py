@@ -12,6 +12,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from unicon_core.errors import StateError, UniconError, one_line
 from unicon_core.flow import Block, Node, Stage, blocks_of, compile_graph
@@ -22,7 +23,7 @@ from unicon_core.runtime.beforehand import approach_tree, waiting_tree
 from unicon_core.runtime.phases import Phase
 from unicon_core.runtime.tick_ring import memory_of
 from unicon_core.signals import SIGNALS
-from unicon_core.states.standard import COMMAND_STATES
+from unicon_core.states.standard import COMMAND_STATES, GAIN_SCALE, GAIN_SCALE_SPEC
 from unicon_core.workflow import Program, WorkflowDocument
 from unicon_ros.recording import Record
 from unicon_ros.replay.columns import Columns
@@ -96,7 +97,8 @@ class Replayed:
             raise
         self.graph: CompiledGraph = runner.graph
         # What no command depends on is heard in the slack, behind the moment at which it is kept.
-        needed = {s for block in self.program.critical for s in (*block.reads, *block.amends)}
+        own = self.program.critical.difference(self.program.outside)
+        needed = {s for block in own for s in (*block.reads, *block.amends)}
         given = {*self.outside.get("input", ()), *self.outside.get("tuned", ())}
         self.beyond = {*self.outside.get("sent", ()), *(given - needed)}
 
@@ -109,7 +111,8 @@ class Replayed:
         Raises:
             StateError: what the blocks remembered cannot be given to these.
         """
-        record, ran = self.record, 0
+        record, platform, ran = self.record, self.program.platform, 0
+        assert isinstance(platform, StandIn)
         lost = False
         for row, phase in enumerate(record.phases):
             SIGNALS.check()
@@ -127,6 +130,8 @@ class Replayed:
                 self.skipped[why] = self.skipped.get(why, 0) + 1
                 continue
             self._row, self.graph = row, graph
+            # Where the flow itself was done this changes nothing: all begins anew either way.
+            platform.done = bool(record.done[row])
             ran += 1
             try:
                 graph.step()
@@ -185,9 +190,15 @@ class Replayed:
         self._at_input = self._kept("input", wanted)
         made |= {*given, *_written(program, Stage.INPUT, Stage.FLOW), *COMMAND_STATES}
         self._at_tuned = self._kept("tuned", [name for name in names if name not in made])
-        self._gains = self._kept("tuned", self.outside.get("tuned", ()))
+        gains = self._kept("tuned", self.outside.get("tuned", ()))
+        self._gains = [name for name in gains if name != GAIN_SCALE]
+        self._scales: NDArray[np.float64] | None = None
+        if GAIN_SCALE in gains:
+            scales = self.columns.column(GAIN_SCALE, "tuned")
+            self._scales = scales.reshape(len(scales), -1)[:, :2]  # of a batch they are all alike
         written = {s for block in program.blocks for s in (*block.writes, *block.amends)}
-        # Undeclared, so that they stay where they are; what they write is declared beside them.
+        # Undeclared, so that they stay where they are. What they give is declared beside them, as
+        # it was in the run: the graph puts off behind `send` what it put off there.
         stages = {
             Stage.RECV: [Block("received again", self._received, endless=True)],
             Stage.OBSERVE: [Block("compare", self._sent, endless=True)],
@@ -197,8 +208,12 @@ class Replayed:
             if moment not in self.record.moments:
                 continue
             stages[stage] = [Block(f"{moment} again", tick, endless=True)]
-            if fresh := [name for name in self.outside.get(moment, ()) if name not in written]:
-                stages[stage].append(Block("given", _quiet, writes=tuple(fresh), endless=True))
+            if theirs := self.outside.get(moment, ()):
+                fresh = tuple(name for name in theirs if name not in written)
+                amended = tuple(name for name in theirs if name in written)
+                stages[stage].append(
+                    Block("given", _quiet, writes=fresh, amends=amended, endless=True)
+                )
         return stages
 
     def _kept(self, moment: str, names: Sequence[str]) -> list[str]:
@@ -217,6 +232,12 @@ class Replayed:
     def _tuned(self) -> None:
         """Scale the gains as somebody wished; other gains are those of another workflow."""
         self._put("tuned", self._at_tuned)
+        if self._scales is not None:
+            for name, factor in zip(GAIN_SCALE_SPEC.names, self._scales[self._row].tolist()):
+                if factor != 1.0:
+                    own = self.program.states[name]
+                    np.multiply(own, factor, out=own, casting="unsafe")
+            return
         for name in self._gains:
             own, recorded = self.program.states[name], self.columns.column(name, "tuned")[self._row]
             if own.tobytes() == recorded.tobytes():

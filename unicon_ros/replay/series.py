@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -28,7 +29,9 @@ def opened(bag: str, relative_to: Path | None) -> Record:
         UniconError: it cannot be read.
     """
     beside = None if relative_to is None else relative_to / bag
-    return open_record(beside if beside is not None and beside.exists() else Path(bag).expanduser())
+    if beside is not None and os.path.exists(beside):
+        return open_record(beside)
+    return open_record(os.path.expanduser(bag))  # which leaves a user alone who is not known
 
 
 class Series:
@@ -101,12 +104,13 @@ def _rows(record: Record, period: float | None, start: float) -> NDArray[np.intp
         assert period is not None
         grid = np.arange(int(float(times[-1]) / period + 1e-6) + 1) * period
         rows = rows[np.searchsorted(times, grid + 1e-9, side="right") - 1]
-    skipped = round(start / (own if same or period is None else period))
-    if not 0 <= skipped < len(rows):
+    skipped = start / (own if same or period is None else period)
+    if not 0.0 <= skipped < len(rows) - 0.5:
         raise UniconError(
-            f"start is {start:g} s, and the record is {float(times[-1]):.3g} s long; give less"
+            f"start is {start:g} s, and the record is {float(times[-1]):.3g} s long; give less, "
+            "from 0 on"
         )
-    return rows[skipped:]
+    return rows[round(skipped) :]
 
 
 def _aligned(record: Record, name: str, moment: str, states: States) -> NDArray[np.generic] | None:

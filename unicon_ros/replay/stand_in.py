@@ -22,15 +22,20 @@ class StandIn:
     Args:
         facts: of the recorded platform.
         states: of the program; what is not among them is left out.
+
+    Attributes:
+        done: what `recv` says: set it where the recorded tick was the last of its phase.
     """
 
     def __init__(self, facts: Facts, states: States) -> None:
         reads = tuple(name for name in facts.reads if name in states)
         writes = tuple(name for name in facts.writes if name in states)
         self.facts = replace(facts, reads=reads, writes=writes, examine=None)
+        self.done = False
 
-    def recv(self) -> None:
-        """Do nothing: what was received is fed behind it."""
+    def recv(self) -> bool:
+        """Do nothing, as what was received is fed behind it; True in the last tick."""
+        return self.done
 
     def send(self) -> None:
         """Do nothing."""

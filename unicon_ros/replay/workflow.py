@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 from unicon_core.errors import UniconError, WorkflowError
 from unicon_core.located_yaml import Located, parse_yaml
-from unicon_core.states.standard import HARDWARE_STATES
+from unicon_core.robots import Robot
+from unicon_core.states.standard import GAIN_SCALE, GAIN_SCALE_SPEC, HARDWARE_STATES
 from unicon_core.workflow import Program, WorkflowDocument, load_document
 from unicon_core.workflow.document import document_at
 from unicon_ros.recording import Record
@@ -43,11 +45,15 @@ def workflow_of(
                 "one: unicon replay BAG WORKFLOW"
             )
         document = document_at(recorded, overrides)
+        _refuse_absent(document)
     # A platform that cannot be asked here may have declared them.
-    lacking = [name for name in HARDWARE_STATES if name in record.layout.slots]
+    there = record.layout.specs
+    lacking: dict[str, Any] = {name: None for name in HARDWARE_STATES if name in there}
+    if there.get(GAIN_SCALE) == GAIN_SCALE_SPEC:
+        lacking[GAIN_SCALE] = GAIN_SCALE_SPEC.to_dict()
     declared = document.get("states", dict, {})
     if lacking:
-        document.values["states"] = dict.fromkeys(lacking) | declared
+        document.values["states"] = lacking | declared
     return document
 
 
@@ -62,12 +68,28 @@ def recorded_workflow(record: Record) -> Located | None:
     return parse_yaml(text, path, WorkflowError) if text else None
 
 
+def _refuse_absent(document: WorkflowDocument) -> None:
+    """Refuse a recorded workflow whose files stayed where it was recorded."""
+    named = {"robot": document.values.get("robot")}
+    policies = document.values.get("policies")
+    for name, said in policies.items() if isinstance(policies, dict) else ():
+        named[f"policies.{name}"] = said.get("path") if isinstance(said, dict) else said
+    folder = document.path.parent
+    for key, text in named.items():
+        if not isinstance(text, str) or not text.startswith(("/", "./", "../")):
+            continue
+        if any(f"{key}.".startswith(f"{each}.") for each in document.overridden):
+            continue  # it is whoever set it whom its loader tells
+        if not os.path.exists(folder / text) and not os.path.exists(text):
+            raise WorkflowError(
+                f"the recorded workflow has {key}: {text}, which was in {folder} where it was "
+                f"recorded and is not there now; give another: --set {key}=NAME, or a WORKFLOW"
+            )
+
+
 def others(record: Record, program: Program) -> list[str]:
     """Return what a program was not built of as the recorded one was, one line each."""
-    found = []
-    facts = record.facts
-    if facts.get("robot_file") and facts["robot_file"] != _text(program.robot.path):
-        found.append(f"robot {program.robot.name}: {program.robot.path} is not the recorded file")
+    found = _other_robot(record.facts, program.robot)
     for name, said in record.policies.items():
         was = said["sha256"]
         contract = program.policies.get(name)
@@ -80,6 +102,25 @@ def others(record: Record, program: Program) -> list[str]:
                 f"policy {name!r}: {contract.model} is not the recorded file: its sha256 is "
                 f"{now[:12]}…, recorded is {was[:12]}…"
             )
+    return found
+
+
+def _other_robot(facts: Mapping[str, str], robot: Robot) -> list[str]:
+    found = []
+    if facts.get("robot_file") and facts["robot_file"] != _text(robot.path):
+        found.append(f"robot {robot.name}: {robot.path} is not the recorded file")
+    was = facts.get("robot_overlay")
+    if was is None:  # of a version that did not write it
+        return found
+    now = "" if robot.overlay is None else _text(robot.overlay)
+    if now != was:
+        if not now:
+            told = "the recorded one was extended by an overlay, and this one is not"
+        elif not was:
+            told = f"{robot.overlay} extends it, and the recorded one was not extended"
+        else:
+            told = f"{robot.overlay} is not the recorded overlay"
+        found.append(f"robot {robot.name}: {told}")
     return found
 
 
