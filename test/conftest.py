@@ -24,6 +24,12 @@ os.environ["ROS_LOG_DIR"] = LOG_DIR
 os.environ["UNICON_FAULTS"] = f"{LOG_DIR}/faults"  # not the user's
 for name in ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"):
     os.environ[name] = str(ROOT / "config" / "dds" / "fast_discovery.xml")
+if os.environ.get("UNICON_TESTS") == "smoke":  # to read all others takes longer than to test
+    collect_ignore = [
+        str(path)
+        for path in Path(__file__).parent.rglob("test_*.py")
+        if "mark.smoke" not in path.read_text("utf-8")
+    ]
 
 
 def pytest_unconfigure(config: pytest.Config) -> None:
