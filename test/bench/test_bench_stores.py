@@ -15,7 +15,7 @@ from unicon_ros.bench.pipelines.store_ways import WAYS, group
 from unicon_ros.bench.report import Bench
 from unicon_ros.cli.bench import BENCHES
 
-pytestmark = pytest.mark.timeout(110)
+pytestmark = [pytest.mark.timeout(110), pytest.mark.alone]
 OURS = ("shm, sleeping", "shm, polling", "unix datagram", "zmq ipc", "zmq tcp")
 
 

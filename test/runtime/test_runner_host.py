@@ -14,6 +14,8 @@ from unicon_core.platforms.fake import FakePlatform
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import Program, load_workflow
 
+pytestmark = pytest.mark.alone
+
 WORKFLOW = """\
 schema: unicon.workflow/1
 robot: go2

@@ -13,6 +13,8 @@ from unicon_core.flow import Stage
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import Program, load_workflow
 
+pytestmark = pytest.mark.alone
+
 WORKFLOW = """\
 robot: go2
 platform: fake
