@@ -16,7 +16,7 @@ from unicon_core.errors import Fault, Hung, PlatformError, UniconError
 from unicon_core.flow import Deferred, Node, Zip, as_block
 from unicon_core.flow.compiler import CompiledGraph
 from unicon_core.gates.beginning import beginning
-from unicon_core.platforms.platform import Resettable, WaitsForData
+from unicon_core.platforms.platform import Prepares, Resettable, WaitsForData
 from unicon_core.runtime.damp import Damp
 from unicon_core.runtime.pacing import prepare_process, process_age_s
 from unicon_core.runtime.phases import WIND_DOWN, Phase
@@ -358,7 +358,9 @@ class Runner:
         program = self.program
         if program.platform.facts.simulated or not program.has_platform:
             return True
-        waiting = self._waiting = Waiting(program.gates, self.asks, self.options.warn)
+        platform, warn = program.platform, self.options.warn
+        prepare = platform.prepare if isinstance(platform, Prepares) else None
+        waiting = self._waiting = Waiting(program.gates, self.asks, warn, prepare)
         if not self._ticked(waiting_tree(program, as_block(waiting)), NEVER_NS):
             return False
         if waiting.reason:
