@@ -36,6 +36,7 @@ __all__ = [
     "Pausable",
     "Placeable",
     "Platform",
+    "Prepares",
     "Pushable",
     "ReportsVariant",
     "RequiresStates",
@@ -155,6 +156,22 @@ class SeesCommanders(Protocol):
 
     def commanders(self) -> Mapping[str, int]:
         """Return where it takes commands, with the number of others that send there."""
+        ...
+
+
+@runtime_checkable
+class Prepares(Protocol):
+    """A robot that takes no commands at once: its own controller lets go, or a mode is entered.
+
+    It is asked once a tick behind the gates and the operator's go, before anything is sent.
+    """
+
+    def prepare(self) -> str:
+        """Do the next step, without waiting; "" once it takes commands, else what is missing.
+
+        Raises:
+            Fault: the robot refuses.
+        """
         ...
 
 

@@ -11,7 +11,7 @@ from contextlib import suppress
 from unicon_core.errors import Fault, Hung, UniconError
 from unicon_core.flow import Node, as_block
 from unicon_core.flow.compiled import CompiledGraph
-from unicon_core.platforms.platform import Resettable
+from unicon_core.platforms.platform import Prepares, Resettable
 from unicon_core.runtime.beforehand import approach_tree, waiting_tree
 from unicon_core.runtime.damp import Damp
 from unicon_core.runtime.options import RunOptions, refuse_pace
@@ -319,7 +319,9 @@ class Runner:
         program = self.program
         if program.platform.facts.simulated or not program.has_platform:
             return True
-        waiting = self._waiting = Waiting(program.gates, self.asks, self.options.warn)
+        platform, warn = program.platform, self.options.warn
+        prepare = platform.prepare if isinstance(platform, Prepares) else None
+        waiting = self._waiting = Waiting(program.gates, self.asks, warn, prepare)
         if not self._ticked(waiting_tree(program, as_block(waiting)), NEVER_NS):
             return False
         if waiting.reason:

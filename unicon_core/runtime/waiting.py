@@ -29,15 +29,21 @@ class Waiting:
         gates: asked in every tick.
         operator: somebody has to say go.
         warn: takes what is waited for, one line each.
+        prepare: brings the robot to where it takes commands, behind the go; "" once it does.
 
     Attributes:
         reason: what is waited for, "" once nothing is.
     """
 
     def __init__(
-        self, gates: Sequence[StartGate], operator: bool, warn: Callable[[str], None]
+        self,
+        gates: Sequence[StartGate],
+        operator: bool,
+        warn: Callable[[str], None],
+        prepare: Callable[[], str] | None = None,
     ) -> None:
         self._gates, self._operator, self._warn = gates, operator, warn
+        self._prepare = prepare
         self._go = not operator
         self._began = self._told = 0.0
         self._what = ""
@@ -65,11 +71,12 @@ class Waiting:
         return False
 
     def _missing(self) -> tuple[str, str]:
-        """Return the name of the first gate that does not hold, and its reason."""
+        """Return the name of the first gate that does not hold, or else what comes after them."""
         for gate in self._gates:
             if reason := gate():
                 name = getattr(gate, "name", "gate")  # it may be a plain function
                 return name, f"{name}: {reason}"
         if self._go:
-            return "", ""
+            reason = self._prepare() if self._prepare is not None else ""
+            return ("robot", f"robot: {reason}") if reason else ("", "")
         return GO, "the operator's go: press Enter, call ~/start, or run with --yes"

@@ -163,8 +163,16 @@ class Program:
             refuse_parts(self.parts, document)
         if part:
             sections, ending = of_part(part, self.parts, sections, ending, document)
+        self.gate = Gate(LastSent(self.states))
         self.context = BuildContext(
-            self.states, self.robot, self.period, self.policies, document.path.parent
+            self.states,
+            self.robot,
+            self.period,
+            self.policies,
+            document.path.parent,
+            dry=dry,
+            tell=self.tell,
+            driving=lambda: self.gate.sent.any,
         )
         # Imported here: the runner's package imports this one.
         from unicon_core.runtime.report import Monitor
@@ -189,7 +197,6 @@ class Program:
                 arrival.close()
             raise
         self.stages: dict[Stage, list[Node]] = {stage: [] for stage in Stage}
-        self.gate = Gate(LastSent(self.states))
         self.gates: list[StartGate] = []
         self.command_bounds: tuple[CommandBound, ...] = ()
         self.forced: tuple[str, ...] = ()
@@ -210,8 +217,11 @@ class Program:
         warm_ups = WarmUps(self.context)
         builder = Builder(self, warm_ups)
         for stage, nodes in sections.items():
-            if stage is not Stage.SAFETY:
-                stages[stage] += [builder.built(node) for node in nodes]
+            for node in nodes if stage is not Stage.SAFETY else ():
+                built = builder.built(node)
+                # What a device tells is received, wherever the block is listed.
+                is_device = isinstance(built, Block) and built.stage is Stage.RECV
+                stages[Stage.RECV if is_device else stage].append(built)
         stages[Stage.SAFETY] += self._safety(builder, sections[Stage.SAFETY])
         finite_first(self.document, stages[Stage.SAFETY])
         self.safety = tuple(b.name for node in stages[Stage.SAFETY] for b in blocks_of(node))

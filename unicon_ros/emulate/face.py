@@ -1,0 +1,42 @@
+"""Face: what an emulated robot looks like on the wire, one for each vendor's protocol.
+
+A driver's `Wire` and a vendor's `Face` are two ends of one protocol; both take their facts from the
+robot file. The emulator behind a face holds the states of its own simulator: `tell` reads what a
+robot measures, and `hear` writes the command states.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+__all__ = ["Face"]
+
+
+class Face(Protocol):
+    """The robot's end of a protocol, on loopback; it is called at `rate` and never waits.
+
+    Attributes:
+        rate: of its frames in [Hz].
+        dead_man: the vendor's robot damps by itself after so long without a command, in [s]; of one
+            that is not known to do so, infinity.
+        obeys: commands act now; until its own controller has let go they do not.
+    """
+
+    rate: float
+    dead_man: float
+    obeys: bool
+
+    def tell(self) -> None:
+        """Send what the robot measures."""
+        ...
+
+    def hear(self) -> bool:
+        """Bring the newest good command into the command states; True where one came.
+
+        A bad one (length, checksum, mode) is left, as the vendor's robot does.
+        """
+        ...
+
+    def close(self) -> None:
+        """Let go of sockets."""
+        ...

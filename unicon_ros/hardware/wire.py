@@ -1,0 +1,103 @@
+"""Wire: the one thing in which robots differ, for drivers: how frames come in and go out.
+
+class MyWire:
+    counts, where = Counts(), "192.168.123.10"
+
+    def take(self): ...             # newest good frame into the states; how many came
+    def put(self): ...              # command states to the motors
+    def wait(self, timeout): ...    # until a frame is there
+    def close(self): ...            # let go of sockets
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Protocol, runtime_checkable
+
+__all__ = ["Commanded", "Counts", "Prepared", "Wire"]
+
+
+class Counts:
+    """What came in, for reports and error messages.
+
+    Attributes:
+        good: frames that were taken.
+        refused: reason to number of frames that were not.
+        last: the newest of these reasons with its figures, "" for none.
+    """
+
+    def __init__(self) -> None:
+        self.good = 0
+        self.refused: Counter[str] = Counter()
+        self.last = ""
+
+    def refuse(self, reason: str, detail: str = "") -> None:
+        """Count a frame that is not taken.
+
+        Args:
+            reason: a few words, the same for all alike: `wrong CRC`.
+            detail: figures of this one.
+        """
+        self.refused[reason] += 1
+        self.last = f"{reason} ({detail})" if detail else reason
+
+    def __str__(self) -> str:
+        """Return what was refused: `3 wrong CRC, 1 short`; "" for nothing."""
+        return ", ".join(f"{number} {reason}" for reason, number in self.refused.items())
+
+
+class Wire(Protocol):
+    """The connection to a robot; it is called in the tick and never waits.
+
+    Whatever arrives, `take` raises nothing but `Fault`: a frame of another length, checksum or
+    origin is counted and left. An old one is not new: a robot that repeats itself is silent.
+
+    Attributes:
+        counts: of what came in.
+        where: address or topic, for messages.
+    """
+
+    counts: Counts
+    where: str
+
+    def take(self) -> int:
+        """Bring the newest good frame into the states; return how many good ones have come.
+
+        Raises:
+            Fault: the robot says that it will not go on.
+        """
+        ...
+
+    def put(self) -> None:
+        """Send the command states, which are finite; what the format cannot hold is clamped.
+
+        Raises:
+            Fault: it cannot be sent.
+        """
+        ...
+
+    def wait(self, timeout: float) -> bool:
+        """Return True once a frame is there, False after `timeout` in [s]."""
+        ...
+
+    def close(self) -> None:
+        """Let go; the damping command has been sent."""
+        ...
+
+
+@runtime_checkable
+class Prepared(Protocol):
+    """A wire to a robot that does not take commands at once; see `Prepares` of the platform."""
+
+    def prepare(self) -> str:
+        """Do the next step, without waiting; return "" at its end, else what is waited for."""
+        ...
+
+
+@runtime_checkable
+class Commanded(Protocol):
+    """A wire that sees who else commands the robot."""
+
+    def commanders(self) -> dict[str, int]:
+        """Return where it takes commands, with the number of others that send there."""
+        ...
