@@ -10,6 +10,7 @@ from __future__ import annotations
 import socket
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -111,12 +112,17 @@ class UdpRobot(WiredRobot):
     facts = Facts(
         "udp_robot",
         writes=(*JOINT_STATES, *IMU, "projected_gravity", "stamp_ns"),
-        protocols=("unitree_go", "unitree_hg"),
     )
 
     def variant(self) -> Mapping[str, Any]:
         assert isinstance(self._wire, UdpWire)
         return self._wire.told()
+
+
+class PromisedRobot(UdpRobot):
+    """One whose frames are as many as the robot file promises, so that preflight counts them."""
+
+    facts = replace(UdpRobot.facts, protocols=("unitree_go",))
 
 
 def make(
@@ -132,6 +138,13 @@ def make(
 ) -> UdpRobot:
     wire = UdpWire(states, robot, address, port)
     return opened(UdpRobot(states, robot, period, wire, silence=silence, silent=silent), connect)
+
+
+def promised(
+    states: States, robot: Robot, period: float, *, port: int = PORT, silent: bool = False
+) -> PromisedRobot:
+    wire = UdpWire(states, robot, "127.0.0.1", port)
+    return opened(PromisedRobot(states, robot, period, wire, silence=5.0, silent=silent), 20.0)
 
 
 class UdpFace:
