@@ -5,10 +5,11 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from peer import Peer
 from turns import turn
 
 from unicon_ros.bench.domains import free_domain
@@ -66,6 +67,20 @@ def patient(monkeypatch: pytest.MonkeyPatch) -> None:
 
     for simulated in pacing.HANG:
         monkeypatch.setitem(pacing.HANG, simulated, 20.0)
+
+
+@pytest.fixture
+def processes() -> Iterator[Callable[..., Peer]]:
+    """Starts commands that say JSON lines, and kills them at the end."""
+    started: list[Peer] = []
+
+    def start(*command: str) -> Peer:
+        started.append(Peer(*command))
+        return started[-1]
+
+    yield start
+    for peer in started:
+        peer.kill()
 
 
 @pytest.fixture(scope="session")

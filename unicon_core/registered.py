@@ -14,7 +14,7 @@ def registered(kind: str) -> Mapping[str, EntryPoint]:
     """Return name to entry point of a group; of two with one name the first found.
 
     Args:
-        kind: `blocks`, `platforms` or `policies`, whose group is `unicon.KIND`.
+        kind: `blocks`, `platforms`, `policies` or `faces`, whose group is `unicon.KIND`.
     """
     found: dict[str, EntryPoint] = {}
     for entry in entry_points(group=f"unicon.{kind}"):

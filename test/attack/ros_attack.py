@@ -15,7 +15,8 @@ pytest.importorskip("rclpy")
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent / "ros"))
 
-from ros_helpers import Peer, Run, wait_for  # noqa: E402
+from peer import Peer, wait_for  # noqa: E402
+from ros_helpers import Run  # noqa: E402
 
 from unicon_core.robots import load_robot  # noqa: E402
 

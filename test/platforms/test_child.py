@@ -15,7 +15,16 @@ import pytest
 
 from unicon_core.check import check_workflow
 from unicon_core.errors import Fault, PlatformError, WorkflowError
-from unicon_core.platforms.platform import Pausable, Pushable, Resettable, WaitsForData
+from unicon_core.platforms.platform import (
+    CountsArrivals,
+    Pausable,
+    Prepares,
+    Pushable,
+    ReportsVariant,
+    Resettable,
+    SeesCommanders,
+    WaitsForData,
+)
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.states.backends.shm import segments
 from unicon_core.workflow import load_workflow
@@ -238,3 +247,43 @@ def test_a_robot_does_not_tell_when_its_data_arrive():
     with pytest.raises(PlatformError, match=r"set pacing\.trigger: deadline"):
         Runner(program, RunOptions())
     program.close()
+
+
+ASKED = ["platform={child: 'asked_robot:make', silence: 10, watchdog: 10}"]
+
+
+def test_a_robot_in_a_child_is_asked_by_gates_and_preflight():
+    program = load_workflow("go2_stand", ASKED)
+    try:
+        platform = program.platform
+        for protocol in (CountsArrivals, Prepares, ReportsVariant, SeesCommanders):
+            assert isinstance(platform, protocol)
+        assert {"rate", "variant"} <= {gate.name for gate in program.gates}
+        assert platform.variant() == {"mode_machine": 4}
+        assert platform.commanders() == {"rt/lowcmd": 2}
+        assert [platform.prepare() for _ in range(3)] == ["step 1", "step 2", ""]
+        before = platform.arrivals()
+        while platform.arrivals() < before + 3:  # it takes data without being asked
+            time.sleep(0.001)
+    finally:
+        program.close()
+    assert left() == []
+
+
+def test_what_a_robot_in_a_child_refuses_is_the_fault_of_the_run():
+    changes = [*ASKED, "platforms={'asked_robot:make': {refuses: true}}", "pacing={hang: 20}"]
+    runner = Runner(load_workflow("go2_stand", changes), RunOptions(operator=False))
+    report = runner.run()
+    assert report.faults == ["its own controller does not let go"]
+    assert report.ticks == 0
+    assert left() == []
+
+
+def test_a_robot_in_a_child_that_has_gone_is_told_by_who_asks():
+    program = load_workflow("go2_stand", ASKED)
+    platform = program.platform
+    platform.process.terminate()  # it closes in order, and answers no more
+    with pytest.raises((Fault, PlatformError), match=r"has gone while|its process ended"):
+        until_raised(platform.prepare)
+    program.close()
+    assert left() == []

@@ -13,7 +13,8 @@ import pytest
 pytest.importorskip("rclpy")
 
 from command_watch import CommandWatch
-from ros_helpers import REACT, SWAY, Peer, Run
+from peer import Peer
+from ros_helpers import REACT, SWAY, Run
 
 from unicon_core.robots import load_robot
 from unicon_ros.bench.domains import free_domain
@@ -28,20 +29,6 @@ def domain(monkeypatch: pytest.MonkeyPatch) -> int:
     number = free_domain()
     monkeypatch.setenv("ROS_DOMAIN_ID", str(number))
     return number
-
-
-@pytest.fixture
-def processes() -> Iterator[Callable[..., Peer]]:
-    """Starts commands that say JSON lines, and kills them at the end."""
-    started: list[Peer] = []
-
-    def start(*command: str) -> Peer:
-        started.append(Peer(*command))
-        return started[-1]
-
-    yield start
-    for peer in started:
-        peer.kill()
 
 
 @pytest.fixture

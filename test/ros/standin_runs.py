@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ros_helpers import Peer
+from peer import Peer
 
 STAND_IN = (sys.executable, "-m", "unicon_ros.bench.standins.robot")
 OUTPUT = "run.txt"

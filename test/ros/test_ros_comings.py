@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_watch import CommandWatch, Heard
-from ros_helpers import Peer
+from peer import Peer
 from standin_runs import begun, ended, said, stand_in
 
 from unicon_core.robots import load_robot

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from ros_helpers import wait_for
+from peer import wait_for
 
 from unicon_msgs_map import Decoder, Encoder
 from unicon_ros import compat

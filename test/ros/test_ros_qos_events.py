@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 import rclpy
 from geometry_msgs.msg import Twist
+from peer import wait_for
 from rclpy import event_handler
 from rclpy.context import Context
 from rclpy.duration import Duration
@@ -19,7 +20,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import LivelinessPolicy, QoSProfile
 from rclpy.signals import SignalHandlerOptions
-from ros_helpers import Run, wait_for
+from ros_helpers import Run
 
 from unicon_ros.bridge import qos_events
 from unicon_ros.bridge.diagnostics import WARN, Diagnostics

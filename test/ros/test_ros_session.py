@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 import rclpy
 from geometry_msgs.msg import Twist
+from peer import wait_for
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
-from ros_helpers import wait_for
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 

@@ -13,7 +13,7 @@ import numpy as np
 import psutil
 import pytest
 from command_watch import CommandWatch
-from ros_helpers import Peer, wait_for
+from peer import Peer, wait_for
 from standin_runs import FIRST, SILENCE, Driven, begun, drive, ended, said, seen, stand_in
 
 from unicon_core.gates.beginning import beginning

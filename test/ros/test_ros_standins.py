@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from ros_helpers import Peer
+from peer import Peer
 from standin_runs import FIRST, PLATFORM, drive, patient_map, seen, stand_in
 
 from unicon_core.robots import load_robot

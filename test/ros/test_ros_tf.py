@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from ros_helpers import Peer
+from peer import Peer
 
 from unicon_core.models.quaternions import rotate
 from unicon_ros import compat

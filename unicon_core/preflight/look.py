@@ -15,6 +15,7 @@ from unicon_core.flow.stage import Stage
 from unicon_core.gates.data import Rate
 from unicon_core.platforms.platform import ReportsVariant, SeesCommanders, info_of
 from unicon_core.preflight.first import tell_first_command
+from unicon_core.preflight.frames import tell_frames
 from unicon_core.preflight.result import PreflightResult
 from unicon_core.signals import SIGNALS
 from unicon_core.workflow import Program
@@ -65,7 +66,11 @@ def look(program: Program, seconds: float) -> PreflightResult:
     if not program.gates:
         result.add("gates", None, "none are asked (start: {gates: false})")
     if not result.fault:
-        tell_first_command(program, result)
+        try:
+            tell_frames(program, result)
+            tell_first_command(program, result)
+        except Fault as fault:
+            result.fault = str(fault)
     _around(program, result)
     return result
 

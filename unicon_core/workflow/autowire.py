@@ -119,18 +119,18 @@ def autowire(
 
 
 def refuse_options(
-    factory: Factory, options: Mapping[str, Any], wrong: Callable[..., WorkflowError]
+    factory: Factory, options: Mapping[str, Any], wrong: Callable[..., UniconError]
 ) -> None:
     """Refuse options that a factory does not have, or not with such a value.
 
     Args:
-        factory: of a block or a platform.
-        options: of the workflow.
+        factory: of a block, a platform or a face.
+        options: of the workflow, or of the command line.
         wrong: makes the error of what follows the block's or platform's name, and of the option
             that is not there.
 
     Raises:
-        WorkflowError: made by `wrong`.
+        UniconError: made by `wrong`.
     """
     free = option_names(factory)
     parameters = inspect.signature(factory).parameters.values()

@@ -20,6 +20,7 @@ __all__ = [
     "document_at",
     "document_of",
     "load_document",
+    "split_setting",
     "workflow_names",
 ]
 
@@ -137,7 +138,7 @@ def document_at(
     if not isinstance(values, dict):
         raise WorkflowError("a workflow is a mapping with robot, platform and flow", f"{path}:1")
     changed = []
-    pairs = overrides.items() if isinstance(overrides, Mapping) else map(_split, overrides)
+    pairs = overrides.items() if isinstance(overrides, Mapping) else map(split_setting, overrides)
     for dotted, value in pairs:
         _set(values, dotted, value)
         changed.append(dotted)
@@ -179,7 +180,12 @@ def _checked(document: WorkflowDocument) -> WorkflowDocument:
     return document
 
 
-def _split(text: str) -> tuple[str, Any]:
+def split_setting(text: str) -> tuple[str, Any]:
+    """Return path and value of a text as of `--set path=value`.
+
+    Raises:
+        WorkflowError: it has no `=`, or its value is not valid YAML.
+    """
     dotted, equals, value = text.partition("=")
     if not equals or not dotted:
         raise WorkflowError(

@@ -1,12 +1,13 @@
-"""Registry: blocks and platforms by name, for the workflow builder and the tables.
+"""Registry: blocks, platforms and faces by name, for the workflow builder and the tables.
 
 What comes with unicon is listed by its packages; third parties register through entry points in the
-groups `unicon.blocks` and `unicon.platforms`. A factory is imported when it is
+groups `unicon.blocks`, `unicon.platforms` and `unicon.faces` (of robots that are emulated, by
+`transport.protocol`). A factory is imported when it is
 asked for, never before: `unicon --help` loads no simulator.
 
 A workflow may also name a `module:function` that is not registered. Its module is imported, as a
-launch file's would be, but the function is called only where it says that it makes blocks or
-platforms: `os:system` says no such thing and is refused.
+launch file's would be, but the function is called only where it says that it makes what is asked
+for: `os:system` says no such thing and is refused.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ __all__ = [
     "find_factory",
     "import_target",
     "is_block_factory",
+    "is_face_factory",
     "is_platform_factory",
     "known",
     "product_of",
@@ -35,11 +37,16 @@ __all__ = [
 
 Factory: TypeAlias = Callable[..., Any]
 
+OURS = ("blocks", "platforms")
+"""Kinds of which the core has some."""
+
 
 @lru_cache(maxsize=4)
 def known(kind: str) -> Mapping[str, str]:
-    """Return name to `module:attribute` of a kind: `blocks` or `platforms`."""
-    ours: dict[str, str] = import_module(f"unicon_core.{kind}").BUILTIN
+    """Return name to `module:attribute` of a kind: `blocks`, `platforms` or `faces`."""
+    ours: dict[str, str] = {}
+    if kind in OURS:
+        ours = import_module(f"unicon_core.{kind}").BUILTIN
     return {name: entry.value for name, entry in registered(kind).items()} | ours
 
 
@@ -82,11 +89,18 @@ def is_platform_factory(factory: Factory) -> bool:
 
     It returns a `Platform` or a class with the methods of one, is such a class, or declares facts.
     """
+    declared = isinstance(getattr(factory, "facts", None), Facts)
+    return declared or _makes(factory, "recv", "send", "close")
+
+
+def is_face_factory(factory: Factory) -> bool:
+    """Return whether a callable says that it makes faces: it returns a class with their methods."""
+    return _makes(factory, "tell", "hear", "close")
+
+
+def _makes(factory: Factory, *methods: str) -> bool:
     made = product_of(factory)
-    return isinstance(getattr(factory, "facts", None), Facts) or (
-        inspect.isclass(made)
-        and all(callable(getattr(made, method, None)) for method in ("recv", "send", "close"))
-    )
+    return inspect.isclass(made) and all(callable(getattr(made, m, None)) for m in methods)
 
 
 def product_of(factory: Factory) -> Any:
@@ -123,12 +137,15 @@ def states_in(hints: Mapping[str, Any]) -> tuple[dict[str, str], dict[str, type[
 _FACTORIES: dict[str, Callable[[Factory], bool]] = {
     "blocks": is_block_factory,
     "platforms": is_platform_factory,
+    "faces": is_face_factory,
 }
 _SAY = {
     "blocks": "annotate its states (Reads, Writes, Amends) or what it returns (-> Tick), all of "
     "unicon_core.flow, or register it in the entry point group unicon.blocks",
     "platforms": "annotate what it returns (-> Platform of unicon_core.platforms.platform, or a "
     "class with recv, send and close), or register it in the entry point group unicon.platforms",
+    "faces": "annotate what it returns (-> Face of unicon_ros.emulate.face, or a class with tell, "
+    "hear and close), or register it in the entry point group unicon.faces",
 }
 
 

@@ -18,7 +18,19 @@ import unicon_core
 from unicon_core.errors import UniconError
 from unicon_core.outlet import open_standard_files
 from unicon_core.signals import SIGNALS, Interrupted
-from unicon_ros.cli import analyze, bag, bench, check, known, preflight, replay, run, show, states
+from unicon_ros.cli import (
+    analyze,
+    bag,
+    bench,
+    check,
+    emulate,
+    known,
+    preflight,
+    replay,
+    run,
+    show,
+    states,
+)
 
 __all__ = ["main"]
 
@@ -30,7 +42,19 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=unicon_core.__version__)
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
-    for command in (run, check, preflight, show, states, bag, replay, analyze, bench, known):
+    for command in (
+        run,
+        check,
+        preflight,
+        emulate,
+        show,
+        states,
+        bag,
+        replay,
+        analyze,
+        bench,
+        known,
+    ):
         command.add(commands)
     return parser
 

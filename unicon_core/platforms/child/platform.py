@@ -23,6 +23,7 @@ import sys
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -141,7 +142,8 @@ class ChildPlatform:
         )
         self._due, self._told = 1, False
         for ability in told["abilities"]:  # the protocols look for methods
-            setattr(self, ability, getattr(self, f"_{ability}"))
+            asked = getattr(self, f"_{ability}", partial(self._ask, ability))
+            setattr(self, ability, asked)
         if facts.simulated:
             self.pause = self._pause
         else:
@@ -233,7 +235,7 @@ class ChildPlatform:
         self._due += 1
 
     def _push(self, velocity: NDArray[np.float64]) -> None:
-        self._tell("push", np.asarray(velocity, np.float64).tolist())
+        self._ask("push", np.asarray(velocity, np.float64).tolist())
 
     def _pause(self) -> None:
         self._settle()
@@ -246,12 +248,9 @@ class ChildPlatform:
         if reader.number != self._due and not reader.take():
             self._wait()
 
-    def _require(self, states: Mapping[str, str]) -> None:
-        self._ask("require", dict(states))
-
-    def _variant(self) -> Mapping[str, Any]:
+    def _variant(self) -> Any:
         if not self._reported:  # then it does not change any more
-            self._reported = self._ask("variant").get("variant", {})
+            self._reported = self._ask("variant")
         return self._reported
 
     def info(self) -> Mapping[str, Any]:
@@ -330,14 +329,25 @@ class ChildPlatform:
             return told
         return {"fault": f"platform {self.facts.name!r}: its process wrote garbage into its pipe"}
 
-    def _tell(self, what: str, value: object = None) -> None:
+    def _tell(self, what: str, *given: object) -> None:
         assert self.process.stdin is not None
         with suppress(BrokenPipeError):  # `recv` tells of a child that has died
-            self.process.stdin.write(json.dumps([what, value]).encode() + b"\n")
+            self.process.stdin.write(json.dumps([what, *given]).encode() + b"\n")
 
-    def _ask(self, what: str, value: object = None) -> dict[str, Any]:
-        self._tell(what, value)
-        return self._answer(DAMPING)
+    def _ask(self, what: str, *given: object) -> Any:
+        """Return what a method of the child's platform returns, or raise what it raises.
+
+        Raises:
+            UniconError: of the method, or the child does not answer.
+            Fault: of the method, or the child has ended.
+        """
+        self._tell(what, *given)
+        self._told = True  # by what is raised here
+        told = self._answer(DAMPING)
+        if "value" not in told:  # its last words
+            raise Fault(f"platform {self.facts.name!r} has gone while it was asked for its {what}")
+        self._told = False
+        return told["value"]
 
     def close(self) -> None:
         """Let the child damp and end; kill it where it hangs. Safe to call twice.

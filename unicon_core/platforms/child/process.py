@@ -14,20 +14,15 @@ import select
 import signal
 import sys
 import time
+from collections.abc import Mapping
 from dataclasses import replace
 from importlib import import_module
 from typing import Any
 
 from unicon_core.errors import Fault, UniconError
+from unicon_core.platforms.child.abilities import ABILITIES
 from unicon_core.platforms.child.platform import START
-from unicon_core.platforms.platform import (
-    Platform,
-    Pushable,
-    ReportsVariant,
-    RequiresStates,
-    Resettable,
-    info_of,
-)
+from unicon_core.platforms.platform import Platform, info_of
 from unicon_core.states import Layout, States
 from unicon_core.states.backends.shm import Segment, ShmReader, ShmWriter
 from unicon_core.states.groups import COMMAND, MEASURED, subset
@@ -77,19 +72,13 @@ def main() -> int:
         return 1
     signal.signal(signal.SIGTERM, driver.stop)
     platform = driver.platform
-    abilities: dict[str, Any] = {
-        "reset": Resettable,
-        "push": Pushable,
-        "require": RequiresStates,
-        "variant": ReportsVariant,
-    }
     status = 0
     try:
         tell(
             facts=replace(platform.facts, examine=None),
             info=dict(info_of(platform)),
             model_path=getattr(platform, "model_path", None),
-            abilities=[name for name, kind in abilities.items() if isinstance(platform, kind)],
+            abilities=[name for name, kind in ABILITIES.items() if isinstance(platform, kind)],
         )
         if driver.run(tell):
             tell(done=True)
@@ -198,36 +187,23 @@ class _Driver:
                 return False
             *lines, self._wishes = (self._wishes + read).split(b"\n")
             for line in lines:
-                what, value = json.loads(line)
-                self._do(what, value, tell)
+                what, *given = json.loads(line)
+                self._do(what, given, tell)
         return True
 
-    def _do(self, what: str, value: Any, tell: Any) -> None:
-        platform = self.platform
+    def _do(self, what: str, given: list[Any], tell: Any) -> None:
         if what == "pause":
             self._heard = 0.0  # until the next command
             return
-        if what == "push":
-            assert isinstance(platform, Pushable)
-            platform.push(value)
-            return
         try:
+            value = getattr(self.platform, what)(*given)
             if what == "reset":
-                assert isinstance(platform, Resettable)
-                platform.reset()
-                platform.recv()
+                self.platform.recv()
                 self._writer.publish()
-            elif what == "variant":
-                assert isinstance(platform, ReportsVariant)
-                tell(variant=dict(platform.variant()))
-                return
-            else:
-                assert isinstance(platform, RequiresStates)
-                platform.require(value)
         except UniconError as error:
             tell(error=str(error), kind=type(error).__name__)
         else:
-            tell(ok=True)
+            tell(value=dict(value) if isinstance(value, Mapping) else value)
 
     def close(self) -> None:
         """Let go of both segments."""

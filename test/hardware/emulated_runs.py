@@ -1,0 +1,96 @@
+"""Runs the command line against an emulated robot, both as processes, and says what it saw."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from peer import Peer
+
+HERE = Path(__file__).resolve().parent
+UNICON = (sys.executable, "-m", "unicon_ros")
+PLATFORM = "udp_robot:make"
+FIRST = 0.05
+"""How far a first command may be from where the joints are, [rad]."""
+ROOM = 1.0
+"""For a busy machine in [s]."""
+PATIENT = (
+    "[finite, joint_limits, tilt_stop, {stale_stop: {timeout: 5.0}}, {imu_stop: {timeout: 5.0}}, "
+    "{encoder_stop: {timeout: 5.0}}]"
+)
+"""Safety of the workflows, patient with a robot that a busy machine holds up."""
+
+
+class Emulated:
+    """An emulated robot behind UDP, at a port of its own.
+
+    Args:
+        processes: starts it.
+        robot: its name.
+        more: further arguments of `unicon emulate`.
+        options: of the face.
+    """
+
+    def __init__(
+        self, processes: Callable[..., Peer], robot: str, *more: str, **options: Any
+    ) -> None:
+        os.environ["PYTHONPATH"] = str(HERE)  # the face, and the platform
+        options = {"port": 0, "dead_man": 30.0, **options}
+        given = [f"--set={name}={value}" for name, value in options.items()]
+        self.peer = processes(*UNICON, "emulate", robot, "--face=udp_robot:face", *given, *more)
+        self.peer.wait_for(
+            lambda: bool(self.of("ready")) or self.peer.process.poll() is not None,
+            "the robot",
+            timeout=60.0,
+        )
+        assert self.of("ready"), self.peer.end()
+        self.port = int(self.of("ready")[0]["where"].rpartition(":")[2])
+
+    def of(self, kind: str) -> list[dict[str, Any]]:
+        """Return what it has said of a kind."""
+        return self.peer.of(kind)
+
+    def wait_for(self, kind: str, count: int = 1, timeout: float = 60.0) -> dict[str, Any]:
+        """Wait until it has said so many lines of a kind; return the last of them."""
+        self.peer.wait_for(lambda: len(self.of(kind)) >= count, f"{count} {kind}", timeout=timeout)
+        return self.of(kind)[count - 1]
+
+    def sets(self, platform: str = PLATFORM, patient: bool = True) -> list[str]:
+        """Return the arguments that let a workflow drive it, and leave the workflow as it is."""
+        options = f"{{port: {self.port}, silence: 5, connect: 30}}"
+        found = [f"--set=platform={platform}", f"--set=platforms={{'{PLATFORM}': {options}}}"]
+        if patient:
+            found += ["--set=pacing.hang=20", f"--set=safety={PATIENT}"]
+        return found
+
+    def run(self, workflow: str, folder: Path, *more: str, **sets: Any) -> subprocess.Popen[str]:
+        """Begin a run; what it says goes to `run.txt` in the folder, its report beside it."""
+        report = folder / "report.json"
+        report.unlink(missing_ok=True)
+        command = [*UNICON, "run", workflow, *self.sets(**sets), "--yes", "--quiet"]
+        with (folder / "run.txt").open("w") as output:
+            return subprocess.Popen(
+                [*command, f"--report={report}", *more],
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                text=True,
+            )
+
+
+def ended(run: subprocess.Popen[str], folder: Path, timeout: float = 120.0) -> dict[str, Any]:
+    """Wait for a run to end well; return its report."""
+    try:
+        status = run.wait(timeout)
+    finally:
+        run.kill()
+        run.wait(10)
+    said = (folder / "run.txt").read_text()
+    assert status == 0, said
+    report: dict[str, Any] = json.loads((folder / "report.json").read_text())
+    return report

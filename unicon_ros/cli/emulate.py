@@ -1,0 +1,161 @@
+"""`unicon emulate ROBOT`: serves a robot's own protocol on loopback, in front of a simulator.
+
+A workflow then runs against it as against the robot, with all gates. It begins lying, or as
+`--posture` and `--hang` say, in real time. On standard output it says what it saw, one JSON line
+each: `ready`, `first`, `commands`, `silence`, `damping`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+from unicon_core.errors import Fault, PlatformError, RobotError, UniconError, alternatives
+from unicon_ros.cli.workflow_arguments import positive
+
+if TYPE_CHECKING:
+    from unicon_core.robots import Robot
+    from unicon_ros.emulate.defects import Defects
+
+__all__ = ["add", "emulate"]
+
+LOOPBACK = "127.0.0.1"
+
+
+def add(commands: Any) -> None:
+    """Add the command to the parser."""
+    parser = commands.add_parser(
+        "emulate", help="be a robot on loopback, in front of a simulator", description=__doc__
+    )
+    parser.add_argument("robot", metavar="ROBOT", help="name in config/robots/, or a path")
+    parser.add_argument(
+        "--model",
+        metavar="FILE",
+        help="MJCF or URDF, or `fake`: joints alone (default: the robot's own, if it is there)",
+    )
+    parser.add_argument(
+        "--face",
+        metavar="NAME",
+        help="protocol, or module:function (default: transport.protocol of the robot file)",
+    )
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="OPTION=VALUE",
+        dest="options",
+        help="an option of the face (repeatable)",
+    )
+    parser.add_argument(
+        "--address", metavar="IP", help=f"where it is served, of a face with one ({LOOPBACK})"
+    )
+    parser.add_argument("--seed", type=int, default=0, help="of posture and noise (0)")
+    parser.add_argument(
+        "--posture",
+        choices=("rest", "default", "random"),
+        default="rest",
+        help="it begins lying, on its legs, or in one drawn at random",
+    )
+    parser.add_argument("--hang", action="store_true", help="its base hangs on a gantry")
+    parser.add_argument("--still", action="store_true", help="its sensors have no noise")
+    parser.add_argument("--duration", type=positive, metavar="S", help="end after S seconds")
+    parser.add_argument("--each", action="store_true", help="say every command")
+    wrong = parser.add_argument_group("what is wrong with it, to see it found")
+    wrong.add_argument("--swap", nargs=2, default=(), metavar="JOINT", help="their encoders")
+    wrong.add_argument(
+        "--dead", action="append", default=[], metavar="JOINT", help="its motor does nothing"
+    )
+    wrong.add_argument("--imu-upside-down", action="store_true", help="as it is mounted")
+    wrong.add_argument("--rate", type=positive, metavar="HZ", help="of its frames, less than usual")
+    wrong.add_argument(
+        "--variant", type=int, metavar="N", help="in place of the robot file's mode_machine"
+    )
+    parser.set_defaults(function=emulate)
+
+
+def emulate(arguments: argparse.Namespace) -> int:
+    """Run the command; exit status 0 ended, 3 the physics blew up."""
+    # Imported here so that `unicon --help` stays fast and free of optional packages.
+    from unicon_core.robots import load_robot
+    from unicon_core.signals import SIGNALS
+    from unicon_core.workflow.registry import find_factory
+    from unicon_ros.emulate.emulator import emulated
+
+    robot = load_robot(arguments.robot)
+    name = arguments.face or str(robot.transport.get("protocol"))
+    factory = find_factory("faces", name, PlatformError)
+    robot = _told(robot, arguments.variant)
+    emulator = emulated(
+        robot,
+        factory,
+        _options(arguments, factory, name),
+        defects=_defects(arguments, robot),
+        each=arguments.each,
+        warn=_warn,
+        model=arguments.model,
+        posture=arguments.posture,
+        hang=arguments.hang,
+        seed=arguments.seed,
+        still=arguments.still,
+    )
+    try:
+        with SIGNALS.guard(emulator.stop):
+            SIGNALS.check()
+            emulator.run(arguments.duration or float("inf"))
+    except Fault as fault:
+        print(f"unicon: fault: {fault}", file=sys.stderr)
+        return 3
+    finally:
+        emulator.close()
+    return 0
+
+
+def _options(arguments: argparse.Namespace, factory: Any, name: str) -> dict[str, Any]:
+    """Return the options of the face."""
+    from unicon_core.workflow.autowire import option_names
+    from unicon_core.workflow.document import split_setting
+
+    options = dict(map(split_setting, arguments.options))
+    if "address" in option_names(factory):
+        options.setdefault("address", arguments.address or LOOPBACK)
+    elif arguments.address:
+        raise UniconError(f"face {name!r} has no address; leave --address out")
+    return options
+
+
+def _told(robot: Robot, variant: int | None) -> Robot:
+    """Return the robot as it says that it is."""
+    if variant is None:
+        return robot
+    if "mode_machine" not in robot.transport:
+        raise RobotError(
+            f"robot {robot.name} does not tell its variant ({robot.path} says no "
+            "transport.mode_machine); leave --variant out"
+        )
+    return replace(robot, transport={**robot.transport, "mode_machine": variant})
+
+
+def _defects(arguments: argparse.Namespace, robot: Robot) -> Defects:
+    from unicon_ros.emulate.defects import Defects
+
+    def number(joint: str) -> int:
+        if joint not in robot.joint_names:
+            names = alternatives(joint, robot.joint_names)
+            raise RobotError(f"robot {robot.name} has no joint {joint!r}; {names}")
+        return robot.joint_names.index(joint)
+
+    swapped = tuple(map(number, arguments.swap))
+    if len(set(swapped)) == 1:
+        raise RobotError(f"--swap {arguments.swap[0]} with itself does nothing; give two joints")
+    return Defects(
+        swapped,
+        tuple(map(number, arguments.dead)),
+        arguments.imu_upside_down,
+        arguments.rate,
+    )
+
+
+def _warn(message: str) -> None:
+    print(f"unicon: warning: {message}", file=sys.stderr)

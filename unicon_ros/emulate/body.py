@@ -1,0 +1,147 @@
+"""Body: the physics of an emulated robot: MuJoCo where its model is there, else joints alone."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.errors import MissingDependencyError, ModelError, PlatformError
+from unicon_core.platforms.kit.disturbances import disturb
+from unicon_core.platforms.kit.scene import Scene
+from unicon_core.platforms.kit.start import start_of
+from unicon_core.platforms.platform import Platform
+from unicon_core.robots import Robot
+from unicon_core.states import States
+from unicon_core.workflow.registry import find_factory
+from unicon_ros.emulate.gantry import Gantry
+
+__all__ = ["JOINTS_ALONE", "POSTURES", "Body", "body_of", "random_posture"]
+
+JOINTS_ALONE = "fake"
+"""In place of a model: joints follow their targets, the base stands still."""
+POSTURES = ("rest", "default", "random")
+NOISE = {
+    "joint_pos": 1e-4,
+    "joint_vel": 1e-3,
+    "base_quat": 1e-4,
+    "base_ang_vel": 2e-3,
+    "base_lin_acc": 0.02,
+}
+"""Standard deviation of what sensors tell, in the states' units: of a good encoder and a MEMS."""
+STEP = 0.002
+"""Longest physics step in [s]."""
+TIME_CONSTANT = 0.05
+"""Of joints without a model, in [s]."""
+LIFT = 0.3
+"""How far above the floor a robot hangs that would stand on it, in [m]."""
+SPARE = 0.05
+"""Share of a joint's range that a posture drawn at random keeps from either limit."""
+
+
+@dataclass(frozen=True)
+class Body:
+    """The physics of one robot.
+
+    Attributes:
+        platform: a simulator, whose states are those of the face.
+        model: the file that it was read from; None of joints alone.
+        hold: called before each step: what holds the base, if anything.
+    """
+
+    platform: Platform
+    model: Path | None
+    hold: Callable[[], object]
+
+
+def body_of(
+    states: States,
+    robot: Robot,
+    period: float,
+    *,
+    model: str | None = None,
+    posture: str = "rest",
+    hang: bool = False,
+    seed: int = 0,
+    still: bool = False,
+    warn: Callable[[str], None],
+) -> Body:
+    """Build the physics.
+
+    Args:
+        period: of a tick in [s].
+        model: as of a scene, or `fake` for joints alone; None for the robot's own, if it is there.
+        posture: one of `POSTURES`, in which it begins.
+        hang: its base is held in the air.
+        seed: of posture and noise.
+        still: no noise.
+        warn: takes why there is no model, where there is none.
+
+    Raises:
+        ModelError: the model that was given is wrong.
+        MissingDependencyError: mujoco is not installed, and a model was given.
+        PlatformError: no such posture or seed, or it cannot hang.
+    """
+    if posture not in POSTURES:
+        raise PlatformError(f"posture {posture!r}; known: {', '.join(POSTURES)}")
+    file = None if model == JOINTS_ALONE else model
+    scene = Scene(file, posture if posture != "random" else "default", seed=seed, folder=Path.cwd())
+    if posture == "random":
+        scene = replace(scene, pose=random_posture(robot, np.random.default_rng(seed)))
+    hold: Callable[[], object] = bool
+    path: Path | None = None
+    if model == JOINTS_ALONE:
+        platform = _joints_alone(states, robot, period, scene)
+    else:
+        try:
+            platform, hold = _simulated(states, robot, period, scene, hang)
+            path = platform.model_path
+        except (MissingDependencyError, ModelError) as error:
+            if model is not None:
+                raise
+            warn(f"without a model, joints alone are emulated: {error}")
+            platform = _joints_alone(states, robot, period, scene)
+    if not still:
+        noise = {name: std for name, std in NOISE.items() if name in platform.facts.writes}
+        platform = disturb(platform, replace(scene, noise=noise), states, robot, period)
+    return Body(platform, path, hold)
+
+
+def random_posture(robot: Robot, random: np.random.Generator) -> NDArray[np.float32]:
+    """Return joint positions within the limits in [rad], shape (n,); default where unknown."""
+    spare = SPARE * (robot.upper - robot.lower)
+    known = ~np.isnan(spare)
+    lower = np.where(known, robot.lower + spare, robot.default_joint_pos)
+    upper = np.where(known, robot.upper - spare, robot.default_joint_pos)
+    return np.nan_to_num(random.uniform(lower, upper)).astype(np.float32)
+
+
+def _joints_alone(states: States, robot: Robot, period: float, scene: Scene) -> Any:
+    make = find_factory("platforms", "fake", PlatformError)
+    scene = replace(scene, model=None)
+    return make(states, robot, period, scene=scene, time_constant=TIME_CONSTANT)
+
+
+def _simulated(
+    states: States, robot: Robot, period: float, scene: Scene, hang: bool
+) -> tuple[Any, Callable[[], object]]:
+    make = find_factory("platforms", "mujoco", PlatformError)
+    base: int | None = None
+    if hang:
+        start = start_of(robot, scene)
+        base = start.loaded.base
+        if base is None:
+            raise PlatformError(
+                f"the base of robot {robot.name} does not move in {start.loaded.path}; it need not "
+                "hang"
+            )
+        scene = replace(scene, initial_height=float(start.position[2]) + LIFT)
+    # A whole number of steps in a tick.
+    timestep = period / math.ceil(period / STEP - 1e-9)
+    platform = make(states, robot, period, scene=scene, timestep=timestep)
+    return platform, bool if base is None else Gantry(platform.model, platform.data, base)

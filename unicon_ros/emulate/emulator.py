@@ -1,0 +1,261 @@
+"""Emulator: a robot that is not there, behind its own protocol, in real time; `unicon emulate`.
+
+    emulator = emulated(load_robot("go2"), face, {"address": "127.0.0.1"}, posture="rest")
+    emulator.run(60.0)
+
+A tick is a frame of the robot: sensors, `face.tell`, `face.hear`, motors. What the vendor's robot
+does by itself happens here: until it has obeyed a command its own controller holds the posture in
+which it began; commands do not act while the face does not obey; and without any for
+`face.dead_man` it damps, until the next one. Torques are limited by the servo.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from unicon_core.errors import Fault, PlatformError, UniconError
+from unicon_core.platforms.kit.command import FiniteCheck
+from unicon_core.platforms.kit.damping import LastSent
+from unicon_core.robots import Robot
+from unicon_core.runtime.pacing import Pacing, WallClock, prepare_process
+from unicon_core.states import States, standard_states
+from unicon_core.states.standard import COMMAND_STATES, hardware_states
+from unicon_core.workflow.autowire import refuse_options
+from unicon_ros.emulate.body import Body, body_of
+from unicon_ros.emulate.defects import Defects
+from unicon_ros.emulate.face import Face
+from unicon_ros.emulate.telling import Say, Telling, say
+
+__all__ = ["SILENCE", "Emulator", "emulated"]
+
+SILENCE = 0.5
+"""After so long without a command, or its dead man's time, the next one is a first one, [s]."""
+FASTEST = 5000.0
+"""Of faces in [Hz]: a tick of Python takes 0.1 ms."""
+ROOM_TEMPERATURE = 25.0
+"""Of motors in [°C]."""
+
+
+class Emulator:
+    """One robot.
+
+    Args:
+        states: of the emulated robot: standard ones, and those of its hardware.
+        robot: its file.
+        face: its end of the protocol, over these states.
+        body: its physics, over these states.
+        defects: what is wrong with it.
+        say: takes what it saw, see `Telling`.
+        each: say every command.
+
+    Attributes:
+        ticks: so many have been.
+        missed: so many have been left out, since the machine was too busy.
+    """
+
+    def __init__(
+        self,
+        states: States,
+        robot: Robot,
+        face: Face,
+        body: Body,
+        *,
+        defects: Defects | None = None,
+        say: Say = say,
+        each: bool = False,
+    ) -> None:
+        self._states, self._face, self._body = states, face, body
+        self._defects = defects or Defects()
+        self._share = (self._defects.rate or face.rate) / face.rate
+        self._owed = 1.0 - self._share
+        self._pos = np.zeros_like(states["joint_pos"])
+        self._own = {
+            "joint_stiffness": np.nan_to_num(robot.joint_stiffness, nan=1.0),
+            "joint_damping": np.nan_to_num(robot.joint_damping),
+        }
+        self._own_loop = robot.position_controlled
+        commands = {name: states[name] for name in COMMAND_STATES}
+        self._commands = commands
+        self._finite = FiniteCheck(commands, robot.joint_names)
+        self._acting = LastSent(states)
+        self._telling = Telling(states, robot.joint_names, say, each=each)
+        self._heard, self._obeyed, self._damped = 0.0, False, False
+        self._stop = self._closed = False
+        self.ticks = self.missed = 0
+        states["motor_temperature"][...] = ROOM_TEMPERATURE
+        body.platform.recv()
+        self._hold()
+        posture = dict(zip(robot.joint_names, states["joint_pos"].astype(float).round(4).tolist()))
+        say(
+            "ready",
+            robot=robot.name,
+            protocol=robot.transport.get("protocol"),
+            where=getattr(face, "where", ""),
+            rate=face.rate,
+            model=body.model and str(body.model),
+            posture=posture,
+        )
+
+    def tick(self, now: float) -> None:
+        """Be a robot for one frame.
+
+        Args:
+            now: time in [s] that only grows, of `time.monotonic`.
+
+        Raises:
+            Fault: the physics blew up.
+        """
+        states, face = self._states, self._face
+        self._body.platform.recv()
+        self._pos[...] = states["joint_pos"]
+        self._defects.sensed(states)
+        self._owed += self._share
+        if self._owed >= 1.0 - 1e-9:
+            self._owed -= 1.0
+            face.tell()
+        if face.hear():
+            self._take(now)
+        elif self._obeyed:
+            self._mind(now)
+        self._defects.acted(states)
+        self._body.hold()
+        self._body.platform.send()
+        self.ticks += 1
+
+    def _hold(self) -> None:
+        """Let the robot's own controller hold where it is."""
+        states = self._states
+        states["joint_pos_target"][...] = states["joint_pos"]
+        for name, gain in self._own.items():
+            states[name][...] = gain
+        self._acting.note()
+
+    def _take(self, now: float) -> None:
+        """Let the command act that has come, or leave it."""
+        kind = "" if self._face.obeys else "ignored"
+        try:
+            self._finite()
+        except Fault:
+            kind = "refused"
+        if kind:
+            self._telling.left(kind)
+            for name, view in self._commands.items():
+                view[...] = self._acting.states[name]
+            if self._obeyed:
+                self._mind(now)
+            return
+        if self._own_loop:
+            for name, gain in self._own.items():
+                self._states[name][...] = gain
+        self._heard, self._obeyed, self._damped = now, True, False
+        self._acting.note()
+        self._telling.command(now, self._pos)
+
+    def _mind(self, now: float) -> None:
+        """Look how long no command has come."""
+        silent, dead_man = now - self._heard, self._face.dead_man
+        if silent > min(SILENCE, dead_man):
+            self._telling.silence(now, silent)
+        if silent <= dead_man or self._damped:
+            return
+        self._damped = True
+        for name, view in self._commands.items():
+            view[...] = self._own[name] if name == "joint_damping" else 0.0
+        self._states["joint_pos_target"][...] = self._pos
+        self._acting.note()
+        self._telling.dead_man(now, silent)
+
+    def stop(self) -> None:
+        """Let `run` end after its tick."""
+        self._stop = True
+
+    def run(self, duration: float = float("inf")) -> None:
+        """Tick in real time until stopped, at most so many seconds.
+
+        Ticks that the machine is too late for are left out and counted.
+
+        Raises:
+            Fault: the physics blew up.
+        """
+        period, wait, now = round(1e9 / self._face.rate), WallClock(0).until, time.perf_counter_ns
+        restore = prepare_process(Pacing(), lambda _: None)
+        due = begun = now()
+        try:
+            while not self._stop and due - begun < duration * 1e9:
+                self.tick(time.monotonic())
+                due += period
+                late = now() - due
+                if late > 0:
+                    self.missed += late // period
+                    due += late // period * period
+                else:
+                    wait(due)
+        finally:
+            restore()
+            self._telling.total()
+
+    def close(self) -> None:
+        """Let go of face and physics; safe to call twice."""
+        if not self._closed:
+            self._closed = True
+            try:
+                self._face.close()
+            finally:
+                self._body.platform.close()
+
+
+def emulated(
+    robot: Robot,
+    factory: Callable[..., Face],
+    options: Mapping[str, Any] | None = None,
+    *,
+    defects: Defects | None = None,
+    say: Say = say,
+    each: bool = False,
+    warn: Callable[[str], None] = print,
+    **body: Any,
+) -> Emulator:
+    """Build an emulated robot.
+
+    Args:
+        robot: its file; what its transport says is what the face tells.
+        factory: of the face: `face(states, robot, **options)`.
+        options: of the face.
+        defects: what is wrong with it.
+        say: takes what it saw.
+        each: say every command.
+        warn: takes what is told to the user.
+        body: further arguments of `body_of`.
+
+    Raises:
+        UniconError: an option is wrong, an address is taken, or the physics cannot be built.
+    """
+    options = options or {}
+    name = f"face of {robot.transport.get('protocol')}"
+    refuse_options(factory, options, lambda text, *_: PlatformError(f"{name}{text}"))
+    states = States({**standard_states(robot.joint_names), **hardware_states(robot.joint_names)})
+    try:
+        face = factory(states, robot, **options)
+    except (TypeError, ValueError) as error:
+        raise PlatformError(f"{name}: {error}; correct its options (--set)") from error
+    except OSError as error:
+        raise PlatformError(
+            f"{name} cannot be served: {error.strerror}; end the program that is there, or give "
+            "another --address"
+        ) from error
+    try:
+        rate = face.rate
+        if not 0.0 < rate <= FASTEST:
+            raise PlatformError(f"{name} says a rate of {rate} Hz; give more than 0, at most 5000")
+        slower = defects.rate if defects else None
+        if slower is not None and not 0.0 < slower <= rate:
+            raise UniconError(f"--rate {slower:g}: the robot tells at {rate:g} Hz; give less")
+        physics = body_of(states, robot, 1.0 / rate, warn=warn, **body)
+        return Emulator(states, robot, face, physics, defects=defects, say=say, each=each)
+    except BaseException:
+        face.close()
+        raise
