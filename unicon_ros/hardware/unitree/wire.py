@@ -92,7 +92,7 @@ class UnitreeWire:
         self._hottest: NDArray[Any] | None = None
         if not facts.go and "motor_temperature" in states:
             self._hottest = states["motor_temperature"]
-            self._pairs = own["temperatures"].reshape(-1, 2)
+            self._pairs = own["temperatures"].reshape(-1, 2).T
         read = state_in(facts, arrays.keys() - {"tick", "mode_machine"})  # the head's
         self._frames = Frames(
             read, arrays, self.counts, checked=checked, orientation="base_quat"
@@ -184,7 +184,7 @@ class UnitreeWire:
                 angle, rate = (float(states[n][facts.waist]) for n in ("joint_pos", "joint_vel"))
             turned(imu, {name: states[name] for name in IMU_STATES}, angle, rate)
         if self._hottest is not None:
-            self._pairs.max(axis=1, out=self._hottest)
+            np.maximum(*self._pairs, out=self._hottest)
         if self._remote is not None:
             self._remote[...] = self._bytes
 
