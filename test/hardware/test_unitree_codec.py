@@ -38,7 +38,9 @@ SPACING = {
 # C structs of unitree_sdk2py/utils/crc.py, for the checksum.
 STRUCTS = {
     "unitree_go/msg/LowCmd": "<4B4IH2x" + "B3x5f3I" * 20 + "4B55Bx2I",
-    "unitree_go/msg/LowState": "<4B4IH2x13fb3x" + "B3x7fb3x3I" * 20 + "4BiH4b15H8hI41B3xf2b2x2f4h2I",
+    "unitree_go/msg/LowState": "<4B4IH2x13fb3x"
+    + "B3x7fb3x3I" * 20
+    + "4BiH4b15H8hI41B3xf2b2x2f4h2I",
     "unitree_hg/msg/LowCmd": "<2B2x" + "B3x5fI" * 35 + "5I",
     "unitree_hg/msg/LowState": "<2I2B2xI13fh2x" + "B3x4f2hf7I" * 35 + "40B5I",
 }
@@ -176,7 +178,9 @@ def test_commands_stand_in_their_slots(name: str) -> None:
     said = said if isinstance(said, list) else [said] * robot.num_joints
     for joint, slot in enumerate(motors):
         wanted = [arrays[n][joint] for n in ("joint_pos_target", "joint_vel_target")]
-        wanted += [arrays[n][joint] for n in ("joint_effort_ff", "joint_stiffness", "joint_damping")]
+        wanted += [
+            arrays[n][joint] for n in ("joint_effort_ff", "joint_stiffness", "joint_damping")
+        ]
         assert numbers[slot] == tuple(map(float, wanted)), (name, slot)
         assert modes[slot] == said[joint]
     idle = sorted(set(range(len(modes))) - set(motors))
@@ -225,7 +229,9 @@ def test_garbage_is_refused_and_writes_nothing(data: st.DataObject) -> None:
     robot = load_robot("go2")
     facts, arrays = UnitreeFacts.of(robot), arrays_of(robot)
     raw = bytearray(Encoder.build(state_out(facts, arrays), arrays).encode())
-    frames = Frames(state_in(facts, arrays), arrays, Counts(), checked=False, orientation="base_quat")
+    frames = Frames(
+        state_in(facts, arrays), arrays, Counts(), checked=False, orientation="base_quat"
+    )
     at = data.draw(st.sampled_from([4 + 24, 4 + 28, 4 + 80, 4 + 84, 4 + 128]))  # quaternion, q, dq
     bad = data.draw(st.sampled_from([np.nan, np.inf, -np.inf]))
     struct.pack_into("<f", raw, at, bad)

@@ -34,7 +34,13 @@ _ANY = 0x7F
 
 _CONFIG = (
     '<CycloneDDS><Domain Id="any"><General><Interfaces><NetworkInterface {word}="{value}" '
-    'priority="default" multicast="default"/></Interfaces></General></Domain></CycloneDDS>'
+    'priority="default" multicast="default"/></Interfaces></General>{more}</Domain></CycloneDDS>'
+)
+# Linux calls loopback incapable of multicast, and cyclonedds 0.10.2, which vendors' SDKs use,
+# believes it: then both find each other only by the ports of low participant numbers.
+_ON_LOOPBACK = (
+    "<Discovery><ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>60"
+    '</MaxAutoParticipantIndex><Peers><Peer address="127.0.0.1"/></Peers></Discovery>'
 )
 
 _lock = Lock()
@@ -187,9 +193,10 @@ class Reader:
         return bool(self._waiting.wait(max(round(timeout * 1e9), 0)))
 
     @property
-    def matched(self) -> bool:
-        """Whether somebody writes to the topic."""
-        return bool(self._reader.get_matched_publications())
+    def sources(self) -> list[int]:
+        """Who writes to the topic, by the `publication_handle` of what they send."""
+        found: list[int] = self._reader.get_matched_publications()
+        return found
 
 
 class Writer:
@@ -249,17 +256,17 @@ def _enter(domain: int, address: str | None, what: str) -> None:
 
 
 def _config(address: str, what: str) -> str:
-    word = "address"
+    word, loopback = "address", False
     try:
-        ipaddress.ip_address(address)
+        loopback = ipaddress.ip_address(address).is_loopback
     except ValueError:
-        word = "name"
+        word, loopback = "name", address == "lo"
         if not address.isascii() or not address.replace("-", "").replace("_", "").isalnum():
             raise PlatformError(
                 f"{what}: address {address!r} is neither an address nor the name of a network "
                 "interface; write 192.168.123.51 or eth0"
             ) from None
-    return _CONFIG.format(word=word, value=address)
+    return _CONFIG.format(word=word, value=address, more=_ON_LOOPBACK if loopback else "")
 
 
 def _leave(domain: int) -> None:

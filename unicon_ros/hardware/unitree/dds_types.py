@@ -1,9 +1,9 @@
 """Types for CycloneDDS, made of the message definitions that `unicon_msgs_map` has.
 
 The names on the wire are those of Unitree's IDL: `unitree_go/msg/LowCmd` is
-`unitree_go.msg.dds_.LowCmd_`, final, with sequential member ids (unitreerobotics/unitree_sdk2_python
-unitree_sdk2py/idl). All octets are `byte`: declared as `uint8`, cyclonedds 11 describes them by a
-type that 0.10.2, which is on the robots, does not know, and a peer of 0.10.2 then crashes.
+`unitree_go.msg.dds_.LowCmd_`, final, with sequential member ids (unitree_sdk2py/idl of
+unitreerobotics/unitree_sdk2_python). All octets are `byte`: declared as `uint8`, cyclonedds 11
+describes them by a type that 0.10.2, which is on the robots, does not know, so that it crashes.
 """
 
 from __future__ import annotations

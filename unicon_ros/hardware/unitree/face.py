@@ -140,7 +140,7 @@ class UnitreeFace:
     def tell(self) -> None:
         """Send what the robot measures."""
         states, waist = self._states, self._facts.waist
-        self._tick += TICK_MS  # type: ignore[misc]
+        self._tick += TICK_MS
         if waist is not None:
             angle, rate = (-float(states[name][waist]) for name in ("joint_pos", "joint_vel"))
             turned({name: states[name] for name in IMU_STATES}, self._imu, angle, rate)

@@ -189,7 +189,7 @@ class _Reading:
         if not fits or not all(isinstance(m, int) and 0 <= m < slots for m in motors):
             raise self.wrong("motors", f"{joints} different slots of 0 to {slots - 1}")
         said = self.transport.get("motor_mode")
-        modes = said if isinstance(said, list) else [said] * joints
+        modes: list[Any] = said if isinstance(said, list) else [said] * joints
         if len(modes) != joints or not all(map(_octet, modes)):
             raise self.wrong("motor_mode", f"a byte, or {joints} of them")
         unused = self.transport.get("unused_slots") or {}
@@ -197,15 +197,13 @@ class _Reading:
             raise self.wrong("unused_slots", "slot: mode")
         idle = int(said) if go and _octet(said) else 0  # type: ignore[arg-type]
         joint_of = {motor: joint for joint, motor in enumerate(motors)}
+        joint = [joint_of.get(slot, -1) for slot in range(slots)]
+        mode: list[int] = [
+            modes[j] if j >= 0 else unused.get(slot, idle) for slot, j in enumerate(joint)
+        ]
         start = 0
         for slot in range(1, slots + 1):
-            first = joint_of.get(start, -1)
-            mode = modes[first] if first >= 0 else unused.get(start, idle)
-            if slot < slots:
-                joint = joint_of.get(slot, -1)
-                follows = joint == (first + slot - start if first >= 0 else -1)
-                same = modes[joint] if joint >= 0 else unused.get(slot, idle)
-                if follows and same == mode:
-                    continue
-            yield Run((start, slot), first, mode)
-            start = slot
+            follower = joint[start] + slot - start if joint[start] >= 0 else -1
+            if slot == slots or (joint[slot], mode[slot]) != (follower, mode[start]):
+                yield Run((start, slot), joint[start], mode[start])
+                start = slot

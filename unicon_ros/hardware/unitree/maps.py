@@ -50,7 +50,9 @@ def head_in(facts: UnitreeFacts) -> SubscribeSpec:
 def command_out(facts: UnitreeFacts) -> PublishSpec:
     """Return how LowCmd is made."""
     fields = {**facts.constants, **_command(facts)}
-    return _publish(facts, "LowCmd", fields | ({} if facts.go else {"mode_machine": "mode_machine"}))
+    return _publish(
+        facts, "LowCmd", fields | ({} if facts.go else {"mode_machine": "mode_machine"})
+    )
 
 
 def command_in(facts: UnitreeFacts) -> SubscribeSpec:

@@ -4,7 +4,7 @@
     platforms:
       unitree: {address: eth0}        # of this machine, towards the robot
 
-Topics, modes and motor slots stand in the robot file. What it needs besides: the extra `hw-unitree`.
+Topics, modes and motor slots stand in the robot file. It needs the extra `hw-unitree`.
 """
 
 from __future__ import annotations

@@ -86,7 +86,7 @@ class Client:
     @property
     def there(self) -> bool:
         """Whether somebody serves it."""
-        return self._writer.matched and self._reader.matched
+        return self._writer.matched and bool(self._reader.sources)
 
     def ask(self, number: int, parameter: str = "{}") -> None:
         """Send a request; what it is answered is told by `answer`."""

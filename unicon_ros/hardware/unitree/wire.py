@@ -92,14 +92,14 @@ class UnitreeWire:
         self._hottest: NDArray[Any] | None = None
         if not facts.go and "motor_temperature" in states:
             self._hottest = states["motor_temperature"]
-            self._pairs = own["temperatures"].reshape(-1, 2).T
+            self._pairs = own["temperatures"][0::2], own["temperatures"][1::2]
         read = state_in(facts, arrays.keys() - {"tick", "mode_machine"})  # the head's
-        self._frames = Frames(
-            read, arrays, self.counts, checked=checked, orientation="base_quat"
-        )
+        self._frames = Frames(read, arrays, self.counts, checked=checked, orientation="base_quat")
         self._head = Decoder.build(head_in(facts), arrays)
         self._bytes = own["remote"]
-        self._remote = states["wireless_remote"] if "wireless_remote" in states else None
+        self._remote: NDArray[Any] | None = None
+        if "wireless_remote" in states:
+            self._remote = states["wireless_remote"]
         self._encode = Encoder.build(command_out(facts), arrays).encode
         self._last = -1
         self._source: int | None = None
@@ -142,6 +142,9 @@ class UnitreeWire:
 
     def _own(self, source: int) -> bool:
         if self._source in (None, source):
+            return True
+        if self._source not in self._reader.sources:  # it has gone, and another robot has come
+            self._source, self._last = None, -1
             return True
         self.counts.refuse("another sender", f"{self.where} has two")
         return False
