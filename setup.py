@@ -58,6 +58,8 @@ EXTRAS["all"] = sorted({requirement for extra in EXTRAS.values() for requirement
 EXTRAS["torch"] = ["torch"]
 # Nor this: 130 MB installed, for exports to Parquet alone.
 EXTRAS["parquet"] = ["pyarrow"]
+# Nor what a vendor's protocol needs: a computer on a robot wants that of its robot alone.
+EXTRAS["hw-unitree"] = ["cyclonedds==11.0.1"]
 
 
 def version() -> str:
@@ -133,6 +135,7 @@ setup(
         "unicon.platforms": [
             "replay = unicon_ros.replay.platform:make",
             "ros = unicon_ros.bridge.ros_platform:make",
+            "unitree = unicon_ros.hardware.unitree.platform:make",
         ],
     },
     zip_safe=False,

@@ -146,11 +146,12 @@ def optional_modules() -> set[str]:
     return named
 
 
-def test_all_is_the_union_of_the_other_extras_but_torch_and_parquet() -> None:
+def test_all_is_the_union_of_the_other_extras_but_torch_parquet_and_hardware() -> None:
     extras = metadata()["extras_require"]
     assert isinstance(extras, dict)
     assert set(extras) >= {"sim", "bags", "ros", "test", "all"}
-    united = {r for name, e in extras.items() if name not in ("all", "torch", "parquet") for r in e}
+    left = {name for name in extras if name.startswith("hw-")} | {"all", "torch", "parquet"}
+    united = {r for name, e in extras.items() if name not in left for r in e}
     assert set(extras["all"]) == united
     assert extras["torch"] == ["torch"]
     assert "torch" not in united

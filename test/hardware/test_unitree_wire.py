@@ -1,0 +1,457 @@
+"""Unitree's driver against the robot's end on loopback: both ways, attacks, release."""
+
+from __future__ import annotations
+
+import json
+import struct
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("cyclonedds", reason="needs cyclonedds: pip install 'unicon_ros[hw-unitree]'")
+
+from unitree_helpers import DOMAIN, LOOPBACK, Pair, states_of, until
+
+from unicon_core.errors import Fault, MissingDependencyError, PlatformError
+from unicon_core.platforms.platform import Prepares, ReportsVariant, SeesCommanders, WaitsForData
+from unicon_core.robots import load_robot
+from unicon_core.states import States, standard_states
+from unicon_core.states.spec import StateSpec
+from unicon_core.states.standard import COMMAND_STATES
+from unicon_msgs_map.codec.checksum import unitree_crc
+from unicon_msgs_map.layout.messages import shared_messages
+from unicon_msgs_map.layout.paths import Reference, parse_path
+from unicon_msgs_map.spec import FieldSpec
+from unicon_ros.bench.domains import free_domain
+from unicon_ros.hardware.unitree import dds, release, wire
+from unicon_ros.hardware.unitree.dds import Participant
+from unicon_ros.hardware.unitree.dds_types import OCTETS, dds_type
+from unicon_ros.hardware.unitree.face import face
+from unicon_ros.hardware.unitree.platform import make
+
+TELLS = ("joint_pos", "joint_vel", "joint_effort", "base_quat", "base_ang_vel", "base_lin_acc")
+TELLS += ("motor_temperature",)
+
+
+@pytest.fixture(params=["go2", "g1_29dof"])
+def pair(request: pytest.FixtureRequest) -> Iterator[Pair]:
+    made = Pair(load_robot(request.param))
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def go2() -> Iterator[Pair]:
+    made = Pair(load_robot("go2"))
+    yield made
+    made.close()
+
+
+def summed(pair: Pair, raw: bytes) -> bytes:
+    """Return a LowState with a right checksum."""
+    field = FieldSpec("crc", parse_path("crc"), Reference("const", value=0))
+    message = shared_messages().struct(f"{pair.robot.transport['protocol']}/msg/LowState")
+    buffer = bytearray(raw)
+    buffer[1] = 0  # the checksum's own padding
+    crc = unitree_crc(field, message, buffer)()
+    return raw[:-4] + crc.to_bytes(4, "little")
+
+
+def sent(pair: Pair, raw: bytes) -> int:
+    """Let the robot's own writer send something else, and take it."""
+    pair.face._writer.write(raw)
+    assert pair.wire.wait(5.0)
+    return pair.wire.take()
+
+
+def test_both_ways_everything_is_equal(pair: Pair) -> None:
+    rng = np.random.default_rng(1)
+    n = pair.robot.num_joints
+    for _ in range(20):
+        for name in TELLS[:3]:
+            pair.theirs[name][...] = rng.normal(size=n)
+        quat = rng.normal(size=4)
+        pair.theirs["base_quat"][...] = quat / np.linalg.norm(quat)
+        pair.theirs["base_ang_vel"][...] = rng.normal(size=3)
+        pair.face.remote[:] = bytes(rng.integers(0, 256, 40, dtype=np.uint8))
+        for name in COMMAND_STATES:
+            pair.ours[name][...] = rng.normal(size=n)
+        assert pair.told() == 1
+        for name in TELLS:
+            np.testing.assert_allclose(pair.ours[name], pair.theirs[name], rtol=1e-6, err_msg=name)
+        assert pair.wire.remote == pair.face.remote
+        pair.wire.put()
+        until(pair.face.hear)
+        for name in COMMAND_STATES:
+            np.testing.assert_array_equal(pair.theirs[name], pair.ours[name])
+    assert not pair.wire.counts.refused
+    assert not pair.face.counts.refused
+    assert not pair.wire.wait(0.0)
+
+
+def test_a_backlog_is_drained_to_the_newest(pair: Pair) -> None:
+    for value in (1.0, 2.0, 3.0):
+        pair.theirs["joint_pos"][...] = value
+        pair.face.tell()
+    taken = until(pair.wire.take)
+    while taken < 3:
+        taken += pair.wire.take()
+    assert pair.ours["joint_pos"][0] == 3.0
+    for _ in range(200):  # a flood is not kept
+        pair.face.tell()
+    assert 1 <= until(pair.wire.take) <= dds.DEPTH
+
+
+def test_wrong_frames_are_counted_and_left(go2: Pair) -> None:
+    go2.face._tick[...] = 123456789
+    go2.told()
+    before = go2.ours["joint_pos"].copy()
+    good = go2.face._encode()
+    assert sent(go2, good) == 0
+    assert go2.wire.counts.refused["old tick"] == 1  # the same number again
+    newer = bytearray(good)
+    tick = int(go2.face._tick)
+    at = good.index(tick.to_bytes(4, "little"))
+    struct.pack_into("<I", newer, at, tick - 100)
+    assert sent(go2, summed(go2, bytes(newer))) == 0
+    assert go2.wire.counts.refused["old tick"] == 2
+    struct.pack_into("<I", newer, at, tick + 1)
+    assert sent(go2, bytes(newer)) == 0
+    assert go2.wire.counts.refused["wrong CRC"] == 1
+    for value in (np.nan, np.inf):
+        tick += 2
+        struct.pack_into("<I", newer, at, tick)
+        struct.pack_into("<f", newer, 4 + 80, value)  # q of motor 0
+        assert sent(go2, summed(go2, bytes(newer))) == 0
+    assert go2.wire.counts.refused["impossible values"] == 2
+    zero = bytearray(good)
+    struct.pack_into("<I", zero, at, tick + 5)
+    zero[4 + 24 : 4 + 40] = bytes(16)  # an IMU that is not there
+    assert sent(go2, summed(go2, bytes(zero))) == 0
+    assert go2.wire.counts.refused["impossible values"] == 3
+    np.testing.assert_array_equal(go2.ours["joint_pos"], before)
+    go2.face._tick[...] = tick + 10
+    assert go2.told() == 1
+    go2.face._tick[...] = 2**32 - 5  # behind: half a turn or more
+    assert go2.told() == 0
+
+
+def test_the_frame_number_may_wrap() -> None:
+    made = face(states_of(load_robot("go2")), load_robot("go2"), domain=DOMAIN, mode="")
+    made._tick[...] = 2**32 - 4
+    made.close()
+    pair = Pair(load_robot("go2"))
+    try:
+        pair.wire._last = 2**32 - 3
+        pair.face._tick[...] = 2**32 - 2
+        assert pair.told() == 1
+        assert int(pair.wire._tick) == 0
+    finally:
+        pair.close()
+
+
+def test_a_bad_frame_does_not_hide_the_good_one_before_it(go2: Pair) -> None:
+    go2.theirs["joint_pos"][...] = 0.5
+    go2.face.tell()
+    go2.face._tick += 2
+    bad = bytearray(go2.face._encode())
+    struct.pack_into("<f", bad, 4 + 80, np.nan)
+    assert sent(go2, summed(go2, bytes(bad))) + go2.wire.take() >= 0
+    until(lambda: go2.wire.counts.refused["impossible values"] == 1, go2.wire.take)
+    assert go2.ours["joint_pos"][0] == 0.5
+
+
+def test_strangers_and_a_robot_that_comes_back(go2: Pair) -> None:
+    go2.told()
+    stranger = face(states_of(go2.robot), go2.robot, domain=DOMAIN, mode="")
+    stranger._tick[...] = 10**6
+    counts = go2.wire.counts
+    until(lambda: counts.refused["another sender"], lambda: (stranger.tell(), go2.wire.take()))
+    assert go2.ours["joint_pos"][0] == go2.theirs["joint_pos"][0]
+    assert go2.told() + go2.wire.take() >= 0
+    go2.face.close()  # the robot dies: whoever tells now is the robot
+    stranger._tick[...] = 0
+    until(go2.wire.take, stranger.tell)
+    assert go2.ours["joint_pos"][0] == 0.0
+    stranger.close()
+
+
+def test_a_change_of_the_variant_is_a_fault() -> None:
+    pair = Pair(load_robot("g1_29dof"))
+    try:
+        assert pair.wire.variant == {"protocol": "unitree_hg", "mode_machine": 5}
+        pair.face._variant[...] = 4
+        pair.face.tell()
+        assert pair.wire.wait(5.0)
+        with pytest.raises(Fault, match="mode_machine is 4, and was 5"):
+            pair.wire.take()
+        pair.wire.put()  # damping, which the robot as it is now obeys
+        until(pair.face.hear)
+    finally:
+        pair.close()
+
+
+def test_the_robot_leaves_bad_commands(pair: Pair) -> None:
+    good = pair.wire._encode()
+    pair.wire._writer.write(good[:-1] + bytes((good[-1] ^ 1,)))
+    refused = pair.face.counts.refused
+    until(lambda: refused["wrong CRC"], pair.face.hear)
+    pair.face._modes[0] = 7
+    pair.wire.put()
+    until(lambda: refused["motor mode"], pair.face.hear)
+    pair.face.mode = "ai"
+    pair.face._modes[0] = pair.robot.transport["motor_mode"]
+    pair.wire.put()
+    until(lambda: refused["its own controller commands"], pair.face.hear)
+    assert pair.face.counts.good == 0
+
+
+def released(pair: Pair) -> list[str]:
+    """Ask the robot's controller to let go, and return what was waited for."""
+    seen: list[str] = []
+
+    def step() -> bool:
+        pair.face.hear()
+        reason = pair.wire.prepare()
+        if reason and reason not in seen:
+            seen.append(reason)
+        return not reason
+
+    until(step)
+    return seen
+
+
+@pytest.mark.parametrize("name", ["go2", "g1_29dof"])
+def test_its_own_controller_is_asked_to_let_go(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    robot = load_robot(name)
+    robot.transport["release"]["wait"] = 0.05  # type: ignore[index]
+    pair = Pair(robot, release=True)
+    try:
+        pair.wire.put()
+        until(lambda: pair.face.counts.refused["its own controller commands"], pair.face.hear)
+        seen = released(pair)
+        assert pair.face.obeys
+        assert pair.face.asked["motion_switcher"] == [1001, 1003, 1001]
+        assert pair.face.asked.get("sport") == ([1005] if name == "go2" else None)
+        assert any("mode 'normal', to let go of the motors" in reason for reason in seen)
+        assert pair.wire.prepare() == ""
+        pair.wire.put()
+        until(pair.face.hear)
+    finally:
+        pair.close()
+
+
+@pytest.mark.parametrize(
+    ("answer", "told"),
+    [
+        (
+            (0, json.dumps({"form": "0", "name": "ai"})),
+            "mode 'ai' again after ReleaseMode, 5 times",
+        ),
+        ((3203, ""), "refuses request 1001 with code 3203: the service does not know the request"),
+        ((7, ""), "with code 7: switch the robot's own controller off"),
+        ((0, "no json"), "answers 'no json', which names no mode"),
+        ((0, "[1]"), "which names no mode"),
+        ((0, '{"name": null}'), "which names no mode"),
+        (None, "does not answer request 1001 within"),
+    ],
+)
+def test_a_controller_that_does_not_let_go_is_a_fault(
+    answer: tuple[int, str] | None, told: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(release, "TIMEOUT", 0.2 if answer is None else 5.0)
+    robot = load_robot("go2")
+    robot.transport["release"]["wait"] = 0.0  # type: ignore[index]
+    pair = Pair(robot, release=True)
+
+    def reply(service: str, server: Any, asked: Any) -> None:
+        if answer is not None:
+            switches = service == "motion_switcher" and asked.header.identity.api_id == 1001
+            server.reply(asked, *(answer if switches else (0, "")))
+
+    monkeypatch.setattr(pair.face, "_answer", reply)
+    try:
+        with pytest.raises(Fault) as raised:
+            released(pair)
+        assert told in str(raised.value)
+    finally:
+        pair.close()
+
+
+def test_a_robot_without_the_service_is_a_fault_with_the_remedy(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(release, "TIMEOUT", 0.1)
+    participant = Participant(free_domain(), LOOPBACK, "test")
+    asking = release.Release(participant, None, 0.0, "test")
+    try:
+        with pytest.raises(Fault, match=r"nobody serves 'motion_switcher' within .*peer: unit"):
+            until(lambda: not asking())
+    finally:
+        participant.close()
+
+
+def test_others_who_command_are_counted(go2: Pair) -> None:
+    assert go2.wire.commanders() == {"rt/lowcmd": 0}
+    other = Participant(DOMAIN, LOOPBACK, "another program")
+    other.writer("rt/lowcmd", shared_messages().struct("unitree_go/msg/LowCmd"))
+    other.writer("rt/other", shared_messages().struct("unitree_go/msg/LowCmd"))
+    until(lambda: go2.wire.commanders() == {"rt/lowcmd": 1})
+    other.close()
+    until(lambda: go2.wire.commanders() == {"rt/lowcmd": 0})
+
+
+def test_the_platform_knows_silence_and_damps_at_its_end() -> None:
+    robot = load_robot("go2")
+    theirs, ours = states_of(robot), states_of(robot)
+    made = face(theirs, robot, domain=DOMAIN, mode="")
+    from threading import Event, Thread
+
+    ended, told = Event(), Event()
+    told.set()
+
+    def tick() -> None:
+        while not ended.wait(0.002):
+            if told.is_set():
+                made.tell()
+            made.hear()
+
+    thread = Thread(target=tick)
+    thread.start()
+    try:
+        platform = make(ours, robot, 0.002, address=LOOPBACK, domain=DOMAIN, silence=0.2)
+        for protocol in (Prepares, ReportsVariant, SeesCommanders, WaitsForData):
+            assert isinstance(platform, protocol)
+        assert "motor_error" not in platform.facts.writes
+        assert "battery_charge" in platform.facts.writes
+        assert platform.variant() == {"protocol": "unitree_go"}
+        until(lambda: platform._wire._writer.matched)  # type: ignore[attr-defined]
+        ours["joint_pos_target"][...] = robot.default_joint_pos
+        ours["joint_stiffness"][...] = 30.0
+        for _ in range(20):
+            platform.send()
+            time.sleep(0.002)
+        until(lambda: theirs["joint_stiffness"][0] == 30.0)
+        told.clear()
+        with pytest.raises(Fault, match="nothing from rt/lowstate of DDS domain"):
+            until(platform.recv)  # returns None until it is silent
+        platform.close()
+        until(lambda: theirs["joint_stiffness"][0] == 0.0)
+        assert theirs["joint_damping"][0] == 5.0
+        told.set()
+        silent = make(ours, robot, 0.002, address=LOOPBACK, domain=DOMAIN, silent=True)
+        good = made.counts.good
+        silent.send()
+        silent.close()
+        assert silent.prepare() == ""
+        assert made.counts.good == good
+        again = make(ours, robot, 0.002, address=LOOPBACK, domain=DOMAIN)  # a second run
+        again.close()
+        again.close()
+    finally:
+        ended.set()
+        thread.join()
+        made.close()
+
+
+def test_states_that_a_workflow_declares_are_written() -> None:
+    robot = load_robot("go2")
+    specs = standard_states(robot.joint_names)
+    specs |= {"foot_force": StateSpec((4,)), "wireless_remote": StateSpec((40,), "uint8")}
+    ours = States(specs)
+    theirs = States(standard_states(robot.joint_names) | {"foot_force": StateSpec((4,))})
+    theirs["foot_force"][...] = (20, 21, -22, 23)
+    made = face(theirs, robot, domain=DOMAIN, mode="")
+    made.remote[2:4] = b"\x01\x02"
+    from unicon_ros.hardware.unitree.facts import UnitreeFacts
+
+    ends = wire.UnitreeWire(ours, robot, UnitreeFacts.of(robot), DOMAIN, LOOPBACK, release=False)
+    try:
+        until(ends.take, made.tell)
+        assert ours["foot_force"].tolist() == [20, 21, -22, 23]
+        assert ours["wireless_remote"][2:4].tolist() == [1, 2]
+    finally:
+        ends.close()
+        made.close()
+
+
+def test_wrong_options_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    robot = load_robot("go2")
+
+    def opened(**options: Any) -> str:
+        with pytest.raises(PlatformError) as raised:
+            make(states_of(robot), robot, 0.02, **{"connect": 0.05, **options})
+        return str(raised.value)
+
+    assert "domain is 231; give 0 to 230" in opened(domain=231)
+    assert "domain is -1" in opened(domain=-1)
+    told = opened(domain=DOMAIN, address='"/><x a="')
+    assert "neither an address nor the name" in told
+    assert "cannot use address 'eth77'" in opened(domain=DOMAIN, address="eth77")
+    assert "cannot use address '10.1.2.3'" in opened(domain=DOMAIN, address="10.1.2.3")
+    assert "no frame that it understands from rt/lowstate of DDS domain" in opened(
+        domain=DOMAIN, address=LOOPBACK
+    )
+    assert "silence is 0" in opened(domain=DOMAIN, address=LOOPBACK, silence=0.0)
+    assert "no peer 'mujoco'; known" in opened(peer="mujoco")
+    first = Participant(DOMAIN, LOOPBACK, "first")
+    assert f"domain {DOMAIN} is open on 127.0.0.1 in this process" in opened(
+        domain=DOMAIN, address="lo"
+    )
+    first.close()
+    first.close()
+    monkeypatch.setattr(dds.metadata, "version", lambda _: "0.10.2")
+    assert "cyclonedds is 0.10.2, and only 11.0.1 is known" in opened(domain=DOMAIN)
+
+    def absent(name: str) -> str:
+        raise dds.metadata.PackageNotFoundError(name)
+
+    monkeypatch.setattr(dds.metadata, "version", absent)
+    with pytest.raises(MissingDependencyError, match=r"needs cyclonedds: .*\[hw-unitree\]"):
+        make(states_of(robot), robot, 0.02)
+
+
+def members(kind: Any) -> Iterator[Any]:
+    """Give every type in a DDS type, however deep."""
+    if hasattr(kind, "__idl_typename__"):
+        for each in kind.__annotations__.values():
+            yield from members(each)
+        return
+    yield kind
+    for inner in getattr(kind, "__metadata__", ()):
+        if hasattr(inner, "subtype"):
+            yield from members(inner.subtype)
+
+
+DDS_MESSAGES = ("go/msg/LowCmd", "go/msg/LowState", "hg/msg/LowCmd", "hg/msg/LowState")
+DDS_MESSAGES += ("go/msg/MotorCmds", "hg/msg/HandCmd", "hg/msg/HandState")
+DDS_MESSAGES += ("api/msg/Request", "api/msg/Response")
+
+
+@pytest.mark.parametrize("name", DDS_MESSAGES)
+def test_no_octet_is_a_uint8_and_names_are_the_vendor_s(name: str) -> None:
+    from cyclonedds.idl import types
+
+    made = dds_type(shared_messages().struct(f"unitree_{name}"))
+    package, _, message = f"unitree_{name}".split("/")
+    assert made.__idl_typename__ == f"{package}.msg.dds_.{message}_"
+    found = list(members(made))
+    assert types.byte in found
+    assert types.uint8 not in found
+    assert types.int8 not in found
+    assert {"uint8", "int8"} < set(OCTETS)
+
+
+@pytest.mark.parametrize(
+    "name", ["go_lowcmd", "go_lowstate", "hg_lowcmd", "hg_lowstate", "hg_handstate"]
+)
+def test_cyclonedds_lays_our_types_out_as_the_vendor_does(assets: Any, name: str) -> None:
+    text = (assets / "frames" / f"dds_{name}.hex").read_text()
+    raw = bytes.fromhex("".join(text.split()))
+    names = {"lowcmd": "LowCmd", "lowstate": "LowState", "handstate": "HandState"}
+    package, message = name.split("_")
+    made = dds_type(shared_messages().struct(f"unitree_{package}/msg/{names[message]}"))
+    assert made.deserialize(raw).serialize(use_version_2=False) == raw

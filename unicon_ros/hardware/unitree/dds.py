@@ -1,0 +1,280 @@
+"""Raw bytes over CycloneDDS, for Unitree's drivers and emulators: no Python object per message.
+
+    participant = Participant(0, "eth0", "platform 'unitree'")
+    reader = participant.reader("rt/lowstate", struct)     # reader.take(): [(bytes, writer), …]
+    writer = participant.writer("rt/lowcmd", struct)       # writer.write(raw)
+    participant.close()
+
+The calls that pass bytes are private ones of the package, so that it is asked for by its version.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+from contextlib import suppress
+from importlib import metadata
+from threading import Lock
+from typing import Any
+
+from unicon_core.errors import Fault, MissingDependencyError, PlatformError
+from unicon_msgs_map.layout.messages import Struct
+from unicon_ros.hardware.unitree.dds_types import dds_type
+
+__all__ = ["LARGEST_DOMAIN", "VERSION", "Participant", "Reader", "Writer"]
+
+VERSION = "11.0.1"
+"""Of cyclonedds: another one may pass bytes otherwise, or none."""
+LARGEST_DOMAIN = 230
+"""The ports of higher ones lie beyond 65,535 (RTPS 2.5, 9.6.2.3), with room for participants."""
+DEPTH = 8
+"""Frames that are kept for the next look: a tick at 50 Hz sees 500 Hz only in part, and who sends
+garbage beside the robot does not hide its good frames."""
+_ANY = 0x7F
+"""Mask of samples in any state."""
+
+_CONFIG = (
+    '<CycloneDDS><Domain Id="any"><General><Interfaces><NetworkInterface {word}="{value}" '
+    'priority="default" multicast="default"/></Interfaces></General>{more}</Domain></CycloneDDS>'
+)
+# Linux calls loopback incapable of multicast, and cyclonedds 0.10.2, which vendors' SDKs use,
+# believes it: then both find each other only by the ports of low participant numbers.
+_ON_LOOPBACK = (
+    "<Discovery><ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>60"
+    '</MaxAutoParticipantIndex><Peers><Peer address="127.0.0.1"/></Peers></Discovery>'
+)
+
+_lock = Lock()
+_domains: dict[int, tuple[str | None, Any, int]] = {}
+"""Domain id to interface, the domain (None where the environment configures it), and users: a
+process has one configuration for each domain."""
+
+
+def _load(what: str) -> None:
+    """Look whether the package is there, in the version that is known.
+
+    Raises:
+        MissingDependencyError: it is not installed.
+        PlatformError: it is another version.
+    """
+    install = "pip install 'unicon_ros[hw-unitree]'"
+    try:
+        found = metadata.version("cyclonedds")
+        import cyclonedds  # noqa: F401
+    except (ImportError, metadata.PackageNotFoundError) as error:
+        raise MissingDependencyError(what, "cyclonedds", install) from error
+    if found != VERSION:
+        raise PlatformError(
+            f"{what}: cyclonedds is {found}, and only {VERSION} is known to pass raw bytes; "
+            f"{install}"
+        )
+
+
+class Participant:
+    """This process on a DDS domain.
+
+    Args:
+        domain: its number; robots have 0.
+        address: of this machine's network interface to the robot, or its name; None leaves the
+            choice to CYCLONEDDS_URI, and without it to CycloneDDS.
+        what: in front of messages.
+
+    Raises:
+        MissingDependencyError: cyclonedds is not installed.
+        PlatformError: another version of it is, or the interface or domain cannot be used.
+    """
+
+    def __init__(self, domain: int, address: str | None, what: str) -> None:
+        _load(what)
+        if isinstance(domain, bool) or not 0 <= domain <= LARGEST_DOMAIN:
+            raise PlatformError(f"{what}: domain is {domain}; give 0 to {LARGEST_DOMAIN}")
+        self.domain, self._what = domain, what
+        self._entities: list[Any] = []
+        self._others: Any = None
+        self._open = False
+        _enter(domain, address, what)
+        self._open = True
+        from cyclonedds.core import DDSException
+        from cyclonedds.domain import DomainParticipant
+
+        try:
+            self._participant = DomainParticipant(domain)
+        except DDSException as error:
+            self.close()
+            raise PlatformError(
+                f"{what}: cannot join DDS domain {domain}: {error.msg}; see CYCLONEDDS_URI and "
+                "the network interface (ip addr)"
+            ) from error
+
+    def _made(self, make: Any, *arguments: Any) -> Any:
+        from cyclonedds.core import DDSException
+
+        try:
+            entity = make(self._participant, *arguments)
+        except DDSException as error:
+            raise PlatformError(f"{self._what}: {make.__name__}: {error.msg}") from error
+        self._entities.append(entity)
+        return entity
+
+    def reader(self, topic: str, message: Struct) -> Reader:
+        """Return a reader: best effort, which fits writers of either kind."""
+        from cyclonedds.core import Policy, Qos
+        from cyclonedds.sub import DataReader
+
+        qos = Qos(Policy.Reliability.BestEffort, Policy.History.KeepLast(DEPTH))
+        return Reader(self._made(DataReader, self._topic(topic, message), qos))
+
+    def writer(self, topic: str, message: Struct) -> Writer:
+        """Return a writer: reliable, which fits readers of either kind, and never waits."""
+        from cyclonedds.core import Policy, Qos
+        from cyclonedds.pub import DataWriter
+
+        qos = Qos(Policy.Reliability.Reliable(max_blocking_time=0), Policy.History.KeepLast(1))
+        made = self._made(DataWriter, self._topic(topic, message), qos)
+        return Writer(made, f"{self._what}: {topic}")
+
+    def _topic(self, topic: str, message: Struct) -> Any:
+        from cyclonedds.topic import Topic
+
+        return self._made(Topic, topic, dds_type(message))
+
+    def watch(self) -> None:
+        """Begin to see who else writes, for `others`; discovery takes part of a second."""
+        from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
+
+        self._others = self._made(BuiltinDataReader, BuiltinTopicDcpsPublication)
+
+    def others(self, topic: str) -> int:
+        """Return how many writers a topic has besides those of this participant."""
+        alive = 16  # of DDS instance states: those that have gone are still told of
+        return sum(
+            1
+            for found in self._others.read(N=1000)
+            if found.sample_info.valid_data and found.sample_info.instance_state == alive
+            if found.topic_name == topic and found.participant_key != self._participant.guid
+        )
+
+    def close(self) -> None:
+        """Let go of everything that it made; safe to call twice."""
+        if not self._open:
+            return
+        self._open = False
+        for entity in reversed(self._entities):
+            with suppress(Exception):
+                entity.__del__()  # deletes it now, whoever else still refers to it
+        self._entities.clear()
+        with suppress(AttributeError):  # it could not be made
+            self._participant.__del__()
+        _leave(self.domain)
+
+
+class Reader:
+    """Takes raw messages of a topic; made by `Participant`."""
+
+    def __init__(self, reader: Any) -> None:
+        from cyclonedds._clayer import ddspy_take
+        from cyclonedds.core import InstanceState, ReadCondition, SampleState, ViewState, WaitSet
+
+        self._reader, self._ref, self._take = reader, reader._ref, ddspy_take
+        any_state = SampleState.Any | ViewState.Any | InstanceState.Any
+        self._condition = ReadCondition(reader, any_state)
+        self._waiting = WaitSet(reader.participant)
+        self._waiting.attach(self._condition)
+
+    def take(self) -> list[tuple[bytes, Any]]:
+        """Return what came since the last call, the oldest first: payload and its DDS info.
+
+        A payload whose info says `valid_data` False tells that a writer has gone.
+        """
+        found = self._take(self._ref, _ANY, DEPTH)
+        return found if isinstance(found, list) else []
+
+    def wait(self, timeout: float) -> bool:
+        """Return True once something is there, False after `timeout` in [s]."""
+        return bool(self._waiting.wait(max(round(timeout * 1e9), 0)))
+
+    @property
+    def sources(self) -> list[int]:
+        """Who writes to the topic, by the `publication_handle` of what they send."""
+        found: list[int] = self._reader.get_matched_publications()
+        return found
+
+
+class Writer:
+    """Writes raw messages to a topic; made by `Participant`."""
+
+    def __init__(self, writer: Any, what: str) -> None:
+        from cyclonedds._clayer import ddspy_write
+
+        self._writer, self._ref, self._write, self._what = writer, writer._ref, ddspy_write, what
+
+    def write(self, raw: bytes) -> None:
+        """Send a message, encapsulation header and body, of a multiple of 4 bytes.
+
+        Raises:
+            Fault: CycloneDDS refuses it.
+        """
+        code = self._write(self._ref, raw)
+        if code < 0:
+            raise Fault(f"{self._what} cannot be sent: CycloneDDS error {code}")
+
+    @property
+    def matched(self) -> bool:
+        """Whether somebody reads the topic."""
+        return bool(self._writer.get_matched_subscriptions())
+
+
+def _enter(domain: int, address: str | None, what: str) -> None:
+    """Configure a domain, once a process.
+
+    Raises:
+        PlatformError: it is configured otherwise already, or cannot be.
+    """
+    from cyclonedds.core import DDSException
+    from cyclonedds.domain import Domain
+
+    with _lock:
+        if domain in _domains:
+            other, made, users = _domains[domain]
+            if other != address:
+                raise PlatformError(
+                    f"{what}: domain {domain} is open on {other or 'the interface by default'} in "
+                    f"this process, and not on {address or 'that by default'}; give both the same "
+                    "address, or another domain"
+                )
+            _domains[domain] = (address, made, users + 1)
+            return
+        made = None
+        if address is not None:
+            try:
+                made = Domain(domain, _config(address, what))
+            except DDSException as error:
+                raise PlatformError(
+                    f"{what}: cannot use address {address!r} for DDS domain {domain}; give name "
+                    f"or address of this machine's network interface to the robot (ip addr)"
+                ) from error
+        _domains[domain] = (address, made, 1)
+
+
+def _config(address: str, what: str) -> str:
+    word, loopback = "address", False
+    try:
+        loopback = ipaddress.ip_address(address).is_loopback
+    except ValueError:
+        word, loopback = "name", address == "lo"
+        if not address.isascii() or not address.replace("-", "").replace("_", "").isalnum():
+            raise PlatformError(
+                f"{what}: address {address!r} is neither an address nor the name of a network "
+                "interface; write 192.168.123.51 or eth0"
+            ) from None
+    return _CONFIG.format(word=word, value=address, more=_ON_LOOPBACK if loopback else "")
+
+
+def _leave(domain: int) -> None:
+    with _lock:
+        address, made, users = _domains[domain]
+        if users > 1:
+            _domains[domain] = (address, made, users - 1)
+            return
+        del _domains[domain]
+        if made is not None:
+            made.__del__()

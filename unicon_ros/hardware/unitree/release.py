@@ -1,0 +1,132 @@
+"""Release: asks the robot's own controller to let go of the motors, step by step.
+
+What is asked is what the vendor's examples ask before their first LowCmd: CheckMode, as long as it
+names a mode: the sport service's StandDown (Go2), ReleaseMode, a pause, and again
+(unitreerobotics/unitree_sdk2_python example/go2/low_level/go2_stand_example.py, unitree_sdk2
+example/g1/low_level/g1_ankle_swing_example.cpp).
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Generator
+
+from unicon_core.errors import Fault
+from unicon_ros.hardware.unitree.dds import Participant
+from unicon_ros.hardware.unitree.service import Client
+
+__all__ = ["CHECK_MODE", "RELEASE_MODE", "SWITCHER", "Release"]
+
+SWITCHER = "motion_switcher"
+CHECK_MODE, RELEASE_MODE = 1001, 1003
+TIMEOUT = 5.0
+"""For an answer, and for a service to be found, in [s]; as in the vendor's examples."""
+TRIES = 5
+"""Modes that are released in a row; who takes it again and again is told."""
+
+CODES = {
+    3203: "the service does not know the request; its firmware is another generation",
+    3204: "the service does not take its parameter",
+    3205: "another program holds the service's lease; end it",
+    3206: "the lease is not there; end the programs that use the robot",
+    3207: "another program holds the service's lease; end it",
+}
+"""What the vendor's services answer, with remedy (unitree_sdk2py/rpc/internal.py)."""
+
+
+class Release:
+    """Called once a tick until it returns "", behind the operator's go.
+
+    Args:
+        participant: of the robot's domain.
+        before: service and number of a request before each ReleaseMode, or None.
+        wait: pause behind it in [s].
+        what: in front of messages.
+    """
+
+    def __init__(
+        self, participant: Participant, before: tuple[str, int] | None, wait: float, what: str
+    ) -> None:
+        self._what, self._wait = what, wait
+        self._switcher = Client(participant, SWITCHER)
+        self._before = (Client(participant, before[0]), before[1]) if before else None
+        self._steps = self._procedure()
+        self._missing = "its own controller lets go of the motors"
+
+    def __call__(self) -> str:
+        """Go on as far as possible without waiting; return what is waited for, "" at the end.
+
+        Raises:
+            Fault: the robot refuses, does not answer, or takes the motors again and again.
+        """
+        if self._missing:
+            self._missing = next(self._steps, "")
+        return self._missing
+
+    def _procedure(self) -> Generator[str, None, None]:
+        yield from self._found(self._switcher)
+        for _ in range(TRIES):
+            mode = yield from self._mode()
+            if not mode:
+                return
+            doing = f"its controller, mode {mode!r}, to let go of the motors"
+            if self._before is not None:
+                client, number = self._before
+                yield from self._found(client)
+                yield from self._asked(client, number, f"{doing} ({client.service} {number})")
+            yield from self._asked(self._switcher, RELEASE_MODE, f"{doing} (ReleaseMode)")
+            end = time.monotonic() + self._wait
+            while time.monotonic() < end:
+                yield doing
+        mode = yield from self._mode()
+        if mode:
+            raise Fault(
+                f"{self._what}: the robot's own controller has mode {mode!r} again after "
+                f"ReleaseMode, {TRIES} times; switch it off with the remote or the app"
+            )
+
+    def _found(self, client: Client) -> Generator[str, None, None]:
+        end = time.monotonic() + TIMEOUT
+        while not client.there:
+            if time.monotonic() > end:
+                raise Fault(
+                    f"{self._what}: nobody serves {client.service!r} within {TIMEOUT:g} s, so that "
+                    "its own controller cannot be asked to let go of the motors; start the robot "
+                    "anew, or for a simulator without it say peer: unitree_mujoco"
+                )
+            yield f"its service {client.service!r}"
+
+    def _mode(self) -> Generator[str, None, str]:
+        """Return the mode of its own controller, "" for none."""
+        data = yield from self._asked(self._switcher, CHECK_MODE, "which controller runs")
+        try:
+            name = json.loads(data)["name"]
+        except (ValueError, LookupError, TypeError):
+            name = None
+        if not isinstance(name, str):
+            raise Fault(
+                f"{self._what}: CheckMode of {SWITCHER!r} answers {data[:60]!r}, which names no "
+                "mode; its firmware is another generation"
+            )
+        return name
+
+    def _asked(self, client: Client, number: int, doing: str) -> Generator[str, None, str]:
+        """Ask a service and return what it answers."""
+        client.ask(number)
+        end = time.monotonic() + TIMEOUT
+        while (answer := client.answer()) is None:
+            if time.monotonic() > end:
+                raise Fault(
+                    f"{self._what}: service {client.service!r} does not answer request {number} "
+                    f"within {TIMEOUT:g} s; start the robot anew"
+                )
+            yield doing
+        code, data = answer
+        if code:
+            why = CODES.get(code, "switch the robot's own controller off with the remote or app")
+            raise Fault(
+                f"{self._what}: service {client.service!r} refuses request {number} with code "
+                f"{code}: {why}"
+            )
+        return data
