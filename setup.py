@@ -132,6 +132,10 @@ setup(
         "unicon.platforms": [
             "replay = unicon_ros.replay.platform:make",
             "ros = unicon_ros.bridge.ros_platform:make",
+            "unitree_legged = unicon_ros.hardware.unitree_legged.platform:make",
+        ],
+        "unicon.faces": [
+            "unitree_legged = unicon_ros.hardware.unitree_legged.face:face",
         ],
     },
     zip_safe=False,
