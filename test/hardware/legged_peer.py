@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import json
+import select
 import socket
 import struct
+import subprocess
+import sys
 import time
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from unicon_core.platforms.fake import make as make_fake
 from unicon_core.platforms.kit.scene import Scene
+from unicon_core.platforms.sim.mujoco.platform import make as make_mujoco
 from unicon_core.robots import Robot, load_robot
 from unicon_core.states import States, standard_states
 from unicon_core.states.standard import hardware_states
@@ -96,24 +102,42 @@ def slow_state(
 
 
 class Emulated:
-    """A robot of stub physics behind its face, stepped at 500 Hz of its own time.
+    """A robot of stub physics or MuJoCo behind its face, stepped at 500 Hz of its own time.
 
     Attributes:
         face: its end of the protocol.
         states: what it measures and is commanded.
         first: distance in [rad] of the first position target with stiffness from the joints.
+        highest: of the base so far, [m].
+
+    Args:
+        robot: the robot.
+        port: where it takes commands.
+        scene: how it begins, and the model for MuJoCo.
+        hung: somebody holds it as it is until the first command with stiffness.
+        options: of the face.
     """
 
-    def __init__(self, robot: Robot, port: int, simulator: Any = None, **options: Any) -> None:
-        self.robot = robot
-        self.states = States(standard_states(robot.joint_names))
+    def __init__(
+        self,
+        robot: Robot,
+        port: int,
+        scene: Scene | None = None,
+        *,
+        hung: bool = False,
+        **options: Any,
+    ) -> None:
+        self.robot, self.states = robot, States(standard_states(robot.joint_names))
+        scene, period = scene or Scene(), 1.0 / RATE
         self.physics = (
-            make_fake(self.states, robot, 1.0 / RATE, scene=Scene(), time_constant=0.02)
-            if simulator is None
-            else simulator(self.states, robot, 1.0 / RATE)
+            make_fake(self.states, robot, period, scene=scene, time_constant=0.02)
+            if scene.model is None
+            else make_mujoco(self.states, robot, period, scene=scene, timestep=period)
         )
         self.face: LeggedFace = face(self.states, robot, port=port, **options)
         self.first: float | None = None
+        self.highest = 0.0
+        self._hung = hung
         self._rng = np.random.default_rng(0)
         self._due = time.monotonic()
         self.physics.recv()
@@ -124,21 +148,82 @@ class Emulated:
         if self.face.hear() and self.first is None and states["joint_stiffness"].any():
             away = np.abs(states["joint_pos_target"] - states["joint_pos"])
             self.first = float(away[states["joint_stiffness"] > 0.0].max())
-        self.physics.send()
+        held = self._hung and self.first is None
+        if not held:
+            self.physics.send()
         self.physics.recv()
+        if held:  # in the model it falls
+            np.multiply(states["projected_gravity"], -9.81, out=states["base_lin_acc"])
+        self.highest = max(self.highest, float(states["base_pos_w"][2]))
+        # Noise of MEMS sensors and encoders: what has none counts as frozen.
         for name, scale in (("base_ang_vel", 1e-3), ("base_lin_acc", 1e-2), ("joint_vel", 1e-4)):
             states[name] += self._rng.normal(0.0, scale, states[name].shape).astype(np.float32)
         self.face.tell()
 
     def run(self, seconds: float) -> None:
-        """Step in real time."""
+        """Step in real time; what a busy machine missed is not caught up."""
         end = time.monotonic() + seconds
-        while self._due < end:
-            self._due += 1.0 / RATE
-            time.sleep(max(0.0, self._due - time.monotonic()))
+        while (now := time.monotonic()) < end:
+            self._due = max(self._due + 1.0 / RATE, now - 0.01)
+            time.sleep(max(0.0, self._due - now))
             self.step()
 
     def close(self) -> None:
         """Let go."""
         self.face.close()
         self.physics.close()
+
+
+class Process:
+    """The same in a process of its own, which ends with the test's.
+
+    Args:
+        robot: name or path.
+        port: where it takes commands.
+        options: of `Emulated`; `scene` as keywords of `Scene`.
+    """
+
+    def __init__(self, robot: str | Path, port: int, **options: Any) -> None:
+        arguments = json.dumps({"robot": str(robot), "port": port, **options})
+        self._process = subprocess.Popen(
+            [sys.executable, __file__, arguments],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        assert self._process.stdout is not None
+        assert self._process.stdout.readline() == "ready\n"
+
+    @property
+    def pid(self) -> int:
+        """Of the process."""
+        return self._process.pid
+
+    def ended(self) -> dict[str, Any]:
+        """End it and return what it saw."""
+        said, _ = self._process.communicate("", timeout=30)
+        seen: dict[str, Any] = json.loads(said)
+        return seen
+
+    def kill(self) -> None:
+        """End it in any case."""
+        self._process.kill()
+        self._process.communicate()
+
+
+def _main() -> None:
+    given = json.loads(sys.argv[1])
+    robot, scene = load_robot(given.pop("robot")), Scene(**given.pop("scene", {}))
+    emulated = Emulated(robot, scene=scene, **given)
+    print("ready", flush=True)
+    while not select.select([sys.stdin], [], [], 0.0)[0]:
+        emulated.run(0.1)
+    states, face_ = emulated.states, emulated.face
+    seen = {name: states[name].tolist() for name in states}
+    emulated.close()
+    facts = {"first": emulated.first, "highest": emulated.highest}
+    print(json.dumps({**seen, **facts, "good": face_.good, "refused": face_.refused}))
+
+
+if __name__ == "__main__":
+    _main()

@@ -203,7 +203,7 @@ def test_bad_datagrams_are_counted_and_silence_is_a_fault(peers: Callable[..., P
         *((reason, data) for reason, each in BAD.items() for data in each),
         ("wrong CRC", bytes(flipped)),
         ("wrong head", peer.frame(tick + 2, level=0)),
-        ("its tick stands still", peer.frame(tick)),
+        ("tick that stands still", peer.frame(tick)),
         ("older than the one before", peer.frame(tick - 2)),
         ("older than the one before", peer.frame((tick - 2**31) & 0xFFFFFFFF)),
         ("not finite", peer.frame(tick + 2, imu=(nan, *UPRIGHT[1:]))),
@@ -221,7 +221,7 @@ def test_bad_datagrams_are_counted_and_silence_is_a_fault(peers: Callable[..., P
         assert dict(refused) == counted
     for name, value in before.items():
         np.testing.assert_array_equal(platform._states[name], value, err_msg=name)
-    assert "joint_pos of FL_calf_joint is nan" in platform.wire.counts.last
+    assert "position of FL_calf_joint is nan" in platform.wire.counts.last
     time.sleep(0.03)
     with pytest.raises(Fault, match=r"nothing from 127\.0\.0\.1:\d+ for 0\.\d+ s \(refused: 6 wr"):
         platform.recv()

@@ -16,7 +16,8 @@ from unicon_core.platforms.platform import Facts
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_ros.hardware.unitree_legged.link import NAME, link_of
-from unicon_ros.hardware.unitree_legged.wire import FOOT_FORCE, LeggedWire
+from unicon_ros.hardware.unitree_legged.reader import FOOT_FORCE
+from unicon_ros.hardware.unitree_legged.wire import LeggedWire
 from unicon_ros.hardware.wired_robot import SILENCE, WiredRobot, opened
 
 __all__ = ["UnitreeLegged", "make"]
