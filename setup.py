@@ -136,6 +136,10 @@ setup(
             "replay = unicon_ros.replay.platform:make",
             "ros = unicon_ros.bridge.ros_platform:make",
             "unitree = unicon_ros.hardware.unitree.platform:make",
+            "unitree_legged = unicon_ros.hardware.unitree_legged.platform:make",
+        ],
+        "unicon.faces": [
+            "unitree_legged = unicon_ros.hardware.unitree_legged.face:face",
         ],
     },
     zip_safe=False,

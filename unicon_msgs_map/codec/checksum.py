@@ -11,11 +11,12 @@ import zlib
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from unicon_msgs_map.layout.messages import PRIMITIVES, Array, Primitive, String, Struct, TypeRef
 from unicon_msgs_map.spec import FieldSpec
 
-__all__ = ["unitree_crc"]
+__all__ = ["unitree_crc", "words_crc"]
 
 # zlib's CRC has the same polynomial with bits reversed: reverse the input's and the result's.
 _REVERSED = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
@@ -43,7 +44,22 @@ def unitree_crc(field: FieldSpec, message: Struct, buffer: bytearray) -> Callabl
     index = np.zeros(places.memory, dtype=np.intp)
     for wire, memory, size in places.pairs:
         index[memory : memory + size] = np.arange(wire, wire + size)
-    index = np.ascontiguousarray(index[:-4].reshape(-1, 4)[:, ::-1]).reshape(-1)
+    return _crc_of(buffer, index[:-4])
+
+
+def words_crc(buffer: bytearray, words: int) -> Callable[[], int]:
+    """Return a function that computes the checksum of the first words of a buffer (about 2 µs).
+
+    Args:
+        buffer: little-endian 32-bit words without gaps, such as a datagram of unitree_legged_sdk.
+        words: how many of them count.
+    """
+    return _crc_of(buffer, np.arange(4 * words))
+
+
+def _crc_of(buffer: bytearray, index: NDArray[np.intp]) -> Callable[[], int]:
+    """Return what computes the checksum of the words whose bytes stand at an index, low first."""
+    index = np.ascontiguousarray(index.reshape(-1, 4)[:, ::-1]).reshape(-1)
     source = np.frombuffer(buffer, dtype=np.uint8)
     image = bytearray(len(index))
     target = np.frombuffer(image, dtype=np.uint8)

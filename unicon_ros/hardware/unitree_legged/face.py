@@ -1,0 +1,176 @@
+"""Face of an A1, Aliengo or Go1: the motor board's end of the UDP protocol, for emulators.
+
+It answers each good command to its sender, as the board does. Its own time-out without commands is
+not public, so it has none.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from unicon_core.platforms.platform import Facts
+from unicon_core.robots import Robot
+from unicon_core.states import States
+from unicon_ros.hardware.udp import Udp
+from unicon_ros.hardware.unitree_legged.codec import (
+    CELL_VOLT,
+    DAMPING,
+    STIFFNESS,
+    TORQUE,
+    Frame,
+)
+from unicon_ros.hardware.unitree_legged.link import NAME, Link, link_of
+
+__all__ = ["LeggedFace", "face"]
+
+BRAKE = 2.0
+"""Damping of an emulated motor in mode 0x00 in [N·m·s/rad]; a real one's is not public."""
+FULL = 0.8
+"""Charge of the emulated battery, where the states have none."""
+CELLS = 8
+"""Of the emulated battery, of ten places."""
+REST = 30
+"""Temperature of emulated motors in [°C], where the states have none."""
+
+
+def face(
+    states: States,
+    robot: Robot,
+    *,
+    generation: str | None = None,
+    address: str = "127.0.0.1",
+    port: int | None = None,
+    encrypted: bool = False,
+    obeys: bool = True,
+) -> LeggedFace:
+    """Open the robot's end.
+
+    Args:
+        states: of the emulated robot.
+        robot: its file.
+        generation: of the protocol; needed where the file has several.
+        address: to listen at.
+        port: to listen at, in place of the file's.
+        encrypted: the other checksum is asked for, and a plain one refused.
+        obeys: commands act from the beginning; else until somebody sets `obeys`, as with the
+            remote, motors tell mode 0x00.
+
+    Raises:
+        PlatformError: an option is wrong, or the port is taken.
+        RobotError: the robot file lacks a fact.
+    """
+    link = link_of(robot, generation=generation, address=address, port=port)
+    return LeggedFace(states, robot, link, encrypted, obeys)
+
+
+class LeggedFace:
+    """The board; see `Face`.
+
+    Attributes:
+        rate: of its frames in [Hz].
+        dead_man: infinity.
+        obeys: commands act.
+        good: good commands so far.
+        refused: others so far.
+        remote: the 40 bytes of the wireless remote that it tells.
+    """
+
+    facts = Facts(NAME)
+    dead_man = math.inf
+
+    def __init__(
+        self, states: States, robot: Robot, link: Link, encrypted: bool, obeys: bool
+    ) -> None:
+        self.rate, self.obeys, self._encrypted, self._link = link.rate, obeys, encrypted, link
+        self.good = self.refused = 0
+        self.remote = bytearray(40)
+        self._states, self._told = states, 0
+        self._in, self._out = Frame(link.layout.command), Frame(link.layout.state)
+        self._commanded = self._in["motors"][link.motors]
+        self._motors = self._out["motors"][link.motors]
+        self._out.buffer[: len(link.layout.head)] = link.layout.head
+        self._out["level"][...] = link.level_flag
+        self._out["quat"][...] = (1.0, 0.0, 0.0, 0.0)
+        self._motors["mode"] = link.damping
+        self._motors["temperature"] = REST
+        if "bms" in self._out:
+            self._out["bms"]["soc"] = round(100 * FULL)
+            self._out["bms"]["cells"][:CELLS] = 120
+        self._udp = Udp((link.address, link.port), (link.address, 9), f"robot {robot.name}")
+        self._owes = False
+
+    def hear(self) -> bool:
+        """Bring the newest good command into the command states; True where one came."""
+        heard = False
+        for datagram, sender in self._udp.datagrams():
+            if not self._good(datagram):
+                self.refused += 1
+                continue
+            self.good += 1
+            self._udp.peer, self._owes = sender, True
+            heard = True
+            self._obey()
+        return heard and self.obeys
+
+    def _good(self, datagram: bytes) -> bool:
+        frame, link = self._in, self._link
+        if len(datagram) != len(frame.buffer) or not datagram.startswith(link.layout.head):
+            return False
+        frame.fill(datagram)
+        if not frame.sound(self._encrypted) or frame["level"] != link.level_flag:
+            return False
+        if self._encrypted and frame.sound():
+            return False
+        motors, modes = self._commanded, (link.servo, link.damping)
+        finite = np.isfinite(motors["q"]).all() and np.isfinite(motors["dq"]).all()
+        return bool(finite and np.isin(motors["mode"], modes).all())
+
+    def _obey(self) -> None:
+        link, states, motors = self._link, self._states, self._commanded
+        self._motors["mode"] = motors["mode"] if self.obeys else link.damping
+        if not self.obeys:
+            return
+        brakes = motors["mode"] == link.damping
+        held = motors["q"] != np.float32(link.pos_stop)
+        moves = motors["dq"] != np.float32(link.vel_stop)
+        pos, vel = states["joint_pos_target"], states["joint_vel_target"]
+        stiffness, damping = states["joint_stiffness"], states["joint_damping"]
+        pos[...] = np.where(held, motors["q"], states["joint_pos"])
+        vel[...] = np.where(moves & ~brakes, motors["dq"], 0.0)
+        states["joint_effort_ff"][...] = np.where(brakes, 0.0, motors["tau"] / TORQUE)
+        stiffness[...] = np.where(held & ~brakes, motors["kp"] / STIFFNESS, 0.0)
+        damping[...] = np.where(moves, motors["kd"] / DAMPING, 0.0)
+        damping[brakes] = BRAKE
+
+    def tell(self) -> None:
+        """Answer, where a command has come."""
+        self._told += 1
+        if not self._owes:
+            return
+        self._owes = False
+        states, frame, motors = self._states, self._out, self._motors
+        motors["q"], motors["dq"] = states["joint_pos"], states["joint_vel"]
+        motors["q_raw"], motors["dq_raw"] = states["joint_pos"], states["joint_vel"]
+        effort = np.nan_to_num(states["joint_effort"])
+        motors["tau"] = np.clip(effort * TORQUE, -32768, 32767)
+        frame["quat"][...], frame["gyro"][...] = states["base_quat"], states["base_ang_vel"]
+        frame["acc"][...] = states["base_lin_acc"]
+        if "motor_temperature" in states:
+            motors["temperature"] = np.clip(states["motor_temperature"], -128, 127)
+        if "bms" in frame:
+            bms = frame["bms"]
+            if "battery_charge" in states:
+                bms["soc"] = round(100 * float(states["battery_charge"]))
+            if "battery_voltage" in states:
+                each = float(states["battery_voltage"]) / CELLS / CELL_VOLT
+                bms["cells"][:CELLS] = np.clip(round(each), 0, 255)
+        frame["remote"][...] = np.frombuffer(self.remote, np.uint8)
+        frame["tick"][...] = round(self._told * 1000.0 / self.rate) & 0xFFFFFFFF  # [ms]
+        frame.seal(self._encrypted)
+        self._udp.send(frame.buffer)
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._udp.close()

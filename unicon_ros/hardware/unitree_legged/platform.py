@@ -1,0 +1,148 @@
+"""Platform `unitree_legged`: an A1, Aliengo or Go1 over UDP, for workflows.
+
+platform: unitree_legged
+platforms:
+  unitree_legged: {generation: legged_sdk_3.8.4}     # of an Aliengo, which has several
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+from unicon_core.errors import PlatformError
+from unicon_core.platforms.platform import Facts
+from unicon_core.robots import Robot
+from unicon_core.states import States
+from unicon_ros.hardware.unitree_legged.link import NAME, link_of
+from unicon_ros.hardware.unitree_legged.reader import FOOT_FORCE
+from unicon_ros.hardware.unitree_legged.wire import LeggedWire
+from unicon_ros.hardware.wired_robot import SILENCE, WiredRobot, opened
+
+__all__ = ["UnitreeLegged", "make"]
+
+WATCHDOG = 0.1
+"""A tick that is later damps the robot, [s]; three ticks where those are longer."""
+_BATTERY = ("battery_charge", "battery_voltage")
+
+
+class UnitreeLegged(WiredRobot):
+    """The robot; build it with `make`.
+
+    Attributes:
+        wire: to the robot; `wire.remote` has the bytes of its wireless remote.
+    """
+
+    facts = Facts(
+        NAME,
+        writes=(
+            "joint_pos",
+            "joint_vel",
+            "joint_effort",
+            "base_quat",
+            "base_ang_vel",
+            "base_lin_acc",
+            "projected_gravity",
+            "motor_temperature",
+            "motor_error",
+            *_BATTERY,
+            FOOT_FORCE,
+            "stamp_ns",
+        ),
+        protocols=(NAME,),
+    )
+
+    def __init__(
+        self,
+        states: States,
+        robot: Robot,
+        period: float,
+        wire: LeggedWire,
+        generation: str,
+        *,
+        silence: float,
+        silent: bool,
+    ) -> None:
+        super().__init__(states, robot, period, wire, silence=silence, silent=silent)
+        self.wire, self._generation = wire, generation
+        if not wire.tells_battery:
+            told = tuple(name for name in self.facts.writes if name not in _BATTERY)
+            self.facts = replace(self.facts, writes=told)
+
+    def info(self) -> Mapping[str, Any]:
+        """Return the generation too, and what was clamped or came from others."""
+        return {
+            **super().info(),
+            "generation": self._generation,
+            "clamped": self.wire.clamped,
+            "strangers": self.wire.strangers,
+        }
+
+
+def make(
+    states: States,
+    robot: Robot,
+    period: float,
+    *,
+    generation: str | None = None,
+    address: str | None = None,
+    port: int | None = None,
+    local_port: int | None = None,
+    encrypted: bool = False,
+    check_mode: bool = True,
+    poll: bool = False,
+    connect: float = 5.0,
+    silence: float = SILENCE,
+    watchdog: float | None = None,
+    silent: bool = False,
+) -> UnitreeLegged:
+    """Build the platform and wait for the robot's first answer.
+
+    Args:
+        period: of a tick in [s].
+        generation: of the protocol, a word of the robot file's `generations`; needed where there
+            are several.
+        address: of the robot, in place of the file's.
+        port: of the robot, in place of the file's.
+        local_port: of this machine, in place of the file's.
+        encrypted: with the checksum of a Go1 that is not an EDU.
+        check_mode: wait until every motor tells that it is in servo mode.
+        poll: send idle commands where nothing may be sent (`--dry`, `preflight`): the robot says
+            nothing without.
+        connect: how long to wait for the first answer, [s].
+        silence: of the robot that is a fault, [s].
+        watchdog: a tick that is later damps the robot, [s]; None for 0.1 or three ticks.
+        silent: nothing is sent, but for idle commands with `poll`.
+
+    Raises:
+        PlatformError: an option is wrong, the port is taken, or no good answer came.
+        RobotError: the robot file lacks a fact.
+    """
+    link = link_of(robot, generation=generation, address=address, port=port, local_port=local_port)
+    if encrypted and not link.layout.head:
+        raise PlatformError(
+            f"platform {NAME!r}: encrypted is known of Go1's datagrams alone; leave it out"
+        )
+    if watchdog is None:
+        watchdog = max(WATCHDOG, 3.0 * period)
+    if not period < watchdog <= 10.0:
+        raise PlatformError(
+            f"platform {NAME!r}: watchdog is {watchdog} s; give more than a tick of {period:g} s, "
+            "at most 10 s"
+        )
+    if silent and not poll:
+        raise PlatformError(
+            f"platform {NAME!r}: {robot.name} answers commands and says nothing by itself, so that "
+            "it cannot be heard silently; lay it down and let idle commands ask it, without "
+            f"stiffness, damping and torque: platforms: {{{NAME}: {{poll: true}}}}"
+        )
+    wire = LeggedWire(states, robot, link, watchdog, encrypted=encrypted, check_mode=check_mode)
+    try:
+        platform = UnitreeLegged(
+            states, robot, period, wire, link.generation, silence=silence, silent=silent
+        )
+    except BaseException:
+        wire.close()
+        raise
+    return opened(platform, connect)
