@@ -139,6 +139,8 @@ setup(
             "unitree_legged = unicon_ros.hardware.unitree_legged.platform:make",
         ],
         "unicon.faces": [
+            "unitree_go = unicon_ros.hardware.unitree.face:face",
+            "unitree_hg = unicon_ros.hardware.unitree.face:face",
             "unitree_legged = unicon_ros.hardware.unitree_legged.face:face",
         ],
     },

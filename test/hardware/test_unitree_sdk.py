@@ -20,7 +20,7 @@ import pytest
 
 pytest.importorskip("cyclonedds", reason="needs cyclonedds: pip install 'unicon_ros[hw-unitree]'")
 
-from unitree_helpers import LOOPBACK, states_of, until
+from unitree_helpers import states_of, until
 
 from unicon_core.robots import load_robot
 from unicon_core.states import States, standard_states
