@@ -132,6 +132,7 @@ setup(
             "camera = unicon_ros.bridge.camera:camera",
             "recorded = unicon_ros.replay.commands:recorded",
         ],
+        "unicon.faces": ["ros = unicon_ros.emulate.ros_face:face"],
         "unicon.platforms": [
             "replay = unicon_ros.replay.platform:make",
             "ros = unicon_ros.bridge.ros_platform:make",

@@ -120,10 +120,14 @@ def test_its_dead_man_damps_it_until_the_next_command() -> None:
     np.testing.assert_array_equal(face.states["joint_damping"], ROBOT.joint_damping)
     where = stage.pos.copy()
     stage.tick(100)
-    np.testing.assert_allclose(stage.pos, where, atol=1e-6)  # limp
+    sunk = stage.pos - where  # limp, and on its way to the middle of each range
+    assert 0.0 < np.abs(sunk).max() < 0.02
+    middle = 0.5 * (ROBOT.lower + ROBOT.upper)
+    assert (sunk * (middle - where) >= 0.0).all()
+    where = stage.pos.copy()
     face.commands = [(target, 40.0)]
     stage.tick(40)
-    assert stage.of("first")[1]["distance"] == pytest.approx(np.abs(target - where).max(), abs=1e-5)
+    assert stage.of("first")[1]["distance"] == pytest.approx(np.abs(target - where).max(), abs=1e-3)
     assert np.abs(stage.pos - target).max() < np.abs(where - target).max()
     assert len(stage.of("silence")) == 1
 
@@ -162,7 +166,7 @@ def test_sensors_and_motors_are_as_wrong_as_is_asked() -> None:
     stage.tick(500)
     assert len(stage.face.told) == 50
     told = stage.face.told[-1]
-    assert abs(told["joint_pos"][5] - ROBOT.default_joint_pos[5]) < 0.01
+    assert abs(told["joint_pos"][5] - ROBOT.default_joint_pos[5]) < 0.1  # it sinks
     assert abs(told["joint_pos"][0] - target[3]) < 0.01
     assert abs(told["joint_pos"][3] - target[0]) < 0.01
     down = np.zeros(3, np.float32)

@@ -12,7 +12,8 @@ from typing import Any
 
 from peer import Peer
 
-STAND_IN = (sys.executable, "-m", "unicon_ros.bench.standins.robot")
+FACE = "--face=unicon_ros.emulate.ros_face:face"
+STAND_IN = (*(sys.executable, "-m", "unicon_ros", "emulate"), FACE, "--model=fake")
 OUTPUT = "run.txt"
 PATIENT = (
     "[finite, joint_limits, tilt_stop, {stale_stop: {timeout: 5.0}}, {imu_stop: {timeout: 5.0}}, "
@@ -68,8 +69,8 @@ def patient_map(folder: Path, gains: bool = False) -> Path:
 
 
 def stand_in(processes: Callable[..., Peer], robot: str, *arguments: str) -> Peer:
-    """Start one and wait until it is there."""
-    peer = processes(*STAND_IN, robot, *arguments)
+    """Start one, in a posture drawn at random unless arguments say, and wait until it is there."""
+    peer = processes(*STAND_IN, robot, "--posture=random", *arguments)
     peer.wait_for(lambda: bool(peer.of("ready")), "the stand-in", timeout=60.0)
     return peer
 

@@ -91,6 +91,7 @@ def emulate(arguments: argparse.Namespace) -> int:
         robot,
         factory,
         _options(arguments, factory, name),
+        name=name,
         defects=_defects(arguments, robot),
         each=arguments.each,
         warn=_warn,

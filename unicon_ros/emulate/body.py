@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import MissingDependencyError, ModelError, PlatformError
+from unicon_core.platforms.fake import FakePlatform
 from unicon_core.platforms.kit.disturbances import disturb
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.platforms.kit.start import start_of
@@ -38,6 +39,8 @@ STEP = 0.002
 """Longest physics step in [s]."""
 TIME_CONSTANT = 0.05
 """Of joints without a model, in [s]."""
+SINKING = 20.0
+"""Time constant with which they sink where they are limp, in [s]."""
 LIFT = 0.3
 """How far above the floor a robot hangs that would stand on it, in [m]."""
 SPARE = 0.05
@@ -96,7 +99,7 @@ def body_of(
     hold: Callable[[], object] = bool
     path: Path | None = None
     if model == JOINTS_ALONE:
-        platform = _joints_alone(states, robot, period, scene)
+        platform: Any = JointsAlone(states, robot, period, scene)
     else:
         try:
             platform, hold = _simulated(states, robot, period, scene, hang)
@@ -105,7 +108,7 @@ def body_of(
             if model is not None:
                 raise
             warn(f"without a model, joints alone are emulated: {error}")
-            platform = _joints_alone(states, robot, period, scene)
+            platform = JointsAlone(states, robot, period, scene)
     if not still:
         noise = {name: std for name, std in NOISE.items() if name in platform.facts.writes}
         platform = disturb(platform, replace(scene, noise=noise), states, robot, period)
@@ -121,10 +124,25 @@ def random_posture(robot: Robot, random: np.random.Generator) -> NDArray[np.floa
     return np.nan_to_num(random.uniform(lower, upper)).astype(np.float32)
 
 
-def _joints_alone(states: States, robot: Robot, period: float, scene: Scene) -> Any:
-    make = find_factory("platforms", "fake", PlatformError)
-    scene = replace(scene, model=None)
-    return make(states, robot, period, scene=scene, time_constant=TIME_CONSTANT)
+class JointsAlone(FakePlatform):
+    """Joints without a model; limp ones sink towards the middle of their range, as on a gantry."""
+
+    def __init__(self, states: States, robot: Robot, period: float, scene: Scene) -> None:
+        super().__init__(states, robot, period, replace(scene, model=None), TIME_CONSTANT)
+        middle = 0.5 * (robot.lower + robot.upper)
+        self._middle = np.where(np.isnan(middle), self._pos, middle)
+        self._sunk = np.float32(-math.expm1(-period / SINKING))
+
+    def send(self) -> bool | None:
+        """Move the joints for one tick.
+
+        Raises:
+            Fault: a command is not finite.
+        """
+        super().send()
+        limp = self._command.rows[3] <= 0.0
+        self._pos += limp * self._sunk * (self._middle - self._pos)
+        return None
 
 
 def _simulated(

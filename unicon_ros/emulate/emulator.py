@@ -213,6 +213,7 @@ def emulated(
     factory: Callable[..., Face],
     options: Mapping[str, Any] | None = None,
     *,
+    name: str = "",
     defects: Defects | None = None,
     say: Say = say,
     each: bool = False,
@@ -225,6 +226,7 @@ def emulated(
         robot: its file; what its transport says is what the face tells.
         factory: of the face: `face(states, robot, **options)`.
         options: of the face.
+        name: of the face, for messages; the robot's protocol if left out.
         defects: what is wrong with it.
         say: takes what it saw.
         each: say every command.
@@ -235,7 +237,7 @@ def emulated(
         UniconError: an option is wrong, an address is taken, or the physics cannot be built.
     """
     options = options or {}
-    name = f"face of {robot.transport.get('protocol')}"
+    name = f"face {name or robot.transport.get('protocol')!r}"
     refuse_options(factory, options, lambda text, *_: PlatformError(f"{name}{text}"))
     states = States({**standard_states(robot.joint_names), **hardware_states(robot.joint_names)})
     try:
