@@ -244,6 +244,8 @@ def _main() -> None:
     print("ready", flush=True)
     while not select.select([sys.stdin], [], [], 0.0)[0]:
         emulated.run(0.1)
+    for _ in range(20):  # what is in the socket yet
+        emulated.step()
     states, face_ = emulated.states, emulated.face
     seen = {name: states[name].tolist() for name in states}
     emulated.close()
