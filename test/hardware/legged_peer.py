@@ -9,12 +9,15 @@ import struct
 import subprocess
 import sys
 import time
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from unicon_core.flow.block import Writes
 from unicon_core.platforms.fake import make as make_fake
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.platforms.sim.mujoco.platform import make as make_mujoco
@@ -105,16 +108,18 @@ class Emulated:
     """A robot of stub physics or MuJoCo behind its face, stepped at 500 Hz of its own time.
 
     Attributes:
+        port: where it takes commands.
         face: its end of the protocol.
         states: what it measures and is commanded.
         first: distance in [rad] of the first position target with stiffness from the joints.
-        highest: of the base so far, [m].
+        highest, farthest: of the base so far, [m].
 
     Args:
         robot: the robot.
         port: where it takes commands.
         scene: how it begins, and the model for MuJoCo.
-        hung: somebody holds it as it is until the first command with stiffness.
+        hung: somebody holds it as it is until every joint has so much stiffness, [N·m/rad].
+        captured: port to which motion capture sends the base's velocity, 0 for none.
         options: of the face.
     """
 
@@ -124,10 +129,11 @@ class Emulated:
         port: int,
         scene: Scene | None = None,
         *,
-        hung: bool = False,
+        hung: float = 0.0,
+        captured: int = 0,
         **options: Any,
     ) -> None:
-        self.robot, self.states = robot, States(standard_states(robot.joint_names))
+        self.robot, self.port, self.states = robot, port, States(standard_states(robot.joint_names))
         scene, period = scene or Scene(), 1.0 / RATE
         self.physics = (
             make_fake(self.states, robot, period, scene=scene, time_constant=0.02)
@@ -136,8 +142,9 @@ class Emulated:
         )
         self.face: LeggedFace = face(self.states, robot, port=port, **options)
         self.first: float | None = None
-        self.highest = 0.0
-        self._hung = hung
+        self.highest = self.farthest = 0.0
+        self._hung, self._capture = hung, ("127.0.0.1", captured) if captured else None
+        self._camera = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._rng = np.random.default_rng(0)
         self._due = time.monotonic()
         self.physics.recv()
@@ -148,17 +155,21 @@ class Emulated:
         if self.face.hear() and self.first is None and states["joint_stiffness"].any():
             away = np.abs(states["joint_pos_target"] - states["joint_pos"])
             self.first = float(away[states["joint_stiffness"] > 0.0].max())
-        held = self._hung and self.first is None
-        if not held:
+        if states["joint_stiffness"].min() >= self._hung:
+            self._hung = 0.0
+        if not self._hung:
             self.physics.send()
         self.physics.recv()
-        if held:  # in the model it falls
+        if self._hung:  # in the model it falls
             np.multiply(states["projected_gravity"], -9.81, out=states["base_lin_acc"])
-        self.highest = max(self.highest, float(states["base_pos_w"][2]))
+        x, _, z = states["base_pos_w"].tolist()
+        self.highest, self.farthest = max(self.highest, z), max(self.farthest, x)
         # Noise of MEMS sensors and encoders: what has none counts as frozen.
         for name, scale in (("base_ang_vel", 1e-3), ("base_lin_acc", 1e-2), ("joint_vel", 1e-4)):
             states[name] += self._rng.normal(0.0, scale, states[name].shape).astype(np.float32)
         self.face.tell()
+        if self._capture:
+            self._camera.sendto(states["base_lin_vel"].tobytes(), self._capture)
 
     def run(self, seconds: float) -> None:
         """Step in real time; what a busy machine missed is not caught up."""
@@ -170,8 +181,23 @@ class Emulated:
 
     def close(self) -> None:
         """Let go."""
+        self._camera.close()
         self.face.close()
         self.physics.close()
+
+
+def captured_velocity(base_lin_vel: Writes, *, port: int) -> Callable[[], None]:
+    """Take the base's velocity from motion capture, which a policy reads and no sensor measures."""
+    camera = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    camera.setblocking(False)
+    camera.bind(("127.0.0.1", port))
+
+    def newest() -> None:
+        with suppress(BlockingIOError):
+            while True:
+                base_lin_vel[...] = np.frombuffer(camera.recv(64), np.float32)
+
+    return newest
 
 
 class Process:
@@ -218,10 +244,12 @@ def _main() -> None:
     print("ready", flush=True)
     while not select.select([sys.stdin], [], [], 0.0)[0]:
         emulated.run(0.1)
+    for _ in range(20):  # what is in the socket yet
+        emulated.step()
     states, face_ = emulated.states, emulated.face
     seen = {name: states[name].tolist() for name in states}
     emulated.close()
-    facts = {"first": emulated.first, "highest": emulated.highest}
+    facts = {"first": emulated.first, "highest": emulated.highest, "farthest": emulated.farthest}
     print(json.dumps({**seen, **facts, "good": face_.good, "refused": face_.refused}))
 
 

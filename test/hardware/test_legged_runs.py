@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import signal
+import subprocess
+import sys
+import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from legged_peer import ALIENGO, Process, free_port
+from legged_peer import ALIENGO, Emulated, Process, free_port
 
-from unicon_core import Program
+from unicon_core import Program, load_workflow
 from unicon_core.flow import Chain
+from unicon_core.robots import load_robot
 from unicon_core.runtime.report import Report
 from unicon_core.runtime.runner import Runner, RunOptions
 from unicon_core.workflow.uses import block, pose
@@ -20,6 +26,8 @@ MAKE = "unicon_ros.hardware.unitree_legged.platform:make"
 ROBOTS = Path(__file__).resolve().parents[2] / "config" / "robots"
 LYING = {"*_hip_joint": 0.0, "*_thigh_joint": 1.2, "*_calf_joint": -2.6}
 """What all three can do, on the belly."""
+PATIENT = {"stale_stop": {"timeout": 1.0}}
+"""A busy machine starves the emulator."""
 
 
 @pytest.fixture
@@ -70,7 +78,7 @@ def run_postures(
         platforms={MAKE: {**given, "silence": 1.0}},
         rate=100,
         flow=flow,
-        safety=["joint_limits"],
+        safety=["joint_limits", PATIENT],
         start={"operator": False, "fade_in": 0.3},
     )
     assert not program.safety_left_out
@@ -102,11 +110,10 @@ def test_a_robot_stands_up_and_lies_down_through_all_gates(
     scene: dict[str, Any] = {"initial_pose": LYING}
     if physics:
         scene["model"] = str(request.getfixturevalue("assets") / "models" / MODELS[name])
-        # Limp on the floor, the model of a Go1 folds its calves to -2.83 rad, which is beyond the
-        # SDK's limits, and the gate `posture` would not let it begin.
-        options["hung"] = True
+    # Limp on the floor, the model of a Go1 folds its calves to -2.83 rad, beyond the SDK's limits:
+    # the gate `posture` would not let it begin. So both hang until they are stiff.
     file = with_gains(tmp_path) if name == "aliengo" else name
-    robot = emulated(file, ports[0], scene=scene, **options)
+    robot = emulated(file, ports[0], scene=scene, hung=20.0 * physics, **options)
     report = run_postures(file, 1.5 if physics else 0.4, ports, generation)
     assert report.faults == []
     assert report.ended == "done"
@@ -120,3 +127,145 @@ def test_a_robot_stands_up_and_lies_down_through_all_gates(
     if physics:
         assert seen["highest"] > 0.25  # it stood
         assert seen["projected_gravity"][2] < -0.9
+
+
+@pytest.mark.slow
+def test_go1_walks_under_a_policy_with_velocity_from_outside(
+    emulated: Callable[..., Process], assets: Path
+) -> None:
+    """`go1_walk` as it is, but for the platform and the velocity that its policy reads."""
+    port, local, camera = (free_port() for _ in range(3))
+    scene = {"model": str(assets / "models" / "go1" / "go1.xml"), "initial_pose": "keyframe:home"}
+    robot = emulated("go1", port, scene=scene, hung=34.0, captured=camera)
+    changes = {
+        "platform": MAKE,
+        "platforms": {
+            MAKE: {
+                "address": "127.0.0.1",
+                "port": port,
+                "local_port": local,
+                "watchdog": 5.0,
+                "silence": 1.0,
+            }
+        },
+        "estimate": [{"legged_peer:captured_velocity": {"port": camera}}],
+        "start": {"operator": False},
+        "safety": ["finite", "joint_limits", "tilt_stop", PATIENT],
+    }
+    program = load_workflow("go1_walk", changes)
+    report = Runner(program, RunOptions(warn=lambda _: None, duration=6.0)).run()
+    assert report.faults == []
+    assert not report.fell
+    seen = robot.ended()
+    assert seen["first"] < 0.05
+    assert seen["farthest"] > 2.0
+
+
+HOLDING = """
+schema: unicon.workflow/1
+name: holding
+description: A Go1 holds the posture that it is found in.
+robot: go1
+platform: {platform}
+platforms:
+  "{make}":
+    {{address: 127.0.0.1, port: {port}, local_port: {local}, watchdog: {watchdog}, silence: 0.09}}
+rate: 100
+flow: {{hold: {{duration: 60.0}}}}
+start: {{operator: false, fade_in: 0.2}}
+"""
+
+
+def started(folder: Path, ports: tuple[int, int], platform: str, watchdog: float) -> Any:
+    """Start `unicon run` of a workflow that holds a posture, as a process."""
+    file = folder / "holding.yaml"
+    port, local = ports
+    text = HOLDING.format(platform=platform, make=MAKE, port=port, local=local, watchdog=watchdog)
+    file.write_text(text, "utf-8")
+    return subprocess.Popen(
+        [sys.executable, "-m", "unicon_ros", "run", str(file)],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+
+
+def until(holds: Callable[[], bool], patience: float = 30.0) -> None:
+    """Wait until something holds."""
+    end = time.monotonic() + patience
+    while not holds():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+@pytest.fixture
+def beside() -> Iterator[Emulated]:
+    """A Go1 of stub physics, stepped in a thread of the test."""
+    robot = Emulated(load_robot("go1"), free_port())
+    ended = threading.Event()
+
+    def step() -> None:
+        while not ended.is_set():
+            robot.run(0.02)
+
+    thread = threading.Thread(target=step)
+    thread.start()
+    yield robot
+    ended.set()
+    thread.join()
+    robot.close()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mishap", ["stopped", "killed"])
+def test_a_robot_is_damped_where_our_process_stops(
+    beside: Emulated, tmp_path: Path, mishap: str
+) -> None:
+    """Killed: only what runs in a process of its own can still do it. Stopped: once it goes on."""
+    platform = MAKE if mishap == "stopped" else f'{{child: "{MAKE}"}}'
+    ports, stiffness = (beside.port, free_port()), beside.states["joint_stiffness"]
+    run = started(tmp_path, ports, f'"{platform}"' if mishap == "stopped" else platform, 0.2)
+    try:
+        until(lambda: bool((stiffness > 30.0).all()))
+        time.sleep(0.5)
+        if mishap == "killed":
+            run.kill()
+        else:
+            run.send_signal(signal.SIGSTOP)
+            time.sleep(0.5)
+            run.send_signal(signal.SIGCONT)
+        until(lambda: not stiffness.any(), 5.0)
+        assert (beside.states["joint_damping"] > 0.0).all()
+        told, _ = run.communicate(timeout=20)
+        assert run.returncode == (3 if mishap == "stopped" else -signal.SIGKILL), told
+    finally:
+        run.kill()
+    again = started(tmp_path, ports, f'"{MAKE}"', 5.0)
+    try:
+        until(lambda: bool((stiffness > 30.0).all()))
+        again.send_signal(signal.SIGINT)
+        told, _ = again.communicate(timeout=20)
+        assert not stiffness.any(), told
+    finally:
+        again.kill()
+
+
+@pytest.mark.slow
+def test_a_robot_that_dies_is_a_fault_and_comes_back(
+    emulated: Callable[..., Process], tmp_path: Path
+) -> None:
+    ports = free_port(), free_port()
+    robot = emulated("go1", ports[0])
+    run = started(tmp_path, ports, f'"{MAKE}"', 5.0)
+    try:
+        time.sleep(6.0)
+        robot.kill()
+        told, _ = run.communicate(timeout=20)
+    finally:
+        run.kill()
+    assert run.returncode == 3, told
+    assert f"nothing from 127.0.0.1:{ports[0]}" in told
+    robot = emulated("go1", ports[0])
+    assert run_postures("go1", 0.4, ports, None).faults == []
+    assert robot.ended()["first"] < 0.05

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from legged_peer import ALIENGO, Emulated, free_port, robot_of, slow_command, slow_state, states_of
 
+from unicon_core import Program, block
 from unicon_core.errors import Fault, PlatformError, RobotError, StateError
 from unicon_core.platforms.platform import Prepares
 from unicon_core.robots import load_robot
@@ -508,3 +509,19 @@ def test_foot_forces_are_four() -> None:
     specs = standard_states(robot.joint_names) | {"foot_force": StateSpec((2,))}
     with pytest.raises(StateError, match=r"foot_force.*writes four"):
         make(States(specs), robot, PERIOD, address="127.0.0.1", connect=0.01)
+
+
+@pytest.mark.parametrize(("name", "battery"), [("a1", False), ("go1", True)])
+def test_check_knows_what_a_robot_tells_without_opening_it(name: str, battery: bool) -> None:
+    described: dict[str, Any] = {
+        "robot": name,
+        "platform": "unicon_ros.hardware.unitree_legged.platform:make",
+        "rate": 50,
+        "states": {"foot_force": {"shape": [4]}},
+    }
+    writes = Program(dry=True, flow=block("hold"), **described).platform.facts.writes
+    assert ("battery_charge" in writes) is battery
+    assert {"foot_force", "motor_error"} <= set(writes)
+    described["robot"] = "aliengo"
+    with pytest.raises(PlatformError, match="say the generation"):
+        Program(dry=True, flow=block("damp"), **described)

@@ -227,9 +227,9 @@ class CommandFrame(Frame):
         self._views = [every[name][motors] for name in ("q", "dq", "tau", "kp", "kd")]
         count = len(self._views[0])
         self._scale = np.array(((TORQUE,), (STIFFNESS,), (DAMPING,)), np.float32)
-        self._least = np.array(((-32768.0,), (0.0,), (0.0,)), np.float32)
-        self._most = np.array(((32767.0,), (65535.0,), (65535.0,)), np.float32)
-        self._scaled, self._held = np.zeros((2, 3, count), np.float32)
+        self._least = np.array(((-32768.0,), (0.0,), (0.0,)), np.float32) / self._scale
+        self._most = np.array(((32767.0,), (65535.0,), (65535.0,)), np.float32) / self._scale
+        self._asked, self._held = np.zeros((2, 3, count), np.float32)
         self._whole_numbers = np.zeros((3, count), np.int32)
         self._moves = np.zeros((2, count), np.float32)
         self.seal(encrypted)
@@ -249,12 +249,12 @@ class CommandFrame(Frame):
             stiffness: in [N·m/rad], below 2048.
             damping: in [N·m·s/rad], below 4096.
         """
-        scaled, held, numbers, moves = self._scaled, self._held, self._whole_numbers, self._moves
-        scaled[0], scaled[1], scaled[2] = effort, stiffness, damping
-        scaled *= self._scale
-        np.maximum(scaled, self._least, out=held)
+        asked, held, numbers, moves = self._asked, self._held, self._whole_numbers, self._moves
+        asked[0], asked[1], asked[2] = effort, stiffness, damping
+        np.maximum(asked, self._least, out=held)
         np.minimum(held, self._most, out=held)
-        self.clamped += int(np.count_nonzero(held != scaled))
+        self.clamped += int(np.count_nonzero(held != asked))
+        held *= self._scale  # by powers of two: exact
         numbers[...] = held
         moves[0], moves[1] = pos, vel
         np.copyto(moves[0], self._stops[0], where=numbers[1] == 0)

@@ -10,7 +10,6 @@ import math
 
 import numpy as np
 
-from unicon_core.platforms.platform import Facts
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_ros.hardware.udp import Udp
@@ -21,7 +20,7 @@ from unicon_ros.hardware.unitree_legged.codec import (
     TORQUE,
     Frame,
 )
-from unicon_ros.hardware.unitree_legged.link import NAME, Link, link_of
+from unicon_ros.hardware.unitree_legged.link import Link, link_of
 
 __all__ = ["LeggedFace", "face"]
 
@@ -77,7 +76,6 @@ class LeggedFace:
         remote: the 40 bytes of the wireless remote that it tells.
     """
 
-    facts = Facts(NAME)
     dead_man = math.inf
 
     def __init__(

@@ -12,19 +12,61 @@ from dataclasses import replace
 from typing import Any
 
 from unicon_core.errors import PlatformError
-from unicon_core.platforms.platform import Facts
+from unicon_core.platforms.platform import Binding, Facts
 from unicon_core.robots import Robot
 from unicon_core.states import States
-from unicon_ros.hardware.unitree_legged.link import NAME, link_of
+from unicon_ros.hardware.unitree_legged.link import NAME, Link, link_of
 from unicon_ros.hardware.unitree_legged.reader import FOOT_FORCE
 from unicon_ros.hardware.unitree_legged.wire import LeggedWire
 from unicon_ros.hardware.wired_robot import SILENCE, WiredRobot, opened
 
 __all__ = ["UnitreeLegged", "make"]
 
-WATCHDOG = 0.1
-"""A tick that is later damps the robot, [s]; three ticks where those are longer."""
+WATCHDOG = 0.25
+"""A tick that is later damps the robot, [s]; three ticks where those are longer. So late a tick may
+be before the runner calls it hung (`pacing.hang`)."""
 _BATTERY = ("battery_charge", "battery_voltage")
+_WRITES = (
+    "joint_pos",
+    "joint_vel",
+    "joint_effort",
+    "base_quat",
+    "base_ang_vel",
+    "base_lin_acc",
+    "projected_gravity",
+    "motor_temperature",
+    "motor_error",
+    *_BATTERY,
+    "stamp_ns",
+)
+
+
+def _told(states: States, link: Link) -> tuple[str, ...]:
+    """Return the states that a robot of this generation tells, as far as they are there."""
+    without = () if "bms" in (link.layout.state.names or ()) else _BATTERY
+    names = (*_WRITES, FOOT_FORCE)
+    return tuple(name for name in names if name in states and name not in without)
+
+
+def _examined(
+    states: States,
+    robot: Robot,
+    period: float,
+    *,
+    generation: str | None = None,
+    address: str | None = None,
+    port: int | None = None,
+    local_port: int | None = None,
+    **_: Any,
+) -> Binding:
+    """Tell `unicon check` what would be told, without opening anything.
+
+    Raises:
+        PlatformError: an option is wrong.
+        RobotError: the robot file lacks a fact.
+    """
+    link = link_of(robot, generation=generation, address=address, port=port, local_port=local_port)
+    return Binding(replace(UnitreeLegged.facts, writes=_told(states, link)))
 
 
 class UnitreeLegged(WiredRobot):
@@ -34,24 +76,7 @@ class UnitreeLegged(WiredRobot):
         wire: to the robot; `wire.remote` has the bytes of its wireless remote.
     """
 
-    facts = Facts(
-        NAME,
-        writes=(
-            "joint_pos",
-            "joint_vel",
-            "joint_effort",
-            "base_quat",
-            "base_ang_vel",
-            "base_lin_acc",
-            "projected_gravity",
-            "motor_temperature",
-            "motor_error",
-            *_BATTERY,
-            FOOT_FORCE,
-            "stamp_ns",
-        ),
-        protocols=(NAME,),
-    )
+    facts = Facts(NAME, writes=_WRITES, protocols=(NAME,), examine=_examined)
 
     def __init__(
         self,
@@ -59,16 +84,14 @@ class UnitreeLegged(WiredRobot):
         robot: Robot,
         period: float,
         wire: LeggedWire,
-        generation: str,
+        link: Link,
         *,
         silence: float,
         silent: bool,
     ) -> None:
         super().__init__(states, robot, period, wire, silence=silence, silent=silent)
-        self.wire, self._generation = wire, generation
-        if not wire.tells_battery:
-            told = tuple(name for name in self.facts.writes if name not in _BATTERY)
-            self.facts = replace(self.facts, writes=told)
+        self.wire, self._generation = wire, link.generation
+        self.facts = replace(self.facts, writes=_told(states, link))
 
     def info(self) -> Mapping[str, Any]:
         """Return the generation too, and what was clamped or came from others."""
@@ -112,7 +135,7 @@ def make(
             nothing without.
         connect: how long to wait for the first answer, [s].
         silence: of the robot that is a fault, [s].
-        watchdog: a tick that is later damps the robot, [s]; None for 0.1 or three ticks.
+        watchdog: a tick that is later damps the robot, [s]; None for 0.25 or three ticks.
         silent: nothing is sent, but for idle commands with `poll`.
 
     Raises:
@@ -139,9 +162,7 @@ def make(
         )
     wire = LeggedWire(states, robot, link, watchdog, encrypted=encrypted, check_mode=check_mode)
     try:
-        platform = UnitreeLegged(
-            states, robot, period, wire, link.generation, silence=silence, silent=silent
-        )
+        platform = UnitreeLegged(states, robot, period, wire, link, silence=silence, silent=silent)
     except BaseException:
         wire.close()
         raise

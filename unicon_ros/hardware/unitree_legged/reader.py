@@ -36,7 +36,6 @@ class StateReader:
 
     Attributes:
         modes: of the robot's motors, shape (n,).
-        battery: the datagrams have one.
 
     Raises:
         StateError: `foot_force` is not of four.
@@ -50,7 +49,6 @@ class StateReader:
         self._link, self._counts, self._encrypted = link, counts, encrypted
         self._level, self._tick, self._remote = frame["level"], frame["tick"], frame["remote"]
         self.modes = motors["mode"]
-        self.battery = "bms" in frame
         self._newest: int | None = None
         # What must be finite, side by side: one check for all.
         self._floats = np.zeros(2 * count + 10, np.float32)
@@ -80,7 +78,7 @@ class StateReader:
         self._errors = [states[name] for name in ("motor_error",) if name in states]
         self._errors_of = b""
         self._battery: list[NDArray[np.float32]] = []
-        if self.battery and "battery_charge" in states:
+        if "bms" in frame and "battery_charge" in states:
             self._battery = [states["battery_charge"], states["battery_voltage"]]
 
     def good(self, datagram: bytes) -> bool:

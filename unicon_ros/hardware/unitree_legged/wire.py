@@ -38,7 +38,6 @@ class LeggedWire:
         counts: of what came in.
         where: the robot's address and port.
         remote: the 40 bytes of the wireless remote, as they came last.
-        tells_battery: the robot's datagrams have a battery in them.
 
     Raises:
         PlatformError: the port is taken.
@@ -58,7 +57,6 @@ class LeggedWire:
         self.counts, self.where = Counts(), f"{link.address}:{link.port}"
         self.remote = bytearray(40)
         self._reader = StateReader(states, robot, link, self.counts, encrypted)
-        self.tells_battery = self._reader.battery
         self._link, self._check_mode, self._names = link, check_mode, robot.joint_names
         self._commands = [states[name] for name in COMMAND_STATES]
         self._nothing = np.zeros(robot.num_joints, np.float32)
