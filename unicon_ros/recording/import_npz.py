@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import UniconError, alternatives
+from unicon_core.platforms.kit.base import quat_of_rpy
 from unicon_core.robots import Robot
 from unicon_ros.recording.imported import write_imported
 
@@ -76,7 +77,8 @@ def import_npz(
             values = values[:, [3, 0, 1, 2]] if values.shape[1] == 4 else values
         states[state] = _fitting(source, state, values)
     if "base_quat" not in states and "states_rpy" in arrays:
-        states["base_quat"] = _quat(_fitting(source, "states_rpy", arrays["states_rpy"]))
+        rpy = _fitting(source, "states_rpy", arrays["states_rpy"])
+        states["base_quat"] = quat_of_rpy(rpy).astype(np.float32)
     stamps = _stamps(source, arrays, frames, rate)
     return write_imported(out, source, robot, stamps, states)
 
@@ -130,19 +132,6 @@ def _fitting(source: Path, state: str, values: NDArray[Any]) -> NDArray[np.float
     if values.dtype.kind not in "fiu":
         raise UniconError(f"{source}: {state} is {values.dtype}; numbers are wanted")
     return np.ascontiguousarray(values, np.float32)
-
-
-def _quat(rpy: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return wxyz of roll, pitch, yaw in [rad]: q = q_z(yaw) q_y(pitch) q_x(roll)."""
-    cos, sin = np.cos(0.5 * rpy.astype(float)).T, np.sin(0.5 * rpy.astype(float)).T
-    (cr, cp, cy), (sr, sp, sy) = cos, sin
-    columns = (
-        cr * cp * cy + sr * sp * sy,
-        sr * cp * cy - cr * sp * sy,
-        cr * sp * cy + sr * cp * sy,
-        cr * cp * sy - sr * sp * cy,
-    )
-    return np.stack(columns, axis=1).astype(np.float32)
 
 
 def _stamps(
