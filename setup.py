@@ -129,7 +129,11 @@ setup(
             "camera = unicon_ros.bridge.camera:camera",
             "recorded = unicon_ros.replay.commands:recorded",
         ],
+        "unicon.faces": [
+            "azureloong = unicon_ros.hardware.azureloong.face:face",
+        ],
         "unicon.platforms": [
+            "azureloong = unicon_ros.hardware.azureloong.platform:make",
             "replay = unicon_ros.replay.platform:make",
             "ros = unicon_ros.bridge.ros_platform:make",
         ],
