@@ -56,11 +56,14 @@ class Wire(Protocol):
 
     Attributes:
         counts: of what came in.
-        where: address or topic, for messages.
     """
 
     counts: Counts
-    where: str
+
+    @property
+    def where(self) -> str:
+        """Address or topic, for messages; a plain attribute will do."""
+        ...
 
     def take(self) -> int:
         """Bring the newest good frame into the states; return how many good ones have come.
