@@ -131,9 +131,11 @@ setup(
         ],
         "unicon.faces": [
             "azureloong = unicon_ros.hardware.azureloong.face:face",
+            "fourier_fsa = unicon_ros.hardware.fourier.face:face",
         ],
         "unicon.platforms": [
             "azureloong = unicon_ros.hardware.azureloong.platform:make",
+            "fourier = unicon_ros.hardware.fourier.platform:make",
             "replay = unicon_ros.replay.platform:make",
             "ros = unicon_ros.bridge.ros_platform:make",
         ],

@@ -10,8 +10,12 @@ from __future__ import annotations
 
 import json
 import math
+import socket
+import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -30,6 +34,16 @@ LEAN = 0.05  # [rad] from the default posture
 
 def states_of(robot: Robot) -> States:
     return States({**standard_states(robot.joint_names), **hardware_states(robot.joint_names)})
+
+
+def free_ports(count: int) -> list[int]:
+    sockets = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(count)]
+    for one in sockets:
+        one.bind(("127.0.0.1", 0))
+    ports = [one.getsockname()[1] for one in sockets]
+    for one in sockets:
+        one.close()
+    return ports
 
 
 def moved(robot: Robot, **transport: Any) -> Robot:
@@ -79,6 +93,21 @@ class Emulated:
         for name in ("base_ang_vel", "base_lin_acc"):
             self.states[name] += self._random.normal(scale=1e-3, size=3)
         self.face.tell()
+
+
+@contextmanager
+def running(robot: Path, face: str, *options: str) -> Iterator[list[dict[str, Any]]]:
+    """Start one in a process of its own; what it has said is there behind the block."""
+    command = [sys.executable, __file__, str(robot), face, *options]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    said: list[dict[str, Any]] = []
+    try:
+        assert process.stdout is not None
+        assert json.loads(process.stdout.readline())["event"] == "ready"
+        yield said
+    finally:
+        process.kill()
+        said += map(json.loads, process.communicate()[0].splitlines())
 
 
 def main() -> None:

@@ -53,7 +53,7 @@ def quat_of_rpy(rpy: NDArray[Any]) -> Float:
         cr * sp * cy + sr * cp * sy,
         cr * cp * sy - sr * sp * cy,
     )
-    return np.stack(parts).T
+    return np.array(parts).T
 
 
 def rpy_of_quat(quat: NDArray[Any]) -> Float:

@@ -15,7 +15,7 @@ from unicon_core.errors import PlatformError, alternatives
 from unicon_core.platforms.kit.base import rpy_of_quat
 from unicon_core.robots import Robot
 from unicon_core.states import States
-from unicon_core.states.standard import COMMAND_STATES
+from unicon_core.states.standard import COMMAND_STATES, HARDWARE_STATES
 from unicon_ros.hardware.azureloong.codec import KEYS, Limits, Link
 from unicon_ros.hardware.facts import TransportFacts, ipv4
 from unicon_ros.hardware.udp import Udp
@@ -98,9 +98,7 @@ class AzureFace:
         frame["gyro"], frame["acc"] = states["base_ang_vel"], states["base_lin_acc"]
         frame["pos"], frame["vel"] = states["joint_pos"], states["joint_vel"]
         frame["effort"] = states["joint_effort"]
-        told = {
-            name: states[name] for name in ("motor_temperature", "motor_error") if name in states
-        }
+        told = {name: states[name] for name in HARDWARE_STATES if name in states}
         frame["temperature"] = told.get("motor_temperature", WARM)
         frame["error"] = told.get("motor_error", 0)
         frame["pos_target"] = states["joint_pos_target"]

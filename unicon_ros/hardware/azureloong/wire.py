@@ -7,6 +7,7 @@ state is 0, which the robot does not carry out, until the first command.
 from __future__ import annotations
 
 import math
+import struct
 import time
 
 import numpy as np
@@ -21,6 +22,16 @@ from unicon_ros.hardware.udp import Udp
 from unicon_ros.hardware.wire import Counts
 
 __all__ = ["AzureWire"]
+
+COPIED = {
+    "joint_pos": "pos",
+    "joint_vel": "vel",
+    "joint_effort": "effort",
+    "motor_temperature": "temperature",
+    "motor_error": "error",
+}
+"""State to the field of a frame that it is."""
+STAMP = struct.Struct("<d")
 
 
 class AzureWire:
@@ -62,14 +73,21 @@ class AzureWire:
             part(self._link.command, "joint_pos_target", "finger_left")
         ]
         self._block = block.view("<f4").reshape(self._rows.shape)
-        self._stamp, self._plan, self._plan_name = -math.inf, 0, ""
+        self._stamp, self._plan = -math.inf, 0
         self._asked, self._commanding, self._strangers = -math.inf, False, 0
         self._floats = part(self._link.state, "rpy", "temperature")
-        self._hardware = [
-            (states[state], field)
-            for state, field in (("motor_temperature", "temperature"), ("motor_error", "error"))
-            if state in states
+        self._heard = bytearray(self._link.state.itemsize)
+        heard = np.frombuffer(self._heard, self._link.state)[0:1]
+        self._told = {name: heard[name][0] for name in ("rpy", "gyro", "acc", "key")}
+        self._copied = [
+            (states[state], heard[field][0]) for state, field in COPIED.items() if state in states
         ]
+        self._copied += [
+            (self._frame[f"finger_{side}"][0], heard[f"finger_target_{side}"][0])
+            for side in ("left", "right")
+        ]  # we have no say in fingers: they keep their targets
+        self._stamp_at = part(self._link.state, "timestamp", "key").start
+        self._name_at = part(self._link.state, "plan", "state")
         self._udp = Udp(("0.0.0.0", 0), (address, self._link.port), f"azureloong at {address}")
 
     def take(self) -> int:
@@ -82,9 +100,8 @@ class AzureWire:
             self._ask()
         good, newest = 0, None
         for data in self._udp.received():
-            frame = self._accepted(data)
-            if frame is not None:
-                good, newest = good + 1, frame
+            if self._accepted(data):
+                good, newest = good + 1, data
         if self._udp.strangers > self._strangers:
             self.counts.refused["of a stranger"] += self._udp.strangers - self._strangers
             self._strangers = self._udp.strangers
@@ -99,38 +116,32 @@ class AzureWire:
             self._asked = now
             self._udp.send(self._bytes)
 
-    def _accepted(self, data: bytes) -> np.void | None:
-        """Return a frame that is new and finite."""
+    def _accepted(self, data: bytes) -> bool:
+        """Whether a frame is new and finite."""
         kind, counts = self._link.state, self.counts
         if len(data) != kind.itemsize:
             counts.refuse("of another length", f"{len(data)} bytes, {kind.itemsize} are right")
-            return None
-        frame: np.void = np.frombuffer(data, kind)[0]
+            return False
         told = np.frombuffer(data[self._floats], "<f4")
-        stamp = float(frame["timestamp"])
+        (stamp,) = STAMP.unpack_from(data, self._stamp_at)
         if not (np.isfinite(told).all() and math.isfinite(stamp)):
             counts.refuse("not finite")
-            return None
+            return False
         if stamp <= self._stamp:
             counts.refuse("old", f"of {stamp:.14g} s behind one of {self._stamp:.14g} s")
-            return None
+            return False
         self._stamp = stamp
-        return frame
+        return True
 
-    def _tell(self, frame: np.void) -> None:
-        states, mounting = self._states, self._mounting
-        states["joint_pos"][...] = frame["pos"]
-        states["joint_vel"][...] = frame["vel"]
-        states["joint_effort"][...] = frame["effort"]
-        states["base_quat"][...] = mounting.quat(quat_of_rpy(frame["rpy"]))
-        states["base_ang_vel"][...] = mounting.vector(frame["gyro"])
-        states["base_lin_acc"][...] = mounting.vector(frame["acc"])
-        for view, field in self._hardware:
-            view[...] = frame[field]
-        for side in ("left", "right"):  # we have no say in fingers: they keep their targets
-            self._frame[f"finger_{side}"] = frame[f"finger_target_{side}"]
-        self._plan = int(frame["key"][1])
-        self._plan_name = frame["plan"].split(b"\0")[0].decode("ascii", "replace")
+    def _tell(self, frame: bytes) -> None:
+        self._heard[:] = frame
+        for view, field in self._copied:
+            view[...] = field
+        states, told, mounting = self._states, self._told, self._mounting
+        states["base_quat"][...] = mounting.quat(quat_of_rpy(told["rpy"]))
+        states["base_ang_vel"][...] = mounting.vector(told["gyro"])
+        states["base_lin_acc"][...] = mounting.vector(told["acc"])
+        self._plan = int(told["key"][1])
         if self._commanding and self._plan != self._link.keys["commands"]:
             raise Fault(
                 f"azureloong has left plan jntSdk: {self._where_it_is}; somebody has its remote"
@@ -138,7 +149,8 @@ class AzureWire:
 
     @property
     def _where_it_is(self) -> str:
-        return f"it is in plan {self._plan_name!r} (key {self._plan})"
+        name = bytes(self._heard[self._name_at]).split(b"\0")[0].decode("ascii", "replace")
+        return f"it is in plan {name!r} (key {self._plan})"
 
     def prepare(self) -> str:
         """Return "" once the robot takes commands, else what to press: only its remote does that.
