@@ -94,6 +94,19 @@ def test_silence_and_garbage_are_a_fault_that_tells_what_was_refused(
     assert states["joint_pos"][0] == np.float32(0.1)
 
 
+def test_silence_counts_while_somebody_listens(robot: Robot, states: States) -> None:
+    wire = Scripted(states, [0.1])
+    platform = opened(Wired(states, robot, 0.001, wire, silence=0.01), connect=1.0)
+    for _ in range(3):  # each pause of ours is longer than its silence may be, and counts 2 ms
+        time.sleep(0.02)
+        assert platform.recv() is None
+    end = time.monotonic() + 5.0
+    with pytest.raises(Fault, match="the robot is silent"):  # noqa: PT012
+        while time.monotonic() < end:
+            time.sleep(0.001)
+            platform.recv()
+
+
 def test_who_never_hears_the_robot_is_told_and_closed(robot: Robot, states: States) -> None:
     wire = Scripted(states, [np.inf])
     with pytest.raises(PlatformError, match=r"no frame that it understands.*last one.*inf"):

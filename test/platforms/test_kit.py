@@ -16,7 +16,14 @@ from scenes import in_scene
 
 from unicon_core.errors import Fault
 from unicon_core.platforms.fake import make
-from unicon_core.platforms.kit.base import BaseStates, Mounting, WorldPose, rotation
+from unicon_core.platforms.kit.base import (
+    BaseStates,
+    Mounting,
+    WorldPose,
+    quat_of_rpy,
+    rotation,
+    rpy_of_quat,
+)
 from unicon_core.platforms.kit.command import Command
 from unicon_core.platforms.kit.servo import Servo
 from unicon_core.robots import Robot, load_robot
@@ -35,6 +42,16 @@ def unit(quat: Any) -> Any:
     quat = np.array(quat, np.float64)
     length = np.linalg.norm(quat)
     return quat / length if length > 0.1 else np.array((1.0, 0.0, 0.0, 0.0))
+
+
+@given(rpy=st.tuples(st.floats(-3.1, 3.1), st.floats(-1.5, 1.5), st.floats(-3.1, 3.1)))
+def test_angles_become_quaternions_and_back(rpy: tuple[float, float, float]) -> None:
+    np.testing.assert_allclose(rpy_of_quat(quat_of_rpy(np.array(rpy))), rpy, atol=1e-7)
+    several = quat_of_rpy(np.tile(rpy, (5, 1)))
+    np.testing.assert_allclose(several, np.tile(quat_of_rpy(np.array(rpy)), (5, 1)))
+    roll, pitch, yaw = (rotation(quat_of_rpy(a * np.array(rpy))) for a in np.eye(3))
+    turned = rotation(quat_of_rpy(np.array(rpy)))
+    np.testing.assert_allclose(turned, yaw @ pitch @ roll, atol=1e-9)
 
 
 @given(mount=st.tuples(*[UNIT] * 4), base=st.tuples(*[UNIT] * 4), rate=st.tuples(*[UNIT] * 3))

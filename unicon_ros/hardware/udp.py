@@ -49,6 +49,10 @@ class Udp:
         """The port that it is bound to."""
         return int(self._socket.getsockname()[1])
 
+    def fileno(self) -> int:
+        """Return the socket's, for `select` over several."""
+        return self._socket.fileno()
+
     def received(self) -> list[bytes]:
         """Return what the peer has sent since the last call, the oldest first."""
         found: list[bytes] = []

@@ -78,7 +78,11 @@ class WiredRobot:
         self._finite = FiniteCheck(commands, robot.joint_names)
         self._sent = LastSent(states)
         self._stamp = states["stamp_ns"]
-        self._heard = time.monotonic_ns()
+        self._heard = self._looked = time.monotonic_ns()
+        self._silent_for = 0.0
+        # Of a longer pause of ours no more counts as silence: who only answers was not asked, as
+        # between opening and the first tick.
+        self._pause = 2.0 * period
         self._closed = False
 
     def connect(self, patience: float) -> None:
@@ -112,7 +116,7 @@ class WiredRobot:
     def _take(self) -> bool:
         if not self._wire.take():
             return False
-        self._heard = time.monotonic_ns()
+        self._heard, self._silent_for = time.monotonic_ns(), 0.0
         self._stamp[...] = self._heard
         if self._gravity is not None:
             self._gravity()
@@ -124,9 +128,12 @@ class WiredRobot:
         Raises:
             Fault: the robot is silent, or says that it will not go on.
         """
+        now, before = time.monotonic_ns(), self._looked
+        self._looked = now
         if not self._take():
-            silent = (time.monotonic_ns() - self._heard) * 1e-9
-            if silent > self._silence:
+            self._silent_for += min((now - before) * 1e-9, self._pause)
+            if self._silent_for > self._silence:
+                silent = (now - self._heard) * 1e-9
                 raise Fault(
                     f"{self._label}: nothing from {self._wire.where} for {silent:.3f} s"
                     f"{self._refused}; the robot is silent"
@@ -189,7 +196,12 @@ class WiredRobot:
     def info(self) -> Mapping[str, Any]:
         """Return where the robot is, and what came from it."""
         counts = self._wire.counts
-        return {"where": self._wire.where, "frames": counts.good, "refused": dict(counts.refused)}
+        return {
+            "where": self._wire.where,
+            "frames": counts.good,
+            "refused": dict(counts.refused),
+            "clamped": counts.clamped,
+        }
 
 
 R = TypeVar("R", bound=WiredRobot)

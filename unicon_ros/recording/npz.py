@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import UniconError, one_line
+from unicon_core.platforms.kit.base import quat_of_rpy
 
 __all__ = ["KEYS", "NAMES", "UNICONS", "Archive", "read_archive", "too_large"]
 
@@ -114,7 +115,7 @@ class Archive:
         if "states_quat" in self.arrays:
             return self._columns("states_quat", 4)[:, [3, 0, 1, 2]]
         if "states_rpy" in self.arrays:
-            return _quat(self._columns("states_rpy", 3))
+            return quat_of_rpy(self._columns("states_rpy", 3))
         return None
 
     def _columns(self, key: str, count: int) -> NDArray[Any]:
@@ -179,14 +180,3 @@ def too_large(path: Path) -> UniconError:
 
 
 @np.errstate(invalid="ignore")  # of infinite angles
-def _quat(rpy: NDArray[Any]) -> Array:
-    """Return wxyz of roll, pitch, yaw in [rad]: q = q_z(yaw) q_y(pitch) q_x(roll)."""
-    cos, sin = np.cos(0.5 * rpy.astype(np.float64)).T, np.sin(0.5 * rpy.astype(np.float64)).T
-    (cr, cp, cy), (sr, sp, sy) = cos, sin
-    columns = (
-        cr * cp * cy + sr * sp * sy,
-        sr * cp * cy - cr * sp * sy,
-        cr * sp * cy + sr * cp * sy,
-        cr * cp * sy - sr * sp * cy,
-    )
-    return np.stack(columns, axis=1)

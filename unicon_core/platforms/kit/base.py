@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from unicon_core.robots import Robot
 
-__all__ = ["BaseStates", "Float", "Mounting", "WorldPose", "rotation"]
+__all__ = ["BaseStates", "Float", "Mounting", "WorldPose", "quat_of_rpy", "rotation", "rpy_of_quat"]
 
 Float = NDArray[np.float64]
 
@@ -36,6 +36,34 @@ def rotation(quat: NDArray[Any]) -> Float:
             (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
             (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
             (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+        )
+    )
+
+
+def quat_of_rpy(rpy: NDArray[Any]) -> Float:
+    """Return the unit quaternion wxyz of roll, pitch, yaw in [rad], shapes (..., 3) and (..., 4).
+
+    q = q_z(yaw) q_y(pitch) q_x(roll): turned about the fixed x, y and z axes, one after the other.
+    """
+    half = 0.5 * np.asarray(rpy, np.float64)
+    (cr, cp, cy), (sr, sp, sy) = np.cos(half).T, np.sin(half).T
+    parts = (
+        cr * cp * cy + sr * sp * sy,
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+    )
+    return np.array(parts).T
+
+
+def rpy_of_quat(quat: NDArray[Any]) -> Float:
+    """Return roll, pitch, yaw in [rad] of a unit quaternion wxyz, shape (3,); see `quat_of_rpy`."""
+    matrix = rotation(quat)
+    return np.array(
+        (
+            np.arctan2(matrix[2, 1], matrix[2, 2]),
+            np.arcsin(np.clip(-matrix[2, 0], -1.0, 1.0)),
+            np.arctan2(matrix[1, 0], matrix[0, 0]),
         )
     )
 

@@ -1,0 +1,132 @@
+"""AzureLoong as it looks on the wire: its joint interface, and its remote's port; for the emulator.
+
+It takes what the remote's keys say, as its vendor's readme.md tells: en, rc, rl, then jntSdk, in
+which alone it takes commands.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+
+import numpy as np
+
+from unicon_core.errors import PlatformError, alternatives
+from unicon_core.platforms.kit.base import rpy_of_quat
+from unicon_core.robots import Robot
+from unicon_core.states import States
+from unicon_core.states.standard import COMMAND_STATES, HARDWARE_STATES
+from unicon_ros.hardware.azureloong.codec import KEYS, Limits, Link
+from unicon_ros.hardware.facts import TransportFacts, ipv4
+from unicon_ros.hardware.udp import Udp
+
+__all__ = ["AzureFace", "face"]
+
+KEY_FRAME, KEY_AT = 96, 84
+"""Bytes of the remote's frame, and which of them is the key: tools/py_ui.py of the vendor."""
+WARM = 40
+"""What drives tell where the simulator has no temperature, [°C]."""
+FOLLOWS = {
+    "enable": ("disable", "idle"),
+    "reset": ("idle", "idle"),
+    "walk": ("idle", "walk"),
+    "commands": ("walk", "commands"),
+}
+"""Key of the remote to the plan in which it counts and the one that follows; `damp`, `disable` and
+`idle` count in any."""
+
+
+class AzureFace:
+    """See `Face`; `face` builds it."""
+
+    def __init__(self, states: States, robot: Robot, address: str, plan: str) -> None:
+        self._states, self._link, self._limits = states, Link.of(robot), Limits.of(robot)
+        self.rate, self.dead_man = self._link.rate, self._link.lost
+        self._plan = plan
+        self._frame = np.zeros(1, self._link.state)
+        self._frame["size"] = self._frame.nbytes
+        self._views = [states[name] for name in COMMAND_STATES]
+        self._heard = -math.inf
+        port = TransportFacts(robot).integer("port_keys", 1, 65535)
+        self._udp = Udp((address, self._link.port), ("", 0), "emulated azureloong")
+        try:
+            self._remote = Udp((address, port), ("", 0), "emulated azureloong, remote")
+        except BaseException:
+            self._udp.close()
+            raise
+
+    @property
+    def obeys(self) -> bool:
+        """Whether it is in the plan in which it takes commands."""
+        return self._plan == "commands"
+
+    def hear(self) -> bool:
+        """See `Face`."""
+        for data, _ in self._remote.datagrams():
+            if len(data) == KEY_FRAME:
+                self._press(data[KEY_AT])
+        newest = None
+        for data, sender in self._udp.datagrams():
+            if len(data) != self._link.command.itemsize:
+                continue
+            frame = np.frombuffer(data, self._link.command)[0]
+            if frame["checker"] != self._link.checker or frame["size"] != len(data):
+                continue
+            self._udp.peer, self._heard = sender, time.monotonic()
+            newest = frame if frame["state"] == self._link.commanding else None
+        if newest is None or not self.obeys:
+            return False
+        for i, (view, name) in enumerate(zip(self._views, COMMAND_STATES)):
+            view[...] = np.clip(newest[name], self._limits.lower[i], self._limits.upper[i])
+        return True
+
+    def _press(self, key: int) -> None:
+        name = next((name for name, value in self._link.keys.items() if value == key), "")
+        wanted, then = FOLLOWS.get(name, (self._plan, name or self._plan))
+        if self._plan == wanted:
+            self._plan = then
+
+    def tell(self) -> None:
+        """See `Face`."""
+        if time.monotonic() - self._heard > self._link.lost:
+            return
+        frame, states = self._frame, self._states
+        frame["timestamp"] = time.time()
+        frame["key"] = (0, self._link.keys[self._plan])
+        frame["plan"] = self._plan.encode()
+        frame["rpy"] = rpy_of_quat(states["base_quat"])
+        frame["gyro"], frame["acc"] = states["base_ang_vel"], states["base_lin_acc"]
+        frame["pos"], frame["vel"] = states["joint_pos"], states["joint_vel"]
+        frame["effort"] = states["joint_effort"]
+        told = {name: states[name] for name in HARDWARE_STATES if name in states}
+        frame["temperature"] = told.get("motor_temperature", WARM)
+        frame["error"] = told.get("motor_error", 0)
+        frame["pos_target"] = states["joint_pos_target"]
+        self._udp.send(frame.view(np.uint8).data)
+
+    def close(self) -> None:
+        """See `Face`."""
+        self._udp.close()
+        self._remote.close()
+
+
+def face(
+    states: States, robot: Robot, *, address: str = "127.0.0.1", plan: str = "walk"
+) -> AzureFace:
+    """Return the robot's end of its protocol.
+
+    Args:
+        states: of the emulator.
+        robot: its file.
+        address: where it listens.
+        plan: in which it begins, of `KEYS`.
+
+    Raises:
+        PlatformError: an option is wrong, or a port is taken.
+        RobotError: the robot file lacks a fact.
+    """
+    if plan not in KEYS:
+        raise PlatformError(
+            f"emulated azureloong: plan {plan!r} is not known; {alternatives(plan, KEYS)}"
+        )
+    return AzureFace(states, robot, ipv4(address, "azureloong"), plan)

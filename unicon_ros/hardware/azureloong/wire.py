@@ -1,0 +1,185 @@
+"""AzureWire: a socket to AzureLoong's joint interface, port 8006; for its platform.
+
+The robot answers to whoever sends it commands, so that even a listener has to send: frames whose
+state is 0, which the robot does not carry out, until the first command.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+import time
+
+import numpy as np
+
+from unicon_core.errors import Fault
+from unicon_core.platforms.kit.base import Mounting, quat_of_rpy
+from unicon_core.robots import Robot
+from unicon_core.states import States
+from unicon_core.states.standard import COMMAND_STATES
+from unicon_ros.hardware.azureloong.codec import Limits, Link, part
+from unicon_ros.hardware.udp import Udp
+from unicon_ros.hardware.wire import Counts
+
+__all__ = ["AzureWire"]
+
+COPIED = {
+    "joint_pos": "pos",
+    "joint_vel": "vel",
+    "joint_effort": "effort",
+    "motor_temperature": "temperature",
+    "motor_error": "error",
+}
+"""State to the field of a frame that it is."""
+STAMP = struct.Struct("<d")
+
+
+class AzureWire:
+    """See the module.
+
+    Args:
+        states: of the workflow.
+        robot: its file.
+        address: of the robot.
+        torque_limit_rate: share of the drives' largest current that the robot may use.
+        filter_rate: share of a new command that the robot follows in each of its steps; 1 follows
+            at once.
+
+    Raises:
+        RobotError: the robot file lacks a fact.
+    """
+
+    def __init__(
+        self,
+        states: States,
+        robot: Robot,
+        address: str,
+        torque_limit_rate: float,
+        filter_rate: float,
+    ) -> None:
+        self._link, self._limits, self._states = Link.of(robot), Limits.of(robot), states
+        self.counts, self.where = Counts(), f"{address}:{self._link.port}"
+        self._mounting = Mounting.of(robot)
+        self._rows = np.zeros_like(self._limits.lower)
+        self._sources = list(zip(self._rows, (states[name] for name in COMMAND_STATES)))
+        self._frame = np.zeros(1, self._link.command)
+        self._frame["checker"], self._frame["size"] = self._link.checker, self._frame.nbytes
+        self._frame["torque_limit_rate"], self._frame["filter_rate"] = (
+            torque_limit_rate,
+            filter_rate,
+        )
+        self._bytes = self._frame.view(np.uint8).data
+        block = self._frame.view(np.uint8)[
+            part(self._link.command, "joint_pos_target", "finger_left")
+        ]
+        self._block = block.view("<f4").reshape(self._rows.shape)
+        self._stamp, self._plan = -math.inf, 0
+        self._asked, self._commanding, self._strangers = -math.inf, False, 0
+        self._floats = part(self._link.state, "rpy", "temperature")
+        self._heard = bytearray(self._link.state.itemsize)
+        heard = np.frombuffer(self._heard, self._link.state)[0:1]
+        self._told = {name: heard[name][0] for name in ("rpy", "gyro", "acc", "key")}
+        self._copied = [
+            (states[state], heard[field][0]) for state, field in COPIED.items() if state in states
+        ]
+        self._copied += [
+            (self._frame[f"finger_{side}"][0], heard[f"finger_target_{side}"][0])
+            for side in ("left", "right")
+        ]  # we have no say in fingers: they keep their targets
+        self._stamp_at = part(self._link.state, "timestamp", "key").start
+        self._name_at = part(self._link.state, "plan", "state")
+        self._udp = Udp(("0.0.0.0", 0), (address, self._link.port), f"azureloong at {address}")
+
+    def take(self) -> int:
+        """See `Wire`.
+
+        Raises:
+            Fault: the robot has left the plan in which it takes commands.
+        """
+        if not self._commanding:
+            self._ask()
+        good, newest = 0, None
+        for data in self._udp.received():
+            if self._accepted(data):
+                good, newest = good + 1, data
+        if self._udp.strangers > self._strangers:
+            self.counts.refused["of a stranger"] += self._udp.strangers - self._strangers
+            self._strangers = self._udp.strangers
+        if newest is not None:
+            self._tell(newest)
+        self.counts.good += good
+        return good
+
+    def _ask(self) -> None:
+        now = time.monotonic()
+        if now - self._asked >= 1.0 / self._link.rate:
+            self._asked = now
+            self._udp.send(self._bytes)
+
+    def _accepted(self, data: bytes) -> bool:
+        """Whether a frame is new and finite."""
+        kind, counts = self._link.state, self.counts
+        if len(data) != kind.itemsize:
+            counts.refuse("of another length", f"{len(data)} bytes, {kind.itemsize} are right")
+            return False
+        told = np.frombuffer(data[self._floats], "<f4")
+        (stamp,) = STAMP.unpack_from(data, self._stamp_at)
+        if not (np.isfinite(told).all() and math.isfinite(stamp)):
+            counts.refuse("not finite")
+            return False
+        if stamp <= self._stamp:
+            counts.refuse("old", f"of {stamp:.14g} s behind one of {self._stamp:.14g} s")
+            return False
+        self._stamp = stamp
+        return True
+
+    def _tell(self, frame: bytes) -> None:
+        self._heard[:] = frame
+        for view, field in self._copied:
+            view[...] = field
+        states, told, mounting = self._states, self._told, self._mounting
+        states["base_quat"][...] = mounting.quat(quat_of_rpy(told["rpy"]))
+        states["base_ang_vel"][...] = mounting.vector(told["gyro"])
+        states["base_lin_acc"][...] = mounting.vector(told["acc"])
+        self._plan = int(told["key"][1])
+        if self._commanding and self._plan != self._link.keys["commands"]:
+            raise Fault(
+                f"azureloong has left plan jntSdk: {self._where_it_is}; somebody has its remote"
+            )
+
+    @property
+    def _where_it_is(self) -> str:
+        name = bytes(self._heard[self._name_at]).split(b"\0")[0].decode("ascii", "replace")
+        return f"it is in plan {name!r} (key {self._plan})"
+
+    def prepare(self) -> str:
+        """Return "" once the robot takes commands, else what to press: only its remote does that.
+
+        What a remote sends is documented for its keys alone, and a remote that falls silent is a
+        fault to the robot; so we do not pretend to be one.
+        """
+        keys = self._link.keys
+        if self._plan == keys["commands"]:
+            return ""
+        missing = {keys["walk"]: "jntSdk", keys["idle"]: "rc, rl, then jntSdk"}
+        press = missing.get(self._plan, "en, rc, rl, then jntSdk")
+        return f"{self._where_it_is}; press {press} on its remote"
+
+    def put(self) -> None:
+        """See `Wire`."""
+        for row, source in self._sources:
+            row[...] = source
+        np.clip(self._rows, self._limits.lower, self._limits.upper, out=self._block)
+        if not np.array_equal(self._rows, self._block):
+            self.counts.clamped += 1
+        self._frame["state"] = self._link.commanding
+        self._commanding = True
+        self._udp.send(self._bytes)
+
+    def wait(self, timeout: float) -> bool:
+        """See `Wire`."""
+        return self._udp.wait(timeout)
+
+    def close(self) -> None:
+        """See `Wire`."""
+        self._udp.close()

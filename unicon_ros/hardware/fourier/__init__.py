@@ -1,0 +1,1 @@
+"""Fourier's FSA actuators, one address each: what is sent to them, and what they answer."""

@@ -1,0 +1,79 @@
+"""Platform `fourier`: robots of Fourier's FSA v2 actuators, each at an address of its own (N1).
+
+Their IMU is a serial device whose frames the vendor does not document: no state of the base.
+"""
+
+from __future__ import annotations
+
+from unicon_core.bounds import within
+from unicon_core.platforms.platform import Facts
+from unicon_core.robots import Robot
+from unicon_core.states import States
+from unicon_ros.hardware.facts import ipv4
+from unicon_ros.hardware.fourier.codec import Actuators
+from unicon_ros.hardware.fourier.wire import FourierWire
+from unicon_ros.hardware.wired_robot import WiredRobot, opened
+
+__all__ = ["Fourier", "make"]
+
+SILENCE = 0.1
+"""In [s]: ten answers at the 100 Hz at which the vendor asks."""
+DEAD_MAN = 0.2
+"""In [s]: as a child process's watchdog, with a tick of 50 Hz to spare eight times."""
+
+
+class Fourier(WiredRobot):
+    """See the module."""
+
+    facts = Facts(
+        "fourier",
+        writes=(
+            "joint_pos",
+            "joint_vel",
+            "joint_effort",
+            "motor_temperature",
+            "motor_error",
+            "stamp_ns",
+        ),
+        protocols=("fourier_fsa",),
+    )
+
+
+def make(
+    states: States,
+    robot: Robot,
+    period: float,
+    *,
+    address: str = "",
+    connect: float = 5.0,
+    silence: float = SILENCE,
+    dead_man: float = DEAD_MAN,
+    silent: bool = False,
+) -> Fourier:
+    """Open the robot.
+
+    Args:
+        states: of the workflow.
+        robot: its file.
+        period: of a tick in [s].
+        address: any of another network of 256 addresses in which the actuators are, such as
+            127.0.0.1; the last number of each stays.
+        connect: how long to wait until all have answered, [s].
+        silence: of any actuator that is a fault, [s].
+        dead_man: after so long without a command each actuator lets go by itself, [s].
+        silent: nothing is sent but questions.
+
+    Raises:
+        PlatformError: an option is wrong, or an actuator does not answer.
+        RobotError: the robot file lacks a fact.
+        WorkflowError: `dead_man` is out of range.
+    """
+    network = ipv4(address, "fourier") if address else ""
+    dead_man = within(dead_man, "dead_man", "s", 5.0, max(0.01, period))
+    wire = FourierWire(states, Actuators.of(robot, network), dead_man)
+    try:
+        built = Fourier(states, robot, period, wire, silence=silence, silent=silent)
+    except BaseException:
+        wire.close()
+        raise
+    return opened(built, connect)
