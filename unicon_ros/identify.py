@@ -110,6 +110,11 @@ def _workflow(record: Record) -> tuple[dict[str, Any], Path | None]:
 
 
 def _robot(record: Record, said: dict[str, Any], folder: Path | None) -> Robot:
+    if isinstance(said.get("robot"), dict):
+        raise UniconError(
+            f"{record.facts.get('robot')} is made of {', '.join(map(str, said['robot']))}, and an "
+            "overlay extends one file: record a run of that robot alone"
+        )
     text = str(said.get("robot") or record.facts.get("robot") or "")
     beside = (folder or Path()) / text
     return load_robot(beside if "/" in text and beside.is_file() else text)

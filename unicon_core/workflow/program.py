@@ -34,7 +34,6 @@ from unicon_core.workflow.build import (
     Builder,
     Sections,
     finite_first,
-    load_robot_of,
     period_of,
     sections_of,
     specs_of,
@@ -50,6 +49,7 @@ from unicon_core.workflow.command_bounds import (
 from unicon_core.workflow.document import WorkflowDocument, document_of, load_document
 from unicon_core.workflow.gate import Gate
 from unicon_core.workflow.live_twin import TWIN_STATES, build_twin, twin_of
+from unicon_core.workflow.members import load_robot_of
 from unicon_core.workflow.parts import check_places, divided, publishers, read_parts, read_store
 from unicon_core.workflow.platforms import build_platform
 from unicon_core.workflow.policies import controllers_reading, load_policies

@@ -17,6 +17,7 @@ import yaml
 
 from unicon_core import __version__
 from unicon_core.flow import Stage
+from unicon_core.robots import Robot, robot_files
 from unicon_core.runtime.tick_ring import PHASES, KeptMemory
 from unicon_ros.recording.tick_message import Kept
 
@@ -25,7 +26,8 @@ if TYPE_CHECKING:
     from unicon_core.states import Layout
     from unicon_core.workflow import Program
 
-__all__ = ["SCHEMA", "content_of", "facts_of", "layout_facts", "network_hash", "versions_here"]
+__all__ = ["SCHEMA", "content_of", "facts_of", "layout_facts", "network_hash"]
+__all__ += ["robot_text", "versions_here"]
 
 SCHEMA = "unicon.record/1"
 VERSIONS = ("numpy", "onnxruntime", "torch", "mujoco", "pybullet", "rclpy")
@@ -93,7 +95,7 @@ def facts_of(runner: Runner, kept: Kept) -> dict[str, str]:
         "platform_facts": json.dumps(_platform_facts(program)),
         "outside": json.dumps(_outside(program)),
         "robot": program.robot.name,
-        "robot_file": _text_of(program.robot.path),
+        "robot_file": robot_text(program.robot),
         "policies": json.dumps(policies),
         "versions": json.dumps(versions_here()),
     }
@@ -139,6 +141,11 @@ def _outside(program: Program) -> dict[str, list[str]]:
             moment = moments[block.stage]
             given[moment] = sorted({*given.get(moment, ()), *block.writes, *block.amends})
     return given
+
+
+def robot_text(robot: Robot) -> str:
+    """Return what the files of a robot say, one behind the other where it has members."""
+    return "\n".join(_text_of(path) for path in robot_files(robot).values())
 
 
 def _text_of(path: Path) -> str:

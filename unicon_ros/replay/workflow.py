@@ -7,13 +7,14 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from unicon_core.errors import UniconError, WorkflowError
+from unicon_core.errors import WorkflowError
 from unicon_core.located_yaml import parse_yaml
+from unicon_core.robots import robot_files
 from unicon_core.states.standard import HARDWARE_STATES
 from unicon_core.workflow import Program, WorkflowDocument, load_document
 from unicon_core.workflow.document import document_at
 from unicon_ros.recording import Record
-from unicon_ros.recording.facts import network_hash
+from unicon_ros.recording.facts import network_hash, robot_text
 
 __all__ = ["others", "workflow_of"]
 
@@ -57,8 +58,9 @@ def others(record: Record, program: Program) -> list[str]:
     """Return what a program was not built of as the recorded one was, one line each."""
     found = []
     facts = record.facts
-    if facts.get("robot_file") and facts["robot_file"] != _text(program.robot.path):
-        found.append(f"robot {program.robot.name}: {program.robot.path} is not the recorded file")
+    if facts.get("robot_file") and facts["robot_file"] != robot_text(program.robot):
+        where = " and ".join(map(str, robot_files(program.robot).values()))
+        found.append(f"robot {program.robot.name}: {where} is not the recorded file")
     for name, was in _policies(record).items():
         contract = program.policies.get(name)
         if contract is None:
@@ -95,10 +97,3 @@ def _policies(record: Record) -> dict[str, str]:
         return {str(name): str(each["sha256"]) for name, each in said.items()}
     except (AttributeError, KeyError, TypeError, ValueError):
         return {}
-
-
-def _text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise UniconError(f"cannot read {path}: {error}") from error
