@@ -46,6 +46,9 @@ EXTRAS = {
         "mcap-ros2-support",
         "onnx",
         "psutil",
+        # Peers of hands over Modbus; 3.16 serves `SimDevice`.
+        "pymodbus>=3.16,<4",
+        "pyserial",
         "colcon-common-extensions",
         "setuptools>=70.1,<80",
     ],
@@ -130,7 +133,9 @@ setup(
             "recorded = unicon_ros.replay.commands:recorded",
         ],
         "unicon.platforms": [
+            "inspire = unicon_ros.hardware.inspire.platform:make",
             "replay = unicon_ros.replay.platform:make",
+            "rohand = unicon_ros.hardware.rohand.platform:make",
             "ros = unicon_ros.bridge.ros_platform:make",
         ],
     },

@@ -30,8 +30,8 @@ from unicon_core.platforms.platform import (
 )
 from unicon_core.robots import Robot
 from unicon_core.states import States
-from unicon_core.states.member import STAMP, stamp_of
-from unicon_core.states.standard import JOINT_STATES
+from unicon_core.states.member import STAMP, divided, stamp_of
+from unicon_core.states.standard import JOINT_STATES, MOTOR_STATES
 
 __all__ = ["JoinedPlatform", "joined_facts", "members_of"]
 
@@ -47,7 +47,7 @@ def joined_facts(each: Mapping[str, Facts]) -> Facts:
     facts = list(each.values())
     writes = dict.fromkeys(name for fact in facts for name in fact.writes)
     notes = [f"{member}: {note}" for member, fact in each.items() for note in fact.notes]
-    for state in JOINT_STATES:
+    for state in (*JOINT_STATES, *MOTOR_STATES):
         silent = [member for member, fact in each.items() if state not in fact.writes]
         if silent and state in writes:
             notes.append(f"{', '.join(silent)} does not tell {state}: it is 0 there")
@@ -92,11 +92,12 @@ class JoinedPlatform:
         # A simulator among robots keeps a time of its own, which is nobody else's.
         self._mixed = members[base].facts.simulated and not self.facts.simulated
         # Told again in every tick: gates find out by a mark whether anybody tells a state.
+        shared = divided(states.layout, robot.joint_names)
         self._untold: list[NDArray[Any]] = [
             states[state][robot.joints_of(name)]
             for name, each in members.items()
-            for state in JOINT_STATES
-            if state in self.facts.writes and state not in each.facts.writes
+            for state in self.facts.writes
+            if state in shared and state not in each.facts.writes
         ]
         self._ready: set[str] = set()
         self._failed: set[str] = set()
@@ -144,7 +145,7 @@ class JoinedPlatform:
             except Fault as fault:
                 raise Fault(f"{member}: {fault}") from fault
         for view in self._untold:
-            view[...] = 0.0
+            view[...] = 0
         self._stamp[...] = time.monotonic_ns() if self._mixed else self._of_base
         return gone
 
