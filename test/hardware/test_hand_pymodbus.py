@@ -57,7 +57,7 @@ def test_our_driver_with_their_hand() -> None:
         until(lambda: platform.prepare() == "")
         assert written == [(16, 1004, [1])]
         written.clear()
-        wanted = RNG.uniform(LEFT.lower, LEFT.upper, (200, 6)).astype(np.float32)
+        wanted = RNG.uniform(LEFT.lower, LEFT.upper, (50, 6)).astype(np.float32)
         for row in wanted:
             states["joint_pos_target"][...] = row
             before = len(written)

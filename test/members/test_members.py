@@ -250,7 +250,10 @@ def test_two_robots_run_behind_their_gates_and_the_hands_get_ready_first() -> No
     }
 
 
-@pytest.mark.parametrize(("where", "faulty"), [("recv", "body"), ("send", "left_hand")])
+@pytest.mark.parametrize(
+    ("where", "faulty"),
+    [pytest.param("recv", "body", marks=pytest.mark.slow), ("send", "left_hand")],
+)
 def test_a_fault_of_one_damps_all(where: str, faulty: str) -> None:
     wrong = {"wrong": where, "after": 80}
     program = robots(*((wrong, {}) if faulty == "body" else ({}, wrong)))
@@ -280,6 +283,7 @@ def test_what_was_opened_is_closed_where_the_next_cannot_be_built() -> None:
     assert LOG == [("go2", "closed")]
 
 
+@pytest.mark.slow
 def test_a_simulated_body_with_a_real_hand_counts_as_a_robot() -> None:
     program = robots({}, {}, platform={"body": "fake", "left_hand": MADE}, platforms={})
     assert not program.platform.facts.simulated
@@ -315,6 +319,23 @@ def test_what_a_member_does_not_tell_is_zero_and_the_check_says_so() -> None:
         "left_hand does not tell joint_vel: it is 0 there",
         "left_hand does not tell joint_effort: it is 0 there",
     )
+
+
+def test_a_body_keeps_its_stops_though_its_hands_say_no_limits() -> None:
+    program = robots({}, {})
+    assert program.safety_left_out.keys() <= {"hardware_stop"}
+    program.close()
+    bench = Bench(go2_with(), period=0.01)
+    block = bench.block("velocity_stop")
+    bench.states["joint_vel"][12:] = 30.0
+    block.tick()
+    bench.states["joint_vel"][3] = 1.6 * bench.robot.velocity_limit[3]
+    with pytest.raises(Fault, match=bench.robot.joint_names[3]):
+        block.tick()
+    with pytest.raises(RobotError, match="does not say the velocity limit"):
+        Bench("inspire_rh56_left").block("velocity_stop")
+    with pytest.raises(RobotError, match="give rate_limit a max_rate"):
+        bench.block("rate_limit")
 
 
 def test_fingers_may_stop_at_what_they_grip() -> None:

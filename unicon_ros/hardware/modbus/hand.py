@@ -30,8 +30,12 @@ from unicon_ros.hardware.wire import Counts
 
 __all__ = ["HandRegisters", "HandWire", "Told"]
 
+RATE = 100.0
+"""Exchanges a second: the vendors' examples ask so often."""
 SLOW = 10
 """Every so many exchanges one of the slow blocks is read: temperatures and errors change slowly."""
+OVER_NS = 30_000_000
+"""Velocity is the difference of two angles so far apart, [ns]: a step of 1.7 mrad is 0.06 rad/s."""
 AGAIN = 0.1
 """Between two attempts to connect anew, [s]."""
 END = 1.0
@@ -131,7 +135,9 @@ class HandWire:
         registers: of the hand.
         open_link: connects; an OSError means that it is not there.
         where: address or device, for messages.
+        rate: of exchanges, at most, in [Hz]; more of them would take the tick's time.
         silent: it is only read; errors of before are told at once.
+        first: asks the hand something once it is connected, or raises.
 
     Raises:
         PlatformError: it cannot be connected.
@@ -144,11 +150,13 @@ class HandWire:
         open_link: Callable[[], Link],
         where: str,
         *,
+        rate: float = RATE,
         silent: bool = False,
         first: Callable[[Link], None] | None = None,
     ) -> None:
         self.counts, self.where, self.clamped = Counts(), where, 0
         self._registers, self._open, self._silent = registers, open_link, silent
+        self._every = 1.0 / rate
         self._pos, self._target = states["joint_pos"], states["joint_pos_target"]
         self._vel = states["joint_vel"]
         self._slow = {n: t for n, t in registers.slow.items() if n in states}
@@ -159,7 +167,7 @@ class HandWire:
         self._came = self._exchanges = 0
         self._newest: tuple[int, NDArray[np.float64]] | None = None
         self._told: dict[str, NDArray[np.int64]] = {}
-        self._last: tuple[int, NDArray[np.float64]] | None = None
+        self._past: deque[tuple[int, NDArray[np.float64]]] = deque()
         self._wanted: NDArray[np.uint16] | None = None
         self._ending = threading.Event()
         self._clear = "" if silent or registers.clear is None else "not asked"
@@ -192,12 +200,12 @@ class HandWire:
         if newest is None:
             return 0
         stamp, angles = newest
-        last = self._last
-        if last is None:
-            self._vel[...] = 0.0
-        elif stamp > last[0]:
-            self._vel[...] = (angles - last[1]) / ((stamp - last[0]) * 1e-9)
-        self._last = newest
+        past = self._past
+        past.append(newest)
+        while len(past) > 2 and stamp - past[1][0] >= OVER_NS:
+            past.popleft()
+        before, then = past[0]
+        self._vel[...] = (angles - then) / ((stamp - before) * 1e-9) if stamp > before else 0.0
         self._pos[...] = angles
         for name, values in told.items():
             # Errors of before the start are cleared by `prepare`, behind the gates.
@@ -242,6 +250,7 @@ class HandWire:
         while left:
             ending = self._ending.is_set()
             left -= ending
+            due = time.monotonic() + self._every
             try:
                 if self._link is None:
                     self._link = self._open()
@@ -254,6 +263,7 @@ class HandWire:
                 self._ending.wait(AGAIN)
             if ending and self._wanted is None:
                 return
+            self._ending.wait(max(due - time.monotonic(), 0.0))
 
     def _exchange(self, link: Link, ending: bool) -> None:
         registers = self._registers
