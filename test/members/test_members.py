@@ -212,6 +212,29 @@ def test_members_divide_the_joints_among_blocks() -> None:
     )
 
 
+def test_a_scene_is_of_the_whole(go2_with_hands: dict[str, Any]) -> None:
+    pytest.importorskip("mujoco")
+    go2_with_hands["platform"] = {"body": "mujoco", "hands": "fake"}
+    pose = {"*_calf_joint": -1.0, "L_index_proximal_joint": 0.7}
+    scene: dict[str, Any] = {
+        "initial_pose": pose,
+        "joints": {"RL_*": {"strength": 0.5}},
+        "noise": {"joint_pos": 0.001},
+        "push": {"every": 0.2, "velocity": 0.5},
+        "delay": 1,
+    }
+    program = Program(**go2_with_hands, scene=scene, flow={"hold": {"duration": 0.5}})
+    program.platform.recv()
+    index = program.robot.joint_names.index("L_index_proximal_joint")
+    assert program.states["joint_pos"][index] == pytest.approx(0.7, abs=0.01)
+    assert program.states["joint_pos"][2] == pytest.approx(-1.0, abs=0.01)
+    assert not Runner(program, QUICK).run().faults
+    assert np.abs(program.states["base_lin_vel"][:2]).max() > 0.01
+    scene["joints"] = {"L_*": {"strength": 0.5}}
+    with pytest.raises(WorkflowError, match="platform 'fake' of left_hand simulates no strength"):
+        Program(**go2_with_hands, scene=scene, flow="hold")
+
+
 # -- robots ----------------------------------------------------------------------------------------
 
 

@@ -56,7 +56,7 @@ def joined_facts(each: Mapping[str, Facts]) -> Facts:
         simulated=all(fact.simulated for fact in facts),
         reads=tuple(dict.fromkeys(name for fact in facts for name in fact.reads)),
         writes=tuple(dict.fromkeys([*writes, STAMP, *map(stamp_of, each)])),
-        physics=tuple(p for p in facts[0].physics if all(p in fact.physics for fact in facts)),
+        physics=tuple(dict.fromkeys(word for fact in facts for word in fact.physics)),
         notes=tuple(notes),
     )
 

@@ -21,6 +21,7 @@ from unicon_core.platforms.joined import JoinedPlatform, joined_facts
 from unicon_core.platforms.kit.disturbances import disturb
 from unicon_core.platforms.kit.scene import SCENE_KEYS, Scene
 from unicon_core.platforms.platform import SIMULATED, Binding, Facts, Platform
+from unicon_core.robots.joint_physics import joint_physics
 from unicon_core.workflow.autowire import BuildContext, option_names, refuse_options
 from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.hardware import (
@@ -120,6 +121,14 @@ def _build_members(
         for member, each in chosen.items():
             own = member_context(context, member)
             begin = scene_of_member(scene, context.robot, member)
+            words = joint_physics(own.robot, begin.joints).words
+            unable = [word for word in words if word not in each.facts.physics]
+            if unable and each.facts.simulated:
+                raise document.error(
+                    f"platform {each.use.name!r} of {member} simulates no {unable[0]} of joints; "
+                    "name joints of another member in scene.joints, or choose platform: mujoco",
+                    "scene",
+                )
             try:
                 built[member] = _build(document, each, own, begin, options[member], dry, silent)
             except (PlatformError, RobotError) as error:
