@@ -47,6 +47,9 @@ EXTRAS = {
         "mcap-ros2-support",
         "onnx",
         "psutil",
+        # Peers of hands over Modbus; 3.16 serves `SimDevice`.
+        "pymodbus>=3.16,<4",
+        "pyserial",
         "colcon-common-extensions",
         "setuptools>=70.1,<80",
     ],
@@ -135,7 +138,9 @@ setup(
         "unicon.platforms": [
             "azureloong = unicon_ros.hardware.azureloong.platform:make",
             "fourier = unicon_ros.hardware.fourier.platform:make",
+            "inspire = unicon_ros.hardware.inspire.platform:make",
             "replay = unicon_ros.replay.platform:make",
+            "rohand = unicon_ros.hardware.rohand.platform:make",
             "ros = unicon_ros.bridge.ros_platform:make",
             "unitree = unicon_ros.hardware.unitree.platform:make",
             "unitree_legged = unicon_ros.hardware.unitree_legged.platform:make",

@@ -112,6 +112,11 @@ def _workflow(record: Record) -> tuple[dict[str, Any], Path | None]:
 
 
 def _robot(record: Record, where: str, said: dict[str, Any], folder: Path | None) -> Robot:
+    if isinstance(said.get("robot"), dict):
+        raise UniconError(
+            f"{record.facts.get('robot')} is made of {', '.join(map(str, said['robot']))}, and an "
+            "overlay extends one file: record a run of that robot alone"
+        )
     text = str(said.get("robot") or record.facts.get("robot") or "")
     beside = (folder or Path()) / text
     if "/" in text and not beside.is_file() and not Path(text).is_file():

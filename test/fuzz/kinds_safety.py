@@ -19,7 +19,7 @@ from unicon_core.errors import UniconError
 from unicon_core.models.loaded import import_mujoco
 from unicon_core.preflight import wiggle
 from unicon_core.workflow import load_document
-from unicon_core.workflow.platform_use import read_platform
+from unicon_core.workflow.platform_use import read_platforms
 from unicon_ros.cli import main as cli
 from unicon_ros.cli import preflight as looked
 
@@ -72,7 +72,7 @@ def scene(dice: random.Random, folder: Path) -> Reader:
     if dice.random() < 0.3:
         write(path, dice.choice(PLATFORMS), dice)
         # No process is started here.
-        return lambda: read_platform(load_document(path, ()))
+        return lambda: read_platforms(load_document(path, ()))
     write(path, dice.choice(SCENES), dice)
     import_mujoco()
     platform = dice.choice(("fake", "mujoco"))

@@ -228,7 +228,8 @@ SAFETY = (
 
 PLATFORMS = (
     "robot: go2\nplatform: {child: fake, silence: 0.05, watchdog: 0.2}\nrate: 50\nflow: hold\n",
-    "robot: go2\nplatform: {body: mujoco, hands: dex3}\nrate: 50\nflow: hold\n",
+    "robot: {body: go2, left_hand: dex3_left}\nplatform: {body: fake, hands: {child: fake}}\n"
+    "rate: 50\nflow: {zip: [{hold: , of: body}, {hold: , of: left_hand}]}\n",
 )
 
 SCENES = (

@@ -75,12 +75,12 @@ def robot_gains(
     ):
         option = f"{key}_scale"
         scale = within(scale, option, "", GAIN_SCALES[option], above=False)
-        known = np.where(np.isnan(values), 1.0, values) if robot.position_controlled else values
+        known = np.where(np.isnan(values) & robot.by_position, 1.0, values)
         unknown = [name for name, value in zip(robot.joint_names, known) if math.isnan(value)]
         if unknown:
             raise RobotError(
                 f"block {needed_for!r}: robot {robot.name} does not say the {key} of joint "
-                f"{unknown[0]} ({len(unknown)} joints); give it in {robot.path}"
+                f"{unknown[0]} ({len(unknown)} joints); give it in {robot.file_of(unknown[0])}"
             )
         gains.append(known.astype(np.float32) * np.float32(scale))
     return gains[0], gains[1]

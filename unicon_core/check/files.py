@@ -7,13 +7,15 @@ import hashlib
 from unicon_core.check.result import CheckResult
 from unicon_core.check.subject import Subject, listed
 from unicon_core.policies.networks.onnx_file import read_onnx
+from unicon_core.robots import robot_files
 
 __all__ = ["check_files", "check_robot"]
 
 
 def check_files(subject: Subject, result: CheckResult) -> None:
     """Add the table of files; loading refuses a network that is not the contract's."""
-    files = [("workflow", subject.document.path), ("robot", subject.robot.path)]
+    files = [("workflow", subject.document.path)]
+    files += [(f"robot {m}".strip(), path) for m, path in robot_files(subject.robot).items()]
     if subject.model is not None:
         files.append(("model", subject.model.path))
     expected = {}

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from unicon_core.check.result import CheckResult
 from unicon_core.check.subject import Subject, listed
+from unicon_core.robots import Robot
 
 __all__ = ["check_joints"]
 
@@ -13,7 +16,7 @@ def check_joints(subject: Subject, result: CheckResult) -> None:
     robot = subject.robot
     names = robot.joint_names
     model = subject.model
-    motors = robot.transport.get("motors")
+    motors = [str(n) for each in _each(robot).values() for n in _slots(each)]
     columns = ["robot", "joint", *(f"policy {name}" for name in subject.policies)]
     columns += [subject.platform.name]
     rows = []
@@ -28,7 +31,7 @@ def check_joints(subject: Subject, result: CheckResult) -> None:
         if model is not None:
             joint = model.joints[i]
             row.append(f"joint {joint} {model.model.joint(joint).name}")
-        elif isinstance(motors, list) and i < len(motors) and not subject.platform.simulated:
+        elif motors[i] and not subject.platform.simulated:
             row.append(f"motor {motors[i]}")
         else:
             row.append(str(i))
@@ -45,14 +48,28 @@ def check_joints(subject: Subject, result: CheckResult) -> None:
             evidence = f"does not move {listed(held)}; they are held at their default"
             policy.note("joints.held", "", evidence)
     result.table("Joints", columns, rows, lines)
-    if subject.platform.simulated or not isinstance(motors, list):
+    if subject.platform.simulated:
         return
-    if len(motors) != len(names) or len(set(motors)) != len(motors):
-        result.find(
-            "joints.motors",
-            f"robot {robot.name}, transport.motors",
-            f"{len(motors)} motor slots, {len(set(motors))} of them different, for "
-            f"{len(names)} joints",
-            "give one slot for each joint, in the order of joints",
-            robot.path,
-        )
+    for each in _each(robot).values():
+        slots = each.transport.get("motors")
+        count = len(each.joint_names)
+        if isinstance(slots, list) and not len(set(slots)) == len(slots) == count:
+            result.find(
+                "joints.motors",
+                f"robot {each.name}, transport.motors",
+                f"{len(slots)} motor slots, {len(set(slots))} of them different, for "
+                f"{count} joints",
+                "give one slot for each joint, in the order of joints",
+                each.path,
+            )
+
+
+def _each(robot: Robot) -> Mapping[str, Robot]:
+    return robot.members or {"": robot}
+
+
+def _slots(robot: Robot) -> list[object]:
+    """Return the motor slot of each joint, "" where none is said."""
+    slots = robot.transport.get("motors")
+    slots = slots if isinstance(slots, list) else []
+    return [slots[i] if i < len(slots) else "" for i in range(robot.num_joints)]

@@ -10,6 +10,7 @@ from unicon_core.check.subject import Subject
 from unicon_core.policies import PolicyContract
 from unicon_core.policies.controller import controller_contract
 from unicon_core.robots import joint_index
+from unicon_core.workflow.platform_use import read_platforms
 
 __all__ = ["check_gates", "check_start"]
 
@@ -49,15 +50,16 @@ def check_gates(subject: Subject, result: CheckResult) -> None:
     """A robot that begins to move and nobody has looked at it, or outlives who ticks."""
     if subject.platform.simulated or not subject.program.has_platform:
         return
-    word = subject.document.values["platform"]
-    if not isinstance(word, dict):
+    for use in {u.path: u for u in read_platforms(subject.document).values()}.values():
+        if use.child is not None:
+            continue
         result.note(
             "start.watchdog",
-            f"platform: {word}",
+            f"{'.'.join(use.path)}: {use.name}",
             "it runs in the process that ticks: where that is killed or hangs for ever, nothing of "
             "ours damps the robot",
-            f"platform: {{child: {word}}}",
-            subject.document.where("platform"),
+            f"{use.path[-1]}: {{child: {use.name}}}",
+            subject.document.where(*use.path),
         )
     if subject.program.start.gates:
         return

@@ -20,9 +20,8 @@ from unicon_core.policies.prefixed import PackedStates, PrefixedStates
 from unicon_core.robots import Robot
 from unicon_core.workflow import Hook, Program
 from unicon_core.workflow.document import WorkflowDocument
-from unicon_core.workflow.hardware import can_wait, declared_facts
-from unicon_core.workflow.platform_use import read_platform
-from unicon_core.workflow.platforms import find_platform, platform_options
+from unicon_core.workflow.hardware import can_wait
+from unicon_core.workflow.platforms import facts_of_all, find_platforms, platform_options
 
 __all__ = ["Subject", "build_subject", "declared_platform"]
 
@@ -94,10 +93,10 @@ def declared_platform(document: WorkflowDocument) -> tuple[Facts, bool]:
         WorkflowError: no such platform, or it has no such option.
         MissingDependencyError: it needs a package that is not installed.
     """
-    name, factory = find_platform(document)
-    platform_options(document, name, factory)
-    waits = can_wait(factory) and read_platform(document).child is None
-    return declared_facts(factory, name), waits
+    chosen = find_platforms(document)
+    platform_options(document, chosen)
+    base = next(iter(chosen.values()))
+    return facts_of_all(chosen), can_wait(base.factory) and base.use.child is None
 
 
 def build_subject(document: WorkflowDocument, hooks: Sequence[Hook] = ()) -> Subject:

@@ -17,7 +17,7 @@ from unicon_core.errors import WorkflowError
 from unicon_core.flow.linear import LinearMap
 from unicon_core.flow.stage import Stage
 
-__all__ = ["Access", "Amends", "Block", "Bundle", "Reads", "Tick", "Writes", "as_block"]
+__all__ = ["Access", "Amends", "Block", "Bundle", "Reads", "Share", "Tick", "Writes", "as_block"]
 
 Tick: TypeAlias = Callable[[], object]
 """A parameter-less function; a true result means done."""
@@ -45,6 +45,21 @@ class Bundle:
     """
 
 
+@dataclass(frozen=True)
+class Share:
+    """What a block of one member of a robot has of the states.
+
+    Attributes:
+        member: of the robot.
+        members: all of them.
+        states: those that have an element for each joint; of them it has its member's.
+    """
+
+    member: str
+    members: tuple[str, ...]
+    states: frozenset[str]
+
+
 @dataclass(eq=False)
 class Block:
     """One built block.
@@ -64,6 +79,7 @@ class Block:
         part: of a divided workflow, to which it belongs; "" for the first one.
         endless: True where the block can never be done; what it returns is not even looked at.
         expects: what it needs states to be: name to `shape`, `dtype`, `unit` or `frame`.
+        share: of a block that was built for one member of the robot, or None.
         linear: what it does where that is a copy or a linear index map, or None; neighbours are
             then fused into one operation.
         parts: the blocks that were fused into this one.
@@ -85,6 +101,7 @@ class Block:
     part: str = ""
     endless: bool = False
     expects: dict[str, dict[str, Any]] = field(default_factory=dict)
+    share: Share | None = None
     linear: LinearMap | None = None
     parts: tuple[Block, ...] = ()
     inline: str = ""
@@ -92,6 +109,11 @@ class Block:
 
     def __call__(self) -> object:
         return self.tick()
+
+    def claim(self, state: str) -> str:
+        """Return a state as this block has it: `joint_pos of left_hand`, or all of it."""
+        share = self.share
+        return f"{state} of {share.member}" if share and state in share.states else state
 
 
 def as_block(candidate: Any, *, name: str = "", where: str = "") -> Block:

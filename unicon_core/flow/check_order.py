@@ -42,8 +42,10 @@ class _Reads:
     """
 
     def __init__(self, root: Node) -> None:
-        blocks = reversed(blocks_of(root))  # of several writers the first counts
-        self.writers = {name: block for block in blocks for name in block.writes}
+        blocks = blocks_of(root)
+        # Of several writers the first counts.
+        self.writers = {b.claim(name): b for b in reversed(blocks) for name in b.writes}
+        self.members = next((b.share.members for b in blocks if b.share is not None), ())
 
     def walk(self, node: Node, before: States, ever: States) -> Iterator[Finding]:
         if isinstance(node, Block):
@@ -78,14 +80,24 @@ class _Reads:
             for name in names:
                 if name in before or name in block.writes:
                     continue
-                writer = self.writers.get(name)
+                missing = next((c for c in self.claims(block, name) if c not in before), None)
+                if missing is None:
+                    continue
+                writer = self.writers.get(missing)
                 if writer is None:
-                    evidence = f"{word} {name!r}, which no block writes"
-                    remedy = f"put a block before it that writes {name!r}"
+                    evidence = f"{word} {missing!r}, which no block writes"
+                    remedy = f"put a block before it that writes {missing!r}"
                 else:
-                    evidence = f"{word} {name!r} before {writer.name!r} has written it"
+                    evidence = f"{word} {missing!r} before {writer.name!r} has written it"
                     remedy = f"put it behind {writer.name!r}"
                 yield Finding.of(block, evidence, remedy)
+
+    def claims(self, block: Block, name: str) -> list[str]:
+        """Return what has to be written for a block to read a state: each member's share of it."""
+        own = [f"{name} of {member}" for member in self.members]
+        if block.claim(name) != name or self.writers.keys().isdisjoint(own):
+            return [block.claim(name)]
+        return own
 
 
 def behind_send(root: Node) -> list[Finding]:
@@ -133,4 +145,4 @@ def behind_send(root: Node) -> list[Finding]:
 
 
 def _writes(node: Node) -> States:
-    return frozenset(name for block in blocks_of(node) for name in block.writes)
+    return frozenset(block.claim(name) for block in blocks_of(node) for name in block.writes)

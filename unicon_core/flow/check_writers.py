@@ -21,6 +21,7 @@ def two_writers(root: Node) -> list[Finding]:
 
     Children of a chain and cases of a switch exclude each other. Of two blocks below two `when`
     nobody can tell. A block that amends is no writer, and a block is no second writer to itself.
+    Blocks of different members of a robot write different joints.
     """
     found: dict[tuple[str, str, str], Finding] = {}
 
@@ -30,12 +31,14 @@ def two_writers(root: Node) -> list[Finding]:
                 for second in other[name]:
                     if first.block is second.block or (first.conditional and second.conditional):
                         continue
+                    if _apart(name, first.block, second.block):
+                        continue
                     key = (name, first.block.name, second.block.name)
                     found[key] = Finding.of(
                         second.block,
-                        f"writes {name!r} in the same tick as {first.block.name!r}",
-                        "a state has one writer: remove one, declare the second as one that "
-                        "amends, or let a chain or switch choose",
+                        f"writes {second.block.claim(name)!r} in the same tick as "
+                        f"{first.block.name!r}",
+                        _remedy(name, first.block, second.block),
                     )
 
     def walk(node: Node, conditional: bool) -> dict[str, list[_Writer]]:
@@ -57,6 +60,25 @@ def two_writers(root: Node) -> list[Finding]:
 
     walk(root, False)
     return [found[key] for key in sorted(found)]
+
+
+def _apart(name: str, first: Block, second: Block) -> bool:
+    """Whether they write the joints of different members."""
+    claims = first.claim(name), second.claim(name)
+    return name not in claims and claims[0] != claims[1]
+
+
+def _remedy(name: str, first: Block, second: Block) -> str:
+    either = (second, first)
+    whole = next((block for block in either if block.claim(name) == name), None)
+    share = first.share or second.share
+    if whole is not None and share is not None and name in share.states:
+        others = " or ".join(member for member in share.members if member != share.member)
+        return f"a joint has one writer: give {whole.name!r} other joints, of: {others}"
+    return (
+        "a state has one writer: remove one, declare the second as one that "
+        "amends, or let a chain or switch choose"
+    )
 
 
 def _of(block: Block, writers: list[_Writer]) -> list[_Writer]:

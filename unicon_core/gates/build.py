@@ -16,7 +16,9 @@ from unicon_core.gates.data import Changing, Rate, Told
 from unicon_core.gates.gate import Heeding, Passing, StartGate
 from unicon_core.gates.imu import Imu
 from unicon_core.gates.standing import NoCommand, Variant
+from unicon_core.platforms.joined import members_of
 from unicon_core.platforms.platform import CountsArrivals, ReportsVariant
+from unicon_core.robots import Robot, robot_files
 from unicon_core.states.standard import JOINT_STATES
 
 if TYPE_CHECKING:
@@ -85,16 +87,21 @@ def _gates(program: Program) -> list[StartGate]:
                 "posture",
                 f"every joint is within its limits, or {MARGIN} rad beyond",
                 RangeStop(states, robot, {"joint_pos": (lower, upper)}),
-                f"move it there by hand, calibrate its encoder, or correct {robot.path.name}",
+                f"move it there by hand, calibrate its encoder, or correct {_names(robot)}",
             )
         )
     gates += _tilt(program, told)
     gates += _stops(program, measured)
-    if isinstance(platform, ReportsVariant):
-        gates.append(Variant(platform.variant, robot))
+    for _, each, own in members_of(platform, robot):
+        if isinstance(each, ReportsVariant):
+            gates.append(Variant(each.variant, own))
     if program.command_bounds:
         gates.append(NoCommand(states["velocity_command"]))
     return gates
+
+
+def _names(robot: Robot) -> str:
+    return " or ".join(dict.fromkeys(path.name for path in robot_files(robot).values()))
 
 
 def _stops(program: Program, measured: set[str]) -> list[StartGate]:

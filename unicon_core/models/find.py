@@ -55,6 +55,12 @@ def pick_model(
     """
     if given is not None:
         return find_model(given, relative_to)
+    if robot.members:
+        raise ModelError(
+            f"robot {robot.name} is made of members, and no model of the whole is named; let the "
+            "workflow name one: scene: {model: PATH}, or give each member a platform: platform: "
+            f"{{{', '.join(f'{member}: …' for member in robot.members)}}}"
+        )
     found = next((robot.models[kind] for kind in MODEL_FORMATS if kind in robot.models), None)
     if found is None:
         raise ModelError(

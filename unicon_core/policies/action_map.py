@@ -77,7 +77,8 @@ class ActionMap:
                 joint = robot.joint_names[int(unknown[0])]
                 raise PolicyError(
                     f"policy {contract.name} does not move joint {joint!r}, and robot {robot.name} "
-                    f"has no {fact} to hold it with; add 'joints.{fact}' to {robot.path.name}"
+                    f"has no {fact} to hold it with; add 'joints.{fact}' to "
+                    f"{robot.file_of(joint).name}"
                 )
         # One gather covers all joints: held ones take action 0 with scale 0.
         index = np.zeros(n, dtype=np.intp)

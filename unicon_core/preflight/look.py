@@ -13,10 +13,12 @@ from unicon_core.errors import Fault, UniconError
 from unicon_core.flow import Node, Zip, compile_graph
 from unicon_core.flow.stage import Stage
 from unicon_core.gates.data import Rate
-from unicon_core.platforms.platform import ReportsVariant, SeesCommanders, info_of
+from unicon_core.platforms.joined import members_of
+from unicon_core.platforms.platform import Platform, ReportsVariant, SeesCommanders, info_of
 from unicon_core.preflight.first import tell_first_command
 from unicon_core.preflight.frames import tell_frames
 from unicon_core.preflight.result import PreflightResult
+from unicon_core.robots import Robot
 from unicon_core.signals import SIGNALS
 from unicon_core.workflow import Program
 
@@ -134,12 +136,16 @@ class _Gaps:
 
 def _of_robot(program: Program, result: PreflightResult) -> None:
     """What was opened: protocol, map, topics, variant."""
-    platform, robot = program.platform, program.robot
+    for member, platform, robot in members_of(program.platform, program.robot):
+        _of_member(member, platform, robot, result)
+
+
+def _of_member(member: str, platform: Platform, robot: Robot, result: PreflightResult) -> None:
     info = dict(info_of(platform))
     protocol = robot.transport.get("protocol")
     told = f"{robot.path.name}, protocol {protocol}"
     told += f", map {info['map']}" if info.get("map") else ""
-    result.add("robot", None, told)
+    result.add("robot", None, f"{member}: {told}" if member else told)
     for topic, count in dict(info.get("received") or {}).items():
         result.add("received", None, f"{topic}: {count} messages taken")
     for note in info.get("notes") or ():

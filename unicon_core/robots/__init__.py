@@ -1,5 +1,6 @@
 """Robots as data: joints, limits, gains, poses, IMU and transport facts, for whoever drives one."""
 
+from unicon_core.robots.compose import compose, load_files, robot_files
 from unicon_core.robots.joint_index import joint_index
 from unicon_core.robots.load import load_robot, robot_names
 from unicon_core.robots.robot import Imu, Robot
@@ -8,8 +9,11 @@ from unicon_core.robots.table import robot_table, robots_table
 __all__ = [
     "Imu",
     "Robot",
+    "compose",
     "joint_index",
+    "load_files",
     "load_robot",
+    "robot_files",
     "robot_names",
     "robot_table",
     "robots_table",

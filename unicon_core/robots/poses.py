@@ -58,7 +58,7 @@ def named_pose(to: str | Mapping[str, float], robot: Robot, what: str) -> tuple[
             joint = robot.joint_names[int(np.argmax(np.isnan(poses[to])))]
             raise RobotError(
                 f"{what}: robot {robot.name} does not say the {to} pose of joint {joint}; "
-                f"give it in {robot.path}, or give joints and positions"
+                f"give it in {robot.file_of(joint)}, or give joints and positions"
             )
         return poses[to].astype(np.float32), np.ones(robot.num_joints, np.float32)
     pose = np.zeros(robot.num_joints, np.float32)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
@@ -92,6 +93,8 @@ class Robot:
     """What simulators alone are told: joint or pattern to figures, see `joint_physics`."""
     overlay: Path | None = None
     """The file that `extends` it, where it was read through one."""
+    members: Mapping[str, Robot] = field(default_factory=dict)
+    """Name to robot, of a robot made of robots, in the order of the joints; see `compose`."""
 
     @property
     def num_joints(self) -> int:
@@ -107,6 +110,40 @@ class Robot:
     def position_controlled(self) -> bool:
         """Whether the vendor closes the loop: positions are sent, there are no gains to give."""
         return self.transport.get("command") == "position"
+
+    @property
+    def by_position(self) -> NDArray[np.bool_]:
+        """Joints whose vendor closes the position loop, shape (n,); they stop at what they grip."""
+        robots = self.members.values() or (self,)
+        return np.repeat(
+            [robot.position_controlled for robot in robots],
+            [robot.num_joints for robot in robots],
+        )
+
+    def joints_of(self, member: str) -> slice:
+        """Return where the joints of a member stand in every array; `member` is in `members`."""
+        start = 0
+        for name, robot in self.members.items():
+            if name == member:
+                return slice(start, start + robot.num_joints)
+            start += robot.num_joints
+        raise KeyError(member)
+
+    def file_of(self, joint: str) -> Path:
+        """Return the file that says the facts of a joint."""
+        for member, robot in self.members.items():
+            if joint in self.joint_names[self.joints_of(member)]:
+                return robot.path
+        return self.path
+
+    def simulated_joints(self) -> dict[str, Mapping[str, float]]:
+        """Return `simulated` joint by joint, patterns resolved."""
+        said: dict[str, dict[str, float]] = {}
+        for pattern, figures in self.simulated.items():
+            for name in self.joint_names:
+                if fnmatchcase(name, pattern):
+                    said.setdefault(name, {}).update(figures)
+        return dict(said)
 
     def joint_fact(self, field: str) -> NDArray[np.float32]:
         """Return the array behind a key of a joint in the robot file, shape (n,).
@@ -126,6 +163,9 @@ class Robot:
         that walks also how the IMU is turned.
         An empty list means that it can be driven.
         """
+        if self.members:
+            each = ((m, robot.missing_facts()) for m, robot in self.members.items())
+            return [f"{fact} of {member}" for member, facts in each for fact in facts]
         needed = _NEEDED if self.position_controlled else _NEEDED + _NEEDED_FOR_TORQUE
         missing = ["joint_order"] if "joint_order" in self.unknown else []
         missing += [f"joints.{key}" for key in needed if np.isnan(self.joint_fact(key)).any()]

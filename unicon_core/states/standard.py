@@ -18,6 +18,7 @@ __all__ = [
     "GAIN_SCALE_SPEC",
     "HARDWARE_STATES",
     "JOINT_STATES",
+    "MOTOR_STATES",
     "control_states",
     "hardware_states",
     "standard_states",
@@ -56,7 +57,10 @@ GAIN_SCALE_SPEC = StateSpec(
 """Of the state that a host which scales gains adds to a workflow, so that records tell it."""
 
 
-HARDWARE_STATES = ("motor_temperature", "motor_error", "battery_charge", "battery_voltage")
+MOTOR_STATES = ("motor_temperature", "motor_error", "motor_status")
+"""What a robot may tell of its motors, an element for each joint."""
+
+HARDWARE_STATES = (*MOTOR_STATES, "battery_charge", "battery_voltage")
 """What a robot may tell of itself: states only of workflows whose platform writes them."""
 
 
@@ -95,6 +99,9 @@ def hardware_states(joint_names: Sequence[str]) -> dict[str, StateSpec]:
         ),
         "motor_error": StateSpec(
             joints, "int32", "", "", names, "the vendor's error code, 0 for none"
+        ),
+        "motor_status": StateSpec(
+            joints, "int32", "", "", names, "what it does, in the vendor's code"
         ),
         "battery_charge": StateSpec(
             (), "float32", "", "", (), "what is left, as a share of 1", 1.0

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import inspect
-import os
 from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
 from typing import TYPE_CHECKING, Any
 
 from unicon_core.blocks.safety.stops import Finite
-from unicon_core.errors import RobotError, UniconError, WorkflowError, alternatives
+from unicon_core.errors import UniconError, WorkflowError, alternatives
 from unicon_core.flow import Blender, Block, Every, Node, Switch, blocks_of, children_of
 from unicon_core.flow.nodes import chooser_of, with_children
 from unicon_core.flow.stage import Stage
 from unicon_core.policies.action_map import lacking_joints
 from unicon_core.policies.controller import controller_contract
-from unicon_core.robots import Robot, load_robot, robot_names
+from unicon_core.robots import Robot
 from unicon_core.signals import SIGNALS
 from unicon_core.states import StateSpec, standard_states
 from unicon_core.states.spec import check_name
@@ -24,9 +23,9 @@ from unicon_core.workflow.autowire import BuildContext, autowire, option_names
 from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.expression import expression
 from unicon_core.workflow.flow_yaml import FlowReader
-from unicon_core.workflow.hardware import declared_facts
 from unicon_core.workflow.live_twin import twin_states
-from unicon_core.workflow.platforms import find_platform
+from unicon_core.workflow.members import member_context, member_robot, share_of, stamps_of
+from unicon_core.workflow.platforms import facts_of_all, find_platforms
 from unicon_core.workflow.policies import declared_states, policy_factory
 from unicon_core.workflow.registry import Factory, find_factory
 from unicon_core.workflow.settings import safety_of
@@ -41,7 +40,6 @@ __all__ = [
     "Sections",
     "factory_of",
     "finite_first",
-    "load_robot_of",
     "period_of",
     "specs_of",
 ]
@@ -124,19 +122,25 @@ class Builder:
         options = _options(factory, use)
 
         def build(context: BuildContext) -> Block:
-            return autowire(factory, use.name, context, options, use.rename, use.where)
+            if not use.of:
+                return autowire(factory, use.name, context, options, use.rename, use.where)
+            own = member_context(context, use.of)
+            name = use.label or f"{use.name} of {use.of}"
+            made = autowire(factory, name, own, options, use.rename, use.where)
+            made.share = share_of(context, use.of)
+            return made
 
         block = build(self._context)
         self._warm_ups.add(block, factory, build)
         self._program.blocks.append(block)
-        return self._at_its_period(block)
+        return self._at_its_period(block, member_robot(self._context.robot, use.of))
 
-    def _at_its_period(self, block: Block) -> Node:
+    def _at_its_period(self, block: Block, robot: Robot) -> Node:
         """Run a controller every n-th tick where the program ticks faster than it is made for."""
         contract = controller_contract(block)
         if contract is None:
             return block
-        if lacking := lacking_joints(contract, self._program.robot):
+        if lacking := lacking_joints(contract, robot):
             raise WorkflowError(f"block {block.name!r}: {lacking}", block.where)
         period = self._program.period
         ticks = contract.period / period
@@ -167,25 +171,6 @@ def finite_first(document: WorkflowDocument, safety: Sequence[Node]) -> None:
                 clamp = block.name
 
 
-def load_robot_of(document: WorkflowDocument) -> Robot:
-    """Load the robot that a workflow names, by name or by a path beside the workflow file.
-
-    Raises:
-        RobotError: no such robot, or its file is wrong.
-    """
-    text: str = document.get("robot", str)
-    beside = document.path.parent / text
-    if "/" in text and os.path.isfile(beside):
-        return load_robot(beside)
-    if text not in robot_names() and "/" not in text and not text.endswith(".yaml"):
-        known = alternatives(text, robot_names())
-        where = document.where("robot")
-        raise RobotError(
-            f"{where}: unknown robot {text!r}; {known}; or give a path to a .yaml file"
-        )
-    return load_robot(text)
-
-
 def period_of(document: WorkflowDocument, policies: Mapping[str, Any]) -> float:
     rate = document.get("rate", (int, float))
     if rate is not None:
@@ -205,9 +190,18 @@ def specs_of(
     policies: Mapping[str, Any],
     uses: Iterable[Use],
 ) -> dict[str, StateSpec]:
+    for use in uses:
+        if use.of and use.of not in robot.members:
+            known = f"; {alternatives(use.of, robot.members)}" if robot.members else ""
+            raise WorkflowError(
+                f"block {use.name!r}: the robot has no member {use.of!r}{known}; members are those "
+                "of robot: {body: …, left_hand: …}",
+                use.where,
+            )
     specs = standard_states(robot.joint_names)
     hardware = hardware_states(robot.joint_names) | control_states()
     specs |= {name: spec for name, spec in hardware.items() if name in _declared(document)}
+    specs |= stamps_of(document)
     if document.values.get("twin") is not None:
         specs |= twin_states(robot)
     given = document.get("states", dict, {})
@@ -229,12 +223,13 @@ def specs_of(
     extra = {name: specs[name] for name in given}
     for use in uses:
         if use.word == "policy":
-            specs |= declared_states(use, policies, robot, extra)
+            specs |= declared_states(use, policies, member_robot(robot, use.of), extra)
             continue
         factory = factory_of(use)
         declares = getattr(factory, "declares", None)
         if declares is not None:
-            for name, spec in declares(robot=robot, **_options(factory, use)).items():
+            own = member_robot(robot, use.of)
+            for name, spec in declares(robot=own, **_options(factory, use)).items():
                 specs.setdefault(use.rename.get(name, name), spec)
     return specs
 
@@ -242,10 +237,9 @@ def specs_of(
 def _declared(document: WorkflowDocument) -> tuple[str, ...]:
     """Return what the platform says that it writes, before it is built."""
     try:
-        name, factory = find_platform(document)
+        return facts_of_all(find_platforms(document)).writes
     except UniconError:  # told when it is built; a part elsewhere may lack its package
         return ()
-    return declared_facts(factory, name).writes
 
 
 def factory_of(use: Use) -> Factory:

@@ -30,8 +30,9 @@ KEYS = {
     "schema": "unicon.workflow/1",
     "name": "name of the workflow; the file's name unless given",
     "description": "one line",
-    "robot": "robot file: name or path",
-    "platform": "platform's name: the one word that changes from simulation to the robot",
+    "robot": "robot file: name or path; or {MEMBER: NAME}, a body and its hands",
+    "platform": "platform's name: the one word that changes from simulation to the robot; or "
+    "{MEMBER: NAME}",
     "store": "where else states go: local, shm, or {zmq: ADDRESS}",
     "parts": "name to {publishes, silent}: the workflow runs in several processes",
     "scene": "how a simulation begins and what disturbs it, the same on every simulator",

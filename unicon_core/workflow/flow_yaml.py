@@ -8,18 +8,20 @@
 
 A word is a block without options; a mapping with one key is a block with its options, or one of
 zip, chain, loop, every, when, switch, deferred. A value that is no mapping is the first option.
-`on: NAME` beside it gives a block to a part of a divided workflow.
+`on: NAME` beside it gives a block to a part of a divided workflow, `of: MEMBER` to a member of the
+robot.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, TypeAlias
 
 from unicon_core.errors import WorkflowError, alternatives
 from unicon_core.flow import Block, Chain, Deferred, Every, Loop, Node, Switch, When, Zip, as_node
 from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.registry import known
-from unicon_core.workflow.uses import EXPRESSION, Use, on
+from unicon_core.workflow.uses import EXPRESSION, Use, of, on
 
 __all__ = ["FLOW_WORDS", "FlowReader"]
 
@@ -57,8 +59,10 @@ class FlowReader:
             return Use(value, where=self._document.where(*path))
         if callable(value) or isinstance(value, Node):
             return as_node(value, where=self._document.where(*path))
-        if isinstance(value, dict) and len(value) == 2 and "on" in value:
-            return self._on(value, path)
+        if isinstance(value, dict) and len(value) > 1:
+            for word, what, give in (("on", "part", on), ("of", "member", of)):
+                if word in value:
+                    return self._given(word, what, give, value, path)
         if not isinstance(value, dict) or len(value) != 1:
             keys = ", ".join(map(str, value)) if isinstance(value, dict) else repr(value)
             raise self._error(
@@ -78,12 +82,21 @@ class FlowReader:
             return self._control(word, body, path)
         return self._use(str(word), body, path)
 
-    def _on(self, value: dict[str, Any], path: Where) -> Node:
-        """Return the node beside `on: NAME`, all of whose blocks belong to that part."""
-        part = value["on"]
-        if not isinstance(part, str):
-            raise self._error((*path, "on"), f"on: {part!r} is not a part; write on: NAME")
-        return on(part, self.node({k: v for k, v in value.items() if k != "on"}, path))
+    def _given(
+        self,
+        word: str,
+        what: str,
+        give: Callable[[str, Node], Node],
+        value: dict[str, Any],
+        path: Where,
+    ) -> Node:
+        """Return the node beside `on: NAME` or `of: NAME`, all of whose blocks belong there."""
+        name = value[word]
+        if not isinstance(name, str):
+            raise self._error(
+                (*path, word), f"{word}: {name!r} is not a {what}; write {word}: NAME"
+            )
+        return give(name, self.node({k: v for k, v in value.items() if k != word}, path))
 
     def _use(self, name: str, body: Any, path: Where) -> Use:
         where = self._document.where(*path)

@@ -125,9 +125,10 @@ def refuse_protocol(robot: Robot, platform: str, facts: Facts) -> None:
     Raises:
         RobotError: the robot file names another one.
     """
-    protocol = robot.transport.get("protocol")
-    if facts.protocols and protocol is not None and protocol not in facts.protocols:
-        raise RobotError(
-            f"robot {robot.name} speaks {protocol} ({robot.path}), and platform {platform!r} only "
-            f"{', '.join(facts.protocols)}; choose the robot's platform"
-        )
+    for each in robot.members.values() or (robot,):
+        protocol = each.transport.get("protocol")
+        if facts.protocols and protocol is not None and protocol not in facts.protocols:
+            raise RobotError(
+                f"robot {each.name} speaks {protocol} ({each.path}), and platform {platform!r} "
+                f"only {', '.join(facts.protocols)}; choose the robot's platform"
+            )

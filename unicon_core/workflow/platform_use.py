@@ -1,13 +1,17 @@
-"""What `platform:` of a workflow may say: its one grammar, read here and nowhere else.
+"""What `robot:` and `platform:` of a workflow may say: their one grammar, read here alone.
+
+robot: go2                                  # NAME, or a path
+robot: {body: g1_29dof, left_hand: dex3_left, right_hand: dex3_right}     # made of members
 
 platform: mujoco                            # NAME, or module:function
 platform: {child: mujoco}                   # in a process of its own
 platform: {child: my_robot, silence: 0.05, watchdog: 0.2}     # with its times in [s]
-platform: {body: mujoco, hands: dex3}       # one for each part of the robot: not yet
+platform: {body: unitree, hands: {child: dex3}}     # one for each member; hands: every *_hand
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, TypedDict, cast
@@ -15,10 +19,12 @@ from typing import Any, TypedDict, cast
 from unicon_core.errors import alternatives
 from unicon_core.workflow.document import WorkflowDocument
 
-__all__ = ["PARTS", "PlatformUse", "read_platform"]
+__all__ = ["HANDS", "PlatformUse", "read_members", "read_platforms"]
 
-PARTS = ("body", "hands")
-"""Parts of a robot that may have a platform of their own."""
+HANDS, HAND = "hands", "_hand"
+"""Under `platform:` this word stands for all members whose names end so."""
+
+_MEMBER = re.compile(r"[a-z][a-z0-9_]{0,30}\Z")
 
 
 class ChildTimes(TypedDict, total=False):
@@ -30,74 +36,126 @@ class ChildTimes(TypedDict, total=False):
 
 @dataclass(frozen=True)
 class PlatformUse:
-    """Which platforms a workflow uses.
+    """A platform that a workflow uses.
 
     Attributes:
-        parts: part of the robot, "" for all of it, to the platform's name.
+        name: of the platform.
+        path: where the workflow says it.
         child: it runs in a process of its own; `silence` and `watchdog` of `ChildPlatform` as far
             as they are said. None: it runs in this one.
     """
 
-    parts: Mapping[str, str]
+    name: str
+    path: tuple[str, ...] = ("platform",)
     child: ChildTimes | None = None
 
-    @property
-    def name(self) -> str:
-        """The one platform of the whole robot."""
-        return self.parts[""]
 
-
-def read_platform(document: WorkflowDocument) -> PlatformUse:
-    """Return what `platform:` says.
+def read_members(document: WorkflowDocument) -> dict[str, str]:
+    """Return the members of the robot, name to robot file; nothing of a robot that has none.
 
     Raises:
-        WorkflowError: another form, an unknown part, or a form that is not there yet.
+        WorkflowError: another form, or a name that cannot be one.
     """
-    value = document.values["platform"]
+    value = document.values["robot"]
     if isinstance(value, str):
-        return PlatformUse({"": value})
+        return {}
+    if not isinstance(value, dict) or not value:
+        raise document.error(
+            f"robot: {value!r} is not a robot's name; write robot: go2, or robot: {{body: NAME, "
+            "left_hand: NAME}",
+            "robot",
+        )
+    for member, robot in value.items():
+        if not isinstance(member, str) or not _MEMBER.match(member) or member == "child":
+            raise document.error(
+                f"robot: {member!r} cannot be the name of a member; use small letters, digits and "
+                "'_', such as left_hand",
+                "robot",
+                str(member),
+            )
+        if not isinstance(robot, str):
+            raise document.error(
+                f"robot.{member}: {robot!r} is not a robot's name; write {member}: NAME",
+                "robot",
+                member,
+            )
+    return dict(value)
+
+
+def read_platforms(document: WorkflowDocument) -> dict[str, PlatformUse]:
+    """Return what `platform:` says: member to its platform, or "" to the platform of the whole.
+
+    Raises:
+        WorkflowError: another form, an unknown member, or one without a platform.
+    """
+    members = read_members(document)
+    value = document.values["platform"]
+    if isinstance(value, str) or (isinstance(value, dict) and "child" in value):
+        return {"": _use(document, value, ("platform",))}
     if not isinstance(value, dict) or not value:
         raise document.error(
             f"platform: {value!r} is not a platform's name; write platform: mujoco", "platform"
         )
-    if "child" in value:
-        return _read_child(document, value)
-    for key, name in value.items():
-        if key not in PARTS:
-            known = alternatives(str(key), (*PARTS, "child"))
-            raise document.error(f"platform has no part {key!r}; {known}", "platform", key)
-        if not isinstance(name, str):
+    if not members:
+        whole = value.get("body") or "mujoco"
+        raise document.error(
+            f"platform names {', '.join(map(str, value))}, and the robot is not made of members; "
+            f"write robot: {{body: {document.values['robot']}, …}}, or platform: {whole}",
+            "platform",
+        )
+    found: dict[str, PlatformUse] = {}
+    for key, said in value.items():
+        hands = [name for name in members if name.endswith(HAND)]
+        named = hands if key == HANDS and HANDS not in members else [key]
+        if not named or named[0] not in members:
+            known = alternatives(str(key), (*members, *((HANDS,) if hands else ()), "child"))
+            raise document.error(f"platform: no member {key!r}; {known}", "platform", str(key))
+        for member in named:
+            if member in found:
+                raise document.error(
+                    f"platform: {member} has two platforms; {HANDS} means every member whose name "
+                    f"ends with {HAND}",
+                    "platform",
+                    key,
+                )
+            found[member] = _use(document, said, ("platform", key))
+    for member in members:
+        if member not in found:
             raise document.error(
-                f"platform.{key}: {name!r} is not a platform's name; write {key}: mujoco",
+                f"platform says nothing of {member!r} of the robot; add {member}: NAME, or fake",
                 "platform",
-                key,
             )
-    raise document.error(
-        "platform: platforms for parts of a robot cannot be had yet; write platform: "
-        f"{value.get('body') or 'mujoco'}",
-        "platform",
-    )
+    return {member: found[member] for member in members}
 
 
-def _read_child(document: WorkflowDocument, value: Mapping[str, Any]) -> PlatformUse:
+def _use(document: WorkflowDocument, value: Any, path: tuple[str, ...]) -> PlatformUse:
+    """Return the use that a name or `{child: NAME, …}` means."""
+    what = ".".join(path)
+    if isinstance(value, str):
+        return PlatformUse(value, path)
+    if not isinstance(value, dict) or "child" not in value:
+        raise document.error(
+            f"{what}: {value!r} is not a platform's name; write {path[-1]}: mujoco", *path
+        )
     times = {}
     for key, said in value.items():
         if key == "child":
             if not isinstance(said, str):
                 raise document.error(
-                    f"platform.child: {said!r} is not a platform's name; write child: mujoco",
-                    "platform",
+                    f"{what}.child: {said!r} is not a platform's name; write child: mujoco",
+                    *path,
                     key,
                 )
         elif key not in ChildTimes.__annotations__:
             known = alternatives(str(key), ("child", *ChildTimes.__annotations__))
-            raise document.error(f"platform: child has no {key!r}; {known}", "platform", key)
+            raise document.error(f"{what}: child has no {key!r}; {known}", *path, str(key))
         elif isinstance(said, bool) or not isinstance(said, (int, float)) or not 0 < said <= 60:
             raise document.error(
-                f"platform.{key} is {said!r}; give seconds, more than 0 and at most 60",
-                "platform",
+                f"{what}.{key} is {said!r}; give seconds, more than 0 and at most 60",
+                *path,
                 key,
             )
         else:
             times[key] = float(said)
-    return PlatformUse({"": value["child"]}, cast(ChildTimes, times))
+    child: Mapping[str, Any] = times
+    return PlatformUse(value["child"], path, cast(ChildTimes, child))

@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 import inspect
-from dataclasses import replace
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from typing import Any
 
 from unicon_core.errors import (
     MissingDependencyError,
     PlatformError,
+    RobotError,
     UniconError,
     WorkflowError,
     alternatives,
 )
 from unicon_core.platforms.child.platform import ChildPlatform
+from unicon_core.platforms.joined import JoinedPlatform, joined_facts
 from unicon_core.platforms.kit.disturbances import disturb
-from unicon_core.platforms.kit.scene import SCENE_KEYS
+from unicon_core.platforms.kit.scene import SCENE_KEYS, Scene
 from unicon_core.platforms.platform import SIMULATED, Binding, Facts, Platform
+from unicon_core.robots.joint_physics import joint_physics
 from unicon_core.workflow.autowire import BuildContext, option_names, refuse_options
 from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.hardware import (
@@ -27,17 +32,35 @@ from unicon_core.workflow.hardware import (
     refuse_loud,
     refuse_protocol,
 )
-from unicon_core.workflow.platform_use import read_platform
+from unicon_core.workflow.members import member_context, member_robot, scene_of_member
+from unicon_core.workflow.platform_use import PlatformUse, read_platforms
 from unicon_core.workflow.registry import Factory, find_factory, known
 from unicon_core.workflow.scene import read_scene
 
-__all__ = ["build_platform", "find_platform", "platform_options"]
+__all__ = ["Chosen", "build_platform", "facts_of_all", "find_platforms", "platform_options"]
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """A platform that a workflow names.
+
+    Attributes:
+        use: how it is said.
+        factory: behind its name.
+        facts: as it declares them.
+        member: of the robot that it drives, "" for all of it.
+    """
+
+    use: PlatformUse
+    factory: Factory
+    facts: Facts
+    member: str = ""
 
 
 def build_platform(
     document: WorkflowDocument, context: BuildContext, *, dry: bool = False, silent: bool = False
 ) -> Platform:
-    """Build the platform that a workflow names.
+    """Build the platform that a workflow names, or those of its robot's members as one.
 
     Args:
         document: the workflow.
@@ -51,16 +74,83 @@ def build_platform(
         RobotError: it moves motors, and the robot file lacks facts for that (not if `dry`).
         WorkflowError: wrong options.
     """
-    name, factory = find_platform(document)
-    facts = declared_facts(factory, name)
-    if not facts.simulated:
-        if not dry:
-            refuse_incomplete(context.robot, name)
-        refuse_protocol(context.robot, name, facts)
+    chosen = find_platforms(document)
+    facts = facts_of_all(chosen)
+    options = platform_options(document, chosen)
     if context.states.num_robots is not None and not facts.batch:
-        raise document.error(f"platform {name!r} has one robot; leave num_robots out", "num_robots")
-    arguments = platform_options(document, name, factory)
+        raise document.error(
+            f"platform {facts.name!r} has one robot; leave num_robots out", "num_robots"
+        )
+    for each in chosen.values():
+        robot = member_robot(context.robot, each.member)
+        if not each.facts.simulated:
+            if not dry:
+                refuse_incomplete(robot, each.use.name)
+            refuse_protocol(robot, each.use.name, each.facts)
+        if silent and not dry and each.facts.simulated != facts.simulated:
+            raise document.error(
+                f"platform: {each.member} is simulated and others are not: a simulation without "
+                "commands falls, so it cannot be silent (--dry, preflight); give every member a "
+                "robot's platform, or a simulator",
+                "platform",
+            )
     scene = read_scene(document, context, facts)
+    whole = chosen.get("")
+    if whole is not None:
+        platform = _build(document, whole, context, scene, options[""], dry, silent)
+    else:
+        platform = _build_members(document, chosen, context, scene, options, dry, silent)
+    try:
+        return disturb(platform, scene, context.states, context.robot, context.period)
+    except PlatformError as error:
+        platform.close()  # it is open by now
+        raise document.error(str(error), "scene") from error
+
+
+def _build_members(
+    document: WorkflowDocument,
+    chosen: Mapping[str, Chosen],
+    context: BuildContext,
+    scene: Scene,
+    options: Mapping[str, dict[str, Any]],
+    dry: bool,
+    silent: bool,
+) -> Platform:
+    built: dict[str, Platform] = {}
+    try:
+        for member, each in chosen.items():
+            own = member_context(context, member)
+            begin = scene_of_member(scene, context.robot, member)
+            words = joint_physics(own.robot, begin.joints).words
+            unable = [word for word in words if word not in each.facts.physics]
+            if unable and each.facts.simulated:
+                raise document.error(
+                    f"platform {each.use.name!r} of {member} simulates no {unable[0]} of joints; "
+                    "name joints of another member in scene.joints, or choose platform: mujoco",
+                    "scene",
+                )
+            try:
+                built[member] = _build(document, each, own, begin, options[member], dry, silent)
+            except (PlatformError, RobotError) as error:
+                raise type(error)(f"{member}: {error}") from error
+        return JoinedPlatform(built, context.robot, context.states)
+    except BaseException:
+        for platform in built.values():
+            with suppress(Exception):
+                platform.close()
+        raise
+
+
+def _build(
+    document: WorkflowDocument,
+    chosen: Chosen,
+    context: BuildContext,
+    scene: Scene,
+    arguments: dict[str, Any],
+    dry: bool,
+    silent: bool,
+) -> Platform:
+    name, factory, facts = chosen.use.name, chosen.factory, chosen.facts
     parameters = inspect.signature(factory).parameters
     given: dict[str, Any] = {"relative_to": context.relative_to, "scene": scene}
     if silent and not facts.simulated and not dry:
@@ -70,7 +160,7 @@ def build_platform(
     try:
         if dry and not facts.simulated:
             return _stand_in(facts, context, arguments)
-        child = read_platform(document).child
+        child = chosen.use.child
         if child is None or dry:
             built = factory(context.states, context.robot, context.period, **arguments)
         else:
@@ -81,11 +171,7 @@ def build_platform(
             f"platform {name!r}: {error}; correct platforms.{name}", "platforms", name
         ) from error
     try:
-        platform = checked(built, facts, context.states)
-        try:
-            return disturb(platform, scene, context.states, context.robot, context.period)
-        except PlatformError as error:
-            raise document.error(str(error), "scene") from error
+        return checked(built, facts, context.states)
     except UniconError:
         close = getattr(built, "close", None)
         if callable(close):  # it is open by now
@@ -108,34 +194,51 @@ def _stand_in(facts: Facts, context: BuildContext, arguments: dict[str, Any]) ->
     return platform
 
 
-def find_platform(document: WorkflowDocument) -> tuple[str, Factory]:
-    """Return the word that a workflow uses for its platform, and the factory behind it.
+def find_platforms(document: WorkflowDocument) -> dict[str, Chosen]:
+    """Return the platforms of a workflow: member to platform, or "" to that of the whole robot.
 
     Raises:
         WorkflowError: no such platform.
         MissingDependencyError: it needs a package that is not installed.
     """
-    name = read_platform(document).name
-    try:
-        return name, find_factory("platforms", name, PlatformError)
-    except PlatformError as error:
-        raise document.error(str(error), "platform") from error
+    chosen = {}
+    for member, use in read_platforms(document).items():
+        try:
+            factory = find_factory("platforms", use.name, PlatformError)
+        except PlatformError as error:
+            raise document.error(str(error), *use.path) from error
+        chosen[member] = Chosen(use, factory, declared_facts(factory, use.name), member)
+    return chosen
 
 
-def platform_options(document: WorkflowDocument, name: str, factory: Factory) -> dict[str, Any]:
-    """Return a platform's options of the workflow file, and check those of all others.
+def facts_of_all(chosen: Mapping[str, Chosen]) -> Facts:
+    """Return the facts of a workflow's platforms, joined where there are several."""
+    if "" in chosen:
+        return chosen[""].facts
+    return joined_facts({member: each.facts for member, each in chosen.items()})
+
+
+def platform_options(
+    document: WorkflowDocument, chosen: Mapping[str, Chosen]
+) -> dict[str, dict[str, Any]]:
+    """Return each platform's options of the workflow file, and check those of all others.
+
+    What stands under a member's name goes before what stands under its platform's.
 
     Raises:
         WorkflowError: an unknown platform, or one has no such option.
     """
     every = document.get("platforms", dict, {})
+    used = {each.use.name for each in chosen.values()}
+    members = tuple(member for member in chosen if member)
     for other in every:
-        if other == name:
+        if other in used or other in members:
             continue
         if not isinstance(other, str) or (other not in known("platforms") and ":" not in other):
-            names = alternatives(str(other), known("platforms"))
+            names = alternatives(str(other), (*members, *known("platforms")))
+            what = "platform or member" if members else "platform"
             raise document.error(
-                f"platforms: no platform {other!r}; {names}", "platforms", str(other)
+                f"platforms: no {what} {other!r}; {names}", "platforms", str(other)
             )
         if ":" not in other:  # a module of somebody's, which may be elsewhere
             try:
@@ -143,7 +246,12 @@ def platform_options(document: WorkflowDocument, name: str, factory: Factory) ->
             except (MissingDependencyError, PlatformError):
                 continue  # it is not used
             _checked_options(document, other, found)
-    return _checked_options(document, name, factory)
+    options = {}
+    for member, each in chosen.items():
+        options[member] = _checked_options(document, each.use.name, each.factory)
+        if member:
+            options[member] |= _checked_options(document, member, each.factory)
+    return options
 
 
 def _checked_options(document: WorkflowDocument, name: str, factory: Factory) -> dict[str, Any]:

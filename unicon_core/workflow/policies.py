@@ -41,7 +41,7 @@ def load_policies(document: WorkflowDocument, robot: Robot) -> dict[str, PolicyC
             raise PolicyError(f"policy {name!r}: {error}") from error
         # Before a platform is built: a model of another robot would hide this behind its own error.
         lacking = lacking_joints(contract, robot)
-        if lacking:
+        if lacking and all(lacking_joints(contract, each) for each in robot.members.values()):
             raise PolicyError(f"policy {name!r}: {lacking}")
         contracts[str(name)] = contract
     return contracts

@@ -29,7 +29,6 @@ from unicon_core.workflow.build import (
     Builder,
     Sections,
     finite_first,
-    load_robot_of,
     period_of,
     sections_of,
     specs_of,
@@ -46,6 +45,7 @@ from unicon_core.workflow.division import check_places, of_part, publishers
 from unicon_core.workflow.document import WorkflowDocument, document_of, load_document
 from unicon_core.workflow.gate import Gate
 from unicon_core.workflow.live_twin import build_twin, twin_of
+from unicon_core.workflow.members import load_robot_of
 from unicon_core.workflow.parts import read_parts, read_store
 from unicon_core.workflow.platforms import build_platform
 from unicon_core.workflow.policies import controllers_reading, load_policies

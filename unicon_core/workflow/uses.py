@@ -15,7 +15,7 @@ from typing import Any
 from unicon_core.errors import WorkflowError
 from unicon_core.flow import Block, Node, as_node, blocks_of
 
-__all__ = ["EXPRESSION", "Use", "block", "elapsed", "on", "policy", "pose"]
+__all__ = ["EXPRESSION", "Use", "block", "elapsed", "of", "on", "policy", "pose"]
 
 EXPRESSION = "expression"
 """Word of a predicate over states that is given as a text."""
@@ -31,6 +31,7 @@ class Use(Block):
         options: of the factory, by name.
         label: name of the built block; the word if empty.
         rename: parameter of the factory to label of the state that it gets.
+        of: member of the robot whose joints alone it is built for; "" for all of it.
     """
 
     def __init__(
@@ -48,6 +49,7 @@ class Use(Block):
         self.word, self.factory, self.first, self.label = word, factory, first, label
         self.options = dict(options or {})
         self.rename = dict(rename or {})
+        self.of = ""
 
     def _not_built(self) -> object:
         raise WorkflowError(
@@ -96,6 +98,25 @@ def on(part: str, node: Node | Callable[[], object]) -> Node:
     made = as_node(node)
     for each in blocks_of(made):
         each.part = each.part or part
+    return made
+
+
+def of(member: str, node: Node | Callable[[], object]) -> Node:
+    """Give a tree to a member of the robot: its blocks see and move the joints of that one alone.
+
+    Raises:
+        WorkflowError: a block of it is built already.
+    """
+    made = as_node(node)
+    for each in blocks_of(made):
+        if not isinstance(each, Use):
+            raise WorkflowError(
+                f"block {each.name!r} is built already, with the states of the whole robot; "
+                "mention its factory: block(FACTORY)",
+                each.where or None,
+            )
+        if each.word != EXPRESSION:  # it looks at the whole robot
+            each.of = each.of or member
     return made
 
 

@@ -34,7 +34,7 @@ from unicon_core.errors import UniconError, alternatives
 from unicon_core.handles import FrameRing
 from unicon_core.models.find import find_model, model_of
 from unicon_core.resources import find_config, same_modules
-from unicon_core.robots import Robot
+from unicon_core.robots import Robot, robot_files
 from unicon_core.states import States, StateSpec
 from unicon_core.workflow.autowire import BuildContext
 from unicon_ros.bridge.bindings import checked_prefix
@@ -200,7 +200,7 @@ def camera(
         "body": body,
         "position": [float(x) for x in position],
         "fovy": float(fovy),
-        "robot": str(robot.path),
+        "robot": {member: str(path) for member, path in robot_files(robot).items()},
         "model": str(path),
         "width": int(width),
         "height": int(height),

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from unicon_core.errors import ModelError, UniconError
 from unicon_core.handles import FrameRing
 from unicon_core.models.camera import ModelCamera
-from unicon_core.robots import load_robot
+from unicon_core.robots import load_files
 from unicon_ros.bridge.camera_topics import CameraTopics
 from unicon_ros.bridge.images import frame_message, rays
 
@@ -75,7 +75,7 @@ class _Camera:
         self.ring = FrameRing.attach(options["ring"])
         self.model = ModelCamera(
             Path(options["model"]),
-            load_robot(options["robot"]),
+            load_files(options["robot"]),
             options["camera"],
             size,
             body=options["body"],

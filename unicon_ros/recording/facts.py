@@ -17,6 +17,7 @@ import yaml
 
 from unicon_core import __version__
 from unicon_core.flow import Stage
+from unicon_core.robots import Robot, robot_files
 from unicon_core.runtime.tick_ring import PHASES, KeptMemory
 from unicon_ros.recording.tick_message import Kept
 
@@ -33,6 +34,7 @@ __all__ = [
     "layout_facts",
     "network_hash",
     "robot_facts",
+    "robot_text",
     "versions_here",
 ]
 
@@ -112,7 +114,7 @@ def robot_facts(robot: Robot) -> dict[str, str]:
     overlay = robot.overlay
     return {
         "robot": robot.name,
-        "robot_file": _text_of(robot.path),
+        "robot_file": robot_text(robot),
         "robot_overlay": "" if overlay is None else _text_of(overlay),
     }
 
@@ -157,6 +159,11 @@ def _outside(program: Program) -> dict[str, list[str]]:
             moment = moments[block.stage]
             given[moment] = sorted({*given.get(moment, ()), *block.writes, *block.amends})
     return given
+
+
+def robot_text(robot: Robot) -> str:
+    """Return what the files of a robot say, one behind the other where it has members."""
+    return "\n".join(_text_of(path) for path in robot_files(robot).values())
 
 
 def _text_of(path: Path) -> str:

@@ -177,6 +177,3 @@ def read_archive(path: Path, wanted: Collection[str], plain: Collection[str] = (
 def too_large(path: Path) -> UniconError:
     """Return the error for a file that memory does not hold."""
     return UniconError(f"{path} does not fit into memory; cut it into pieces")
-
-
-@np.errstate(invalid="ignore")  # of infinite angles

@@ -9,12 +9,12 @@ from typing import Any
 
 from unicon_core.errors import UniconError, WorkflowError
 from unicon_core.located_yaml import Located, parse_yaml
-from unicon_core.robots import Robot
+from unicon_core.robots import Robot, robot_files
 from unicon_core.states.standard import GAIN_SCALE, GAIN_SCALE_SPEC, HARDWARE_STATES
 from unicon_core.workflow import Program, WorkflowDocument, load_document
 from unicon_core.workflow.document import document_at
 from unicon_ros.recording import Record
-from unicon_ros.recording.facts import network_hash, versions_here
+from unicon_ros.recording.facts import network_hash, robot_text, versions_here
 
 __all__ = ["others", "recorded_workflow", "versions", "workflow_of"]
 
@@ -107,8 +107,9 @@ def others(record: Record, program: Program) -> list[str]:
 
 def _other_robot(facts: Mapping[str, str], robot: Robot) -> list[str]:
     found = []
-    if facts.get("robot_file") and facts["robot_file"] != _text(robot.path):
-        found.append(f"robot {robot.name}: {robot.path} is not the recorded file")
+    if facts.get("robot_file") and facts["robot_file"] != robot_text(robot):
+        where = " and ".join(map(str, robot_files(robot).values()))
+        found.append(f"robot {robot.name}: {where} is not the recorded file")
     was = facts.get("robot_overlay")
     if was is None:  # of a version that did not write it
         return found

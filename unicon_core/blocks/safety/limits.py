@@ -202,13 +202,22 @@ class EffortStop(EffortLimits):
         )
 
 
-def velocity_limits(robot: Robot, remedy: str) -> Float:
+def velocity_limits(robot: Robot, remedy: str, hands: float | None = None) -> Float:
     """Return the velocity limits of a robot file in [rad/s], shape (n,).
 
+    Args:
+        robot: whose limits.
+        remedy: ends the message.
+        hands: the limit where the hands of a body do not say one: what is known of the body holds
+            nevertheless. None: they have to.
+
     Raises:
-        RobotError: it does not say them all; the message ends with the remedy.
+        RobotError: it does not say them all.
     """
     unknown = np.isnan(robot.velocity_limit)
+    fingers = unknown & robot.by_position
+    if hands is not None and not fingers.all() and (unknown == fingers).all():
+        return np.where(fingers, np.float32(hands), robot.velocity_limit)
     if unknown.any():
         joint = robot.joint_names[int(np.argmax(unknown))]
         raise RobotError(

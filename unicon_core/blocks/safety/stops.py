@@ -139,7 +139,8 @@ def velocity_stop(
 
     Args:
         joint_vel: in [rad/s], shape (..., n).
-        factor: of the robot file's velocity limits.
+        factor: of the robot file's velocity limits; a body's are looked at though its hands say
+            none.
         limit: of every joint in [rad/s], instead of the robot file's.
 
     Raises:
@@ -150,7 +151,7 @@ def velocity_stop(
         bound = np.full(robot.num_joints, limit, np.float32)
     else:
         factor = within(factor, "factor", "", VELOCITY_FACTOR, what="velocity_stop")
-        limits = velocity_limits(robot, "give velocity_stop a limit in [rad/s]")
+        limits = velocity_limits(robot, "give velocity_stop a limit in [rad/s]", VELOCITY)
         bound = limits * np.float32(factor)
     return VelocityStop(joint_vel, bound, states, robot.joint_names)
 

@@ -18,6 +18,7 @@ from unicon_core.errors import UniconError
 from unicon_core.models.find import Modelled
 from unicon_core.platforms.platform import Platform
 from unicon_core.workflow.document import WorkflowDocument
+from unicon_core.workflow.platform_use import read_platforms
 
 __all__ = ["check_twin"]
 
@@ -44,7 +45,8 @@ def check_twin(
         settings: its `check:` section.
         result: is added to.
     """
-    simulator = named = document.get("platform", str)
+    uses = read_platforms(document).values()
+    simulator = named = "+".join(dict.fromkeys(use.name for use in uses))
     if not isinstance(platform, Modelled):
         simulator = "mujoco"
         result.note(

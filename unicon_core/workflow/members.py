@@ -1,0 +1,114 @@
+"""Members of a robot in a workflow: their robots, states and scenes, for platforms and blocks."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+
+from unicon_core.errors import RobotError, alternatives
+from unicon_core.flow.block import Share
+from unicon_core.platforms.kit.scene import Scene
+from unicon_core.robots import Robot, compose, load_robot, robot_names
+from unicon_core.robots.poses import joints_like
+from unicon_core.states import StateSpec
+from unicon_core.states.member import divided, member_states, stamp_of
+from unicon_core.workflow.autowire import BuildContext
+from unicon_core.workflow.document import WorkflowDocument
+from unicon_core.workflow.platform_use import read_members, read_platforms
+from unicon_core.workflow.registry import known
+
+__all__ = [
+    "load_robot_of",
+    "member_context",
+    "member_robot",
+    "scene_of_member",
+    "share_of",
+    "stamps_of",
+]
+
+
+def load_robot_of(document: WorkflowDocument) -> Robot:
+    """Load the robot that a workflow names, by name or by a path beside the workflow file.
+
+    Raises:
+        RobotError: no such robot, or its file is wrong.
+        WorkflowError: `robot:` has no known form.
+    """
+    members = read_members(document)
+    if not members:
+        return _load(document, document.get("robot", str), "robot")
+    for member in members:
+        if member in known("platforms"):
+            raise document.error(
+                f"robot: a member called {member!r} would be mistaken for the platform; name it "
+                "otherwise, such as body",
+                "robot",
+                member,
+            )
+    return compose({m: _load(document, text, "robot", m) for m, text in members.items()})
+
+
+def _load(document: WorkflowDocument, text: str, *path: str) -> Robot:
+    beside = document.path.parent / text
+    if "/" in text and os.path.isfile(beside):
+        return load_robot(beside)
+    if text not in robot_names() and "/" not in text and not text.endswith(".yaml"):
+        known_robots = alternatives(text, robot_names())
+        where = document.where(*path)
+        raise RobotError(
+            f"{where}: unknown robot {text!r}; {known_robots}; or give a path to a .yaml file"
+        )
+    return load_robot(text)
+
+
+def stamps_of(document: WorkflowDocument) -> dict[str, StateSpec]:
+    """Return the states that tell when each member's data were taken; none of one platform."""
+    text = "source time of its data"
+    members = [member for member in read_platforms(document) if member]
+    return {stamp_of(member): StateSpec((), "int64", "ns", "", (), text) for member in members}
+
+
+def member_robot(robot: Robot, member: str) -> Robot:
+    """Return the robot of a member, or the whole for ""."""
+    return robot.members[member] if member else robot
+
+
+def member_context(context: BuildContext, member: str) -> BuildContext:
+    """Return what is built for one member: its robot, and its share of the states."""
+    robot = context.robot
+    own = robot.members[member]
+    states = member_states(
+        context.states,
+        robot.joint_names,
+        member,
+        robot.joints_of(member),
+        own.joint_names,
+        base=member == next(iter(robot.members)),
+    )
+    return replace(context, states=states, robot=own)
+
+
+def share_of(context: BuildContext, member: str) -> Share:
+    """Return what a block of a member has of the states."""
+    robot = context.robot
+    names = divided(context.states.layout, robot.joint_names)
+    return Share(member, tuple(robot.members), names)
+
+
+def scene_of_member(scene: Scene, robot: Robot, member: str) -> Scene:
+    """Return a member's part of a scene; what disturbs it is left out, since it is of the whole."""
+    joints, own = robot.joints_of(member), robot.members[member]
+    base = member == next(iter(robot.members))
+    figures: dict[str, dict[str, float]] = {}
+    for pattern, said in scene.joints.items():
+        for i in joints_like(pattern, robot):
+            if joints.start <= i < joints.stop:
+                name = own.joint_names[i - joints.start]
+                figures.setdefault(name, {}).update(said)
+    calm = replace(scene, delay=0, noise={}, push={}, joints=figures)
+    if scene.posed_by_model:
+        return calm if base else replace(calm, model=None, initial_pose="default")
+    pose = scene.joint_pos(robot)[joints].astype("float32")
+    height = scene.initial_height if base else None
+    model = scene.model if base else None
+    return replace(calm, model=model, pose=pose, initial_pose="default", initial_height=height)

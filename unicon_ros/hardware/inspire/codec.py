@@ -1,0 +1,39 @@
+"""What the registers of an Inspire RH56 mean, by its robot file."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from unicon_core.robots import Robot
+from unicon_ros.hardware.modbus.hand import HandRegisters, Told
+from unicon_ros.hardware.modbus.reached import fact
+
+__all__ = ["registers_of"]
+
+
+def registers_of(robot: Robot) -> HandRegisters:
+    """Return the registers of a hand: angles from `raw_lower` (open) to `raw_upper` (closed).
+
+    Raises:
+        RobotError: the robot file does not say them.
+    """
+    open_, closed = float(fact(robot, "raw_lower")), float(fact(robot, "raw_upper"))
+    lower, upper = robot.lower.astype(np.float64), robot.upper.astype(np.float64)
+    per_rad = (closed - open_) / (upper - lower)
+    ends = np.array([[min(open_, closed)], [max(open_, closed)]]).astype(np.int64)
+    lowest, highest = np.repeat(ends, robot.num_joints, axis=1)
+    return HandRegisters(
+        unit=fact(robot, "device_id"),
+        target=fact(robot, "register_angle_set"),
+        angle=fact(robot, "register_angle_actual"),
+        at_zero=open_ - per_rad * lower,
+        per_rad=per_rad,
+        lowest=lowest,
+        highest=highest,
+        slow={
+            "motor_error": Told(fact(robot, "register_error"), bytes=True),
+            "motor_status": Told(fact(robot, "register_status"), bytes=True),
+            "motor_temperature": Told(fact(robot, "register_temperature"), bytes=True),
+        },
+        clear=(fact(robot, "register_clear_error"), 1),
+    )

@@ -1,0 +1,24 @@
+"""What an Inspire RH56 looks like on the wire, for the emulator and tests."""
+
+from __future__ import annotations
+
+from unicon_core.robots import Robot
+from unicon_core.states import States
+from unicon_ros.hardware.inspire.codec import registers_of
+from unicon_ros.hardware.modbus.served import HandFace, PtyServer, TcpServer
+
+__all__ = ["face"]
+
+
+def face(
+    states: States, robot: Robot, *, port: int | None = None, serial: bool = False
+) -> HandFace:
+    """Return the face of a hand.
+
+    Args:
+        port: to listen at on loopback, 0 for any; None for the robot file's.
+        serial: it is reached over a pty, `face.server.device`.
+    """
+    told = robot.transport["port"] if port is None else port
+    server = PtyServer() if serial else TcpServer(int(told))
+    return HandFace(states, registers_of(robot), server)

@@ -1,0 +1,127 @@
+"""Link: one Modbus exchange after the other, over TCP or a serial line; it waits for answers."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import select
+import socket
+import termios
+import time
+import tty
+from collections.abc import Callable
+
+from unicon_core.errors import PlatformError
+from unicon_ros.hardware.modbus.frames import Frame, Framing, Refused, Rtu, Tcp
+
+__all__ = ["Link", "open_serial", "open_tcp"]
+
+ANSWER = 0.05
+"""How long an answer may take, [s]: over RTU at 115200 baud one of 6 registers takes 3 ms."""
+
+
+class Link:
+    """An open connection.
+
+    Args:
+        file: its descriptor.
+        framing: of its bytes.
+        close: lets go of it.
+    """
+
+    def __init__(self, file: int, framing: Framing, close: Callable[[], object]) -> None:
+        self._file, self._framing, self.close = file, framing, close
+        self._number = 0
+        self._data = bytearray()
+
+    def exchange(self, unit: int, pdu: bytes, timeout: float = ANSWER) -> bytes:
+        """Send a request; return function and data of its answer.
+
+        Raises:
+            Refused: no answer in time, or another or a damaged one.
+            OSError: the connection is gone.
+        """
+        self._number = (self._number + 1) & 0xFFFF
+        serial = isinstance(self._framing, Rtu)
+        end = time.monotonic() + timeout
+        self._drain()
+        os.write(self._file, self._framing.pack(Frame(self._number, unit, pdu)))
+        while True:
+            frame = self._next()
+            # One with an older number answers a request that was given up.
+            if frame is not None and (serial or frame.number == self._number):
+                if frame.unit != unit:
+                    raise Refused("answer of another unit", f"{frame.unit}, asked was {unit}")
+                return frame.pdu
+            left = end - time.monotonic()
+            if left <= 0.0 or (frame is None and not self._readable(left)):
+                got = f"{len(self._data)} bytes in {timeout:g} s"
+                raise Refused("short" if self._data else "no answer", got)
+            if frame is None:
+                self._receive()
+
+    def _readable(self, timeout: float) -> bool:
+        return bool(select.select([self._file], [], [], timeout)[0])
+
+    def _receive(self) -> None:
+        data = os.read(self._file, 4096)
+        if not data:
+            raise ConnectionResetError("closed by the other side")
+        self._data += data
+
+    def _drain(self) -> None:
+        """Forget what came too late, or unasked."""
+        for _ in range(16):
+            self._data.clear()
+            if not self._readable(0.0):
+                return
+            self._receive()
+        self._data.clear()
+
+    def _next(self) -> Frame | None:
+        size = self._framing.size(self._data, answer=True)
+        if not size or len(self._data) < size:
+            return None
+        frame = bytes(self._data[:size])
+        del self._data[:size]
+        return self._framing.unpack(frame)
+
+
+def open_tcp(address: str, port: int, timeout: float = 1.0) -> Link:
+    """Connect.
+
+    Raises:
+        OSError: nobody listens there.
+    """
+    connection = socket.create_connection((address, port), timeout)
+    connection.setblocking(True)
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    return Link(connection.fileno(), Tcp(), connection.close)
+
+
+def open_serial(device: str, baudrate: int) -> Link:
+    """Open a serial line, 8N1, for this process alone.
+
+    Raises:
+        OSError: it is not there, or another process has it.
+        PlatformError: it has no such baud rate.
+    """
+    speed = getattr(termios, f"B{baudrate}", None)
+    if speed is None:
+        raise PlatformError(f"serial line {device}: no baud rate {baudrate}; usual is 115200")
+    file = os.open(device, os.O_RDWR | os.O_NOCTTY)
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        tty.setraw(file)
+        settings = termios.tcgetattr(file)
+        settings[2] = termios.CS8 | termios.CREAD | termios.CLOCAL
+        settings[4] = settings[5] = speed
+        termios.tcsetattr(file, termios.TCSANOW, settings)
+        termios.tcflush(file, termios.TCIOFLUSH)
+    except termios.error as error:
+        os.close(file)
+        raise OSError(f"is not a serial line: {error}") from error
+    except OSError:
+        os.close(file)
+        raise
+    return Link(file, Rtu(), lambda: os.close(file))

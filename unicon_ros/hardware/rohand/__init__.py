@@ -1,0 +1,1 @@
+"""OYMotion ROHand over Modbus RTU: platform `rohand` and its face."""

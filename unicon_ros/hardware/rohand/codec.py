@@ -1,0 +1,64 @@
+"""What the registers of a ROHand mean, by its robot file.
+
+Angles are int16 in 1/100 degree; oymotion/roh_firmware protocol/OHandModBusRTUProtocol_EN.md,
+sections 4.1 to 4.3.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from unicon_core.errors import PlatformError, RobotError
+from unicon_core.robots import Robot
+from unicon_ros.hardware.modbus.frames import read_answer, read_request
+from unicon_ros.hardware.modbus.hand import HandRegisters, Told
+from unicon_ros.hardware.modbus.link import Link
+from unicon_ros.hardware.modbus.reached import fact
+
+__all__ = ["check_protocol", "registers_of"]
+
+
+def registers_of(robot: Robot) -> HandRegisters:
+    """Return the registers of a hand.
+
+    Raises:
+        RobotError: the robot file does not say them.
+    """
+    scale = robot.transport.get("angle_scale")
+    if not isinstance(scale, float) or not 0.0 < scale <= 1.0:
+        raise RobotError(
+            f"robot {robot.name}: transport.angle_scale is {scale!r}; give degrees of a step in "
+            f"{robot.path}, such as 0.01"
+        )
+    per_rad = math.degrees(1.0) / scale
+    return HandRegisters(
+        unit=fact(robot, "node_id"),
+        target=fact(robot, "register_angle_target"),
+        angle=fact(robot, "register_angle"),
+        at_zero=np.zeros(robot.num_joints),
+        per_rad=np.full(robot.num_joints, per_rad),
+        lowest=np.ceil(robot.lower.astype(np.float64) * per_rad).astype(np.int64),
+        highest=np.floor(robot.upper.astype(np.float64) * per_rad).astype(np.int64),
+        slow={"motor_status": Told(fact(robot, "register_status"))},
+    )
+
+
+def check_protocol(link: Link, robot: Robot) -> None:
+    """Ask for the version of the hand's protocol.
+
+    Raises:
+        PlatformError: it is not the one of the robot file.
+        Refused: it does not answer.
+        OSError: the line is gone.
+    """
+    register, expected = fact(robot, "register_protocol"), fact(robot, "protocol_major")
+    answer = link.exchange(fact(robot, "node_id"), read_request(register, 1), timeout=0.5)
+    version = int(read_answer(answer, 1)[0])
+    if version >> 8 != expected:
+        raise PlatformError(
+            f"the hand speaks version {version >> 8}.{version & 0xFF} of its protocol, and "
+            f"{robot.path.name} is of {expected}: registers may be others; use the firmware of "
+            "that version, or a robot file of this one"
+        )

@@ -1,0 +1,21 @@
+"""What a ROHand looks like on the wire, for the emulator and tests."""
+
+from __future__ import annotations
+
+from unicon_core.robots import Robot
+from unicon_core.states import States
+from unicon_ros.hardware.modbus.reached import fact
+from unicon_ros.hardware.modbus.served import HandFace, PtyServer
+from unicon_ros.hardware.rohand.codec import registers_of
+
+__all__ = ["face"]
+
+
+def face(states: States, robot: Robot, *, version: int = 0x0100) -> HandFace:
+    """Return the face of a hand on a pty, `face.server.device`.
+
+    Args:
+        version: of its protocol, the major one in the high byte.
+    """
+    extra = {fact(robot, "register_protocol"): version}
+    return HandFace(states, registers_of(robot), PtyServer(), extra)
