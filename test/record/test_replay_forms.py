@@ -376,7 +376,7 @@ def test_facts_that_are_damaged_are_as_if_they_were_not_there(
     document = workflow_of(record)
     for fact in ("platform_facts", "policies", "versions", "overridden", "imported_states"):
         record.facts[fact] = said  # type: ignore[index]
-    monkeypatch.setattr("unicon_ros.recording.info.open_record", lambda path: record)
+    monkeypatch.setattr("unicon_ros.recording.info.open_record", lambda *_: record)
     assert "100 at 50 Hz" in info_text(info_of(bag))
     assert not others(record, Program(document, dry=True))
     assert versions(record) == []

@@ -170,7 +170,12 @@ def read_archive(path: Path, wanted: Collection[str], plain: Collection[str] = (
     except MemoryError:
         raise too_large(path) from None
     except Exception as error:  # whatever zip files and headers of arrays raise
-        raise UniconError(f"{path} is not an .npz of arrays: {one_line(error)[:300]}") from error
+        reason = one_line(error)[:300].partition(". If you trust")[
+            0
+        ]  # NumPy's: nobody is to load it
+        raise UniconError(
+            f"{path} is not an .npz of arrays: {reason}; give one of numpy.savez, or of UniCon"
+        ) from error
     return Archive(path, keys, arrays)
 
 
