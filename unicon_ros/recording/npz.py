@@ -170,9 +170,8 @@ def read_archive(path: Path, wanted: Collection[str], plain: Collection[str] = (
     except MemoryError:
         raise too_large(path) from None
     except Exception as error:  # whatever zip files and headers of arrays raise
-        reason = one_line(error)[:300].partition(". If you trust")[
-            0
-        ]  # NumPy's: nobody is to load it
+        # What NumPy adds, nobody is to do.
+        reason = one_line(error)[:300].partition(". If you trust")[0]
         raise UniconError(
             f"{path} is not an .npz of arrays: {reason}; give one of numpy.savez, or of UniCon"
         ) from error
