@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import subprocess
 import sys
@@ -59,6 +60,13 @@ class Emulated:
         """Wait until it has said so many lines of a kind; return the last of them."""
         self.peer.wait_for(lambda: len(self.of(kind)) >= count, f"{count} {kind}", timeout=timeout)
         return self.of(kind)[count - 1]
+
+    def moved(self) -> float:
+        """End it, as a user would; return how far its base went, [m]."""
+        self.peer.process.terminate()
+        status, errors = self.peer.end()
+        assert status == 0, errors
+        return math.hypot(*self.of("ended")[0]["moved"][:2])
 
     def sets(self, platform: str = PLATFORM, patient: bool = True) -> list[str]:
         """Return the arguments that let a workflow drive it, and leave the workflow as it is."""

@@ -95,6 +95,19 @@ def test_the_workflow_of_the_simulation_drives_it_through_all_gates(
     assert robot.of("first")[0]["distance"] <= FIRST
     assert robot.of("ignored") == []  # it was asked to let go before the first command
     assert [line["by"] for line in robot.of("damping")] == ["command"]
+    if workflow == "go2_walk":
+        assert robot.moved() > 2.0
+
+
+@pytest.mark.slow
+def test_a_g1_walks_when_its_gantry_lets_go(
+    emulate: Callable[..., Emulated], tmp_path: Path, assets: Path
+) -> None:
+    robot = emulate("g1_29dof", "--posture=default", "--let-go=3")
+    ended(robot.run("g1_walk", tmp_path, "--duration=12"), tmp_path)
+    assert robot.of("first")[0]["distance"] <= FIRST
+    assert len(robot.of("let go")) == 1
+    assert robot.moved() > 2.0
 
 
 @pytest.mark.slow

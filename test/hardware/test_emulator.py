@@ -209,6 +209,19 @@ def test_a_robot_stands_lies_or_hangs_in_mujoco() -> None:
     assert heights["random"] > 0.3
 
 
+def test_a_gantry_lets_go_some_time_after_the_first_command() -> None:
+    pytest.importorskip("mujoco", reason="mujoco is not installed: pip install 'unicon_ros[sim]'")
+    stage = Stage(model=None, posture="default", let_go=0.1)
+    start = stage.face.states["base_pos_w"][2].copy()
+    stage.tick(500)
+    assert stage.of("let go") == []
+    assert stage.face.told[-1]["base_pos_w"][2] == pytest.approx(start, abs=0.01)
+    stage.face.commands = [(ROBOT.default_joint_pos, 0.0)]
+    stage.tick(500)
+    assert len(stage.of("let go")) == 1
+    assert stage.face.told[-1]["base_pos_w"][2] < 0.5 * start  # without stiffness it lies down
+
+
 def test_torques_are_limited_by_the_servo() -> None:
     pytest.importorskip("mujoco", reason="mujoco is not installed: pip install 'unicon_ros[sim]'")
     stage = Stage(model=None, posture="default", hang=True)
@@ -223,7 +236,7 @@ def test_a_robot_without_its_model_is_joints_alone_and_says_so() -> None:
     stage = Stage(load_robot("n1"), model=None)
     stage.tick(10)
     assert stage.of("ready")[0]["model"] is None
-    assert "joints alone are emulated: " in stage.of("warning")[0]["text"]
+    assert "joints alone are emulated" in stage.of("warning")[0]["text"]
     with pytest.raises(UniconError, match=r"nowhere\.xml"):
         Stage(model="nowhere.xml")
     assert stage.face.closed == 0
@@ -277,7 +290,7 @@ def test_a_face_without_an_address_is_given_none(capsys: pytest.CaptureFixture[s
     assert "has no address; leave --address out" in capsys.readouterr().err
     assert main(["emulate", "go2", "--face", face, "--model", "fake", "--duration", "0.05"]) == 0
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    assert [line["kind"] for line in lines] == ["ready", "commands"]
+    assert [line["kind"] for line in lines] == ["ready", "commands", "ended"]
 
 
 def plain_face(states: States, robot: Robot) -> Scripted:

@@ -145,7 +145,7 @@ def test_a_robot_in_a_child_is_damped_when_the_run_dies_or_stands_still(
 ) -> None:
     """The child has the robot: without its parent it damps within its watchdog, and ends."""
     peer = stand_in(processes, body.robot, "--seed=6")
-    more = ["--set", "platform={child: ros}"]
+    more = ["--set", "platform={child: ros, silence: 5}"]
     run = begun(body.workflow, tmp_path, gains=gains, more=more)
     try:
         peer.wait_for(lambda: bool(peer.of("commands")), "50 commands", timeout=60.0)

@@ -58,7 +58,14 @@ def add(commands: Any) -> None:
         default="rest",
         help="it begins lying, on its legs, or in one drawn at random",
     )
-    parser.add_argument("--hang", action="store_true", help="its base hangs on a gantry")
+    held = parser.add_mutually_exclusive_group()
+    held.add_argument("--hang", action="store_true", help="its base hangs on a gantry")
+    held.add_argument(
+        "--let-go",
+        type=positive,
+        metavar="S",
+        help="a gantry holds it where it stands, and lets go S seconds after the first command",
+    )
     parser.add_argument("--still", action="store_true", help="its sensors have no noise")
     parser.add_argument("--duration", type=positive, metavar="S", help="end after S seconds")
     parser.add_argument("--each", action="store_true", help="say every command")
@@ -93,6 +100,7 @@ def emulate(arguments: argparse.Namespace) -> int:
         _options(arguments, factory, name),
         name=name,
         defects=_defects(arguments, robot),
+        let_go=arguments.let_go,
         each=arguments.each,
         warn=_warn,
         model=arguments.model,

@@ -54,12 +54,12 @@ class Body:
     Attributes:
         platform: a simulator, whose states are those of the face.
         model: the file that it was read from; None of joints alone.
-        hold: called before each step: what holds the base, if anything.
+        gantry: called before each step; None where nothing holds the base.
     """
 
     platform: Platform
     model: Path | None
-    hold: Callable[[], object]
+    gantry: Gantry | None
 
 
 def body_of(
@@ -70,6 +70,7 @@ def body_of(
     model: str | None = None,
     posture: str = "rest",
     hang: bool = False,
+    lift: float = LIFT,
     seed: int = 0,
     still: bool = False,
     warn: Callable[[str], None],
@@ -80,7 +81,8 @@ def body_of(
         period: of a tick in [s].
         model: as of a scene, or `fake` for joints alone; None for the robot's own, if it is there.
         posture: one of `POSTURES`, in which it begins.
-        hang: its base is held in the air.
+        hang: its base is held.
+        lift: how far above where it would stand, in [m].
         seed: of posture and noise.
         still: no noise.
         warn: takes why there is no model, where there is none.
@@ -96,23 +98,23 @@ def body_of(
     scene = Scene(file, posture if posture != "random" else "default", seed=seed, folder=Path.cwd())
     if posture == "random":
         scene = replace(scene, pose=random_posture(robot, np.random.default_rng(seed)))
-    hold: Callable[[], object] = bool
+    gantry: Gantry | None = None
     path: Path | None = None
     if model == JOINTS_ALONE:
         platform: Any = JointsAlone(states, robot, period, scene)
     else:
         try:
-            platform, hold = _simulated(states, robot, period, scene, hang)
+            platform, gantry = _simulated(states, robot, period, scene, lift if hang else None)
             path = platform.model_path
         except (MissingDependencyError, ModelError) as error:
             if model is not None:
                 raise
-            warn(f"without a model, joints alone are emulated: {error}")
+            warn(f"without a model, joints alone are emulated (--model FILE gives one): {error}")
             platform = JointsAlone(states, robot, period, scene)
     if not still:
         noise = {name: std for name, std in NOISE.items() if name in platform.facts.writes}
         platform = disturb(platform, replace(scene, noise=noise), states, robot, period)
-    return Body(platform, path, hold)
+    return Body(platform, path, gantry)
 
 
 def random_posture(robot: Robot, random: np.random.Generator) -> NDArray[np.float32]:
@@ -146,11 +148,11 @@ class JointsAlone(FakePlatform):
 
 
 def _simulated(
-    states: States, robot: Robot, period: float, scene: Scene, hang: bool
-) -> tuple[Any, Callable[[], object]]:
+    states: States, robot: Robot, period: float, scene: Scene, lift: float | None
+) -> tuple[Any, Gantry | None]:
     make = find_factory("platforms", "mujoco", PlatformError)
     base: int | None = None
-    if hang:
+    if lift is not None:
         start = start_of(robot, scene)
         base = start.loaded.base
         if base is None:
@@ -158,8 +160,8 @@ def _simulated(
                 f"the base of robot {robot.name} does not move in {start.loaded.path}; it need not "
                 "hang"
             )
-        scene = replace(scene, initial_height=float(start.position[2]) + LIFT)
+        scene = replace(scene, initial_height=float(start.position[2]) + lift)
     # A whole number of steps in a tick.
     timestep = period / math.ceil(period / STEP - 1e-9)
     platform = make(states, robot, period, scene=scene, timestep=timestep)
-    return platform, bool if base is None else Gantry(platform.model, platform.data, base)
+    return platform, None if base is None else Gantry(platform.model, platform.data, base)

@@ -49,6 +49,7 @@ class Emulator:
         face: its end of the protocol, over these states.
         body: its physics, over these states.
         defects: what is wrong with it.
+        let_go: so long after the first command its gantry lets go, [s].
         say: takes what it saw, see `Telling`.
         each: say every command.
 
@@ -65,10 +66,13 @@ class Emulator:
         body: Body,
         *,
         defects: Defects | None = None,
+        let_go: float = float("inf"),
         say: Say = say,
         each: bool = False,
     ) -> None:
         self._states, self._face, self._body = states, face, body
+        self._gantry, self._let_go, self._goes_at = body.gantry, let_go, float("inf")
+        self._say = say
         self._defects = defects or Defects()
         self._share = (self._defects.rate or face.rate) / face.rate
         self._owed = 1.0 - self._share
@@ -88,6 +92,7 @@ class Emulator:
         self.ticks = self.missed = 0
         states["motor_temperature"][...] = ROOM_TEMPERATURE
         body.platform.recv()
+        self._began = states["base_pos_w"].copy()
         self._hold()
         posture = dict(zip(robot.joint_names, states["joint_pos"].astype(float).round(4).tolist()))
         say(
@@ -122,7 +127,12 @@ class Emulator:
         elif self._obeyed:
             self._mind(now)
         self._defects.acted(states)
-        self._body.hold()
+        if self._gantry is not None:
+            self._gantry()
+            if now >= self._goes_at:
+                self._gantry.let_go()
+                self._gantry = None
+                self._say("let go", after=now)
         self._body.platform.send()
         self.ticks += 1
 
@@ -151,6 +161,8 @@ class Emulator:
         if self._own_loop:
             for name, gain in self._own.items():
                 self._states[name][...] = gain
+        if not self._obeyed:
+            self._goes_at = now + self._let_go
         self._heard, self._obeyed, self._damped = now, True, False
         self._acting.note()
         self._telling.command(now, self._pos)
@@ -197,6 +209,8 @@ class Emulator:
         finally:
             restore()
             self._telling.total()
+            moved = (self._states["base_pos_w"] - self._began).astype(float).round(3).tolist()
+            self._say("ended", ticks=self.ticks, missed=self.missed, moved=moved)
 
     def close(self) -> None:
         """Let go of face and physics; safe to call twice."""
@@ -215,6 +229,7 @@ def emulated(
     *,
     name: str = "",
     defects: Defects | None = None,
+    let_go: float | None = None,
     say: Say = say,
     each: bool = False,
     warn: Callable[[str], None] = print,
@@ -228,6 +243,7 @@ def emulated(
         options: of the face.
         name: of the face, for messages; the robot's protocol if left out.
         defects: what is wrong with it.
+        let_go: it is held upright where it stands, until so long after the first command, [s].
         say: takes what it saw.
         each: say every command.
         warn: takes what is told to the user.
@@ -256,8 +272,13 @@ def emulated(
         slower = defects.rate if defects else None
         if slower is not None and not 0.0 < slower <= rate:
             raise UniconError(f"--rate {slower:g}: the robot tells at {rate:g} Hz; give less")
+        if let_go is not None:
+            body |= {"hang": True, "lift": 0.0}
         physics = body_of(states, robot, 1.0 / rate, warn=warn, **body)
-        return Emulator(states, robot, face, physics, defects=defects, say=say, each=each)
+        goes = float("inf") if let_go is None else let_go
+        return Emulator(
+            states, robot, face, physics, defects=defects, let_go=goes, say=say, each=each
+        )
     except BaseException:
         face.close()
         raise

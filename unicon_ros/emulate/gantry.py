@@ -50,3 +50,7 @@ class Gantry:
         self._force[:3] = mass * (w * w * (self._place - pose[:3]) - 2.0 * w * twist[:3])
         self._force[:3] -= self._weight
         self._force[3:] = mass * RADIUS**2 * (w * w * lean - 2.0 * w * omega)
+
+    def let_go(self) -> None:
+        """Apply nothing any more."""
+        self._force[:] = 0.0
