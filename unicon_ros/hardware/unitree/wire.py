@@ -206,6 +206,11 @@ class UnitreeWire:
         assert self._writer is not None
         self._writer.write(self._encode())
 
+    def warm_up(self) -> None:
+        """Do what `put` does up to the sending, and sum up the last frame once more."""
+        self._frames.warm_up()
+        self._encode()
+
     def prepare(self) -> str:
         """Let the robot's own controller let go; return what is waited for, "" at the end."""
         return "" if self._release is None else self._release()
