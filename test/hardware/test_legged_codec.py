@@ -107,7 +107,7 @@ def test_states_are_those_that_the_vendors_library_decodes(assets: Path, name: s
 
 
 @pytest.mark.parametrize("name", ["a1", "go1"])
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(motors=st.lists(COLUMNS, min_size=12, max_size=12))
 def test_any_command_is_that_of_the_slow_twin(name: str, motors: list[tuple[float, ...]]) -> None:
     out = command(name)

@@ -335,6 +335,15 @@ def test_nobody_there_is_told(peers: Callable[..., Peer]) -> None:
         peer._open()
 
 
+def test_a_robot_in_another_network_is_told_with_the_way_to_it() -> None:
+    robot = load_robot("go1")
+    options: dict[str, Any] = {"local_port": free_port(), "connect": 0.01}
+    with pytest.raises(PlatformError, match=r"from 127\.1\.2\.3:8007 \(from 127\.0\.0\.1\) within"):
+        make(states_of(robot), robot, PERIOD, address="127.1.2.3", **options)
+    with pytest.raises(PlatformError, match=r"no way to 255\.255\.255\.255: Permission denied"):
+        make(states_of(robot), robot, PERIOD, address="255.255.255.255", **options)
+
+
 def test_a_silent_driver_asks_only_where_it_may(peers: Callable[..., Peer]) -> None:
     peer = peers("go1", silent=True)
     with pytest.raises(PlatformError, match="poll: true"):

@@ -53,6 +53,23 @@ class Udp:
         """Return the socket's, for `select` over several."""
         return self._socket.fileno()
 
+    @property
+    def source(self) -> str:
+        """The address of this machine from which the peer is reached, as the routes are now.
+
+        Raises:
+            PlatformError: there is no way to it.
+        """
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            try:
+                probe.connect(self.peer)  # sends nothing
+            except OSError as error:
+                raise PlatformError(
+                    f"{self._what}: no way to {self.peer[0]}: {error.strerror}; plug the cable in, "
+                    "and give this machine an address in the robot's network (ip addr)"
+                ) from error
+            return str(probe.getsockname()[0])
+
     def received(self) -> list[bytes]:
         """Return what the peer has sent since the last call, the oldest first."""
         found: list[bytes] = []

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from unicon_core.errors import Fault
+from unicon_core.errors import Fault, PlatformError
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES
@@ -36,11 +36,11 @@ class LeggedWire:
 
     Attributes:
         counts: of what came in.
-        where: the robot's address and port.
+        where: the robot's address and port, and from where they are reached.
         remote: the 40 bytes of the wireless remote, as they came last.
 
     Raises:
-        PlatformError: the port is taken.
+        PlatformError: the port is taken, or there is no way to the robot.
         StateError: `foot_force` is not of four.
     """
 
@@ -74,6 +74,13 @@ class LeggedWire:
         self._watchdog, self._told_late = watchdog, False
         local, peer = ("0.0.0.0", link.local_port), (link.address, link.port)
         self._udp = Udp(local, peer, f"platform {NAME!r}")
+        try:
+            source = self._udp.source
+        except PlatformError:
+            self._udp.close()
+            raise
+        if source != link.address:  # another network's shows a wrong interface
+            self.where += f" (from {source})"
         self._repeater = Repeater(self._udp.send, link.rate, watchdog, idle, limp)
         self._repeater.start()
 
