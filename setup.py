@@ -37,6 +37,7 @@ EXTRAS = {
     ],
     "zmq": ["pyzmq"],
     "plots": ["matplotlib"],
+    "hw-arx": ["python-can>=4.3"],
     # setuptools 80 turns `colcon build --symlink-install` into a silent copy.
     "test": [
         "pytest",
@@ -130,10 +131,12 @@ setup(
             "recorded = unicon_ros.replay.commands:recorded",
         ],
         "unicon.faces": [
+            "arx = unicon_ros.hardware.arx.face:face",
             "azureloong = unicon_ros.hardware.azureloong.face:face",
             "fourier_fsa = unicon_ros.hardware.fourier.face:face",
         ],
         "unicon.platforms": [
+            "arx = unicon_ros.hardware.arx.platform:make",
             "azureloong = unicon_ros.hardware.azureloong.platform:make",
             "fourier = unicon_ros.hardware.fourier.platform:make",
             "replay = unicon_ros.replay.platform:make",
