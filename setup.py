@@ -37,6 +37,7 @@ EXTRAS = {
     ],
     "zmq": ["pyzmq"],
     "plots": ["matplotlib"],
+    "hw-arx": ["python-can>=4.3"],
     # setuptools 80 turns `colcon build --symlink-install` into a silent copy.
     "test": [
         "pytest",
@@ -136,6 +137,7 @@ setup(
             "recorded = unicon_ros.replay.commands:recorded",
         ],
         "unicon.platforms": [
+            "arx = unicon_ros.hardware.arx.platform:make",
             "azureloong = unicon_ros.hardware.azureloong.platform:make",
             "fourier = unicon_ros.hardware.fourier.platform:make",
             "inspire = unicon_ros.hardware.inspire.platform:make",
@@ -146,6 +148,7 @@ setup(
             "unitree_legged = unicon_ros.hardware.unitree_legged.platform:make",
         ],
         "unicon.faces": [
+            "arx = unicon_ros.hardware.arx.face:face",
             "azureloong = unicon_ros.hardware.azureloong.face:face",
             "fourier_fsa = unicon_ros.hardware.fourier.face:face",
             "ros = unicon_ros.emulate.ros_face:face",

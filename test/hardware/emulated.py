@@ -64,6 +64,7 @@ class Emulated:
         for _ in range(1000):
             self._joints.send()
         self._joints.recv()
+        self.states["joint_stiffness"][...] = 0.0
         module, _, name = face.partition(":")
         self.face: Face = getattr(import_module(module), name)(self.states, robot, **options)
         self.heard, self._random = 0, np.random.default_rng(1)
@@ -75,7 +76,7 @@ class Emulated:
 
     def step(self) -> None:
         if self.face.hear():
-            if time.monotonic() - self._last > self.face.dead_man:
+            if self._last < 0.0 or time.monotonic() - self._last > self.face.dead_man:
                 off = np.abs(self.states["joint_pos_target"] - self.states["joint_pos"])
                 self.say("first", distance=float(off.max()))
             self.heard, self._last = self.heard + 1, time.monotonic()

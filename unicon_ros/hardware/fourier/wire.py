@@ -14,6 +14,7 @@ import numpy as np
 from unicon_core.errors import Fault
 from unicon_core.states import States
 from unicon_core.states.standard import HARDWARE_STATES
+from unicon_ros.hardware.answers import Answers
 from unicon_ros.hardware.fourier.codec import (
     ACKNOWLEDGED,
     COMMAND,
@@ -56,7 +57,7 @@ class FourierWire:
         self._enabling = Enabling(self._labels, self._tell, dead_man, actuators.timeout_mode)
         self._answers = bytearray(n * STATE_TYPE.itemsize)
         self._frames = np.frombuffer(self._answers, STATE_TYPE)
-        self._answered, self._new = np.zeros(n, bool), np.zeros(n, bool)
+        self._answered, self._new = Answers(self._labels), np.zeros(n, bool)
         self._errors = np.zeros((n, 8), np.uint32)
         self._commands = np.zeros(n, COMMAND_TYPE)
         self._commands["code"] = COMMAND
@@ -78,11 +79,7 @@ class FourierWire:
     @property
     def where(self) -> str:
         """The actuators that have not answered since all did last."""
-        missing = [self._labels[joint] for joint in np.flatnonzero(~self._answered)]
-        if len(missing) == len(self._labels) or not missing:
-            return f"all {len(self._labels)} actuators ({self._actuators.addresses[0]}, …)"
-        more = f" and {len(missing) - 3} more" if len(missing) > 3 else ""
-        return f"{', '.join(missing[:3])}{more}"
+        return str(self._answered)
 
     def _tell(self, joint: int, data: bytes | memoryview) -> None:
         self._sockets[joint].send(data)
@@ -97,11 +94,9 @@ class FourierWire:
         self._strangers = strangers
         self._measured()
         self._ask()
-        if not self._answered.all():
-            return 0
-        self._answered[...] = False
-        self.counts.good += 1
-        return 1
+        complete = self._answered.complete()
+        self.counts.good += complete
+        return int(complete)
 
     def _sort(self, joint: int, data: bytes) -> None:
         code, size = data[0] if data else 0, len(data)
@@ -143,7 +138,7 @@ class FourierWire:
             first = np.argmax(self._errors != 0, axis=1)
             words = self._errors[np.arange(len(first)), first]
             self._error[...] = words.view(np.int32)
-        self._answered |= good
+        self._answered.heard |= good
 
     def _ask(self) -> None:
         now = time.monotonic()

@@ -1,0 +1,1 @@
+"""ARX arms: EC and DM motors on a CAN bus of 1 Mbit/s."""

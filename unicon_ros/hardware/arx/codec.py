@@ -1,0 +1,231 @@
+"""Frames of ARX's EC and DM motors on CAN, 8 bytes each; for their wire and their face.
+
+Layouts compared frame by frame with what the vendor's libhardware.so sends and reads
+(real-stanford/arx5-sdk lib/x86_64); its ranges stand in include/hardware/arx_can.h. A figure of b
+bits is the integer part of (x - lower) (2^b - 1) / (upper - lower).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.errors import RobotError
+from unicon_core.robots import Robot
+from unicon_ros.hardware.facts import TransportFacts
+
+__all__ = [
+    "DM",
+    "EC",
+    "ENABLE",
+    "Layout",
+    "Motors",
+    "Packing",
+    "Reply",
+    "answer",
+    "command_of",
+    "reply_of",
+]
+
+ENABLE = bytes(7 * [0xFF]) + b"\xfc"
+"""Lets a DM motor take commands; it answers with its state."""
+REPLY = 0b001
+"""Kind of an EC motor's answer to a command: the highest three bits of its first byte."""
+
+POSITION, KP, KD = 12.5, 500.0, 5.0
+
+
+class Layout(NamedTuple):
+    """Of a kind of motor: ranges of a command's figures, their bits, and their order.
+
+    Figures are q*, qd*, tau, kp, kd, as of `COMMAND_STATES`; a range is symmetric but for gains.
+    """
+
+    velocity: float
+    torque: float
+    kd_bits: int
+    order: tuple[int, ...]
+
+
+EC = Layout(18.0, 30.0, 9, (3, 4, 0, 1, 2))
+DM = Layout(45.0, 18.0, 12, (0, 1, 3, 4, 2))
+LAYOUTS = {"EC": EC, "DM": DM}
+
+
+class Reply(NamedTuple):
+    """What a motor tells.
+
+    Attributes:
+        motor: its number.
+        pos: in [rad].
+        vel: in [rad/s].
+        torque: in the motor's own measure.
+        temperature: in [°C]; None where its kind does not tell.
+        error: code, 0 for none or where its kind does not tell.
+    """
+
+    motor: int
+    pos: float
+    vel: float
+    torque: float
+    temperature: float | None
+    error: int
+
+
+def _bounds(layout: Layout) -> tuple[tuple[float, ...], tuple[float, ...], tuple[int, ...]]:
+    upper = (POSITION, layout.velocity, layout.torque, KP, KD)
+    lower = (-POSITION, -layout.velocity, -layout.torque, 0.0, 0.0)
+    return lower, upper, (16, 12, 12, 12, layout.kd_bits)
+
+
+@dataclass(frozen=True)
+class Motors:
+    """What the robot file says of the motors; arrays of shape (n,).
+
+    Attributes:
+        names: of the joints.
+        numbers: on the bus.
+        layouts: of their frames.
+        channel: of the bus.
+        command: the motor's measure for 1 N·m that is commanded.
+        state: N·m for one of the motor's measure that is told.
+        lower: smallest figure of commands, rows as of `COMMAND_STATES`, shape (5, n).
+        upper: largest, shape (5, n).
+    """
+
+    names: tuple[str, ...]
+    numbers: tuple[int, ...]
+    layouts: tuple[Layout, ...]
+    channel: str
+    command: NDArray[np.float64]
+    state: NDArray[np.float64]
+    lower: NDArray[np.float64]
+    upper: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, robot: Robot) -> Motors:
+        """Return those of a robot file.
+
+        Raises:
+            RobotError: a fact is missing or wrong.
+        """
+        facts = TransportFacts(robot)
+        numbers = tuple(int(number) for number in facts.numbers("motor_id", 1, 15))
+        if len(set(numbers)) < len(numbers):
+            raise RobotError(f"robot {robot.name}: transport.motor_id names a motor twice")
+        kinds = facts.texts("motor_type")
+        for kind in kinds:
+            if kind.partition("_")[0] not in LAYOUTS:
+                raise RobotError(
+                    f"robot {robot.name}: transport.motor_type {kind!r} is not known; write one "
+                    "that begins with EC_ or DM_"
+                )
+        layouts = tuple(LAYOUTS[kind.partition("_")[0]] for kind in kinds)
+        lower, upper, _ = zip(*map(_bounds, layouts))
+        channel = robot.transport.get("interface")
+        if not isinstance(channel, str) or not channel:
+            raise RobotError(f"robot {robot.name}: transport.interface is not a name such as can0")
+        return cls(
+            robot.joint_names,
+            numbers,
+            layouts,
+            channel,
+            facts.numbers("torque_command", 1e-6, 1e6),
+            facts.numbers("torque_state", 1e-6, 1e6),
+            np.array(lower).T,
+            np.array(upper).T,
+        )
+
+
+class Packing:
+    """Packs commands of all motors at once.
+
+    Args:
+        motors: in the order of joints.
+
+    Attributes:
+        frames: of each motor, shape (n, 8), uint8.
+    """
+
+    def __init__(self, motors: Motors) -> None:
+        bits = np.array([_bounds(layout)[2] for layout in motors.layouts]).T
+        # In float32 and in the order below, as the vendor's: equal to the last bit.
+        self._lower, self._upper = np.float32(motors.lower), np.float32(motors.upper)
+        self._most, self._span = np.float32(2.0**bits - 1.0), self._upper - self._lower
+        n = len(motors.numbers)
+        order = np.array([layout.order for layout in motors.layouts]).T
+        self._order, self._columns = order, np.arange(n)
+        widths = bits[order, self._columns]
+        # A frame is a number of 64 bits, highest first; the last figure ends at bit 0.
+        shifts = np.cumsum(widths[::-1], axis=0)[::-1] - widths
+        self._shifts = shifts.astype(np.uint64)
+        self._words = np.zeros(n, ">u8")
+        self.frames = self._words.view(np.uint8).reshape(n, 8)
+
+    def __call__(self, rows: NDArray[Any]) -> bool:
+        """Pack rows as of `COMMAND_STATES`, shape (5, n); False where a figure was clamped."""
+        rows = rows.astype(np.float32, copy=False)
+        clipped = np.clip(rows, self._lower, self._upper)
+        whole = ((clipped - self._lower) * self._most / self._span).astype(np.uint64)
+        parts = whole[self._order, self._columns] << self._shifts
+        self._words[...] = np.bitwise_or.reduce(parts, axis=0)
+        return bool((clipped == rows).all())
+
+
+def reply_of(number: int, data: bytes) -> Reply | None:
+    """Return what a frame tells; None where it is not a motor's answer.
+
+    Args:
+        number: of the frame on the bus: an EC motor's own; 0 for all DM motors.
+        data: of the frame.
+    """
+    if len(data) != 8:
+        return None
+    if number == 0:
+        layout, motor, at, temperature, error = DM, data[0] & 0x0F, 3, None, 0
+    elif data[0] >> 5 == REPLY:
+        layout, motor, at, error = EC, number, 3, data[0] & 0x1F
+        temperature = 0.5 * (data[6] - 50)
+    else:
+        return None
+    pos = data[1] << 8 | data[2]
+    vel = data[at] << 4 | data[at + 1] >> 4
+    torque = (data[at + 1] & 0x0F) << 8 | data[at + 2]
+    return Reply(
+        motor,
+        pos * 2.0 * POSITION / 65535.0 - POSITION,
+        vel * 2.0 * layout.velocity / 4095.0 - layout.velocity,
+        torque * 2.0 * layout.torque / 4095.0 - layout.torque,
+        temperature,
+        error,
+    )
+
+
+def answer(motor: int, layout: Layout, told: Reply) -> tuple[int, bytes]:
+    """Return number and data of the frame that a motor answers with; for its emulation."""
+    pos, vel, torque = (
+        int((min(max(value, -most), most) + most) * (2**bits - 1) / (2.0 * most))
+        for value, most, bits in (
+            (told.pos, POSITION, 16),
+            (told.vel, layout.velocity, 12),
+            (told.torque, layout.torque, 12),
+        )
+    )
+    head = motor if layout is DM else REPLY << 5 | told.error & 0x1F
+    warm = 0 if told.temperature is None else min(max(int(2 * told.temperature + 50), 0), 255)
+    word = head << 56 | pos << 40 | vel << 28 | torque << 16 | warm << 8
+    return (0 if layout is DM else motor), word.to_bytes(8, "big")
+
+
+def command_of(layout: Layout, data: bytes) -> tuple[float, ...]:
+    """Return the figures of a command, as of `COMMAND_STATES`; for emulated motors."""
+    lower, upper, bits = _bounds(layout)
+    word, figures = int.from_bytes(data, "big"), [0.0] * 5
+    for figure in reversed(layout.order):
+        most = 2 ** bits[figure] - 1
+        figures[figure] = lower[figure] + (word & most) * (upper[figure] - lower[figure]) / most
+        word >>= bits[figure]
+    return tuple(figures)

@@ -1,0 +1,100 @@
+"""ARX's EC and DM motors as they look on the bus, for the emulator."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from unicon_core.robots import Robot
+from unicon_core.states import States
+from unicon_core.states.standard import COMMAND_STATES, HARDWARE_STATES
+from unicon_ros.hardware.arx.codec import DM, ENABLE, Motors, Reply, answer, command_of
+from unicon_ros.hardware.arx.wire import import_can, open_bus
+from unicon_ros.hardware.facts import TransportFacts
+
+__all__ = ["ArxFace", "face"]
+
+EMPTY = 0.1
+"""[N·m]: torques of 12 bits have no zero."""
+
+
+class ArxFace:
+    """See `Face`; `face` builds it."""
+
+    dead_man = math.inf
+    """Whether motors let go when commands stop is not known."""
+
+    def __init__(self, states: States, robot: Robot, bus: Any) -> None:
+        self._states, self._motors, self._bus = states, Motors.of(robot), bus
+        self.rate = TransportFacts(robot).number("rate_hz", 1.0, 1000.0)
+        self._can = import_can()
+        self._joints = {number: joint for joint, number in enumerate(self._motors.numbers)}
+        self._enabled = {joint: lay is not DM for joint, lay in enumerate(self._motors.layouts)}
+        self._asked: list[int] = []
+
+    @property
+    def obeys(self) -> bool:
+        """Whether all motors are enabled."""
+        return all(self._enabled.values())
+
+    def hear(self) -> bool:
+        """See `Face`; a command without gains and torque only asks."""
+        heard = False
+        while (frame := self._bus.recv(0.0)) is not None:
+            joint = self._joints.get(frame.arbitration_id)
+            if joint is None or frame.is_extended_id or len(frame.data) != 8:
+                continue
+            self._asked.append(joint)
+            if bytes(frame.data) == ENABLE:
+                self._enabled[joint] = True
+            elif self._enabled[joint]:
+                heard |= self._commanded(joint, bytes(frame.data))
+        return heard
+
+    def _commanded(self, joint: int, data: bytes) -> bool:
+        pos, vel, torque, kp, kd = command_of(self._motors.layouts[joint], data)
+        torque /= self._motors.command[joint]
+        figures = (pos, vel, torque, kp, kd)
+        for name, figure in zip(COMMAND_STATES, figures):
+            self._states[name][joint] = figure
+        return kp > 0.0 or kd > 0.0 or abs(torque) > EMPTY
+
+    def tell(self) -> None:
+        """See `Face`: the answers to what was asked."""
+        states, motors = self._states, self._motors
+        hardware = {name: states[name] for name in HARDWARE_STATES if name in states}
+        hot, error = hardware.get("motor_temperature"), hardware.get("motor_error")
+        for joint in self._asked:
+            told = Reply(
+                motors.numbers[joint],
+                float(states["joint_pos"][joint]),
+                float(states["joint_vel"][joint]),
+                float(states["joint_effort"][joint] / motors.state[joint]),
+                None if hot is None else float(hot[joint]),
+                0 if error is None else int(error[joint]),
+            )
+            number, data = answer(motors.numbers[joint], motors.layouts[joint], told)
+            self._bus.send(
+                self._can.Message(arbitration_id=number, data=data, is_extended_id=False)
+            )
+        self._asked.clear()
+
+    def close(self) -> None:
+        """See `Face`."""
+        self._bus.shutdown()
+
+
+def face(states: States, robot: Robot, *, channel: str = "", interface: str = "virtual") -> ArxFace:
+    """Return the arm's end of the bus.
+
+    Args:
+        states: of the emulator.
+        robot: its file.
+        channel: of the bus; the robot file's.
+        interface: of python-can; `virtual` is seen in this process alone.
+
+    Raises:
+        PlatformError: the bus cannot be opened.
+        RobotError: the robot file lacks a fact.
+    """
+    return ArxFace(states, robot, open_bus(channel or Motors.of(robot).channel, interface))
