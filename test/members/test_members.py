@@ -287,6 +287,19 @@ def test_a_fault_of_one_damps_all(where: str, faulty: str) -> None:
         assert of(name)[-2:] == ["limp", "closed"]
 
 
+def test_a_member_in_a_process_of_its_own_is_prepared_there() -> None:
+    program = robots(
+        {},
+        {"steps": 1},
+        platform={"body": MADE, "left_hand": {"child": MADE, "silence": 5.0, "watchdog": 5.0}},
+    )
+    platform: Any = program.platform
+    told = [platform.prepare() for _ in range(2)]
+    assert told == ["left_hand: 1 steps left", ""]
+    assert platform.commanders()["topic of inspire_rh56_left"] == 1
+    program.close()
+
+
 def test_all_are_closed_though_one_raises() -> None:
     program = robots({"wrong": "close"}, {})
     with pytest.raises(Fault, match="close of go2 failed"):

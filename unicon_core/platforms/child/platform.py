@@ -253,6 +253,13 @@ class ChildPlatform:
             self._reported = self._ask("variant").get("variant", {})
         return self._reported
 
+    def _prepare(self) -> str:
+        return str(self._ask("prepare")["prepare"])
+
+    def _commanders(self) -> Mapping[str, int]:
+        found: Mapping[str, int] = self._ask("commanders")["commanders"]
+        return found
+
     def info(self) -> Mapping[str, Any]:
         """Return what the child's platform told when it was built, and the process."""
         return {**self._info, "process": self.process.pid}

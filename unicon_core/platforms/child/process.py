@@ -22,10 +22,12 @@ from unicon_core.errors import Fault, UniconError
 from unicon_core.platforms.child.platform import START
 from unicon_core.platforms.platform import (
     Platform,
+    Prepares,
     Pushable,
     ReportsVariant,
     RequiresStates,
     Resettable,
+    SeesCommanders,
     info_of,
 )
 from unicon_core.states import Layout, States
@@ -82,6 +84,8 @@ def main() -> int:
         "push": Pushable,
         "require": RequiresStates,
         "variant": ReportsVariant,
+        "prepare": Prepares,
+        "commanders": SeesCommanders,
     }
     status = 0
     try:
@@ -220,6 +224,14 @@ class _Driver:
             elif what == "variant":
                 assert isinstance(platform, ReportsVariant)
                 tell(variant=dict(platform.variant()))
+                return
+            elif what == "prepare":
+                assert isinstance(platform, Prepares)
+                tell(prepare=platform.prepare())
+                return
+            elif what == "commanders":
+                assert isinstance(platform, SeesCommanders)
+                tell(commanders=dict(platform.commanders()))
                 return
             else:
                 assert isinstance(platform, RequiresStates)
