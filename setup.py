@@ -137,6 +137,7 @@ setup(
             "replay = unicon_ros.replay.platform:make",
             "rohand = unicon_ros.hardware.rohand.platform:make",
             "ros = unicon_ros.bridge.ros_platform:make",
+            "xhand = unicon_ros.hardware.xhand.platform:make",
         ],
     },
     zip_safe=False,
