@@ -357,6 +357,19 @@ def test_what_a_member_does_not_tell_is_zero_and_the_check_says_so() -> None:
     )
 
 
+def test_a_safety_block_of_one_member_is_no_safety_of_the_others() -> None:
+    program = robots(
+        {}, {}, safety=[{"finite": None, "of": "body"}, {"joint_limits": 0.01, "of": "body"}]
+    )
+    assert program.safety[0] == "finite"
+    assert "joint_limits" in program.safety
+    program.close()
+    both = [{"joint_limits": 0.01, "of": member} for member in MEMBERS[:2]]
+    program = robots({}, {}, safety=["finite", *both])
+    assert "joint_limits" not in program.safety
+    program.close()
+
+
 def test_a_body_keeps_its_stops_though_its_hands_say_no_limits() -> None:
     program = robots({}, {})
     assert program.safety_left_out.keys() <= {"hardware_stop"}
