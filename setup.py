@@ -146,6 +146,7 @@ setup(
             "ros = unicon_ros.bridge.ros_platform:make",
             "unitree = unicon_ros.hardware.unitree.platform:make",
             "unitree_legged = unicon_ros.hardware.unitree_legged.platform:make",
+            "xhand = unicon_ros.hardware.xhand.platform:make",
         ],
         "unicon.faces": [
             "arx = unicon_ros.hardware.arx.face:face",

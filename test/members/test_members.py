@@ -287,6 +287,19 @@ def test_a_fault_of_one_damps_all(where: str, faulty: str) -> None:
         assert of(name)[-2:] == ["limp", "closed"]
 
 
+def test_a_member_in_a_process_of_its_own_is_prepared_there() -> None:
+    program = robots(
+        {},
+        {"steps": 1},
+        platform={"body": MADE, "left_hand": {"child": MADE, "silence": 5.0, "watchdog": 5.0}},
+    )
+    platform: Any = program.platform
+    told = [platform.prepare() for _ in range(2)]
+    assert told == ["left_hand: 1 steps left", ""]
+    assert platform.commanders()["topic of inspire_rh56_left"] == 1
+    program.close()
+
+
 def test_all_are_closed_though_one_raises() -> None:
     program = robots({"wrong": "close"}, {})
     with pytest.raises(Fault, match="close of go2 failed"):
@@ -342,6 +355,19 @@ def test_what_a_member_does_not_tell_is_zero_and_the_check_says_so() -> None:
         "left_hand does not tell joint_vel: it is 0 there",
         "left_hand does not tell joint_effort: it is 0 there",
     )
+
+
+def test_a_safety_block_of_one_member_is_no_safety_of_the_others() -> None:
+    program = robots(
+        {}, {}, safety=[{"finite": None, "of": "body"}, {"joint_limits": 0.01, "of": "body"}]
+    )
+    assert program.safety[0] == "finite"
+    assert "joint_limits" in program.safety
+    program.close()
+    both = [{"joint_limits": 0.01, "of": member} for member in MEMBERS[:2]]
+    program = robots({}, {}, safety=["finite", *both])
+    assert "joint_limits" not in program.safety
+    program.close()
 
 
 def test_a_body_keeps_its_stops_though_its_hands_say_no_limits() -> None:

@@ -283,7 +283,9 @@ class Program:
         else:
             nodes = [builder.built(node) for node in listed]
             if robot:
-                self.safety_left_out = dict.fromkeys(left_out(listed, self.platform), said.words)
+                self.safety_left_out = dict.fromkeys(
+                    left_out(listed, self.platform, self.robot.members), said.words
+                )
         if not self.silent:
             return nodes
         awaits = [n for n in nodes if isinstance(n, Block) and getattr(n.tick, "awaits", False)]

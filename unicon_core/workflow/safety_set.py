@@ -42,13 +42,18 @@ ROBOT_SAFETY = (FIRST, *STOPS, *LAST)
 """What stands between the flow and `send` of anything that is not a simulator."""
 
 
-def left_out(nodes: Iterable[Node], platform: Platform) -> list[str]:
+def left_out(nodes: Iterable[Node], platform: Platform, members: Iterable[str] = ()) -> list[str]:
     """Return the names of a robot's safety blocks that are not among the nodes.
 
-    Those for its hardware belong to a robot that tells of it.
+    Those for its hardware belong to a robot that tells of it. A block of one member is there only
+    where every member has one.
     """
     uses = [b for n in nodes for b in blocks_of(n) if isinstance(b, Use) and b.word != EXPRESSION]
-    there = {factory_of(use) for use in uses}
+    covered: dict[object, set[str]] = {}
+    for use in uses:
+        covered.setdefault(factory_of(use), set()).add(use.of)
+    every = {*members} or {""}
+    there = {made for made, of in covered.items() if "" in of or of >= every}
     told = not {*HARDWARE_STATES}.isdisjoint(platform.facts.writes)
     names = [name for name in ROBOT_SAFETY if told or name != HARDWARE]
     return [n for n in names if find_factory("blocks", n, WorkflowError) not in there]
@@ -67,7 +72,7 @@ def completed(
         builder: of the program.
         listed: what the workflow lists, not built yet.
     """
-    missing = left_out(listed, program.platform)
+    missing = left_out(listed, program.platform, program.robot.members)
     told = {*program.platform.facts.writes, *COMMAND_STATES}
     if program.robot.imu is None:
         told -= {*BASE_STATES}
@@ -92,7 +97,9 @@ def completed(
 
     own = [builder.built(node) for node in listed]
     finite = find_factory("blocks", FIRST, WorkflowError)
-    is_first = [isinstance(node, Use) and factory_of(node) is finite for node in listed]
+    is_first = [
+        isinstance(node, Use) and not node.of and factory_of(node) is finite for node in listed
+    ]
     begin = is_first.index(True) + 1 if True in is_first else 0
     front = [*own[:begin], *(add([FIRST]) if not begin else []), *add(STOPS)]
     return [*front, *own[begin:], *add(LAST)], why

@@ -219,6 +219,8 @@ class HandWire:
         raw, clamped = self._registers.raw(self._target)
         self.clamped += clamped
         with self._lock:
+            if self._clear == "not asked":  # nobody prepares it: errors count from now on
+                self._clear = ""
             self._wanted = raw
 
     def wait(self, timeout: float) -> bool:

@@ -1,0 +1,1 @@
+"""RobotEra XHand1 through its maker's module: platform `xhand`."""
