@@ -111,7 +111,7 @@ robot: go2
 platform: fake_robot
 rate: 50
 states: {observation: {shape: [3]}, battery_charge: {initial: 1.0}, motor_temperature: }
-start: {gates: true, operator: false, approach: 0.3, fade_in: 2.0}
+start: {gates: true, operator: false, approach: 0.3, fade_in: 2.0, at: {every: 10}, late: go}
 commands:
   - copy: {source: joint_vel, target: observation, index: [0, 1, 2]}
 flow: {pose: {to: stand, duration: 1.0}}
@@ -201,7 +201,7 @@ states:
   battery_voltage: {initial: 28.0}
   motor_temperature:
   motor_error:
-start: {operator: false}
+start: {operator: false, together: {robots: [left, right], me: left, group: fuzz, timeout: 5}}
 flow: hold
 """
 
@@ -311,6 +311,7 @@ WORKFLOWS = (
 
 SET_PATHS = (
     "start", "start.gates", "start.operator", "start.approach", "start.fade_in", "wind_down",
+    "start.at", "start.at.every", "start.together", "start.together.robots", "start.late",
     "safety.only", "safety.1", "safety.7.observation_stop.file",
     "rate", "duration", "robot", "platform", "platforms", "scene", "flow", "safety",
     "safety.0", "commands", "commands.0", "states", "states.x", "states.tick", "policies",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from unicon_core.gates.beginning import Target
@@ -21,6 +23,8 @@ class Approach:
         period: of a tick in [s].
         speed: of the fastest joint in [rad/s].
         fade_in: how long stiffness grows in [s].
+        then: told in each tick whether they have arrived; they stay there until it is true. None:
+            no longer than that.
     """
 
     name = "approach"
@@ -28,9 +32,15 @@ class Approach:
     writes = COMMAND_STATES
 
     def __init__(
-        self, states: States, beginning: Target, period: float, speed: float, fade_in: float
+        self,
+        states: States,
+        beginning: Target,
+        period: float,
+        speed: float,
+        fade_in: float,
+        then: Callable[[bool], bool] | None = None,
     ) -> None:
-        self._states, self._beginning = states, beginning
+        self._states, self._beginning, self._then = states, beginning, then
         self._from = states["joint_pos"].copy()
         self._way = beginning.joint_pos - self._from
         distance = float(np.abs(self._way).max(initial=0.0))
@@ -49,7 +59,8 @@ class Approach:
         grown = np.float32(min(tick / self._fade, 1.0))
         np.multiply(self._beginning.stiffness, grown, out=states["joint_stiffness"])
         states["joint_damping"][...] = self._beginning.damping
-        return tick >= max(self._move, self._fade)
+        arrived = tick >= max(self._move, self._fade)
+        return arrived if self._then is None else self._then(arrived)
 
 
 class Entry:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from unicon_core.blocks.approach import Approach
 from unicon_core.flow import Deferred, Node, Zip, as_block
 from unicon_core.gates.beginning import beginning
@@ -15,10 +17,15 @@ def waiting_tree(program: Program, *waiting: Node) -> Node:
     return Zip(*program.hearing, *waiting, *map(Deferred, program.looking))
 
 
-def approach_tree(program: Program) -> Node:
-    """Return the tree of a tick of the approach, from the present states on."""
+def approach_tree(program: Program, then: Callable[[bool], bool] | None = None) -> Node:
+    """Return the tree of a tick of the approach, from the present states on.
+
+    Args:
+        program: whose robot it is.
+        then: as of `Approach`.
+    """
     start = program.start
     approach = Approach(
-        program.states, beginning(program), program.period, start.approach, start.fade_in
+        program.states, beginning(program), program.period, start.approach, start.fade_in, then
     )
     return program.with_flow(as_block(approach))

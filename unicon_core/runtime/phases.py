@@ -49,6 +49,16 @@ def describe(program: Program) -> list[tuple[str, str]]:
             f"joints go to where the flow begins at {start.approach:g} rad/s, stiffness grows in "
             f"{start.fade_in:g} s"
         )
+    if start.at is not None or start.together is not None:
+        others = (
+            f"; then {start.at.words} is waited for"
+            if start.at
+            else "; then the others are waited for"
+        )
+        if simulated or not start.fade_in:
+            wait += others
+        else:
+            approach += others
     after = "" if program.duration is None else f" or for {program.duration:g} s"
     soft = f"wind_down: until it is done, at most {WIND_DOWN:g} s"
     return [

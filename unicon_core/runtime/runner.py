@@ -21,6 +21,7 @@ from unicon_core.runtime.report import Report, reason_of
 from unicon_core.runtime.ticker import Ticker
 from unicon_core.runtime.waiting import Waiting
 from unicon_core.signals import SIGNALS, Interrupted, signal_name
+from unicon_core.together.rendezvous import Rendezvous, rendezvous_of
 from unicon_core.workflow import Program
 from unicon_core.workflow.gate import NEVER_NS
 
@@ -32,6 +33,18 @@ FEW = 256
 
 CLOSING = 3.0
 """How long `close` of another thread waits for the ticking one to damp, in [s]."""
+
+
+class _Here:
+    """Tells others that this run is there, and is not ready: a block."""
+
+    name, endless = "here", True
+
+    def __init__(self, rendezvous: Rendezvous) -> None:
+        self._rendezvous = rendezvous
+
+    def __call__(self) -> None:
+        self._rendezvous(False)
 
 
 class Runner:
@@ -77,6 +90,7 @@ class Runner:
         self.operator = self.options.operator
         self._damp = Damp(program) if program.has_platform else None
         self._waiting: Waiting | None = None
+        self._rendezvous: Rendezvous | None = None
         self.graph, self.statistics = self._run.graph, self._run.statistics
         self.pacing, self.period_ns = program.pacing, self._run.period_ns
         self.faults: list[str] = []
@@ -108,8 +122,12 @@ class Runner:
 
     @property
     def waits_for(self) -> str:
-        """What is waited for before anything is sent; "" where nothing is."""
-        return self._waiting.reason if self.phase is Phase.WAIT and self._waiting else ""
+        """What is waited for before the flow; "" where nothing is."""
+        waiting = self._waiting if self.phase is Phase.WAIT else None
+        if waiting is not None and waiting.reason:
+            return waiting.reason
+        before = self.phase in (Phase.WAIT, Phase.APPROACH)
+        return self._rendezvous.reason if before and self._rendezvous is not None else ""
 
     @property
     def asks(self) -> bool:
@@ -184,11 +202,17 @@ class Runner:
         second one damps at once, in the middle of the tick.
 
         Raises:
-            UniconError: it runs already, or has run.
+            UniconError: it runs already, or has run; or nobody can be met at the moment of its
+                start: the platform is closed then.
         """
         if self._closed or self._thread is not None:
             state = "has ended" if self._closed else "is running"
             raise UniconError(f"Runner.run: this run {state}; build the workflow anew")
+        try:
+            self._rendezvous = rendezvous_of(self.program, self.options.speed, self.options.warn)
+        except BaseException:
+            self._close()
+            raise
         self._thread = threading.get_ident()
         with SIGNALS, SIGNALS.guard(self.stop, self._damp_now):
             if SIGNALS.asked:  # `|=` would undo what a signal sets in the middle of it
@@ -291,6 +315,8 @@ class Runner:
                 self.program.close()
             except Exception as error:
                 self.faults.append(f"closing: {reason_of(error)}")
+            if self._rendezvous is not None:
+                self._rendezvous.close()
 
     def report(self) -> Report:
         """Return the report of the run so far."""
@@ -301,6 +327,8 @@ class Runner:
         if self._age_s is not None and 0 < statistics.count <= self.options.capacity:
             first = int(statistics.kept()[0, 2])
             report.startup_s = round(self._age_s + (first - self._started_ns) * 1e-9, 3)
+            if self._rendezvous is not None:
+                report.extra["start"] = self._rendezvous.facts(first)
         report.faults = list(self.faults)
         report.traceback = self.traceback
         return report
@@ -312,17 +340,19 @@ class Runner:
         return 1 << 62 if duration is None else round(duration / self.program.period)
 
     def _begun(self) -> bool:
-        """Wait for gates and operator, then approach where the flow begins.
+        """Wait for gates and operator, then approach where the flow begins; wait for others there.
 
         False where the run was asked to end before its flow.
         """
         program = self.program
         if program.platform.facts.simulated or not program.has_platform:
-            return True
+            return self._met()
         platform, warn = program.platform, self.options.warn
         prepare = platform.prepare if isinstance(platform, Prepares) else None
         waiting = self._waiting = Waiting(program.gates, self.asks, warn, prepare)
-        if not self._ticked(waiting_tree(program, as_block(waiting)), NEVER_NS):
+        # The others learn that this one is there, and is not ready.
+        here = [] if self._rendezvous is None else [as_block(_Here(self._rendezvous))]
+        if not self._ticked(waiting_tree(program, as_block(waiting), *here), NEVER_NS):
             return False
         if waiting.reason:
             name = program.platform.facts.name
@@ -331,10 +361,31 @@ class Runner:
 
     def _approached(self) -> bool:
         if not self.program.start.fade_in:
-            return True
-        tree = approach_tree(self.program)
+            return self._met()
+        tree = approach_tree(self.program, self._rendezvous)
         self.phase = Phase.APPROACH
-        return self._ticked(tree)
+        return self._ticked(tree) and self._due()
+
+    def _met(self) -> bool:
+        """Wait for others where nothing is sent: in a simulator, or without approach."""
+        rendezvous = self._rendezvous
+        if rendezvous is None:
+            return True
+
+        def met() -> bool:
+            return rendezvous(True)
+
+        tree = waiting_tree(self.program, as_block(met, name="together"))
+        return self._ticked(tree, NEVER_NS) and self._due()
+
+    def _due(self) -> bool:
+        """Take over when the flow's first tick is due; it is behind all others' waiting."""
+        if self._rendezvous is not None:
+            self._run.first_ns = self._rendezvous.first_ns
+            if not self._run.first_ns:
+                name = self.program.platform.facts.name
+                raise Fault(f"platform {name!r} has gone while others were waited for")
+        return True
 
     def _ticked(self, tree: Node, hang_ns: int | None = None) -> bool:
         """Tick another tree before the run until it is done; False where the run is to end.

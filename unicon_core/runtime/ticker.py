@@ -39,6 +39,8 @@ class Ticker:
         between: actions to be called between two ticks.
         arrivals: when the platform's data come, as far as it was measured.
         hang_ns: how late a tick may be; later ones are a fault.
+        first_ns: when the first tick is due, on the same clock; 0 for at once. One that data
+            trigger comes with those nearest to it.
     """
 
     def __init__(
@@ -50,7 +52,7 @@ class Ticker:
         names = [block.name for block in self.graph.blocks]
         self.statistics = TickStatistics(names, self.graph.deferred_blocks, capacity)
         self.done = self.stop = False
-        self.next_due_ns = 0
+        self.next_due_ns = self.first_ns = 0
         self.between: deque[Callable[[], object]] = deque()
         self.arrivals: Arrivals | None = None
         self.hang_ns = self.pacing.hang_ns(self.period_ns, program.platform.facts.simulated)
@@ -106,7 +108,7 @@ class Ticker:
         wait = self._warm_up(WallClock(round(self.pacing.spin_us * 1e3))).until
         period, backlog = self.period_ns, 0 if self.pacing.overrun == "skip" else CATCH_UP
         statistics, now, gate = self.statistics, time.perf_counter_ns, self._program.gate
-        due = now() + min(period, 10_000_000)
+        due = max(self.first_ns, now()) if self.first_ns else now() + min(period, 10_000_000)
         while not self.stop and statistics.count < limit:
             if self.between:
                 self._act()
@@ -180,7 +182,9 @@ class Ticker:
         patience = 3e-9 * period
         # A phase before may have measured it: while that is done nothing is sent.
         arrivals = self.arrivals = self.arrivals or self._arrivals(wait, patience)
-        due = last = now()
+        due = last = self.first_ns - period if self.first_ns else now()
+        if arrivals is None:
+            until(self.first_ns)
         hasty, gate = 0, self._program.gate
         silence = round(1e9 * patience) + 2 * period + self.hang_ns
         while not self.stop and statistics.count < limit:

@@ -46,7 +46,7 @@ KEYS = {
     "policies": "name to policy: a path, or {path, given}",
     "estimate": "blocks that compute what is not measured, right behind recv",
     "commands": "blocks that make commands, before ROS inputs may replace them",
-    "start": "{gates, operator, approach, fade_in}: before a robot moves",
+    "start": "{gates, operator, approach, fade_in, at, together, late}: before a robot moves",
     "flow": "the graph",
     "wind_down": "the graph after the run, before the platform damps and closes; at most 5 s",
     "safety": "blocks between the flow and send, or only: and blocks, or none",

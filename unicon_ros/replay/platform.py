@@ -15,6 +15,7 @@ from unicon_core.robots.joint_physics import JOINT_PHYSICS
 from unicon_core.states import States
 from unicon_core.states.standard import HARDWARE_STATES
 from unicon_core.workflow import WorkflowDocument
+from unicon_core.workflow.start import MOMENTS
 from unicon_ros.recording import Record
 from unicon_ros.replay.series import Series, opened
 
@@ -140,6 +141,9 @@ def replayed_on(document: WorkflowDocument, bag: str | Path, **options: Any) -> 
     scene = document.values.get("scene")
     if isinstance(scene, dict):
         document.values["scene"] = {k: v for k, v in scene.items() if k not in DISTURBANCES}
+    start = document.values.get("start")
+    if isinstance(start, dict):  # that moment has passed, and nobody else is there
+        document.values["start"] = {k: v for k, v in start.items() if k not in MOMENTS}
 
 
 def _measured(record: Record) -> Sequence[str]:

@@ -1,0 +1,326 @@
+"""Meeting: what robots that start together tell one another, for `start: {together: …}`.
+
+    start: {together: {robots: [left, right], me: left}}                     # of one machine
+    start: {together: {robots: {left: tcp://10.0.0.1:5700, right: tcp://10.0.0.2:5700}, me: left}}
+
+Each robot publishes one small group: over shared memory, where all see the same clock, or over zmq,
+where wall clocks have to agree (NTP, PTP); one that is off by more than `CLOCKS` is told by name.
+"""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.bounds import within
+from unicon_core.errors import Fault, StateError, UniconError, WorkflowError, alternatives
+from unicon_core.states import Layout, States, StateSpec
+from unicon_core.states.backends import Reader, Writer
+from unicon_core.states.links import AGAIN_NS
+from unicon_core.together.agreement import BEGUN, FRESH_NS, READY, Agreement, Word
+
+__all__ = ["Meeting", "Party", "party_of"]
+
+PATIENCE = 30.0
+"""How long the others are waited for in [s], unless told."""
+
+LONGEST = 3600.0
+"""Of `timeout` in [s]: a robot stands under torque meanwhile."""
+
+CLOCKS = 0.05
+"""By how much another machine's clock may differ, in [s]; what is less cannot be told here from the
+time that a word takes and waits for the next tick."""
+
+SLOWEST = 0.05
+"""Longest period of a tick in [s]: words count for a quarter of a second."""
+
+STATE = "together"
+FIELDS = ("stage", "impatient", "moment_ns", "clock_ns")
+GROUP = Layout({STATE: StateSpec((len(FIELDS),), "int64", names=FIELDS)})
+
+_KEYS = ("robots", "me", "group", "timeout")
+
+
+@dataclass(frozen=True)
+class Party:
+    """What `together:` says.
+
+    Attributes:
+        robots: name of each to its address; empty addresses on one machine.
+        me: which this one is.
+        group: of the robots that mean one another.
+        timeout: how long the others are waited for in [s].
+    """
+
+    robots: Mapping[str, str]
+    me: str
+    group: str = "together"
+    timeout: float = PATIENCE
+
+    @property
+    def over_zmq(self) -> bool:
+        """Whether they are on several machines."""
+        return any(self.robots.values())
+
+
+class _Other:
+    """What is heard of one of the others.
+
+    Args:
+        party: who means one another.
+        name: of the other one.
+    """
+
+    def __init__(self, party: Party, name: str) -> None:
+        self._party, self._name = party, name
+        self._states = States(GROUP)
+        self._reader: Reader | None = None
+        self._tried, self._alive = 0, False
+        self.reason = "is not there"
+        if party.over_zmq:
+            from unicon_core.states.backends.zmq import ZmqReader
+
+            late = FRESH_NS * 1e-9
+            self._reader = ZmqReader(party.robots[name], STATE, GROUP, self._states, late=late)
+
+    def hear(self, clock_ns: int) -> Word | None:
+        """Return its word where it is fresh; `reason` says why not, and what is waited for."""
+        now = time.monotonic_ns()
+        reader = self._reader
+        if reader is None:
+            reader = self._find(now)
+        if reader is None:
+            return None
+        reader.take()
+        stage, impatient, moment, clock = (int(value) for value in self._states[STATE])
+        if now - reader.stamp_ns > FRESH_NS:
+            if now - self._tried > AGAIN_NS:
+                self._tried = now
+                self._alive = self._lives(reader)
+            if not (self._alive and stage == BEGUN):
+                return None
+            self.reason = "has begun already"  # it says nothing any more
+            return Word(stage, False, moment)
+        # Since it said so: by how much longer than the fastest word this one took.
+        ahead = (clock - clock_ns + max(now - reader.stamp_ns, 0)) * 1e-9
+        if self._party.over_zmq and abs(ahead) > CLOCKS:
+            order = "ahead of" if ahead > 0.0 else "behind"
+            self.reason = (
+                f"has a clock {abs(ahead):.3f} s {order} the one here; synchronise both (NTP, PTP)"
+            )
+            return None
+        self.reason = "is there and not ready: gates, operator or approach"
+        if stage == BEGUN:
+            self.reason = "has begun already"
+        elif stage == READY:
+            self.reason = "is ready"
+        return Word(stage, bool(impatient), moment)
+
+    def _find(self, now: int) -> Reader | None:
+        """Look for its segment now and then."""
+        if now - self._tried > AGAIN_NS:
+            self._tried = now
+            from unicon_core.states.backends.shm import ShmReader
+
+            name = segment_name(self._party, self._name)
+            try:
+                self._reader = ShmReader(name, STATE, self._states, GROUP)
+            except StateError as error:
+                self.reason = "is not there" if "no segment" in str(error) else str(error)
+        return self._reader
+
+    def _lives(self, reader: Reader) -> bool:
+        """Return whether the one that is silent lives; a new one is taken up where it has died."""
+        try:
+            alive = reader.alive()
+        except StateError as error:
+            self.reason = str(error)
+            return False
+        if not reader.number:
+            self.reason = "is not there"
+        else:
+            self.reason = "is silent" if alive else "has gone: it ended or was killed"
+        return alive
+
+    def close(self) -> None:
+        """Let go."""
+        if self._reader is not None:
+            self._reader.close()
+
+
+class Meeting:
+    """Asked in each tick: the moment once all have agreed on it; see `rendezvous.Source`.
+
+    Args:
+        party: who means one another.
+        alone: begin without who lacks once the time-out is over, else that is a fault.
+        period: of a tick in [s].
+
+    Raises:
+        UniconError: the ticks are too slow.
+        StateError: another run is this robot, or the address cannot be had.
+        MissingDependencyError: pyzmq is not installed.
+    """
+
+    def __init__(self, party: Party, alone: bool, period: float) -> None:
+        if period > SLOWEST:
+            raise UniconError(
+                f"start: together needs {1 / SLOWEST:g} ticks a second and more, and there are "
+                f"{1 / period:.3g}; give a higher rate, or start: {{at: …}}"
+            )
+        self._party, self._alone = party, alone
+        self.clock = time.time_ns if party.over_zmq else time.monotonic_ns
+        self._agreement = Agreement(
+            tuple(party.robots), party.me, round(party.timeout * 1e9), alone
+        )
+        self.reason = self.late = ""
+        self._states = States(GROUP)
+        self._said: NDArray[np.int64] = self._states[STATE]
+        self._writer: Writer = _writer(party, self._states)
+        self._others: dict[str, _Other] = {}
+        try:
+            for name in party.robots:
+                if name != party.me:
+                    self._others[name] = _Other(party, name)
+        except BaseException:
+            self.close()
+            raise
+
+    def ask(self, ready: bool) -> int:
+        """Tell and hear; return the moment that all have agreed on in [ns], 0 before that.
+
+        Raises:
+            Fault: somebody lacks for too long, or this one has missed the moment.
+        """
+        agreement, now = self._agreement, self.clock()
+        heard = {
+            name: word
+            for name, other in self._others.items()
+            if (word := other.hear(now)) is not None
+        }
+        agreement(now, ready, heard)
+        self._tell(agreement.mine)
+        if agreement.moment_ns:
+            if agreement.late:
+                behind = (now - agreement.moment_ns) * 1e-9
+                self.late = f"it is late: it missed the agreed moment by {behind:.3f} s"
+                if not self._alone:
+                    raise Fault(f"not started, {self.late}")
+            elif agreement.lacking and not self.late:
+                self.late = f"it goes without {self._lacking()}"
+            self.reason = "the moment that all have agreed on"
+            return max(agreement.moment_ns, now) if agreement.late else agreement.moment_ns
+        self.reason = self._lacking() or "the others to agree on a moment"
+        if agreement.expired and agreement.lacking and not self._alone:
+            raise Fault(f"not started, waited {self._party.timeout:g} s for {self._lacking()}")
+        return 0
+
+    def begun(self) -> None:
+        """Tell the others that this one begins."""
+        self._tell(Word(BEGUN, moment_ns=self._agreement.moment_ns))
+
+    def close(self) -> None:
+        """Let go."""
+        for other in self._others.values():
+            other.close()
+        self._writer.close()
+
+    def facts(self) -> dict[str, Any]:
+        """Return what the report tells."""
+        return {"robots": list(self._agreement.among)}
+
+    def _lacking(self) -> str:
+        lacking = self._agreement.lacking
+        return "; ".join(f"{name!r}, which {self._others[name].reason}" for name in lacking)
+
+    def _tell(self, word: Word) -> None:
+        self._said[:] = word.stage, word.impatient, word.moment_ns, self.clock()
+        self._writer.publish()
+
+
+def _writer(party: Party, states: States) -> Writer:
+    if party.over_zmq:
+        from unicon_core.states.backends.zmq import ZmqWriter
+
+        return ZmqWriter(party.robots[party.me], STATE, GROUP, states, bind=True)
+    from unicon_core.states.backends.shm import Segment, ShmWriter
+
+    segment = Segment.create(segment_name(party, party.me), {STATE: GROUP})
+    return ShmWriter(segment, STATE, states)
+
+
+def segment_name(party: Party, robot: str) -> str:
+    """Return the name of a robot's segment."""
+    return f"start-{party.group}-{robot}"
+
+
+def party_of(value: Any) -> Party:
+    """Return what `together:` says.
+
+    Raises:
+        WorkflowError: a key or a value is wrong.
+    """
+    example = "{robots: [left, right], me: left}"
+    if not isinstance(value, dict):
+        raise WorkflowError(f"start: together is {value!r:.60}; give {example}")
+    for key in value:
+        if key not in _KEYS:
+            known = alternatives(str(key), _KEYS)
+            raise WorkflowError(f"start: together: unknown key {key!r}; {known}")
+    robots = _robots(value.get("robots"), example)
+    me = value.get("me")
+    if not isinstance(me, str) or me not in robots:
+        raise WorkflowError(
+            f"start: together: me is {me!r}, which of the robots this one is; "
+            f"{alternatives(str(me), robots)}, as --set start.together.me={next(iter(robots))}"
+        )
+    group = value.get("group", Party.group)
+    if not _is_name(group):
+        raise WorkflowError(f"start: together: group is {group!r:.60}; {_NAMES}")
+    option = "start: together: timeout"
+    timeout = within(value.get("timeout", PATIENCE), option, "s", LONGEST)
+    return Party(robots, me, group, timeout)
+
+
+_NAMES = "use up to 40 letters, digits, '_' and '-'"
+
+
+def _is_name(value: Any) -> bool:
+    return isinstance(value, str) and re.fullmatch(r"[A-Za-z0-9_-]{1,40}", value) is not None
+
+
+def _robots(value: Any, example: str) -> dict[str, str]:
+    """Return each robot's name and address.
+
+    Raises:
+        WorkflowError: they are not two or more names.
+    """
+    if isinstance(value, list):
+        for name in value:
+            if value.count(name) > 1:
+                raise WorkflowError(f"start: together: robot {name!r} stands there twice")
+        value = {name if isinstance(name, str) else repr(name): "" for name in value}
+        wanted = ("", "")
+    else:
+        wanted = (r"(tcp|ipc)://\S+", ", or {left: tcp://HOST:PORT, …} on several machines")
+    if not isinstance(value, dict) or len(value) < 2:
+        raise WorkflowError(
+            f"start: together: robots is {value!r:.60}; name two or more, as {example}"
+        )
+    for name, address in value.items():
+        if not _is_name(name):
+            raise WorkflowError(f"start: together: robot {name!r:.60}; {_NAMES}")
+        if not (isinstance(address, str) and re.fullmatch(wanted[0], address)):
+            raise WorkflowError(
+                f"start: together: the address of {name!r} is {address!r:.60}; give "
+                "tcp://HOST:PORT, or ipc://PATH on one machine"
+            )
+        if address and list(value.values()).count(address) > 1:
+            raise WorkflowError(f"start: together: two robots have the address {address!r}")
+    return dict(value)
