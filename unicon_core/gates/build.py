@@ -15,8 +15,13 @@ from unicon_core.flow.stage import Stage
 from unicon_core.gates.data import Changing, Rate, Told
 from unicon_core.gates.gate import Heeding, Passing, StartGate
 from unicon_core.gates.imu import Imu
-from unicon_core.gates.standing import NoCommand, Variant
-from unicon_core.platforms.platform import CountsArrivals, ReportsVariant
+from unicon_core.gates.standing import Alone, NoCommand, Variant
+from unicon_core.platforms.platform import (
+    CountsArrivals,
+    Prepares,
+    ReportsVariant,
+    SeesCommanders,
+)
 from unicon_core.states.standard import JOINT_STATES
 
 if TYPE_CHECKING:
@@ -92,6 +97,9 @@ def _gates(program: Program) -> list[StartGate]:
     gates += _stops(program, measured)
     if isinstance(platform, ReportsVariant):
         gates.append(Variant(platform.variant, robot))
+    # Behind the gates `prepare` may be what makes the robot's own controller let go.
+    if isinstance(platform, SeesCommanders) and not isinstance(platform, Prepares):
+        gates.append(Alone(platform.commanders))
     if program.command_bounds:
         gates.append(NoCommand(states["velocity_command"]))
     return gates
