@@ -20,7 +20,7 @@ pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.timeout(1500)]
 
 WORKFLOW = """\
 schema: unicon.workflow/1
-robot: x2.yaml
+robot: {folder}/x2.yaml
 platform: ros
 platforms: {ros: {map: patient.yaml, connect: 60.0}}
 rate: 50
@@ -43,7 +43,7 @@ def workflow(tmp_path: Path) -> Path:
     text = (ROOT / "config" / "maps" / "agibot_x2.yaml").read_text(encoding="utf-8")
     (tmp_path / "patient.yaml").write_text(text.replace("timeout: 0.05", "timeout: 5.0"))
     path = tmp_path / "x2_stand.yaml"
-    path.write_text(WORKFLOW, encoding="utf-8")
+    path.write_text(WORKFLOW.replace("{folder}", str(tmp_path)), encoding="utf-8")
     return path
 
 

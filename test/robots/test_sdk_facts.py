@@ -35,7 +35,7 @@ FACTS: dict[str, list[tuple[str, dict[str, Any]]]] = {
         ("a1", {"address": "192.168.123.10", "port": 8007, "motor_mode": 10}),
     ],
     "unitree_sdk2 example/g1/dex3/g1_dex3_example.cpp": [
-        ("dex3_left", {"command_topic": "rt/dex3/left/cmd", "status": 1, "rate_hz": 100}),
+        ("dex3_left", {"command_topic": "rt/dex3/left/cmd", "status": 1}),
         ("dex3_left", {"slow_state_topic": "rt/lf/dex3/left/state"}),
         ("dex3_left", {"num_motor_slots": 7, "num_press_sensors": 9}),
         ("dex3_right", {"command_topic": "rt/dex3/right/cmd", "num_motor_slots": 7}),

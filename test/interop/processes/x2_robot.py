@@ -27,7 +27,7 @@ def main():
     node = rclpy.create_node("x2_robot")
     own = node.create_publisher(JointCommandArray, "/aima/hal/joint/leg/command", 10)
     joints = [joint for group in groups.values() for joint in group]
-    position = {joint: 0.01 * k for k, joint in enumerate(joints)}
+    position = {joint: 0.001 * k for k, joint in enumerate(joints)}
     begun = dict(position)
     told = {"commands": 0, "first": {}, "gains": {}, "targets": {}}
     release = threading.Event()
