@@ -34,45 +34,6 @@ def test_adam_lite_can_be_driven_from_its_real_pose() -> None:
     assert fact(robot, "stiffness", "anklePitch_Left", "anklePitch_Right") == [25.0, 25.0]
 
 
-# robot, joint as a part of the name, then what the file may allow at most.
-NARROWER: list[tuple[str, str, dict[str, float]]] = [
-    ("adam_lite", "waistRoll", {"lower": -0.226, "upper": 0.226}),
-    ("adam_lite", "kneePitch", {"lower": 0.052, "upper": 2.391}),
-    ("adam_lite", "hipRoll_Left", {"lower": -0.733}),
-    ("adam_lite", "hipRoll_Right", {"upper": 0.733}),
-    ("adam_lite", "shoulderRoll_Left", {"upper": 2.74}),
-    ("adam_lite", "shoulderRoll_Right", {"lower": -2.74}),
-    ("gr1t2", "ankle_pitch", {"effort": 15.0}),
-    ("gr1t2", "ankle_roll", {"effort": 30.0}),
-    ("gr1t2", "hip_roll", {"effort": 48.0}),
-    ("go1", "thigh", {"lower": -0.663, "upper": 2.966}),
-    ("go1", "calf", {"lower": -2.721, "upper": -0.888}),
-    ("aliengo", "hip", {"lower": -0.873, "upper": 0.873}),
-    ("aliengo", "calf", {"upper": -0.646}),
-    ("t1", "Hip_Pitch", {"lower": -1.8, "upper": 1.57, "velocity": 12.5}),
-    ("t1", "Knee", {"velocity": 11.7}),
-    ("t1", "Ankle_Pitch", {"effort": 20.0}),
-    ("atom", "ankle_roll", {"lower": -0.24, "upper": 0.24}),
-    ("atom", "hip_pitch", {"lower": -1.7, "upper": 1.8}),
-    ("atom", "knee", {"upper": 2.0}),
-    ("atom", "ankle_pitch", {"lower": -0.8727, "upper": 0.5236}),
-    ("atom", "right_shoulder_roll", {"lower": -3.14, "upper": 0.43}),
-    ("atom", "elbow_pitch", {"lower": -0.87, "upper": 1.48}),
-    ("azureloong", "_06", {"lower": -1.5708, "upper": 1.5708, "effort": 11.5}),
-    ("azureloong", "_07", {"lower": -1.0472, "upper": 1.0472, "effort": 11.5}),
-    ("azureloong", "_05", {"effort": 11.5}),
-]
-
-
-@pytest.mark.parametrize(("name", "part", "bounds"), NARROWER)
-def test_limits_are_the_narrower_ones(name: str, part: str, bounds: dict[str, float]) -> None:
-    robot = load_robot(name)
-    joints = [joint for joint in robot.joint_names if part in joint]
-    assert joints
-    for field, bound in bounds.items():
-        assert fact(robot, field, *joints) == [bound] * len(joints)
-
-
 def test_rohands_ranges_are_those_of_its_registers() -> None:
     robot = load_robot("rohand")
     degrees = np.degrees([robot.lower, robot.upper]).T

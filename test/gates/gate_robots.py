@@ -99,6 +99,22 @@ class WrongRobot(FakeRobot):
         self._states[name][...] = self._kept.setdefault(name, np.array(self._states[name]))
 
 
+class Shared(WrongRobot):
+    """One whose own controller commands it in the first ticks."""
+
+    def commanders(self) -> Mapping[str, int]:
+        """Return how many others send."""
+        return {"rt/other": 0, "rt/command": int(self.ticks < 40)}
+
+
+class Prepared(Shared):
+    """One that lets go behind the gates."""
+
+    def prepare(self) -> str:
+        """Take the robot over."""
+        return ""
+
+
 class Reporting(WrongRobot):
     """One that reports a variant."""
 
@@ -134,6 +150,16 @@ def make(
         stuck=stuck,
         silent=silent,
     )
+
+
+def shared(states: States, robot: Robot, period: float) -> Shared:
+    """Build a robot that another one commands for a while."""
+    return Shared(states, robot, period)
+
+
+def prepared(states: States, robot: Robot, period: float) -> Prepared:
+    """Build one that is taken over behind the gates."""
+    return Prepared(states, robot, period)
 
 
 def _set(name: str, index: int, value: float) -> Callable[[WrongRobot, States], None]:

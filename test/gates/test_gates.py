@@ -147,6 +147,19 @@ def test_the_variant_of_a_robot_in_a_child_process_is_asked_for() -> None:
         program.close()
 
 
+def test_a_robot_waits_while_another_one_commands_it() -> None:
+    program = Program(robot="go2", platform="gate_robots:shared", rate=50, flow=block("hold"))
+    assert reasons(program, 2)["commanders"] == (
+        "1 others send to rt/command; end them, one alone may command a robot"
+    )
+    assert reasons(program)["commanders"] == ""
+
+
+def test_a_robot_whose_own_controller_lets_go_behind_the_gates_does_not_wait_for_it() -> None:
+    program = Program(robot="go2", platform="gate_robots:prepared", rate=50, flow=block("hold"))
+    assert "commanders" not in reasons(program, 2)
+
+
 def test_in_a_simulator_gates_are_shown_and_hold() -> None:
     program = Program(robot="go2", platform="fake", rate=50, flow=block("hold"))
     assert {gate.name for gate in program.gates} >= {"data", "imu", "posture"}

@@ -31,7 +31,7 @@ def domain() -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def type_support() -> dict[str, str]:
-    """Environment in which tf2_msgs, unitree_go and unitree_hg import; generated where absent."""
+    """Environment in which aimdk_msgs, tf2_msgs, unitree_go and unitree_hg import; generated."""
     from make_type_support import Unavailable, environment
     from make_type_support import type_support as made
 
@@ -42,8 +42,10 @@ def type_support() -> dict[str, str]:
         "tf2_msgs": ROOT / "test" / "ros" / "interfaces" / "tf2_msgs",
         "unitree_go": messages / "unitree_go",
         "unitree_hg": messages / "unitree_hg",
+        "aimdk_msgs": messages / "aimdk_msgs",
     }
     examples = ("tf2_msgs/msg/TFMessage", "unitree_go/msg/LowCmd", "unitree_hg/msg/LowCmd")
+    examples += ("aimdk_msgs/msg/JointStateArray",)
     absent = {
         name: packages[name]
         for name, example in zip(packages, examples)

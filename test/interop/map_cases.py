@@ -10,6 +10,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from unicon_core.robots import load_robot
+
 N = 12
 NAMES = [f"joint_{k}" for k in range(N)]
 STAMP_NS = 1_700_000_000_123_456_789
@@ -124,7 +126,47 @@ def unitree(count: int, size: int, hg: bool) -> Case:
     )
 
 
+def agibot_x2() -> Case:
+    """Return the case of a topic for each group, in the robot file's order."""
+    robot = load_robot("x2")
+    count, names = robot.num_joints, robot.joint_names
+    figures = {
+        "position": 4.0,
+        "velocity": 12.0,
+        "effort": 20.0,
+        "stiffness": 28.0,
+        "damping": 36.0,
+    }
+    commands = ("joint_pos_target", "joint_vel_target", "joint_effort_ff")
+    commands += ("joint_stiffness", "joint_damping")
+    measured = {"joint_pos": "position", "joint_vel": "velocity", "joint_effort": "effort"}
+    states = {name: ramp(start, count) for name, start in zip(commands, figures.values())}
+    says: dict[str, Any] = {}
+    hears: dict[str, Any] = {}
+    last = 0
+    for group, size in robot.transport["groups"].items():
+        first, last = last, last + size
+        joints = [
+            {"name": names[k]} | {field: start + k / 8 for field, start in figures.items()}
+            for k in range(first, last)
+        ]
+        told = [
+            {key: joint[key] for key in ("name", "position", "velocity", "effort")}
+            for joint in joints
+        ]
+        says[robot.transport["command_topics"][group]] = {"joints": joints}
+        after = {  # of this group and of those before it
+            state: [*ramp(figures[field], last), *[0.0] * (count - last)]
+            for state, field in measured.items()
+        }
+        hears[robot.transport["state_topics"][group]] = ({"joints": told}, after)
+    joints[-1] |= dict.fromkeys(figures, 0.0)  # head_pitch, which is not commanded
+    hears[robot.transport["imu_topic"]] = (IMU, BASE)
+    return Case(states, says, hears, count, packages=("aimdk_msgs",))
+
+
 CASES: dict[str, Case] = {
+    "agibot_x2": agibot_x2(),
     "battery_state": Case(
         {
             "stamp_ns": STAMP_NS,

@@ -12,7 +12,7 @@ from map_helpers import JAZZY, MAPS, get, serialize, zero_message
 from unicon_msgs_map import Decoder, Encoder, MessageMap, PublishSpec, SubscribeSpec, load_map
 
 FILES = sorted(path.stem for path in MAPS.glob("*.yaml"))
-COUNTS = {"unitree_go": 12, "unitree_hg": 29}
+COUNTS = {"unitree_go": 12, "unitree_hg": 29, "agibot_x2": 31}
 
 
 def states(count: int) -> dict[str, np.ndarray]:
@@ -150,6 +150,11 @@ def sample(spec: SubscribeSpec, mapping: MessageMap, count: int) -> Any:
             object.__setattr__(item, "name", name)
             object.__setattr__(item, "level", level)
             message.status.append(item)
+    elif short == "JointStateArray":
+        names = [f.source.value for f in spec.fields if f.source.kind == "const"]
+        for k, name in enumerate(names):
+            figures = (1.0 + k / 8, 101.0 + k / 8, 201.0 + k / 8)
+            message.joints.append(store.types["aimdk_msgs/msg/JointState"](name, *figures, 0))
     elif short == "Joy":
         object.__setattr__(message, "axes", np.arange(6, dtype=np.float32) / 8)
     number = 3

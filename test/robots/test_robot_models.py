@@ -47,6 +47,9 @@ MODELS = (
     "xhand1_right/xhand_right.urdf",
 )
 
+URDFS = tuple(model for model in MODELS if model.endswith(".urdf"))
+MJCFS = tuple(model for model in MODELS if model.endswith(".xml"))
+
 # The vendor's sources differ (MJCF and URDF, or URDF and SDK): the file has the narrower limit.
 NARROWER = {"adam_lite", "aliengo", "atom", "azureloong", "go1", "gr1t2", "t1", "x2"}
 
@@ -86,6 +89,15 @@ def _motor_order(path: Path) -> list[str]:
     return [a.get("joint", "") for a in actuators] if actuators is not None else []
 
 
+def test_no_model_at_hand_is_left_out() -> None:
+    root = assets_root()
+    if root is None:
+        pytest.skip("the assets folder is not at hand: set UNICON_ASSETS")
+    folder = root / "models"
+    found = {str(path.relative_to(folder)) for path in folder.glob("*/*.*")}
+    assert {path for path in found if path.endswith((".urdf", ".xml"))} <= set(MODELS)
+
+
 @pytest.fixture(params=MODELS)
 def model(request: pytest.FixtureRequest) -> tuple[str, Path]:
     root = assets_root()
@@ -121,11 +133,10 @@ def test_limits_are_the_models(model: tuple[str, Path]) -> None:
     np.testing.assert_allclose(robot.upper, expected[:, 1], atol=1e-3)
 
 
+@pytest.mark.parametrize("model", URDFS, indirect=True)
 def test_speed_and_torque_limits_are_the_urdfs(model: tuple[str, Path]) -> None:
     """NaN where the robot file does not believe the URDF (place holders of the RH56)."""
     name, path = model
-    if path.suffix != ".urdf":
-        pytest.skip("an MJCF has no speed limits")
     robot = load_robot(name)
     found = {joint.get("name"): joint.find("limit") for joint in ET.parse(path).findall("joint")}
     for key, ours in (("velocity", robot.velocity_limit), ("effort", robot.effort_limit)):
@@ -139,11 +150,11 @@ def test_speed_and_torque_limits_are_the_urdfs(model: tuple[str, Path]) -> None:
         np.testing.assert_allclose(ours[known], theirs[known], rtol=1e-3)
 
 
+@pytest.mark.parametrize("model", MJCFS, indirect=True)
 def test_order_is_that_of_the_models_motors(model: tuple[str, Path]) -> None:
     name, path = model
     motors = _motor_order(path)
-    if not motors:
-        pytest.skip(f"{path.name} has no actuators")
+    assert motors
     robot = load_robot(name)
     assert robot.joint_names == tuple(motor for motor in motors if motor in robot.joint_names)
     slots = robot.transport.get("motors", range(robot.num_joints))

@@ -15,9 +15,14 @@ from unicon_core.flow.stage import Stage
 from unicon_core.gates.data import Changing, Rate, Told
 from unicon_core.gates.gate import Heeding, Passing, StartGate
 from unicon_core.gates.imu import Imu
-from unicon_core.gates.standing import NoCommand, Variant
+from unicon_core.gates.standing import Alone, NoCommand, Variant
 from unicon_core.platforms.joined import members_of
-from unicon_core.platforms.platform import CountsArrivals, ReportsVariant
+from unicon_core.platforms.platform import (
+    CountsArrivals,
+    Prepares,
+    ReportsVariant,
+    SeesCommanders,
+)
 from unicon_core.robots import Robot, robot_files
 from unicon_core.states.standard import JOINT_STATES
 
@@ -95,6 +100,9 @@ def _gates(program: Program) -> list[StartGate]:
     for _, each, own in members_of(platform, robot):
         if isinstance(each, ReportsVariant):
             gates.append(Variant(each.variant, own))
+        # Behind the gates `prepare` may be what makes the robot's own controller let go.
+        if isinstance(each, SeesCommanders) and not isinstance(each, Prepares):
+            gates.append(Alone(each.commanders))
     if program.command_bounds:
         gates.append(NoCommand(states["velocity_command"]))
     return gates

@@ -1,4 +1,4 @@
-"""Gates on how things stand: the robot's variant, and that nobody commands it to move."""
+"""Gates on how things stand: the robot's variant, who else commands it, and no command to move."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from unicon_core.errors import Fault
 from unicon_core.robots import Robot
 
-__all__ = ["NoCommand", "Variant"]
+__all__ = ["Alone", "NoCommand", "Variant"]
 
 
 class Variant:
@@ -45,6 +45,27 @@ class Variant:
                     f"{key} {expected!r}: limits, gains and joints may be others; choose the "
                     "robot file of this variant"
                 )
+        return ""
+
+
+class Alone:
+    """Gate `commanders`: nobody else sends where the robot takes its commands.
+
+    Args:
+        commanders: where that is, and how many others send there, as of `SeesCommanders`.
+    """
+
+    name = "commanders"
+
+    def __init__(self, commanders: Callable[[], Mapping[str, int]]) -> None:
+        self._commanders = commanders
+        self.about = f"nobody else sends to {', '.join(commanders())}"
+
+    def __call__(self) -> str:
+        """Count them."""
+        for where, count in self._commanders().items():
+            if count:
+                return f"{count} others send to {where}; end them, one alone may command a robot"
         return ""
 
 

@@ -13,6 +13,7 @@ from unicon_core.errors import Fault, UniconError
 from unicon_core.flow import Node, Zip, compile_graph
 from unicon_core.flow.stage import Stage
 from unicon_core.gates.data import Rate
+from unicon_core.gates.standing import Alone
 from unicon_core.platforms.joined import members_of
 from unicon_core.platforms.platform import Platform, ReportsVariant, SeesCommanders, info_of
 from unicon_core.preflight.first import tell_first_command
@@ -183,12 +184,12 @@ def _posture(program: Program) -> str:
 def _around(program: Program, result: PreflightResult) -> None:
     """What is around: others who command, room for a recording."""
     platform = program.platform
-    if isinstance(platform, SeesCommanders):
-        for where, count in platform.commanders().items():
-            told = f"nobody else sends to {where}"
-            if count:
-                told = f"{count} others send to {where}; end them, one alone may command a robot"
-            result.add("commanders", not count, told)
+    if isinstance(platform, SeesCommanders) and not any(
+        gate.name == Alone.name for gate in program.gates
+    ):
+        alone = Alone(platform.commanders)
+        others = alone()
+        result.add(alone.name, not others, others or alone.about)
     free = shutil.disk_usage(os.getcwd()).free
     told = f"{free / 1e9:.1f} GB free in this folder"
     if free < FREE_BYTES:
