@@ -7,12 +7,11 @@ The names on our side are states, and a few arrays that driver and emulator have
 
 from __future__ import annotations
 
-import json
 from collections.abc import Container, Mapping
 from typing import Any
 
-from unicon_msgs_map import PublishSpec, SubscribeSpec, parse_map
-from unicon_msgs_map.layout.messages import shared_messages
+from unicon_msgs_map import PublishSpec, SubscribeSpec
+from unicon_ros.hardware.dds.maps import publish, subscribe
 from unicon_ros.hardware.unitree.facts import UnitreeFacts
 
 __all__ = ["COMMANDS", "command_in", "command_out", "head_in", "state_in", "state_out"]
@@ -112,18 +111,13 @@ def _part(state: str, run: Any) -> str:
     return f"{state}[{first}:{last}]"
 
 
-def _entry(facts: UnitreeFacts, name: str, fields: Mapping[str, Any], way: str) -> Any:
-    topic = facts.state_topic if name == "LowState" else facts.command_topic
-    entry = {"topic": topic, "type": facts.message(name).name, "fields": dict(fields)}
-    parsed = parse_map(json.dumps({way: [entry]}), shared_messages(), name=facts.protocol)
-    return getattr(parsed, way)[0]
+def _topic(facts: UnitreeFacts, name: str) -> str:
+    return facts.state_topic if name == "LowState" else facts.command_topic
 
 
 def _subscribe(facts: UnitreeFacts, name: str, fields: Mapping[str, Any]) -> SubscribeSpec:
-    spec: SubscribeSpec = _entry(facts, name, fields, "subscribe")
-    return spec
+    return subscribe(_topic(facts, name), facts.message(name).name, fields)
 
 
 def _publish(facts: UnitreeFacts, name: str, fields: Mapping[str, Any]) -> PublishSpec:
-    spec: PublishSpec = _entry(facts, name, {**fields, **_CHECKSUM}, "publish")
-    return spec
+    return publish(_topic(facts, name), facts.message(name).name, {**fields, **_CHECKSUM})
