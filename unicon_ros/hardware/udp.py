@@ -52,6 +52,19 @@ class Udp:
     def received(self) -> list[bytes]:
         """Return what the peer has sent since the last call, the oldest first."""
         found: list[bytes] = []
+        for datagram, sender in self.datagrams():
+            if sender == self.peer:
+                found.append(datagram)
+            else:
+                self.strangers += 1
+        return found
+
+    def datagrams(self) -> list[tuple[bytes, tuple[str, int]]]:
+        """Return what anybody has sent since the last call, with the senders, the oldest first.
+
+        For a robot's end, which answers to whoever commands it: set `peer`.
+        """
+        found: list[tuple[bytes, tuple[str, int]]] = []
         for _ in range(MOST):
             try:
                 size, sender = self._socket.recvfrom_into(self._buffer)
@@ -59,10 +72,7 @@ class Udp:
                 break
             except OSError:  # such as a refused port, told by an earlier datagram of ours
                 continue
-            if sender == self.peer:
-                found.append(bytes(self._buffer[:size]))
-            else:
-                self.strangers += 1
+            found.append((bytes(self._buffer[:size]), sender))
         return found
 
     def send(self, data: bytes | bytearray | memoryview) -> None:

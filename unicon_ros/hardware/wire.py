@@ -18,18 +18,20 @@ __all__ = ["Commanded", "Counts", "Prepared", "Wire"]
 
 
 class Counts:
-    """What came in, for reports and error messages.
+    """What came in and what was clamped, for reports and error messages.
 
     Attributes:
         good: frames that were taken.
         refused: reason to number of frames that were not.
         last: the newest of these reasons with its figures, "" for none.
+        clamped: commands of ours in which a figure was beyond what the robot or the format takes.
     """
 
     def __init__(self) -> None:
         self.good = 0
         self.refused: Counter[str] = Counter()
         self.last = ""
+        self.clamped = 0
 
     def refuse(self, reason: str, detail: str = "") -> None:
         """Count a frame that is not taken.

@@ -189,7 +189,12 @@ class WiredRobot:
     def info(self) -> Mapping[str, Any]:
         """Return where the robot is, and what came from it."""
         counts = self._wire.counts
-        return {"where": self._wire.where, "frames": counts.good, "refused": dict(counts.refused)}
+        return {
+            "where": self._wire.where,
+            "frames": counts.good,
+            "refused": dict(counts.refused),
+            "clamped": counts.clamped,
+        }
 
 
 R = TypeVar("R", bound=WiredRobot)
