@@ -16,6 +16,8 @@ DEMO_WORKFLOW ?= go2_walk
 DEMO_ARGS ?=
 TEST_TIMEOUT ?= 120
 TEST_ARGS ?=
+# Files of tests that run at once; tests marked `alone` measure time and have the machine for themselves.
+TEST_JOBS ?= 2
 # All that `unicon bench` knows.
 BENCHES ?= $(shell $(BIN)/python -c 'from unicon_ros.cli.bench import BENCHES; print(*BENCHES)')
 
@@ -51,7 +53,8 @@ demo: $(STAMP)
 		--picture out/demo/report.png $(DEMO_ARGS)
 
 test: $(STAMP)
-	$(BIN)/python -m pytest -q --timeout=$(TEST_TIMEOUT) $(TEST_ARGS)
+	$(BIN)/python -m pytest -q --timeout=$(TEST_TIMEOUT) -n $(TEST_JOBS) --dist loadfile \
+		--no-loadscope-reorder $(TEST_ARGS)
 
 test-slow: $(STAMP)
 	$(BIN)/python -m pytest -q --timeout=1800 -m slow $(TEST_ARGS)

@@ -41,6 +41,7 @@ EXTRAS = {
     "test": [
         "pytest",
         "pytest-timeout",
+        "pytest-xdist>=3.7",
         "hypothesis",
         "jsonschema",
         "mcap-ros2-support",

@@ -5,9 +5,11 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from turns import turn
 
 from unicon_ros.bench.domains import free_domain
 
@@ -24,11 +26,28 @@ os.environ["ROS_LOG_DIR"] = LOG_DIR
 os.environ["UNICON_FAULTS"] = f"{LOG_DIR}/faults"  # not the user's
 for name in ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"):
     os.environ[name] = str(ROOT / "config" / "dds" / "fast_discovery.xml")
+os.environ.setdefault("UNICON_TURNS", LOG_DIR)  # workers have that of who starts them
+if os.environ.get("UNICON_TESTS") == "smoke":  # to read all others takes longer than to test
+    collect_ignore = [
+        str(path)
+        for path in Path(__file__).parent.rglob("test_*.py")
+        if "mark.smoke" not in path.read_text("utf-8")
+    ]
 
 
 def pytest_unconfigure(config: pytest.Config) -> None:
     """Remove the log folder of this run."""
     shutil.rmtree(LOG_DIR, ignore_errors=True)
+
+
+@pytest.hookimpl(hookwrapper=True, tryfirst=True)  # before the test's time begins to count
+def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
+    """Let a test marked `alone` run while no other worker runs one."""
+    if not hasattr(item.config, "workerinput"):  # there is one process only
+        yield
+        return
+    with turn(Path(os.environ["UNICON_TURNS"]), item.get_closest_marker("alone") is not None):
+        yield
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

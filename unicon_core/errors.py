@@ -34,6 +34,7 @@ __all__ = [
     "UniconError",
     "WorkflowError",
     "alternatives",
+    "one_line",
 ]
 
 
@@ -134,3 +135,8 @@ def alternatives(wrong: str, known: Iterable[str], *, limit: int = 24) -> str:
     close = difflib.get_close_matches(str(wrong)[:80], names, n=1)
     shown = ", ".join(names[:limit]) + (f", … ({len(names)} in all)" if len(names) > limit else "")
     return f"did you mean {close[0]!r}? known: {shown}" if close else f"known: {shown}"
+
+
+def one_line(error: BaseException) -> str:
+    """Return what any exception says, in one line; its kind where it says nothing."""
+    return " ".join(str(error).split()) or type(error).__name__

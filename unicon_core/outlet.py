@@ -15,7 +15,7 @@ from queue import SimpleQueue
 from select import select
 from typing import Generic, TypeVar
 
-__all__ = ["Outlet", "relayed_stderr", "to_stderr"]
+__all__ = ["Outlet", "open_standard_files", "relayed_stderr", "to_stderr"]
 
 CAPACITY = 256
 """Lines that may wait."""
@@ -100,6 +100,21 @@ def to_stderr() -> Callable[[str], None]:
             rest = rest[os.write(handle, rest) :]
 
     return write
+
+
+def open_standard_files() -> None:
+    """Open the null device where standard input, output or error is closed (`unicon … >&- 2>&-`).
+
+    Else the next file that is opened, such as a recording, would get its number, and with it what
+    libraries write to standard error.
+    """
+    while (handle := os.open(os.devnull, os.O_RDWR)) <= STDERR:
+        os.set_inheritable(handle, True)
+    os.close(handle)
+    if sys.stdout is None:
+        sys.stdout = open(os.devnull, "w")  # noqa: SIM115 - until the process ends
+    if sys.stderr is None:
+        sys.stderr = open(os.devnull, "w")  # noqa: SIM115
 
 
 @contextmanager

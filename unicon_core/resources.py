@@ -23,6 +23,7 @@ __all__ = [
     "find_config",
     "find_resource",
     "list_config",
+    "same_modules",
 ]
 
 _SOURCE_TREE = Path(__file__).resolve().parent.parent
@@ -176,3 +177,8 @@ def file_beside(file: Path, reference: str | Path, what: str, *, error: type[Uni
     if not text or Path(text).is_absolute() or ".." in Path(text).parts or not inside:
         raise error(f"{what} {text[:80]!r} is not in the folder of {file.name}; {remedy}")
     return path
+
+
+def same_modules() -> dict[str, str]:
+    """Return our environment, changed so that another Python finds the modules that we find."""
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}

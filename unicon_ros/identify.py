@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from unicon_core.errors import UniconError
 from unicon_core.identify import Fit, Motion, fit, overlay_text
@@ -21,6 +20,7 @@ from unicon_core.robots import Robot, load_robot, robot_names
 from unicon_core.robots.joint_physics import JOINT_PHYSICS
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_ros.recording import Record
+from unicon_ros.replay.workflow import recorded_workflow
 
 __all__ = ["fit_record", "motion_of"]
 
@@ -52,7 +52,7 @@ def fit_record(
         UniconError: the record lacks something, or is of another robot.
     """
     said, folder = _workflow(record)
-    robot = robot or _robot(record, said, folder)
+    robot = robot or _robot(record, where, said, folder)
     specs = record.layout.specs
     names = specs["joint_pos"].names if "joint_pos" in specs else ()
     if tuple(names) != robot.joint_names:
@@ -85,9 +85,9 @@ def motion_of(record: Record, where: str, window: float = 0.2) -> Motion:
     layout = record.layout
     if layout.num_robots is not None:
         raise UniconError(f"{where} is of {layout.num_robots} robots; record one on its own")
-    period = float(record.facts.get("period_s") or "nan")
-    if not 0.0 < period < 1.0:
-        raise UniconError(f"{where} does not say its period; record it with unicon run --record")
+    period = record.period
+    if period > 1.0:
+        raise UniconError(f"{where} ticks every {period:g} s; a fit needs ticks of at most 1 s")
     names = (*PLACE, *COMMAND_STATES, "projected_gravity")
     states: dict[str, Any] = {n: record.states(n) for n in names if n in layout.slots}
     ticks = np.asarray(record.ticks)
@@ -100,16 +100,23 @@ def motion_of(record: Record, where: str, window: float = 0.2) -> Motion:
 
 
 def _workflow(record: Record) -> tuple[dict[str, Any], Path | None]:
-    """Return what the record says of its workflow, and the folder that it was in."""
-    try:
-        said = yaml.safe_load(record.facts.get("workflow_effective", ""))
-    except yaml.YAMLError:
-        said = None
+    """Return what the record says of its workflow, and the folder that it was in.
+
+    Raises:
+        WorkflowError: it is not YAML, or more of it than is read.
+    """
+    recorded = recorded_workflow(record)
+    said = None if recorded is None else recorded.value
     path = record.facts.get("workflow_path")
     return (said if isinstance(said, dict) else {}), (Path(path).parent if path else None)
 
 
-def _robot(record: Record, said: dict[str, Any], folder: Path | None) -> Robot:
+def _robot(record: Record, where: str, said: dict[str, Any], folder: Path | None) -> Robot:
     text = str(said.get("robot") or record.facts.get("robot") or "")
     beside = (folder or Path()) / text
+    if "/" in text and not beside.is_file() and not Path(text).is_file():
+        raise UniconError(
+            f"{where} is of robot {text}, which was in {folder} where it was recorded and is not "
+            "there now; give the robot with --robot"
+        )
     return load_robot(beside if "/" in text and beside.is_file() else text)

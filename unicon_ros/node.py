@@ -262,6 +262,7 @@ class UniconNode(LifecycleNode):
         settings = self.settings
         warn = self.log.warning
         document = load_document(settings["workflow"], settings.overrides)
+        self.tuning.declare(document)
         map_name = settings["map"] or document.get("map", str)
         session = self.session = RosSession(
             map_name,

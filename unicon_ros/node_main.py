@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from unicon_core.errors import UniconError
-from unicon_core.outlet import relayed_stderr
+from unicon_core.outlet import open_standard_files, relayed_stderr
 from unicon_core.signals import SIGNALS, Interrupted
 from unicon_ros import compat
 
@@ -35,6 +35,7 @@ def main(args: Sequence[str] | None = None) -> int:
     Args:
         args: command line without the program's name; that of the process if None.
     """
+    open_standard_files()
     with SIGNALS:  # before anything is imported or opened
         return _main(list(sys.argv[1:] if args is None else args))
 

@@ -25,7 +25,7 @@ from recordings import KIND, message, read_by_both, small
 from unicon_core.errors import UniconError
 from unicon_ros.cli.main import main
 from unicon_ros.recorder import Recorder
-from unicon_ros.recording import McapFile, recover
+from unicon_ros.recording import McapFile, open_record, recover
 
 RUN = ["run", "go2_stand", "--no-ros", "--set", "platform=fake", "--quiet"]
 HOLD = "schema: unicon.workflow/1\nrobot: go2\nplatform: fake\nrate: 50\nflow: {hold: {}}\n"
@@ -237,6 +237,35 @@ def goes_on_without_room(file: Path, folder: Path, **options: Any) -> None:
 
 def test_a_full_disk_ends_the_recording_and_not_the_run(little_room: Path, tmp_path: Path) -> None:
     goes_on_without_room(little_room / "run.mcap", tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(8))
+def test_a_disk_that_fills_up_at_any_moment_keeps_what_was_written(
+    little_room: Path, tmp_path: Path, seed: int
+) -> None:
+    """At real rate, as a file and as a bag folder, whose metadata may have no room either."""
+    rng = random.Random(seed)
+    size, folder = rng.randint(150, 2500), rng.random() < 0.5
+    subprocess.run(["mount", "-o", f"remount,size={size}k", str(little_room)], check=True)
+    target, report = little_room / ("run" if folder else "run.mcap"), tmp_path / "report.json"
+    where = f"{target}/" if folder else str(target)
+    to = ["--record", where, "--report", str(report), *(["--record-split=700KB"] * folder)]
+    command = ["run", "go2_teleop", "--set", "rate=500", "--duration", "4", "--faults", "off"]
+    run = [sys.executable, "-m", "unicon_ros", *command, *to]
+    done = subprocess.run(run, capture_output=True, text=True, timeout=100, check=False)
+    assert done.returncode == 0, done.stderr
+    told = json.loads(report.read_text())
+    recording = told["recording"]
+    assert (told["ticks"], told["faults"]) == (2000, [])
+    assert recording["dropped"] > 0
+    assert recording["error"].count("No space left on device") == 1
+    ticks = open_record(target).ticks
+    assert len(ticks) > 10
+    assert ticks.tolist() == list(range(len(ticks)))
+    files = sorted(target.glob("*.mcap")) if folder else [target]
+    read = [len(stamps) for file in files for stamps in read_by_both(file).values()]
+    assert sum(read) == recording["messages"]
 
 
 def test_a_file_that_must_not_grow_ends_the_recording_and_not_the_run(tmp_path: Path) -> None:

@@ -20,8 +20,15 @@ REASONS = {
 }
 
 
+# What derives from Exception goes one way: of those, one is quick.
+QUICK = {"value", "recursion", "exit", "interrupt", "fault"}
+FAULTS = [
+    fault if fault in QUICK else pytest.param(fault, marks=pytest.mark.slow) for fault in REASONS
+]
+
+
 @pytest.mark.parametrize("where", ["recv", pytest.param("send", marks=pytest.mark.slow)])
-@pytest.mark.parametrize("fault", REASONS)
+@pytest.mark.parametrize("fault", FAULTS)
 def test_an_exception_is_a_fault_with_its_reason(tmp_path: Path, fault: str, where: str) -> None:
     trace = tmp_path / "trace.json"
     arguments = ["--quiet", "--trace", str(trace)]

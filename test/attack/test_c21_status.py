@@ -10,6 +10,8 @@ from pathlib import Path
 import pytest
 from runs import Run
 
+from unicon_ros.recording import open_record
+
 FULL = Path("/dev/full")
 
 
@@ -70,6 +72,23 @@ def test_a_report_that_cannot_be_written_does_not_hide_the_fault(tmp_path: Path)
     assert status == 3
     assert "the robot says so" in out
     assert "give a path in a writable folder" in err
+
+
+@pytest.mark.parametrize(
+    "closed",
+    [
+        "<&- >&- 2>&-",
+        *(pytest.param(some, marks=pytest.mark.slow) for some in ("2>&-", ">&- 2>&-")),
+    ],
+)
+def test_a_run_without_standard_files_ends_as_it_should(closed: str, tmp_path: Path) -> None:
+    pytest.importorskip("rosbags")
+    (tmp_path / "w.yaml").write_text("robot: go2\nplatform: fake\nrate: 50\nflow: hold\n")
+    run = "-m unicon_ros run w.yaml --no-ros --speed max --duration 0.2 --record run.mcap"
+    shell = f"exec {sys.executable} {run} {closed}"
+    done = subprocess.run(["sh", "-c", shell], cwd=tmp_path, timeout=60, check=False)
+    assert done.returncode == 0
+    assert len(open_record(tmp_path / "run.mcap").ticks) == 10
 
 
 def test_a_command_without_standard_output_ends_as_it_should() -> None:

@@ -97,7 +97,13 @@ def test_a_parent_that_goes_on_after_the_watchdog_is_at_fault(tmp_path):
     assert attacked.report["faults"]
 
 
-@pytest.mark.parametrize("fault", ["value", "exit", "memory", "recursion", "interrupt"])
+@pytest.mark.parametrize(
+    "fault",
+    [
+        *("value", "exit", "interrupt"),
+        *(pytest.param(name, marks=pytest.mark.slow) for name in ("memory", "recursion")),
+    ],
+)
 def test_whatever_the_platform_raises_damps_and_is_told(tmp_path, fault):
     attacked = Run(
         tmp_path,

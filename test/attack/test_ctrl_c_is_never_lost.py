@@ -14,7 +14,14 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent.parent
 
 
-@pytest.mark.parametrize("after", [0.15, 0.3, 0.5, 0.8, 1.5, 3.0])
+# Into the interpreter's start, the imports and the build; more moments are slow.
+MOMENTS = [
+    *(0.15, 0.5, 1.5),
+    *(pytest.param(after, marks=pytest.mark.slow) for after in (0.3, 0.8, 3.0)),
+]
+
+
+@pytest.mark.parametrize("after", MOMENTS)
 @pytest.mark.parametrize("words", [["bench", "latency", "--rounds", "1000"], ["run", "go2_walk"]])
 def test_ctrl_c_at_any_moment_ends_the_command(words: list[str], after: float) -> None:
     command = [sys.executable, "-m", "unicon_ros", *words]

@@ -11,7 +11,8 @@ import pytest
 from unicon_core.errors import Fault
 from unicon_core.flow import Block, Stage
 from unicon_core.runtime import Runner, RunOptions
-from unicon_core.workflow import Program, load_workflow
+from unicon_core.states.groups import groups_hash, groups_of
+from unicon_core.workflow import Program, load_document, load_workflow
 from unicon_ros.bridge.tuning import Tuning, too_little_damping
 
 WORKFLOW = """\
@@ -40,6 +41,24 @@ def built(folder: Path, tuning: Tuning, safety: str, flow: str = "{hold: {}}") -
 
 def last_look(workflow: Program) -> dict[Stage, list[Block]]:
     return {Stage.SAFETY: [Block("last look", lambda: None, endless=True)]}
+
+
+def test_the_state_that_tells_the_scales_is_in_no_group_and_takes_no_place(tmp_path: Path) -> None:
+    path = tmp_path / "told.yaml"
+    path.write_text(WORKFLOW.format(safety="none", flow="hold"))
+    document, plain = load_document(path), groups_of(load_workflow(path).states.layout)
+    tuning = Tuning()
+    tuning.declare(document)
+    workflow = Program(document, hooks=[tuning.hook])
+    workflow.close()
+    assert "gain_scale" in workflow.states
+    assert groups_hash(groups_of(workflow.states.layout)) == groups_hash(plain)
+    own = load_document(path, {"states.gain_scale": {"shape": [3]}})
+    tuning.declare(own)
+    workflow = Program(own, hooks=[tuning.hook])
+    workflow.close()
+    assert workflow.states["gain_scale"].shape == (3,)
+    assert all("gain_scale" not in block.writes for block in workflow.blocks)
 
 
 @pytest.mark.parametrize("safety", SAFETY.values(), ids=SAFETY)

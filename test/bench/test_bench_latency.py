@@ -17,7 +17,7 @@ from unicon_ros.cli import bench as command
 from unicon_ros.cli.main import main
 
 pytest.importorskip("rclpy")
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.alone]
 
 
 def test_plain_and_our_own_pipelines_close_the_loop(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,10 +9,13 @@ import pytest
 
 pytest.importorskip("mujoco")
 
+from unicon_core.errors import UniconError
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import Program, load_document
 from unicon_ros.cli.main import main
+from unicon_ros.identify import fit_record
+from unicon_ros.recording import open_record
 
 WEAK = Path(__file__).resolve().parents[2] / "examples" / "weak_calf.yaml"
 EXCITED = """\
@@ -62,6 +65,35 @@ def test_what_cannot_be_fitted_is_one_line(
     assert "is of go2 with 12 joints, and robot g1_29dof has others" in other
     assert "cannot make the folder" in refused([full, "--fit", "--out", full], capsys)
     assert list(out.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
+            f"{n}: &{n} [{', '.join([f'*{chr(ord(n) - 1)}'] * 9)}]\n" for n in "bcdefghi"
+         ), "not valid YAML: the document holds more than 100000 values"),
+        ("scene: !!python/object/apply:os.system [exit]", "tag 'tag:yaml.org,2002:python/object"),
+        ("robot: [", "not valid YAML"),
+        ("[" * 1000, "nested more than 64 deep"),
+        ("scene: {model: [1]}", "[1]"),
+        ("scene: {model: nowhere.xml}", "nowhere.xml"),
+        ("scene: 7", "at least 8 windows"),
+        ("robot: [1]", "unknown robot '[1]'"),
+        ("- a list", "at least 8 windows"),
+    ],
+)  # fmt: skip
+def test_the_workflow_of_a_record_may_be_anybodys(
+    tmp_path: Path, text: str, message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    record = open_record(recorded(tmp_path, 0.6))
+    record.facts["workflow_effective"] = text
+    if "nowhere" in message or message == "[1]":  # asked for once there is a motion
+        monkeypatch.setattr("unicon_ros.identify.motion_of", lambda *_: None)
+    with pytest.raises(UniconError) as caught:
+        fit_record(record, "real.mcap")
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.slow

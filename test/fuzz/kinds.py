@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from kinds_bag import bags
+from kinds_bag import bags, replays
 from kinds_safety import preflight, safety, scene, start
 from mutate import mutate_bytes, mutate_mcap, mutate_onnx, mutate_text, mutate_tree, to_text
 from reading import Reader, tree, whole, write
@@ -299,4 +299,5 @@ KINDS: dict[str, Callable[[random.Random, Path], Reader]] = {
     "scene": scene,
     "preflight": preflight,
     "bag": bags,
+    "replay": replays,
 }

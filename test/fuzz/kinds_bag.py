@@ -1,4 +1,4 @@
-"""What the fuzz does to recordings of whole runs, to plain bags and to UniCon's npz."""
+"""What the fuzz does to recordings of whole runs and replays, plain bags and UniCon's npz."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 from mutate import mutate_bytes, mutate_mcap
-from reading import Reader
+from reading import Reader, whole, write
+from seeds import REPLAYS
 
 from unicon_core import Program, block
 from unicon_core.robots import load_robot
@@ -23,7 +24,7 @@ from unicon_ros.recording.import_bag import import_bag
 from unicon_ros.recording.import_npz import import_npz
 from unicon_ros.recording.info import info_of, info_text
 
-__all__ = ["bags"]
+__all__ = ["bags", "replays"]
 
 
 @cache
@@ -93,6 +94,17 @@ def _unicon(dice: random.Random, folder: Path) -> Reader:
     path.write_bytes(_torn(mutate_bytes(_npz(), dice), dice))
     go2 = load_robot("go2")
     return lambda: import_npz(path, folder / "fuzzed.out.mcap", go2)
+
+
+def replays(dice: random.Random, folder: Path) -> Reader:
+    """A workflow that a recording drives, whole or damaged."""
+    seed = dice.randrange(len(REPLAYS))
+    path = folder / "workflow.yaml"
+    write(path, REPLAYS[seed], dice)
+    raw = _recorded()
+    (folder / "run.mcap").write_bytes(mutate_mcap(raw, dice) if dice.random() < 0.2 else raw)
+    platform = ("replay", "fake")[seed]
+    return lambda: whole(path, platform=platform, ticks=12)
 
 
 def bags(dice: random.Random, folder: Path) -> Reader:

@@ -13,6 +13,7 @@ __all__ = [
     "LEGGED_GYM",
     "ONE_BLOCK",
     "PLATFORMS",
+    "REPLAYS",
     "SAFETY",
     "SCENES",
     "SET_PATHS",
@@ -274,6 +275,30 @@ ARGUMENTS = (
     ["--set", "x"], ["--set", "=" * 50], ["--set", "a.b.c.d=1"], ["--set", "[[[[=1"],
 )  # fmt: skip
 """Of `unicon preflight`."""
+
+REPLAYS = (
+    """\
+robot: go2
+platform: replay
+platforms:
+  replay:
+    {bag: run.mcap, start: 0.04, loop: true, moment: sent, also: [velocity_command], each: true}
+rate: 50
+flow: {pose: {to: stand, duration: 1.0}}
+""",
+    """\
+robot: go2
+platform: fake
+platforms: {replay: {bag: run.mcap}}
+rate: 100
+flow:
+  chain:
+    - recorded: {bag: run.mcap, take: [joint_pos_target], start: 0.1, approach: 0.2}
+    - recorded: {bag: run.mcap}
+    - damp: {duration: 0.1}
+""",
+)
+"""Beside a recording of ten ticks at 50 Hz, named run.mcap."""
 
 WORKFLOWS = (
     STARTS,

@@ -33,17 +33,10 @@ KINDS = (
     "scene",
     "preflight",
     "bag",
+    "replay",
 )
-QUICK, THOROUGH = 300, 5000
-FEWER = {
-    "start": 100,
-    "safety": 100,
-    "scene": 100,
-    "preflight": 60,
-    "run": 60,
-    "bag": 20,
-    "npz": 60,
-}
+QUICK, THOROUGH = 100, 5000
+FEWER = {"start": 40, "safety": 40, "scene": 40, "preflight": 30, "bag": 10, "replay": 15}
 """Quick cases of the kinds whose cases take longest."""
 SEED = 7
 STUCK_S = 120.0

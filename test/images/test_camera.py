@@ -135,6 +135,7 @@ def lines(peer: subprocess.Popen[str]) -> list[dict[str, Any]]:
     return found
 
 
+@pytest.mark.alone
 @pytest.mark.usefixtures("gl")
 def test_a_plain_subscriber_sees_the_sky_above_and_the_floor_below(
     write: Callable[..., Path], viewer: Callable[[str, str], subprocess.Popen[str]]

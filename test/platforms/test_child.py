@@ -16,7 +16,7 @@ import pytest
 from unicon_core.check import check_workflow
 from unicon_core.errors import Fault, PlatformError, WorkflowError
 from unicon_core.platforms.platform import Pausable, Pushable, Resettable, WaitsForData
-from unicon_core.runtime.runner import Runner, RunOptions
+from unicon_core.runtime import Runner, RunOptions
 from unicon_core.states.backends.shm import segments
 from unicon_core.workflow import load_workflow
 

@@ -38,6 +38,7 @@ def cut_off(
     overrides: Mapping[str, Any] | None = None,
     part: str = "",
     inputs: Callable[[Program, np.random.Generator], Callable[[], object]] | None = None,
+    amends: str = "velocity_command",
 ) -> Told:
     """Run a workflow with sensors that are noise, and let it be cut off in a tick.
 
@@ -48,6 +49,7 @@ def cut_off(
         overrides: of the workflow.
         part: of a divided workflow.
         inputs: makes what writes states from outside in stage `input`, such as a topic.
+        amends: the state that it writes.
     """
     rng = np.random.default_rng(ticks)
     record = FaultRecord(str(folder), warn=_unwanted)
@@ -69,8 +71,7 @@ def cut_off(
 
         stages = {Stage.RECV: [Block("noise", disturb)], Stage.SAFETY: [Block("trip", trip)]}
         if inputs is not None:
-            amends = ("velocity_command",)
-            stages[Stage.INPUT] = [Block("given", inputs(program, rng), amends=amends)]
+            stages[Stage.INPUT] = [Block("given", inputs(program, rng), amends=(amends,))]
         return stages
 
     document = load_document(workflow, {"platform": "fake"} | dict(overrides or {}))

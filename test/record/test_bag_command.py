@@ -8,6 +8,7 @@ import os
 import shutil
 import struct
 import sys
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -31,6 +32,8 @@ from unicon_ros.fault_record import FaultRecord
 from unicon_ros.recorder import Recorder, Recording
 from unicon_ros.recording import Record, open_record, recover
 from unicon_ros.recording.bag_folder import Split
+from unicon_ros.recording.info import info_of
+from unicon_ros.recording.scan import Scan, scan
 
 GO2 = load_robot("go2")
 recovery = sys.modules["unicon_ros.recording.recover"]  # its package has a function of that name
@@ -175,6 +178,19 @@ def test_info_of_ours_of_others_and_of_what_is_cut_off(
     assert json.loads(said(capsys, "info", plain, "--json"))["messages"] == 60
 
 
+def test_info_looks_through_a_file_once(bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    looked: list[Path] = []
+
+    def look(path: Path) -> Scan:
+        looked.append(path)
+        return scan(path)
+
+    for module in ("info", "read"):
+        monkeypatch.setattr(f"unicon_ros.recording.{module}.scan", look)
+    assert info_of(bag)["ticks"] == 100
+    assert looked == [bag]
+
+
 @pytest.mark.parametrize("content", [b"", b"garbage", b"\x89MCAP0\r\n", b"\x89MCAP0\r\n" * 40])
 @pytest.mark.parametrize("name", ["x.mcap", "x.mcap.partial", "x.db3", "x.npz", "x"])
 def test_garbage_is_one_line(
@@ -187,9 +203,11 @@ def test_garbage_is_one_line(
         ("info", path),
         ("export", path, tmp_path / "x.csv"),
         ("import", path, out, "--robot", "go2"),
-        *([("recover", path)] if content or ".mcap" not in name else []),
+        *([("recover", path)] if content or not name.endswith(".partial") else []),
     ):
-        refused(capsys, *arguments)
+        told = refused(capsys, *arguments)
+        assert f"{path} " in told or f"{path}:" in told
+        assert "; " in told, told  # the remedy
     assert sorted(tmp_path.iterdir()) == [path]
 
 
@@ -198,6 +216,26 @@ def test_a_recording_without_a_name_is_refused(capsys: pytest.CaptureFixture[str
     told = capsys.readouterr().err
     assert "--record has no name; give FILE.mcap or FOLDER/" in told
     assert told.count("\n") == 1
+
+
+def test_what_holds_no_message_yet(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    raw = bag.read_bytes()
+    position = 8
+    while raw[position] != 6:  # the first chunk
+        position += 9 + int(struct.unpack_from("<Q", raw, position + 1)[0])
+    for content in (b"", raw[:position]):
+        left, whole = tmp_path / "run.mcap.partial", tmp_path / "run.mcap"
+        left.write_bytes(content)
+        told = said(capsys, "recover", left)
+        assert told == f"{left}: its run was killed before a message was in it; it is deleted\n"
+        assert not left.exists()
+        whole.write_bytes(content)
+        told = refused(capsys, "recover", whole)
+        assert f"{whole} has no whole message of a recording in it" in told
+        assert list(tmp_path.iterdir()) == [whole]
+        whole.unlink()
 
 
 def test_a_pipe_is_refused_and_not_waited_for(
@@ -246,7 +284,8 @@ def test_what_stands_behind_damage_is_not_cut_away(
         Recorder(tmp_path / "run.mcap")
     assert path.read_bytes() == raw
     path.rename(tmp_path / "run.mcap")
-    said(capsys, "recover", tmp_path / "run.mcap")  # a copy, of which nothing is whole
+    told = refused(capsys, "recover", tmp_path / "run.mcap")  # a copy, of which nothing is whole
+    assert "has no whole message" in told
     assert (tmp_path / "run.mcap").read_bytes() == raw
 
 
@@ -458,7 +497,14 @@ def test_the_keys_of_unicon_become_a_record(
         ("of one length", {"states_qd": np.zeros((7, 12))}),
         ("states_rpy has shape (30, 2)", {"states_quat": None, "states_rpy": np.zeros((30, 2))}),
         ("numbers are wanted", {"states_q": np.full((30, 12), "x")}),
-        ("is not an .npz file of arrays", {"states_q": np.full((30, 12), None)}),
+        ("ts does not grow", {"rec_dt": None, "ts": np.r_[0.0:29.0, np.inf]}),
+        ("rec_dt is float64 of shape (2,); give one", {"rec_dt": [0.02, 0.02]}),
+        ("states_quat has shape (30, 3)", {"states_quat": np.zeros((30, 3))}),
+        ("of one length", {"states_quat": None, "states_rpy": np.zeros((31, 3))}),
+        ("len is nan, not the number of the last row", {"len": np.nan}),
+        ("len is <U1 of shape (); give one number", {"len": "x"}),
+        ("has nothing that could be imported", {"len": -5}),
+        ("is not an .npz of arrays: Object", {"states_q": np.full((30, 12), None)}),
     ):
         file = unicon_npz(tmp_path / "z.npz", **more)
         assert told in refused(capsys, "import", file, tmp_path / "z.mcap", "--robot", "go2")
@@ -468,6 +514,61 @@ def test_the_keys_of_unicon_become_a_record(
     assert "exists" in refused(
         capsys, "import", tmp_path / "x.npz", tmp_path / "x.mcap", "--robot", "go2"
     )
+
+
+def test_rows_that_unicon_never_wrote_are_left_out(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It makes its arrays for the longest run, and tells the last row that it wrote."""
+    stamps = np.concatenate([5.0 + 0.02 * np.arange(20), np.zeros(10)])
+    for number, (more, ticks) in enumerate(
+        (
+            ({"len": 19}, 20),
+            ({"len": np.array([19]), "rec_dt": None, "ts": stamps}, 20),
+            ({"len": 19, "states_quat": None}, 20),
+            ({"len": 1000}, 30),
+            ({"len": np.array([{}], object)}, 30),  # as much as if it were not there
+        )
+    ):
+        out = tmp_path / f"{number}.mcap"
+        said(capsys, "import", unicon_npz(tmp_path / "x.npz", **more), out, "--robot", "go2")
+        record = open_record(out)
+        assert len(record.ticks) == ticks
+        assert np.diff(record.stamps).tolist() == [20_000_000] * (ticks - 1)
+        assert record.states("joint_pos")[-1, 3] == np.float32(3.0 + 0.1 * (ticks - 1))
+
+
+def test_an_npz_that_unpacks_to_too_much_is_not_unpacked(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The bound is on what the archive says of itself, before any of it is read."""
+    monkeypatch.setattr("unicon_ros.recording.npz.LARGEST", 1 << 20)
+    np.savez_compressed(tmp_path / "bomb.npz", states_q=np.zeros((30, 12)), more=np.zeros(1 << 18))
+    monkeypatch.setattr(np, "load", None)
+    told = refused(capsys, "import", tmp_path / "bomb.npz", tmp_path / "x.mcap", "--robot", "go2")
+    assert "bomb.npz unpacks to 0 GiB; at most 0 are read" in told
+
+
+def test_what_is_no_npz_is_one_line_of_the_import(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    good = unicon_npz(tmp_path / "x.npz").read_bytes()
+    np.save(tmp_path / "bare.npy", np.zeros(3))
+    (tmp_path / "bare.npy").rename(tmp_path / "bare.npz")
+    (tmp_path / "cut.npz").write_bytes(good[: len(good) // 2])
+    (tmp_path / "garbage.npz").write_bytes(b"PK\x03\x04garbage")
+    with zipfile.ZipFile(tmp_path / "text.npz", "w") as archive:
+        archive.writestr("states_q", "text")
+    (tmp_path / "folder.npz").mkdir()
+    os.mkfifo(tmp_path / "pipe.npz")
+    for name, told in {
+        **dict.fromkeys(("bare", "cut", "garbage"), "is not an .npz of arrays: "),
+        "text": "states_q is not an array",
+        **dict.fromkeys(("folder", "pipe"), "is not a file; give an .npz"),
+        "missing": "No such file",
+    }.items():
+        path, out = tmp_path / f"{name}.npz", tmp_path / "x.mcap"
+        assert told in refused(capsys, "import", path, out, "--robot", "go2")
 
 
 # -- readers of others -----------------------------------------------------------------------------

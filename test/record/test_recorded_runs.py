@@ -20,7 +20,7 @@ from unicon_core.errors import Fault, StateError
 from unicon_core.flow import Block, Stage
 from unicon_core.policies import load_policy
 from unicon_core.runtime import Runner, RunOptions
-from unicon_core.workflow import Program, load_document
+from unicon_core.workflow import Program, WorkflowDocument, load_document
 from unicon_ros.fault_record import FaultRecord
 from unicon_ros.recorder import Recording
 from unicon_ros.recording import Record, open_record
@@ -50,6 +50,7 @@ def recorded(
     faults: str = "off",
     act: Callable[[Runner], object] = bool,
     part: str = "",
+    declare: Callable[[WorkflowDocument], object] = bool,
     **options: Any,
 ) -> tuple[Record, dict[str, Any]]:
     """Record a run at full speed; return the record and what its report says of the recording."""
@@ -57,6 +58,7 @@ def recorded(
     recording = Recording(file, warn=warnings.append, patient=True)
     record = FaultRecord(faults, warnings.append, recording)
     document = load_document(workflow, {"platform": "fake"} | options)
+    declare(document)
     program = Program(document, hooks=[*hooks, recording.hook, record.hook], part=part)
     runner = Runner(program, RunOptions(speed="max", warn=str))
     record.attach(runner)
@@ -225,10 +227,35 @@ def test_other_layouts_are_fed_by_name(tmp_path: Path) -> None:
         program.close()
 
 
-def test_gains_that_a_parameter_scales_came_from_outside(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    pytest.importorskip("onnxruntime")
+def test_the_overlay_of_a_robot_is_in_it(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    overlay = tmp_path / "weak.yaml"
+    text = "schema: unicon.robot/1\nextends: go2\nsimulated: {'*': {friction: 1.0}}\n"
+    overlay.write_text(text, "utf-8")
+    workflow = written(tmp_path, robot="./weak.yaml", scene={"initial_pose": "rest"}, duration=0.1)
+    record, _ = recorded(workflow, tmp_path / "weak.mcap", platform="mujoco")
+    assert record.facts["robot_overlay"] == text
+    assert yaml.safe_load(record.facts["robot_file"])["name"] == "go2"
+    assert replay(record) == []
+    plain = {"robot": "go2"}
+    (told,) = replay(record, overrides=plain)
+    assert told == "robot go2: the recorded one was extended by an overlay, and this one is not"
+    overlay.write_text(text.replace("1.0", "2.0"), "utf-8")
+    (told,) = replay(record)
+    assert told == f"robot go2: {overlay} is not the recorded overlay"
+    record.facts["robot_overlay"] = ""  # type: ignore[index]
+    assert replay(record) == [
+        f"robot go2: {overlay} extends it, and the recorded one was not extended"
+    ]
+    del record.facts["robot_overlay"]  # type: ignore[attr-defined]
+    assert replay(record) == []  # of an older record nobody knows
+
+
+BRIEF = {"safety": ["finite"], "duration": 2.0, "flow.chain.0.pose.duration": 0.4}
+
+
+def scaled_from_outside(file: Path, declared: bool) -> Record:
+    """Record go2_walk while somebody makes its joints stiffer, as by the node's parameter."""
     from unicon_ros.bridge.tuning import Tuning
 
     tuning, tick = Tuning(), 0
@@ -237,24 +264,54 @@ def test_gains_that_a_parameter_scales_came_from_outside(
         def turn() -> None:
             nonlocal tick
             tick += 1
-            tuning.stiffness_scale = 1.5 if tick > 60 else 1.0
+            scales = (1.3, 0.9) if tick > 60 else (1.0, 1.0)
+            tuning.stiffness_scale, tuning.damping_scale = scales
 
         stages = {stage: list(blocks) for stage, blocks in tuning.hook(program).items()}
         stages[Stage.INPUT].append(Block("turn", turn))
         return stages
 
-    options = {"safety": ["finite"], "duration": 2.0, "flow.chain.0.pose.duration": 0.4}
-    record, _ = recorded("go2_walk", tmp_path / "run.mcap", (noise, scaled), **options)
+    declare = tuning.declare if declared else bool
+    record, _ = recorded("go2_walk", file, (noise, scaled), declare=declare, **BRIEF)
     assert "tuned" in record.moments
     stiffness = record.states("joint_stiffness")
-    assert stiffness[70, 0] == 1.5 * stiffness[50, 0]
-    (told,) = replay(record)
-    assert told.startswith("the recorded gains are those of the workflow times 1.5: scaled from")
+    assert stiffness[70, 0] == np.float32(1.3) * stiffness[50, 0]
+    return record
+
+
+def stiffer(monkeypatch: pytest.MonkeyPatch, joints: slice) -> None:
+    """Let the policy's joints be a tenth stiffer."""
     contract = load_policy("go2_velocity")
     stiffness = contract.stiffness.copy()
-    stiffness[3] *= 1.1
+    stiffness[joints] *= 1.1
     other = replace(contract, stiffness=stiffness)
     monkeypatch.setattr("unicon_core.workflow.policies.load_policy", lambda *_, **__: other)
+
+
+def test_gains_that_a_parameter_scales_are_scaled_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("onnxruntime")
+    record = scaled_from_outside(tmp_path / "run.mcap", declared=True)
+    scale = record.states("gain_scale")
+    assert scale[50].tolist() == [1.0, 1.0]
+    assert scale[70].tolist() == [1.3, 0.9]
+    assert replay(record) == []
+    assert replay(record, "go2_walk", {"platform": "fake", **BRIEF}) == []
+    stiffer(monkeypatch, slice(None))  # all of them by one factor
+    found = replay(record)
+    assert found[0] == "first differs: tick 45 (45 s, phase run)"
+    assert "state: joint_stiffness, FR_hip_joint" in found
+
+
+def test_gains_that_were_scaled_untold_came_from_outside(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("onnxruntime")
+    record = scaled_from_outside(tmp_path / "run.mcap", declared=False)
+    (told,) = replay(record)
+    assert told.startswith("the recorded gains are those of the workflow times 0.9, 1.3: scaled")
+    stiffer(monkeypatch, slice(3, 4))
     found = replay(record)
     assert found[0] == "first differs: tick 45 (45 s, phase run)"
     assert "state: joint_stiffness, FL_hip_joint" in found

@@ -119,6 +119,27 @@ def test_damping_leaves_the_oldest_tick_as_it_was(tmp_path: Path) -> None:
     held(workflow, tmp_path / "faults", 174, inputs=velocities)
 
 
+def test_a_topic_that_no_block_needs(tmp_path: Path) -> None:
+    flow = {"chain": [{"pose": {"duration": 0.2}}, {"every": {"n": 3, "do": "hold"}}]}
+    # What the topic gives is heard in the slack: nothing that is sent depends on it.
+    held(written(tmp_path, flow), tmp_path / "faults", 174, inputs=velocities)
+
+
+def test_what_stands_before_a_topic_is_computed_before_it(tmp_path: Path) -> None:
+    def leaning(program: Program, rng: np.random.Generator) -> Callable[[], object]:
+        return lambda: np.copyto(program.states["lean"], rng.normal(0.0, 0.4, 3))
+
+    commands = [
+        {"linear_map": {"source": "velocity_command", "target": "lean", "scale": 0.4}},
+        {"copy": {"source": "lean", "target": "asked"}},
+    ]
+    cases = {"a": {"pose": {"to": "rest", "duration": 9.0}}, "b": "hold"}
+    flow = {"switch": {"on": "lean[0] > 0.1", "cases": cases}}
+    states = {"asked": {"shape": [3]}, "lean": {"shape": [3]}}
+    workflow = written(tmp_path, flow, commands=commands, states=states)
+    held(workflow, tmp_path / "faults", 60, inputs=leaning, amends="lean")
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", MORE)
 def test_a_policy_of_every_other_kind(kind: str, tmp_path: Path) -> None:

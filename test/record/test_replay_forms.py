@@ -12,6 +12,7 @@ import yaml
 
 pytest.importorskip("rosbags")
 
+from replaying import replay
 from test_recorded_runs import noise, recorded, written
 
 from unicon_core.errors import UniconError
@@ -21,9 +22,12 @@ from unicon_core.runtime import Report, Runner, RunOptions
 from unicon_core.workflow import Program, load_workflow
 from unicon_ros.cli.main import main
 from unicon_ros.recording import open_record
+from unicon_ros.recording.info import info_of, info_text
+from unicon_ros.replay import verify, workflow_of
 from unicon_ros.replay.keys import LEFT, RIGHT, Keys
 from unicon_ros.replay.platform import TARGET, ReplayPlatform
 from unicon_ros.replay.player import play
+from unicon_ros.replay.workflow import others, versions
 
 BLOCK = "unicon_ros.replay.commands:recorded"
 
@@ -103,6 +107,17 @@ def test_every_workflow_runs_on_it_that_needs_what_was_measured(bag: Path, tmp_p
     report, _ = ran(replayed(Path("go2_walk"), bag, loop=True))
     assert report.ticks == 1150
     assert report.faults == []
+
+
+def test_a_recording_of_a_replay_to_its_end_replays_to_the_bit(bag: Path, tmp_path: Path) -> None:
+    pytest.importorskip("onnxruntime")
+    platforms = {TARGET: {"bag": str(bag)}}
+    flow = {"flow.chain.0.pose.duration": 0.4, "wind_down": None, "safety": ["finite"]}
+    path = tmp_path / "again.mcap"
+    record, _ = recorded("go2_walk", path, platform=TARGET, platforms=platforms, **flow)
+    assert record.done.tolist() == [False] * 99 + [True]
+    assert not record.states("action")[-1].any()  # the policy began anew
+    assert replay(record) == []
 
 
 # -- as command source --------------------------------------------------------------------------
@@ -329,3 +344,46 @@ def test_a_fault_that_is_found_behind_send_comes_again(
     told = capsys.readouterr().out
     assert "the fault came again: joint FL_thigh_joint is stuck" in told
     assert f"0 of {len(record.ticks) - 1} ticks differ" in told
+
+
+@pytest.mark.parametrize("said", ["0.00", " nan", "abcd"])
+def test_a_record_that_does_not_say_its_period_is_named(
+    said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    good, bag = tmp_path / "good.mcap", tmp_path / "bag.mcap"
+    recorded(written(tmp_path, duration=0.2), good)
+    text = b"period_s\x04\0\0\0"
+    raw = good.read_bytes()
+    assert text + b"0.02" in raw
+    bag.write_bytes(raw.replace(text + b"0.02", text + said.encode()))
+    told = f"bag.mcap does not say its period: period_s is {said!r}"
+    for command in (
+        ["replay", str(bag), "--speed", "max"],
+        ["replay", str(bag), "--play"],
+        ["analyze", str(bag), "--fit", "--out", str(tmp_path / "out")],
+    ):
+        assert main(command) == 1, command
+        assert told in capsys.readouterr().err, command
+    for command in (["replay", str(bag), "--verify"], ["bag", "info", str(bag)]):
+        assert main(command) == 0, command
+
+
+@pytest.mark.parametrize("said", ["[", "7", '[1, {"a": 1}]', '{"a": 1, "reads": 7}', "[" * 9999])
+def test_facts_that_are_damaged_are_as_if_they_were_not_there(
+    said: str, bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    record = open_record(bag)
+    document = workflow_of(record)
+    for fact in ("platform_facts", "policies", "versions", "overridden", "imported_states"):
+        record.facts[fact] = said  # type: ignore[index]
+    monkeypatch.setattr("unicon_ros.recording.info.open_record", lambda path: record)
+    assert "100 at 50 Hz" in info_text(info_of(bag))
+    assert not others(record, Program(document, dry=True))
+    assert versions(record) == []
+    assert verify(record, document).ticks == len(record.ticks)
+    monkeypatch.setattr("unicon_ros.replay.series.open_record", lambda path: record)
+    assert ran(replayed(written(tmp_path), bag))[0].ended == "done"
+    if not record.told("imported_states", list):  # else it says that no command was imported
+        load_workflow(driving(tmp_path, bag)).close()
+    record.facts["outside"] = said  # type: ignore[index]
+    assert verify(record, document).ticks == len(record.ticks)

@@ -23,12 +23,14 @@ def accepts(schema: Any, value: Any, root: Any) -> bool:
     """Return whether a schema accepts a value."""
     if isinstance(schema, bool):
         return schema
-    if "if" in schema and accepts(schema["if"], value, root):
-        return accepts(schema["then"], value, root)
+    if "if" in schema:
+        branch = "then" if accepts(schema["if"], value, root) else "else"
+        if not accepts(schema.get(branch, True), value, root):
+            return False
     return all(
         _CHECKS[keyword](argument, value, schema, root)
         for keyword, argument in schema.items()
-        if keyword not in _NOTES and keyword not in ("if", "then")
+        if keyword not in _NOTES and keyword not in ("if", "then", "else")
     )
 
 

@@ -11,8 +11,9 @@ import yaml
 from json_schema_reference import accepts
 
 from unicon_core.robots.checks import IMU_KEYS
+from unicon_core.robots.joint_physics import JOINT_PHYSICS
 from unicon_core.robots.robot import JOINT_FIELDS
-from unicon_core.robots.validate import _OPTIONAL, _REQUIRED, COMMANDS, KINDS, SCHEMA
+from unicon_core.robots.validate import _OPTIONAL, _OVERLAY, _REQUIRED, COMMANDS, KINDS, SCHEMA
 
 HERE = Path(__file__).parent
 ROBOTS = HERE.parents[1] / "config" / "robots"
@@ -22,6 +23,7 @@ BAD = sorted((HERE / "bad").glob("*.yaml"))
 
 # Broken in a way that YAML itself refuses, or that takes arithmetic or a comparison of two places.
 NOT_YAML = {"broken_yaml", "tab_indent", "python_object"}
+NOT_JSON = {"simulated_friction_is_nan"}
 BEYOND_A_SCHEMA = {
     "default_outside",
     "feet_empty_not_in_unknown",
@@ -33,9 +35,11 @@ BEYOND_A_SCHEMA = {
     "model_of_another_format",
     "name_differs",
     "no_source_for_gains",
+    "overlay_of_itself",
     "null_not_in_unknown",
     "quat_not_unit",
     "rest_outside",
+    "simulated_joint_unknown",
     "transport_null_not_in_unknown",
     "unknown_but_given",
     "unknown_misspelt",
@@ -59,18 +63,42 @@ def test_schema_refuses_what_the_validator_refuses(path: Path) -> None:
     assert accepts(ROBOT_SCHEMA, _document(path), ROBOT_SCHEMA) is expected
 
 
+def test_schema_accepts_overlays_and_what_the_weak_calf_is_told() -> None:
+    weak = _document(HERE.parents[1] / "examples" / "weak_calf.yaml")["scene"]["joints"]
+    overlay = {"schema": SCHEMA, "extends": "go2", "simulated": weak}
+    assert accepts(ROBOT_SCHEMA, overlay, ROBOT_SCHEMA)
+    assert accepts(
+        ROBOT_SCHEMA, {**overlay, "description": "Weak.", "simulated": None}, ROBOT_SCHEMA
+    )
+    for wrong in (
+        {"simulated": {"RL_calf_joint": {"strong": 0.3}}},
+        {"simulated": {"RL_calf_joint": {"strength": -1}}},
+        {"extends": ""},
+        {"joints": []},
+        {"schema": "unicon.robot/2"},
+    ):
+        assert not accepts(ROBOT_SCHEMA, overlay | wrong, ROBOT_SCHEMA), wrong
+    assert not accepts(ROBOT_SCHEMA, {"schema": SCHEMA, "extends": "go2"}, ROBOT_SCHEMA)
+
+
 def test_exceptions_exist() -> None:
-    assert {p.stem for p in BAD} >= NOT_YAML | BEYOND_A_SCHEMA
+    assert {p.stem for p in BAD} >= NOT_YAML | NOT_JSON | BEYOND_A_SCHEMA
 
 
 def test_schema_and_validator_know_the_same_words() -> None:
-    properties = ROBOT_SCHEMA["properties"]
+    defs = ROBOT_SCHEMA["$defs"]
+    properties = defs["robot"]["properties"]
     assert set(properties) == {*_REQUIRED, *_OPTIONAL}
-    assert set(ROBOT_SCHEMA["required"]) == set(_REQUIRED)
+    assert set(defs["robot"]["required"]) == set(_REQUIRED)
+    assert tuple(defs["overlay"]["required"]) == _OVERLAY
+    assert set(defs["overlay"]["properties"]) == {*_OVERLAY, "description"}
+    figures = defs["simulated"]["additionalProperties"]["properties"]
+    assert {word: each["maximum"] for word, each in figures.items()} == {
+        word: largest for word, (largest, _, _) in JOINT_PHYSICS.items()
+    }
     assert tuple(properties["kind"]["enum"]) == KINDS
     assert properties["schema"]["const"] == SCHEMA
     assert tuple(properties["transport"]["properties"]["command"]["enum"]) == COMMANDS
-    defs = ROBOT_SCHEMA["$defs"]
     assert tuple(defs["joint"]["required"]) == ("name", *JOINT_FIELDS)
     assert set(defs["joint"]["properties"]) == {"name", *JOINT_FIELDS}
     assert set(defs["imu"]["properties"]) == set(IMU_KEYS)
@@ -80,6 +108,6 @@ def test_reference_agrees_with_the_jsonschema_package() -> None:
     jsonschema = pytest.importorskip("jsonschema", reason="package jsonschema is not installed")
     jsonschema.Draft202012Validator.check_schema(ROBOT_SCHEMA)
     validator = jsonschema.Draft202012Validator(ROBOT_SCHEMA)
-    for path in GOOD + [p for p in BAD if p.stem not in NOT_YAML]:
+    for path in GOOD + [p for p in BAD if p.stem not in NOT_YAML | NOT_JSON]:
         document = _document(path)
         assert validator.is_valid(document) == accepts(ROBOT_SCHEMA, document, ROBOT_SCHEMA), path

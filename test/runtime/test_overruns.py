@@ -13,6 +13,8 @@ from unicon_core.flow import Block, Stage
 from unicon_core.runtime import Report, Runner, RunOptions, TickStatistics, percentiles
 from unicon_core.workflow import load_workflow
 
+pytestmark = pytest.mark.alone
+
 US = 1000  # ns
 NAMES = ("recv", "policy", "send", "bridge", "recorder")
 

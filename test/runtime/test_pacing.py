@@ -17,6 +17,8 @@ from unicon_core.errors import UniconError
 from unicon_core.runtime import Pacing, Runner, RunOptions, WallClock, prepare_process
 from unicon_core.workflow import load_workflow
 
+pytestmark = pytest.mark.alone
+
 linux = pytest.mark.skipif(sys.platform != "linux", reason="scheduling of Linux")
 
 

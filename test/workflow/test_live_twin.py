@@ -79,6 +79,34 @@ def test_a_weak_joint_raises_its_flag_and_the_stop_names_it(tmp_path: Path) -> N
     assert "rad from its twin for 10 ticks; is its motor weak" in report.faults[0]
 
 
+PLAIN = """\
+from unicon_core.platforms.platform import Facts
+from unicon_core.platforms.sim.mujoco import make
+
+def plain(states, robot, period, scene=None):
+    assert not (scene.joints or scene.delay or scene.seed)
+    return make(states, robot, period, scene=scene)
+
+plain.facts = Facts("plain", simulated=True)
+"""
+
+
+def test_a_twin_is_not_asked_for_the_joints_of_the_scene(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It leaves them out, so that one may be a twin that simulates nothing of joints."""
+    (tmp_path / "plain_twin.py").write_text(PLAIN)
+    monkeypatch.syspath_prepend(tmp_path)
+    disturbed = {"joints": {"*": {"armature": 0.1}}, "delay": 2, "seed": 3}
+    for twin in ("mujoco", "plain_twin:plain"):
+        overrides = {"scene": disturbed, "twin": twin}
+        Program(load_document(_written(tmp_path), overrides)).close()
+    with pytest.raises(
+        WorkflowError, match=r"scene.joints: platform 'plain' simulates no armature"
+    ):
+        Program(load_document(_written(tmp_path), overrides | {"platform": "plain_twin:plain"}))
+
+
 def test_commands_that_come_late_are_a_lag(tmp_path: Path) -> None:
     """In the air, so that all joints are late by the same."""
     scene = {"scene.initial_height": 60.0, "scene.delay": 3}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -91,3 +92,16 @@ def test_what_stands_below_its_key_has_the_keys_line() -> None:
     places = [(), ("a",), ("a", "b"), ("a", "b", 1), ("a", "none")]
     assert [read.where(place)[7:] for place in places] == ["1", "1", "2", "4", "1"]
     assert str(read.error(("a", "b"), "no")) == "a.yaml:2: no"
+
+
+def test_nobody_else_reads_yaml() -> None:
+    """PyYAML's own readers follow every alias, and read YAML 1.1; writing is anybody's."""
+    root = Path(__file__).resolve().parents[2]
+    reading = re.compile(r"\byaml\.\w*(?:load|Loader|compose|parse|scan)|from yaml import")
+    readers = {
+        path.relative_to(root).as_posix()
+        for package in ("unicon_core", "unicon_msgs_map", "unicon_ros")
+        for path in (root / package).rglob("*.py")
+        if reading.search(path.read_text("utf-8"))
+    }
+    assert readers == {"unicon_core/bounded_yaml.py"}

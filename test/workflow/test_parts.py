@@ -16,7 +16,7 @@ import pytest
 from unicon_core.check import check_workflow, refuse_errors
 from unicon_core.errors import CheckError, Fault, StateError, UniconError, WorkflowError
 from unicon_core.flow import blocks_of
-from unicon_core.runtime.runner import Runner, RunOptions
+from unicon_core.runtime import Runner, RunOptions
 from unicon_core.states import States
 from unicon_core.states.backends.shm import Segment, ShmReader, ShmWriter, segments
 from unicon_core.states.groups import subset
@@ -356,6 +356,23 @@ def test_check_finds_what_does_not_cross_the_border(tmp_path):
     assert "it publishes 'mode', which nothing writes" in " ".join(found)
     found = findings(tmp_path, "publishes: [velocity_command]", "publishes: [base_quat]")
     assert "publishes 'base_quat', which part 'robot' writes" in " ".join(found)
+
+
+def test_check_knows_that_over_zmq_parts_talk_with_the_first_alone(tmp_path):
+    pytest.importorskip("zmq")
+    over = WORKFLOW.replace("{store}", "store: {{zmq: tcp://127.0.0.1:23456}}")
+    sway = 'sway: {{duration: 9.0, gains: {{"*_thigh_joint": [0.4, 0.0, 0.0]}}}}'
+    third = over.replace("commands:", "  arm: {{publishes: []}}\ncommands:", 1)
+    told = "of part 'arm': it reads 'velocity_command' of part 'desk'; over zmq parts talk with"
+    for states in ("velocity_command", ""):
+        text = third.replace("flow: hold", f"flow: {{{{{sway}, on: arm}}}}")
+        text = text.replace("[velocity_command]", f"[{states}]")
+        found = [str(each) for each in check_workflow(write(tmp_path, text)).findings]
+        assert any(told in each for each in found)
+    text = over.replace("flow: hold", "flow: {{hold: {{}}, on: desk}}").replace("[joint_pos, ", "[")
+    found = " ".join(str(each) for each in check_workflow(write(tmp_path, text)).findings)
+    assert "it reads joint_pos, which part 'robot' writes and does not publish" in found
+    assert "over zmq" not in found  # the first part is the one that it may ask
 
 
 def test_check_wants_to_know_what_is_commanded_in_silence(tmp_path):

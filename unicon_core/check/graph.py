@@ -5,7 +5,7 @@ from __future__ import annotations
 from unicon_core.check.result import CheckResult
 from unicon_core.check.subject import Subject
 from unicon_core.flow.checks import check_graph
-from unicon_core.workflow.program import GIVEN
+from unicon_core.workflow.tick_tree import GIVEN
 
 __all__ = ["check_blocks"]
 

@@ -7,28 +7,43 @@ from collections.abc import Mapping
 from unicon_core.check.result import CheckResult
 from unicon_core.check.subject import Subject
 from unicon_core.states.standard import COMMAND_STATES
-from unicon_core.workflow.parts import Parts, owner_of
+from unicon_core.workflow.division import owner_of
+from unicon_core.workflow.parts import Parts
 
 __all__ = ["check_parts"]
 
 
+Writers = Mapping[str, Mapping[str, str]]
+"""State to the parts that write it, each with the block that does."""
+
+
 def check_parts(subject: Subject, result: CheckResult) -> None:
     """Find states that two parts write, that do not cross the border, or that nobody writes."""
-    program = subject.program
-    parts = program.parts
+    parts = subject.program.parts
     if parts is None:
         return
     given = {s: part.name for part in parts.parts.values() for s in part.publishes}
     _check_silence(subject, result, parts, given)
-    if program.part:  # the others' blocks are not here
+    if subject.program.part:  # the others' blocks are not here
         return
+    writers = _writers(subject, parts)
+    _check_writers(subject, result, writers)
+    _check_published(subject, result, parts, writers)
+    _check_read(subject, result, parts, given, writers)
+
+
+def _writers(subject: Subject, parts: Parts) -> Writers:
     writers: dict[str, dict[str, str]] = {
         state: {parts.first: f"platform {subject.platform.name!r}"}
-        for state in program.platform.facts.writes
+        for state in subject.program.platform.facts.writes
     }
-    for block in program.blocks:
+    for block in subject.program.blocks:
         for state in block.writes:
             writers.setdefault(state, {}).setdefault(owner_of(block, parts), block.name)
+    return writers
+
+
+def _check_writers(subject: Subject, result: CheckResult, writers: Writers) -> None:
     for state, who in writers.items():
         if len(who) > 1:
             said = " and ".join(f"{block!r} of part {part!r}" for part, block in who.items())
@@ -39,32 +54,47 @@ def check_parts(subject: Subject, result: CheckResult) -> None:
                 "let one of them have a state of its own (states: in the block's options)",
                 subject.document.where("parts"),
             )
+
+
+def _check_published(subject: Subject, result: CheckResult, parts: Parts, writers: Writers) -> None:
     for part in parts.parts.values():
         for state in part.publishes:
             owners = writers.get(state, {})
-            if part.name not in owners:
-                theirs = next(iter(owners), "")
-                result.find(
-                    "parts.published",
-                    f"part {part.name!r}",
-                    f"it publishes {state!r}, which "
-                    + (f"part {theirs!r} writes" if theirs else "nothing writes"),
-                    f"move it to part {theirs!r}" if theirs else "take it out of publishes",
-                    subject.document.where("parts", part.name, "publishes"),
-                )
+            if part.name in owners:
+                continue
+            theirs = next(iter(owners), "")
+            result.find(
+                "parts.published",
+                f"part {part.name!r}",
+                f"it publishes {state!r}, which "
+                + (f"part {theirs!r} writes" if theirs else "nothing writes"),
+                f"move it to part {theirs!r}" if theirs else "take it out of publishes",
+                subject.document.where("parts", part.name, "publishes"),
+            )
+
+
+def _check_read(
+    subject: Subject,
+    result: CheckResult,
+    parts: Parts,
+    given: Mapping[str, str],
+    writers: Writers,
+) -> None:
     missing: dict[tuple[str, str], set[str]] = {}
-    for block in program.blocks:
+    for block in subject.program.blocks:
         here = owner_of(block, parts)
         for state in (*block.reads, *block.amends):
             owners = writers.get(state, {})
-            if owners and here not in owners and given.get(state) not in owners:
-                missing.setdefault((next(iter(owners)), here), set()).add(state)
-            reaches = here == parts.first or given.get(state) == parts.first
-            if parts.store.backend == "zmq" and owners and here not in owners and not reaches:
+            if not owners or here in owners:
+                continue
+            theirs = next(iter(owners))
+            if given.get(state) not in owners:
+                missing.setdefault((theirs, here), set()).add(state)
+            if parts.store.backend == "zmq" and parts.first not in (here, theirs):
                 result.find(
                     "parts.published",
                     f"block {block.name!r} of part {here!r}",
-                    f"it reads {state!r} of part {given.get(state)!r}; over zmq parts talk with "
+                    f"it reads {state!r} of part {theirs!r}; over zmq parts talk with "
                     f"{parts.first!r} alone",
                     f"move one of them to part {parts.first!r}, or use store: shm",
                     block.where,

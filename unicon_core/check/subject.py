@@ -74,8 +74,9 @@ class Subject:
 
     @cached_property
     def written(self) -> frozenset[str]:
-        """States that some block of the workflow writes."""
-        return frozenset(name for block in self.blocks for name in block.writes)
+        """States that some block of the workflow writes, or a device."""
+        received = [block for node in self.program.stages[Stage.RECV] for block in blocks_of(node)]
+        return frozenset(name for block in (*received, *self.blocks) for name in block.writes)
 
     @cached_property
     def model(self) -> LoadedModel | None:

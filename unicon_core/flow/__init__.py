@@ -2,7 +2,8 @@
 
 from unicon_core.flow.block import Amends, Block, Bundle, Reads, Tick, Writes, as_block
 from unicon_core.flow.checks import check_graph
-from unicon_core.flow.compiler import CompiledGraph, compile_graph
+from unicon_core.flow.compiled import CompiledGraph
+from unicon_core.flow.compiler import compile_graph
 from unicon_core.flow.critical_path import critical_path
 from unicon_core.flow.fuse import fuse
 from unicon_core.flow.linear import LinearMap

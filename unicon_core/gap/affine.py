@@ -42,12 +42,7 @@ class Affine:
     correlation: Array
 
 
-def affine(
-    real: ArrayLike,
-    sim: ArrayLike,
-    max_lag: int | None = None,
-    min_overlap: float = 0.5,
-) -> Affine:
+def affine(real: ArrayLike, sim: ArrayLike, max_lag: int | None = None) -> Affine:
     """Return lag, gain, sign and offset of each element on its own.
 
     What repeats, such as a walk, looks alike after half a period with the sign turned: keep
@@ -56,14 +51,13 @@ def affine(
     Args:
         real: shape (…, n, d).
         sim: shape (…, m, d); leading axes are broadcast.
-        max_lag: largest |lag| in samples; None for all.
-        min_overlap: share of the shorter trajectory that must have pairs, in (0, 1].
+        max_lag: largest |lag| in samples; None for all that leave half of the shorter trajectory.
 
     Raises:
         UniconError: something that is not a number, empty, or shapes that do not fit.
     """
     a, b = two(real, sim)
-    shifts, overlaps = admissible_shifts(a.shape[-2], b.shape[-2], max_lag, min_overlap)
+    shifts, overlaps = admissible_shifts(a.shape[-2], b.shape[-2], max_lag)
     mean_a, mean_b = (x.mean(axis=-2, keepdims=True) for x in (a, b))
     # What is farther from zero than it moves has its rounding from there.
     still_a, still_b = (STILL * np.max(np.abs(x), axis=-2, keepdims=True) for x in (a, b))

@@ -11,6 +11,10 @@ from unicon_core.gap.trajectories import Array, two
 
 __all__ = ["Matching", "assign", "match_elements"]
 
+CLEARLY = 0.5
+"""The cost within a cycle is below that share of it as named. What differs less may be noise:
+joints of a trot move in pairs."""
+
 
 @dataclass(frozen=True)
 class Matching:
@@ -28,15 +32,11 @@ class Matching:
     cost_as_named: Array
     costs: Array
 
-    def cycles(self, clearly: float = 0.5) -> list[tuple[int, ...]]:
+    def cycles(self) -> list[tuple[int, ...]]:
         """Return the elements that are swapped among each other; each tuple closes on itself.
 
         Of (0, 3) real 0 goes with sim 3 and real 3 with sim 0. For one pair of trajectories, not
         for a batch.
-
-        Args:
-            clearly: the cost within a cycle must be smaller than that share of it as named. What
-                differs less may be noise: joints of a trot move in pairs.
         """
         left, found = set(range(len(self.sim_from_real))), []
         while left:
@@ -45,7 +45,7 @@ class Matching:
                 cycle.append(following)
             left -= set(cycle)
             matched = sum(self.costs[r, self.sim_from_real[r]] for r in cycle)
-            if len(cycle) > 1 and matched < clearly * sum(self.costs[r, r] for r in cycle):
+            if len(cycle) > 1 and matched < CLEARLY * sum(self.costs[r, r] for r in cycle):
                 found.append(tuple(cycle))
         return found
 

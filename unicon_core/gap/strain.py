@@ -17,6 +17,9 @@ from unicon_core.gap.trajectories import Array, one
 
 __all__ = ["Load", "Warming", "compare", "fall_time", "load", "warming"]
 
+LEANS = 0.8
+"""Between the base's z axis and the vertical in [rad]: too far. `tilt_stop` ends a run at 1."""
+
 
 @dataclass(frozen=True)
 class Load:
@@ -91,15 +94,12 @@ def compare(real: ArrayLike, sim: ArrayLike) -> Array:
     return ratio
 
 
-def fall_time(
-    projected_gravity: ArrayLike, period: float, angle: float = 0.8, for_s: float = 0.1
-) -> Array:
+def fall_time(projected_gravity: ArrayLike, period: float, for_s: float = 0.1) -> Array:
     """Return when the base leaned too far and stayed there, in [s]; NaN where it did not fall.
 
     Args:
         projected_gravity: unit vector of gravity in the base frame, shape (…, n, 3).
         period: between two samples in [s].
-        angle: between the base's z axis and the vertical in [rad]; `tilt_stop` ends a run at 1.
         for_s: how long it stays so, in [s]; until the end counts too, since runs end with a fall.
 
     Returns:
@@ -114,7 +114,7 @@ def fall_time(
         raise UniconError(f"gap: projected_gravity has {gravity.shape[-1]} elements; give x, y, z")
     if not 0.0 < period < math.inf:
         raise UniconError(f"gap: period is {period}; give a time > 0 in [s]")
-    leans = -gravity[..., 2] < math.cos(angle)
+    leans = -gravity[..., 2] < math.cos(LEANS)
     held = max(1, round(for_s / period))
     count = leans.shape[-1]
     total = np.zeros((*leans.shape[:-1], count + 1), np.int64)

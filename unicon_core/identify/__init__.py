@@ -1,6 +1,7 @@
 """Identification: which strength, friction, armature and delay of joints explain a recorded run."""
 
-from unicon_core.identify.fit import Fit, Parameter, fit
+from unicon_core.identify.fit import fit
+from unicon_core.identify.found import Fit, Parameter
 from unicon_core.identify.motion import Motion
 from unicon_core.identify.overlay import overlay_text
 

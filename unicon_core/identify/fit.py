@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from unicon_core.errors import UniconError, alternatives
 from unicon_core.gap import unfolded_mse
+from unicon_core.identify.found import Fit, Parameter
 from unicon_core.identify.motion import Motion
 from unicon_core.identify.replays import Joints, Replays
 from unicon_core.models.load import load_model
@@ -25,7 +26,7 @@ from unicon_core.robots import Robot
 from unicon_core.robots.joint_physics import JOINT_PHYSICS, joint_physics
 from unicon_core.robots.poses import joints_like
 
-__all__ = ["Fit", "Parameter", "fit"]
+__all__ = ["fit"]
 
 Float = NDArray[np.float64]
 
@@ -44,68 +45,6 @@ TELLS = 12.0
 """Chi-squared from which a figure tells: with 100 of them one in 20 fits does so by chance."""
 HELD_OUT = 4
 """Every fourth window is left out of the fit, and tells whether it holds."""
-
-
-@dataclass(frozen=True)
-class Parameter:
-    """One figure of one joint.
-
-    Attributes:
-        joint: its name.
-        word: `strength`, `friction`, `armature` or `delay`.
-        before: as the robot's simulator has it.
-        after: as it was estimated.
-        deviation: half of the 95 % interval.
-    """
-
-    joint: str
-    word: str
-    before: float
-    after: float
-    deviation: float
-
-    @property
-    def differs(self) -> bool:
-        """Whether the interval leaves out what the simulator had."""
-        return abs(self.after - self.before) > self.deviation
-
-
-@dataclass(frozen=True)
-class Fit:
-    """What was found.
-
-    Attributes:
-        parameters: the figures that the motion tells of; all others stay as they are.
-        before, after: mean of the joints' unfolded MSE in [rad²] over the windows of the fit.
-        held_before, held_after: the same over windows that the fit has not seen.
-        by_joint: joint to its unfolded MSE before and after, over all windows.
-        windows: of the fit, and held out.
-        rounds: that were made.
-        noise: standard deviation in [rad] of what is left.
-    """
-
-    parameters: tuple[Parameter, ...]
-    before: float
-    after: float
-    held_before: float
-    held_after: float
-    by_joint: dict[str, tuple[float, float]]
-    windows: tuple[int, int]
-    rounds: int
-    noise: float
-
-    @property
-    def better(self) -> bool:
-        """Whether it holds for what the fit has not seen."""
-        return self.held_after < self.held_before
-
-    def joints(self) -> dict[str, dict[str, float]]:
-        """Return the figures that differ from the simulator's, as of `scene.joints`."""
-        found: dict[str, dict[str, float]] = {}
-        for each in self.parameters:
-            if each.differs:
-                found.setdefault(each.joint, {})[each.word] = each.after
-        return found
 
 
 def fit(

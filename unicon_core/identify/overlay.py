@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from unicon_core.identify.fit import Fit
+from unicon_core.identify.found import Fit
 from unicon_core.robots import Robot
 
 __all__ = ["overlay_text"]

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.errors import ModelError, UniconError, alternatives
+from unicon_core.errors import ModelError, UniconError, alternatives, one_line
 from unicon_core.models.kinematic_tree import frame_of
 from unicon_core.models.load import load_model
 from unicon_core.models.loaded import import_mujoco
@@ -140,8 +140,7 @@ def _body(spec: Any, name: str, path: Path) -> Any:
 def _no_gl(error: Exception) -> UniconError:
     if isinstance(error, UniconError):
         return error
-    reason = " ".join(str(error).split()) or type(error).__name__
-    return UniconError(NO_GL.format(reason=reason))
+    return UniconError(NO_GL.format(reason=one_line(error)))
 
 
 def intrinsics(model: Any, camera: int, width: int, height: int) -> Intrinsics:

@@ -5,18 +5,24 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import traceback
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from unicon_core.errors import Fault
+from unicon_core.runtime.statistics import TickStatistics
 from unicon_core.states import States
 from unicon_core.states.stacked import flat
 from unicon_core.states.standard import COMMAND_STATES
 
-__all__ = ["Monitor", "Report"]
+if TYPE_CHECKING:
+    from unicon_core.workflow import Program
+
+__all__ = ["Monitor", "Report", "reason_of"]
 
 
 @dataclass
@@ -75,6 +81,36 @@ class Report:
     traceback: str = ""
     bridge: dict[str, Any] | None = None
     extra: dict[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, program: Program, statistics: TickStatistics, wall: float) -> Report:
+        """Return what a program did, but for what its runner alone knows.
+
+        Args:
+            program: that was run.
+            statistics: of the run's ticks.
+            wall: time of the run in [s], above 0.
+        """
+        ticks, overruns = statistics.count, statistics.overruns
+        report = cls(
+            program.name,
+            program.robot.name,
+            program.platform.facts.name,
+            ticks=ticks,
+            duration_s=round(ticks * program.period, 9),
+            wall_s=round(wall, 3),
+            rate_hz=round(ticks / wall, 3),
+            overruns=overruns,
+            overrun_blocks=statistics.overrun_blocks(program.period * 1e6) if overruns else {},
+            tick_us=statistics.tick_us(),
+            late_us=statistics.lateness_us(),
+            safety=list(program.safety),
+            safety_left_out=dict(program.safety_left_out),
+            forced=list(program.forced),
+            blocks=statistics.block_us(),
+        )
+        program.monitor.fill(report)
+        return report
 
     def to_dict(self) -> dict[str, Any]:
         """Return the report as plain values; `bridge` only where ROS was on."""
@@ -176,3 +212,13 @@ class Monitor:
         report.tilt_deg = round(math.degrees(math.acos(max(-1.0, min(-self._worst, 1.0)))), 1)
         report.sha256_commands = self._hash.hexdigest()
         report.dry = self._dry
+
+
+def reason_of(error: BaseException) -> str:
+    """Return an exception in one line; what is not a `Fault` with its kind and place."""
+    if isinstance(error, Fault):
+        return str(error)
+    text = " ".join(str(error).split())
+    frames = traceback.extract_tb(error.__traceback__)
+    place = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
+    return f"{type(error).__name__}{': ' if text else ''}{text}{place}"

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from typing import Any, Protocol
 
+from unicon_core.runtime.options import RunOptions
 from unicon_core.runtime.report import Report
-from unicon_core.runtime.runner import Runner, RunOptions
+from unicon_core.runtime.runner import Runner
 from unicon_core.workflow import Program
 
 __all__ = ["Attached", "run"]

@@ -7,49 +7,24 @@ import time
 import traceback
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, Literal
 
-from unicon_core.blocks.approach import Approach
-from unicon_core.errors import Fault, Hung, PlatformError, UniconError
-from unicon_core.flow import Deferred, Node, Zip, as_block
-from unicon_core.flow.compiler import CompiledGraph
-from unicon_core.gates.beginning import beginning
-from unicon_core.platforms.platform import Prepares, Resettable, WaitsForData
+from unicon_core.errors import Fault, Hung, UniconError
+from unicon_core.flow import Node, as_block
+from unicon_core.flow.compiled import CompiledGraph
+from unicon_core.platforms.platform import Prepares, Resettable
+from unicon_core.runtime.beforehand import approach_tree, waiting_tree
 from unicon_core.runtime.damp import Damp
+from unicon_core.runtime.options import RunOptions, refuse_pace
 from unicon_core.runtime.pacing import prepare_process, process_age_s
 from unicon_core.runtime.phases import WIND_DOWN, Phase
-from unicon_core.runtime.report import Report
+from unicon_core.runtime.report import Report, reason_of
 from unicon_core.runtime.ticker import Ticker
 from unicon_core.runtime.waiting import Waiting
 from unicon_core.signals import SIGNALS, Interrupted, signal_name
 from unicon_core.workflow import Program
 from unicon_core.workflow.gate import NEVER_NS
 
-__all__ = ["RunOptions", "Runner", "approach_tree", "waiting_tree"]
-
-
-@dataclass(frozen=True)
-class RunOptions:
-    """How to run.
-
-    Attributes:
-        duration: end after this time in [s] of ticks; None: until the flow is done.
-        speed: `real` paces to the wall clock; `max` ticks as fast as it can (simulators).
-        capacity: ticks whose time stamps are kept.
-        warn: takes warnings, one line each.
-        status: called about once a second with facts for a status line, or None.
-        operator: wait for `Runner.go` before a robot moves, where the workflow does not say that
-            nobody is asked. False: whoever runs it has decided.
-    """
-
-    duration: float | None = None
-    speed: Literal["real", "max"] = "real"
-    capacity: int = 32_768
-    warn: Callable[[str], None] = print
-    status: Callable[[dict[str, Any]], None] | None = None
-    operator: bool = False
+__all__ = ["Runner"]
 
 
 FEW = 256
@@ -90,7 +65,7 @@ class Runner:
         self.program = program
         self.options = options or RunOptions()
         program.warn = self.options.warn
-        _refuse_pace(program, self.options)
+        refuse_pace(program, self.options)
         self.phase = Phase.WAIT
         self.monitor = program.monitor
         status = None if self.options.status is None else self._status
@@ -272,7 +247,7 @@ class Runner:
         if isinstance(error, Interrupted) and self.faults:
             return  # told by whoever damped
         try:
-            reason = _reason(error)
+            reason = reason_of(error)
         except Exception:  # its text cannot be had
             reason = type(error).__name__
         self.faults.insert(place, reason)  # before what closing found: the first is why
@@ -315,33 +290,19 @@ class Runner:
             try:
                 self.program.close()
             except Exception as error:
-                self.faults.append(f"closing: {_reason(error)}")
+                self.faults.append(f"closing: {reason_of(error)}")
 
     def report(self) -> Report:
         """Return the report of the run so far."""
-        program, statistics = self.program, self.statistics
+        statistics = self.statistics
         end = self._ended_ns or time.perf_counter_ns()
         wall = max((end - self._started_ns) * 1e-9, 1e-9)
-        ticks = statistics.count
-        report = Report(program.name, program.robot.name, program.platform.facts.name)
-        report.ticks = ticks
-        report.duration_s = round(ticks * program.period, 9)
-        report.rate_hz = round(ticks / wall, 3)
-        report.wall_s = round(wall, 3)
-        report.overruns = statistics.overruns
-        if statistics.overruns:
-            report.overrun_blocks = statistics.overrun_blocks(program.period * 1e6)
-        if self._age_s is not None and 0 < ticks <= self.options.capacity:
+        report = Report.of(self.program, statistics, wall)
+        if self._age_s is not None and 0 < statistics.count <= self.options.capacity:
             first = int(statistics.kept()[0, 2])
             report.startup_s = round(self._age_s + (first - self._started_ns) * 1e-9, 3)
-        report.tick_us = statistics.tick_us()
-        report.late_us = statistics.lateness_us()
-        report.blocks = statistics.block_us()
         report.faults = list(self.faults)
         report.traceback = self.traceback
-        report.safety, report.forced = list(program.safety), list(program.forced)
-        report.safety_left_out = dict(program.safety_left_out)
-        self.monitor.fill(report)
         return report
 
     def _limit(self) -> int:
@@ -444,43 +405,3 @@ class Runner:
                 "faults": len(self.faults),
             }
         )
-
-
-def waiting_tree(program: Program, *waiting: Node) -> Node:
-    """Return the tree of a tick in which nothing is sent: recv, estimate, input, observers."""
-    return Zip(*program.hearing, *waiting, *map(Deferred, program.looking))
-
-
-def approach_tree(program: Program) -> Node:
-    """Return the tree of a tick of the approach, from the present states on."""
-    start = program.start
-    approach = Approach(
-        program.states, beginning(program), program.period, start.approach, start.fade_in
-    )
-    return program.with_flow(as_block(approach))
-
-
-def _refuse_pace(program: Program, options: RunOptions) -> None:
-    platform, pacing = program.platform, program.pacing
-    wrong = ""
-    if pacing.trigger == "state" and not isinstance(platform, WaitsForData):
-        wrong = "cannot tell when its data arrive; set pacing.trigger: deadline"
-    elif options.speed == "max" and not platform.facts.simulated:
-        wrong = "is a robot, which takes its time; leave out speed max, or use a simulator"
-    elif pacing.overrun == "catch_up" and not platform.facts.simulated:
-        wrong = (
-            "is a robot, to which catch_up would send old commands in one go; set pacing.overrun: "
-            "skip"
-        )
-    if wrong:
-        raise PlatformError(f"platform {platform.facts.name!r} {wrong}")
-
-
-def _reason(error: BaseException) -> str:
-    """Return an exception in one line; what is not a `Fault` with its kind and place."""
-    if isinstance(error, Fault):
-        return str(error)
-    text = " ".join(str(error).split())
-    frames = traceback.extract_tb(error.__traceback__)
-    place = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
-    return f"{type(error).__name__}{': ' if text else ''}{text}{place}"

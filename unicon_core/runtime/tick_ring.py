@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from unicon_core.runtime.runner import Runner
     from unicon_core.workflow import Program
 
-__all__ = ["FEWEST", "HEAD", "PHASES", "KeptMemory", "TickRing"]
+__all__ = ["DONE", "ENDED", "FEWEST", "HEAD", "PHASES", "KeptMemory", "TickRing"]
 
 KEPT_S = 10.0
 """Of ticks that are kept at least in [s]; up to half as much more, since it begins at a memory."""
@@ -41,7 +41,9 @@ BETWEEN = ("tick", "velocity_command")
 """States that the runner changes between two ticks."""
 
 HEAD = struct.Struct("<4sqqII")
-"""What a kept tick begins with: the head of CDR, time [ns], number, phase, 1 where it has ended."""
+"""What a kept tick begins with: the head of CDR, time [ns], number, phase, and how it ended."""
+ENDED, DONE = 1, 2
+"""How: to its end; and there the whole graph was done, so that its blocks began anew. Else 0."""
 _CDR = bytes((0, 1, 0, 0))
 
 PHASES = tuple(Phase)
@@ -187,7 +189,8 @@ class TickRing:
         if self._frozen:
             return
         self._fill()
-        self._head(1)
+        # Within a tick the graph is made fresh by what ends it alone.
+        self._head(ENDED | DONE if self._anew else ENDED)
         self._next()
         if self.rows % self._stride == 0:
             self._remember(False)

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Mapping
 
 from unicon_core.errors import StateError
 from unicon_core.states.layout import Layout
-from unicon_core.states.standard import COMMAND_STATES
+from unicon_core.states.standard import COMMAND_STATES, GAIN_SCALE, GAIN_SCALE_SPEC
 from unicon_core.states.states import States
 
 __all__ = ["COMMAND", "MEASURED", "Copies", "Groups", "difference", "groups_from_json"]
@@ -43,10 +43,14 @@ def groups_of(layout: Layout) -> dict[str, Layout]:
     """Return the groups of a workflow's states: `measured`, and `command` which `send` releases.
 
     They are two, since nobody outside may see a command before safety has. A group without states
-    is left out.
+    is left out, and so is the state that a host adds for its records: groups do not depend on who
+    hosts a workflow.
     """
+    others = [name for name in layout.specs if name not in COMMAND_STATES]
+    if layout.specs.get(GAIN_SCALE) == GAIN_SCALE_SPEC:
+        others.remove(GAIN_SCALE)
     chosen = {
-        MEASURED: [name for name in layout.specs if name not in COMMAND_STATES],
+        MEASURED: others,
         COMMAND: [name for name in layout.specs if name in COMMAND_STATES],
     }
     return {group: subset(layout, names) for group, names in chosen.items() if names}

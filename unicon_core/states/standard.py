@@ -11,9 +11,14 @@ from unicon_core.states.spec import StateSpec
 
 __all__ = [
     "BASE_STATES",
+    "BUTTONS",
     "COMMAND_STATES",
+    "CONTROL_STATES",
+    "GAIN_SCALE",
+    "GAIN_SCALE_SPEC",
     "HARDWARE_STATES",
     "JOINT_STATES",
+    "control_states",
     "hardware_states",
     "standard_states",
 ]
@@ -40,9 +45,40 @@ COMMAND_STATES = (
 )
 """What leaves for the motors: the states that a platform's `send` reads."""
 
+GAIN_SCALE = "gain_scale"
+GAIN_SCALE_SPEC = StateSpec(
+    (2,),
+    "float64",
+    names=("joint_stiffness", "joint_damping"),
+    description="factors of the gains, by whoever hosts the workflow",
+    initial=1.0,
+)
+"""Of the state that a host which scales gains adds to a workflow, so that records tell it."""
+
 
 HARDWARE_STATES = ("motor_temperature", "motor_error", "battery_charge", "battery_voltage")
 """What a robot may tell of itself: states only of workflows whose platform writes them."""
+
+
+CONTROL_STATES = ("sticks", "buttons", "controls_alive")
+"""What an operator holds in his hands: states of workflows whose platform or block writes them."""
+
+BUTTONS = (
+    *("R1", "L1", "start", "select", "R2", "L2", "F1", "F2"),
+    *("A", "B", "X", "Y", "up", "right", "down", "left"),
+)
+"""The elements of `buttons`, in the order of Unitree's remote."""
+
+
+def control_states() -> dict[str, StateSpec]:
+    """Return the states of a remote, gamepad or keyboard, all zero where nobody holds one."""
+    return {
+        "sticks": StateSpec(
+            (4,), "float32", "", "", ("lx", "ly", "rx", "ry"), "-1 to 1; right and up are positive"
+        ),
+        "buttons": StateSpec((len(BUTTONS),), "int32", "", "", BUTTONS, "1 while it is pressed"),
+        "controls_alive": StateSpec((), "int32", "", "", (), "1 while the device is heard"),
+    }
 
 
 def hardware_states(joint_names: Sequence[str]) -> dict[str, StateSpec]:

@@ -36,6 +36,9 @@ class BuildContext:
         policies: name to loaded contract.
         relative_to: folder of the workflow file, for relative paths; None if there is none.
         platform: of the workflow, once it is built.
+        dry: no device may be opened.
+        tell: takes what a block tells while it ticks, one line.
+        driving: whether commands have left.
 
     A parameter `context` gets all of it, one of the names in `PARTS` that attribute.
     """
@@ -46,6 +49,9 @@ class BuildContext:
     policies: Mapping[str, Any] = field(default_factory=dict)
     relative_to: Path | None = None
     platform: Platform | None = None
+    dry: bool = False
+    tell: Callable[[str], None] = print
+    driving: Callable[[], bool] = lambda: True
 
 
 PARTS = ("states", "robot", "period", "relative_to")

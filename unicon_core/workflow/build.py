@@ -19,7 +19,7 @@ from unicon_core.robots import Robot, load_robot, robot_names
 from unicon_core.signals import SIGNALS
 from unicon_core.states import StateSpec, standard_states
 from unicon_core.states.spec import check_name
-from unicon_core.states.standard import COMMAND_STATES, hardware_states
+from unicon_core.states.standard import COMMAND_STATES, control_states, hardware_states
 from unicon_core.workflow.autowire import BuildContext, autowire, option_names
 from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.expression import expression
@@ -206,7 +206,7 @@ def specs_of(
     uses: Iterable[Use],
 ) -> dict[str, StateSpec]:
     specs = standard_states(robot.joint_names)
-    hardware = hardware_states(robot.joint_names)
+    hardware = hardware_states(robot.joint_names) | control_states()
     specs |= {name: spec for name, spec in hardware.items() if name in _declared(document)}
     if document.values.get("twin") is not None:
         specs |= twin_states(robot)

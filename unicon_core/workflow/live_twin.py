@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -135,7 +135,10 @@ def build_twin(
     if "joint_pos" not in measured or "joint_vel" not in measured:
         raise wrong("the platform measures no joint_pos and joint_vel; leave the twin out")
     options = (document.get("platforms", dict, {}) or {}).get(settings.platform) or {}
-    scene = read_scene(document, context, facts, disturbed=False)
+    # Joints that the scene changes are what a twin is there to find: its own are the robot file's.
+    said = document.get("scene", dict, {}) | {"joints": None}
+    plain = replace(document, values=document.values | {"scene": said})
+    scene = read_scene(plain, context, facts)
     try:
         beside = Beside(factory, context.robot, context.period, scene, options)
     except TypeError as error:  # its factory takes no scene, or not these options

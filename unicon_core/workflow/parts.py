@@ -1,4 +1,4 @@
-"""Parts: one workflow whose blocks run in several processes or machines, read and divided here.
+"""Parts: one workflow whose blocks run in several processes or machines, as the file says it.
 
     store: {zmq: tcp://192.168.123.18:5600}     # or shm, on one machine
     parts:
@@ -19,26 +19,20 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, cast
 
-from unicon_core.errors import StateError, WorkflowError, alternatives
-from unicon_core.flow import Block, Node, Zip, as_block, blocks_of, children_of
-from unicon_core.flow.nodes import with_children
-from unicon_core.flow.stage import Stage
+from unicon_core.errors import StateError, alternatives
 from unicon_core.states import Layout, States
 from unicon_core.states.backends import Reader
-from unicon_core.states.groups import COMMAND, Groups, groups_of, subset
+from unicon_core.states.groups import Groups, groups_of, subset
 from unicon_core.states.links import (
     Incoming,
-    Publisher,
     Silent,
     Store,
     neutral_value,
     open_reader,
-    open_writers,
 )
 from unicon_core.workflow.document import WorkflowDocument
 
-__all__ = ["Part", "Parts", "check_places", "divided", "owner_of", "publishers", "read_parts"]
-__all__ += ["read_store"]
+__all__ = ["Part", "Parts", "read_parts", "read_store"]
 
 BACKENDS = ("local", "shm", "zmq")
 
@@ -280,109 +274,3 @@ def _part(document: WorkflowDocument, name: str, said: Any) -> Part:
     if not isinstance(values, dict):
         raise document.error(f"silent.set is {values!r}; give {{STATE: VALUE}}", *below)
     return Part(name, tuple(states), Silent(float(after), then, values))
-
-
-def owner_of(block: Block, parts: Parts) -> str:
-    """Return the part that a block belongs to."""
-    return block.part or parts.first
-
-
-def check_places(
-    sections: Mapping[Stage, list[Node]], ending: Node | None, parts: Parts | None
-) -> None:
-    """Refuse blocks of parts that are not there, and safety blocks away from the robot.
-
-    Raises:
-        WorkflowError: with the block's place.
-    """
-    for stage, nodes in (*sections.items(), (None, [ending] if ending else [])):
-        for block in (block for node in nodes for block in blocks_of(node)):
-            if not block.part:
-                continue
-            if parts is None:
-                raise WorkflowError(
-                    f"on: {block.part}: the workflow has no parts; declare them (parts:), or leave "
-                    "out on:",
-                    block.where or None,
-                )
-            if block.part not in parts.parts:
-                raise WorkflowError(
-                    f"on: no part {block.part!r}; {alternatives(block.part, parts.parts)}",
-                    block.where or None,
-                )
-            if stage in (None, Stage.SAFETY) and block.part != parts.first:
-                where = "safety" if stage else "wind_down"
-                raise WorkflowError(
-                    f"{where}: {block.name!r} is on {block.part!r}; {where} belongs to the part "
-                    f"with the robot: leave out on:",
-                    block.where or None,
-                )
-
-
-def divided(node: Node, parts: Parts, part: str) -> Node | None:
-    """Return what of a tree belongs to a part, None for nothing.
-
-    Raises:
-        WorkflowError: what is in order (chain, loop, switch) is divided.
-    """
-    owners = _owners(node, parts)
-    if owners == {part}:
-        return node
-    if part not in owners:
-        return None
-    if not isinstance(node, Zip):
-        raise WorkflowError(
-            f"{type(node).__name__.lower()}: its blocks are of the parts "
-            f"{', '.join(sorted(owners))}, which do not share a tick; divide at a zip or a list",
-            node.where or None,
-        )
-    kept = [child for child in children_of(node) if part in _owners(child, parts)]
-    pruned = [divided(child, parts, part) for child in kept]
-    whole = Zip(*(child for child in pruned if child is not None), where=node.where)
-    return with_children(whole, list(children_of(whole)))
-
-
-def _owners(node: Node, parts: Parts) -> set[str]:
-    return {owner_of(block, parts) for block in blocks_of(node)}
-
-
-def publishers(
-    store: Store,
-    part: str,
-    groups: Groups,
-    states: States,
-    stages: Mapping[Stage, list[Node]],
-) -> list[Block]:
-    """Put a publisher of each group behind what changes its states last; return them.
-
-    Command states go out behind `send`: nobody outside ever sees one that safety has not seen.
-
-    Args:
-        store: how they travel.
-        part: which publishes, "" for a workflow that is not divided.
-        groups: its groups.
-        states: of this process.
-        stages: all blocks of the tick; is added to.
-
-    Raises:
-        StateError: another run publishes under that name.
-    """
-    writers = open_writers(store, part, groups, states)
-    made = []
-    for name, group in groups.items():
-        last = Stage.SEND if name == COMMAND else Stage.RECV
-        for stage, nodes in stages.items():
-            if stage is Stage.OBSERVE:
-                continue
-            changed = {s for n in nodes for b in blocks_of(n) for s in (*b.writes, *b.amends)}
-            if changed & set(group.specs) and _rank(stage) > _rank(last):
-                last = stage
-        block = as_block(Publisher(writers[name], tuple(group.specs), f"publish {name}"))
-        block.stage = last
-        stages[last].append(block)
-        made.append(block)
-    return made
-
-
-def _rank(stage: Stage) -> int:
-    return list(Stage).index(stage)

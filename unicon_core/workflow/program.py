@@ -15,11 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from unicon_core.blocks.approach import Entry
-from unicon_core.errors import alternatives
-from unicon_core.flow import Block, Deferred, Node, Zip, as_block, blocks_of
-from unicon_core.flow.checks import check_graph, raise_first
-from unicon_core.flow.critical_path import critical_path, is_patient
-from unicon_core.flow.fuse import fuse
+from unicon_core.flow import Block, Node, as_block, blocks_of
 from unicon_core.flow.stage import Stage
 from unicon_core.platforms.kit.damping import LastSent
 from unicon_core.platforms.part import PartPlatform
@@ -28,7 +24,6 @@ from unicon_core.signals import SIGNALS
 from unicon_core.states import Layout, States
 from unicon_core.states.groups import groups_of
 from unicon_core.states.links import Incoming
-from unicon_core.states.standard import COMMAND_STATES
 from unicon_core.workflow.autowire import BuildContext
 from unicon_core.workflow.build import (
     Builder,
@@ -47,15 +42,17 @@ from unicon_core.workflow.command_bounds import (
     command_bounds,
     reads_command,
 )
+from unicon_core.workflow.division import check_places, of_part, publishers
 from unicon_core.workflow.document import WorkflowDocument, document_of, load_document
 from unicon_core.workflow.gate import Gate
-from unicon_core.workflow.live_twin import TWIN_STATES, build_twin, twin_of
-from unicon_core.workflow.parts import check_places, divided, publishers, read_parts, read_store
+from unicon_core.workflow.live_twin import build_twin, twin_of
+from unicon_core.workflow.parts import read_parts, read_store
 from unicon_core.workflow.platforms import build_platform
 from unicon_core.workflow.policies import controllers_reading, load_policies
 from unicon_core.workflow.safety_set import completed, left_out
 from unicon_core.workflow.settings import pacing_of, safety_of, start_of
 from unicon_core.workflow.silent import refuse_parts, withheld
+from unicon_core.workflow.tick_tree import tick_tree, with_flow
 from unicon_core.workflow.uses import EXPRESSION, Use
 from unicon_core.workflow.warm_ups import WarmUps
 
@@ -63,7 +60,7 @@ if TYPE_CHECKING:
     from unicon_core.gates.gate import StartGate
     from unicon_core.runtime.pacing import Pacing
 
-__all__ = ["GIVEN", "Hook", "Program", "load_workflow"]
+__all__ = ["Hook", "Program", "load_workflow"]
 
 Hook = Callable[["Program"], Mapping[Stage, Sequence[Block]]]
 """Gives a program further blocks, each for its stage, once states and platform exist: a bridge, a
@@ -71,9 +68,6 @@ recorder, a viewer. They stand behind the program's own blocks of that stage."""
 
 MOST_ROBOTS = 4096
 """Of a batch: each takes half a megabyte and 1.5 ms to begin in MuJoCo."""
-GIVEN = ("tick", COMMAND, "joint_vel_target", "joint_effort_ff", *TWIN_STATES)
-"""States that may be read though no block writes them before: the runner does, zero is meant, or a
-twin tells what it saw a tick ago."""
 
 
 class Program:
@@ -168,9 +162,17 @@ class Program:
         if silent:
             refuse_parts(self.parts, document)
         if part:
-            sections, ending = self._of_part(sections, ending)
+            sections, ending = of_part(part, self.parts, sections, ending, document)
+        self.gate = Gate(LastSent(self.states))
         self.context = BuildContext(
-            self.states, self.robot, self.period, self.policies, document.path.parent
+            self.states,
+            self.robot,
+            self.period,
+            self.policies,
+            document.path.parent,
+            dry=dry,
+            tell=self.tell,
+            driving=lambda: self.gate.sent.any,
         )
         # Imported here: the runner's package imports this one.
         from unicon_core.runtime.report import Monitor
@@ -195,7 +197,6 @@ class Program:
                 arrival.close()
             raise
         self.stages: dict[Stage, list[Node]] = {stage: [] for stage in Stage}
-        self.gate = Gate(LastSent(self.states))
         self.gates: list[StartGate] = []
         self.command_bounds: tuple[CommandBound, ...] = ()
         self.forced: tuple[str, ...] = ()
@@ -216,8 +217,11 @@ class Program:
         warm_ups = WarmUps(self.context)
         builder = Builder(self, warm_ups)
         for stage, nodes in sections.items():
-            if stage is not Stage.SAFETY:
-                stages[stage] += [builder.built(node) for node in nodes]
+            for node in nodes if stage is not Stage.SAFETY else ():
+                built = builder.built(node)
+                # What a device tells is received, wherever the block is listed.
+                is_device = isinstance(built, Block) and built.stage is Stage.RECV
+                stages[Stage.RECV if is_device else stage].append(built)
         stages[Stage.SAFETY] += self._safety(builder, sections[Stage.SAFETY])
         finite_first(self.document, stages[Stage.SAFETY])
         self.safety = tuple(b.name for node in stages[Stage.SAFETY] for b in blocks_of(node))
@@ -248,7 +252,7 @@ class Program:
                 block.stage = block.stage or stage
         self.hearing = [*stages[Stage.RECV], *stages[Stage.ESTIMATE], *stages[Stage.INPUT]]
         self.looking = looking
-        self.root, self.critical = self._graph(stages | self._entry())
+        self.root, self.critical = tick_tree(stages | self._entry(), self.states)
         self.wind_down = None if last is None else self.with_flow(last)
         if isinstance(platform, RequiresStates):
             needing = [block for block in self.critical if getattr(block.tick, "needs", True)]
@@ -287,26 +291,6 @@ class Program:
             self.safety_left_out[node.name] = "a robot that is sent nothing does not follow"
         return [node for node in nodes if node not in awaits]
 
-    def _of_part(self, sections: Sections, ending: Node | None) -> tuple[Sections, Node | None]:
-        """Return what of each stage, and of the wind-down, belongs to the part that is built."""
-        parts = self.parts
-        if parts is None or self.part not in parts.parts:
-            known = alternatives(self.part, parts.parts if parts else ())
-            raise self.document.error(
-                f"no part {self.part!r}; {known}"
-                if parts
-                else f"part {self.part!r}: the workflow has no parts; leave out --part",
-                "parts",
-            )
-        own: Sections = {}
-        for stage, nodes in sections.items():
-            found = [divided(node, parts, self.part) for node in nodes]
-            own[stage] = [node for node in found if node is not None]
-        own[Stage.FLOW] = own[Stage.FLOW] or [as_block(_idle, name="idle")]
-        if self.part != parts.first:
-            own[Stage.SAFETY], ending = [], None
-        return own, ending
-
     def _published(self) -> list[Block]:
         """Put the publishers of this process into the stages, as its store and part say."""
         states = self.states
@@ -323,24 +307,8 @@ class Program:
         Safety blocks that look at what the flow of the run writes, such as an observation, are left
         out: nobody writes it here.
         """
-        stages = self.stages
-        left = [n for s in stages for n in stages[s] if s not in (Stage.COMMAND, Stage.FLOW)]
-        ours = {state for node in (*left, flow) for b in blocks_of(node) for state in b.writes}
-        acted = (*stages[Stage.COMMAND], *stages[Stage.FLOW])
-        gone = {state for node in acted for b in blocks_of(node) for state in b.writes}
-        gone -= {*ours, *GIVEN, *COMMAND_STATES}  # what looks at commands always stays
-        safety = [
-            node
-            for node in stages[Stage.SAFETY]
-            if gone.isdisjoint(state for b in blocks_of(node) for state in b.reads)
-        ]
-        changed = {
-            Stage.COMMAND: [],
-            Stage.FLOW: [flow],
-            Stage.SAFETY: safety,
-            Stage.OBSERVE: self.looking,
-        }
-        return self._graph(self.stages | changed)[0]
+        stages = with_flow(self.stages, flow) | {Stage.OBSERVE: self.looking}
+        return tick_tree(stages, self.states)[0]
 
     def _entry(self) -> dict[Stage, list[Node]]:
         """Let a robot's flow come in without a jump; in a simulator no command is changed."""
@@ -350,18 +318,6 @@ class Program:
         entry = as_block(Entry(self.states, self.gate.sent, ticks))
         entry.stage = Stage.SAFETY
         return {Stage.SAFETY: [entry, *self.stages[Stage.SAFETY]]}
-
-    def _graph(self, stages: Mapping[Stage, Sequence[Node]]) -> tuple[Node, frozenset[Block]]:
-        """Return the checked tree of a tick and the blocks that the command depends on."""
-        acting = [n for stage, nodes in stages.items() if stage is not Stage.OBSERVE for n in nodes]
-        # Observers only look: what they would find missing is no reason not to run.
-        observing = [Deferred(node) for node in stages[Stage.OBSERVE]]
-        raise_first(check_graph(Zip(*acting, *observing), self.states, given=GIVEN))
-        patient = [node for node in acting if is_patient(node)]
-        sent = [node for node in acting if not is_patient(node)]
-        path = critical_path(Zip(*sent, *observing, *map(Deferred, patient)))
-        needed = path.critical.union(*(blocks_of(node) for node in patient))
-        return fuse(path.root, self.states), needed
 
     def _bound_commands(self) -> None:
         """Put bounds before the flow, and behind whatever gives commands in it."""
@@ -422,10 +378,6 @@ class Program:
         with suppress(Exception):
             self.close()
         return True
-
-
-def _idle() -> None:
-    """Do nothing: the flow of a part that has none."""
 
 
 def load_workflow(

@@ -18,9 +18,7 @@ from unicon_core.workflow.option_types import wrong_option
 __all__ = ["read_scene"]
 
 
-def read_scene(
-    document: WorkflowDocument, context: BuildContext, facts: Facts, *, disturbed: bool = True
-) -> Scene:
+def read_scene(document: WorkflowDocument, context: BuildContext, facts: Facts) -> Scene:
     """Return the scene of a workflow for a platform.
 
     A robot begins where it is, so that the same file runs on it; what would disturb it is refused.
@@ -29,7 +27,6 @@ def read_scene(
         document: the workflow.
         context: what it is built with.
         facts: of the platform.
-        disturbed: take what disturbs it, too; a twin is not disturbed.
 
     Raises:
         WorkflowError: an unknown key, a wrong value, or a disturbance that is meant for a robot.
@@ -46,8 +43,7 @@ def read_scene(
                 "scene",
                 key,
             )
-    left = () if disturbed else DISTURBANCES
-    values = {key: v for key, v in values.items() if v is not None and key not in left}
+    values = {key: value for key, value in values.items() if value is not None}
     wrong = wrong_option(Scene, values)
     if wrong:
         raise document.error(f"scene.{wrong}", "scene")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -38,9 +39,9 @@ def read_record(path: Path, window: Window) -> Run:
         stamps = record.states("stamp_ns")[whole].reshape(-1)
         clocks.append(("the robot's own time, stamp_ns", _seconds(stamps)))
     clocks.append(("the times of the ticks", _seconds(record.stamps[whole])))
-    period = float(record.facts.get("period_s") or "nan")
-    numbers = record.ticks[whole] - record.ticks[:1]
-    clocks.append(("the numbers of the ticks", np.asarray(period * numbers, np.float64)))
+    with suppress(UniconError):  # it does not say its period
+        numbers = record.period * (record.ticks[whole] - record.ticks[:1])
+        clocks.append(("the numbers of the ticks", np.asarray(numbers, np.float64)))
     facts = ("robot", "workflow", "platform", "reason", "written")
     about = {name: record.facts[name] for name in facts if record.facts.get(name)}
     joints = layout.specs["joint_pos"].names if "joint_pos" in layout.specs else ()

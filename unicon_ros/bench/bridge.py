@@ -9,14 +9,13 @@ in a row. The cost with a reader in this process is told beside it, as a fact.
 
 from __future__ import annotations
 
-import os
 import time
 
 import numpy as np
 
 from unicon_ros import compat
 from unicon_ros.bench.bridge_topics import RECEIVED, Desk, Received
-from unicon_ros.bench.domains import free_domain
+from unicon_ros.bench.domains import stay_on_loopback
 from unicon_ros.bench.report import Bench
 from unicon_ros.bench.samples import Samples
 
@@ -38,8 +37,7 @@ def run(rounds: int | None = None) -> Bench:
     Raises:
         MissingDependencyError: rclpy is not installed.
     """
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    os.environ.setdefault("ROS_DOMAIN_ID", str(free_domain()))
+    stay_on_loopback()
     rclpy = compat.import_rclpy("unicon bench bridge")
     rounds = rounds or 9
     bench = Bench("bridge", seed=0, rounds=rounds)

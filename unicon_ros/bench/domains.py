@@ -7,7 +7,7 @@ import random
 import socket
 from itertools import islice
 
-__all__ = ["free_domain", "free_domains", "loopback_environment"]
+__all__ = ["free_domain", "free_domains", "loopback_environment", "stay_on_loopback"]
 
 KEPT = 8
 """So many domains, the latest, stay ours though nobody is in them yet."""
@@ -43,6 +43,12 @@ def loopback_environment() -> dict[str, str]:
     values["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     values["ROS_DOMAIN_ID"] = str(free_domain())
     return values
+
+
+def stay_on_loopback() -> None:
+    """Let this process's nodes stay on loopback, in a free domain, where nobody has chosen."""
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    os.environ.setdefault("ROS_DOMAIN_ID", str(free_domain()))
 
 
 def _is_free(domain: int) -> bool:

@@ -7,7 +7,6 @@ with all that is put off. Both keep the ticks of a fault record, as every run do
 
 from __future__ import annotations
 
-import os
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,7 @@ from unicon_core.flow import Block, Stage
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import Program, load_workflow
 from unicon_ros import compat
-from unicon_ros.bench.domains import free_domain
+from unicon_ros.bench.domains import stay_on_loopback
 from unicon_ros.bench.report import Bench
 from unicon_ros.bench.samples import Samples
 from unicon_ros.fault_record import FaultRecord
@@ -45,8 +44,7 @@ def run(rounds: int | None = None, seconds: float = SECONDS) -> Bench:
     Raises:
         MissingDependencyError: rclpy, rosbags or MuJoCo is not installed.
     """
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    os.environ.setdefault("ROS_DOMAIN_ID", str(free_domain()))
+    stay_on_loopback()
     compat.import_rclpy("unicon bench record")
     rounds = rounds or 6
     bench = Bench("record", seed=0, rounds=rounds)

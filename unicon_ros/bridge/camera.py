@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 from unicon_core.errors import UniconError, alternatives
 from unicon_core.handles import FrameRing
 from unicon_core.models.find import find_model, model_of
-from unicon_core.resources import find_config
+from unicon_core.resources import find_config, same_modules
 from unicon_core.robots import Robot
 from unicon_core.states import States, StateSpec
 from unicon_core.workflow.autowire import BuildContext
@@ -225,13 +225,12 @@ camera.declares = _declares  # type: ignore[attr-defined]
 
 
 def _start(options: dict[str, Any]) -> subprocess.Popen[bytes]:
-    environment = dict(os.environ)
+    environment = same_modules()
     guard, libraries = "_ROS_WHEELS_BOOTSTRAP_COMPLETE", "LD_LIBRARY_PATH"
     ours = str(Path(sys.prefix, "lib")) in environment.get(libraries, "").split(os.pathsep)
     if guard in environment and not ours:  # the ROS wheels of another venv have set both
         del environment[guard]
         environment.pop(libraries, None)
-    environment["PYTHONPATH"] = os.pathsep.join(path for path in sys.path if path)
     profile = str(find_config("dds", "large_data", ".xml"))
     for variable in PROFILES:
         if environment.get(variable, "").endswith("fast_discovery.xml"):

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from unicon_core.errors import UniconError
+from unicon_core.errors import UniconError, one_line
 from unicon_ros import compat
 from unicon_ros.ending import exits_within
 from unicon_ros.transport import without_shared_memory
 
-__all__ = ["OwnNode", "one_line"]
+__all__ = ["OwnNode"]
 
 
 class OwnNode:
@@ -64,8 +64,3 @@ class OwnNode:
                 self.executor.shutdown()
                 self.node.destroy_node()
                 self._rclpy.try_shutdown(context=self.context)
-
-
-def one_line(error: Exception) -> str:
-    """Return an error's text without line breaks."""
-    return " ".join(str(error).split()) or type(error).__name__

@@ -18,7 +18,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from unicon_core.errors import UniconError
+from unicon_core.errors import UniconError, one_line
 from unicon_core.flow import Block, Stage
 from unicon_core.resources import find_config
 from unicon_core.runtime import Runner
@@ -37,7 +37,7 @@ from unicon_ros.bridge.bindings import (
 from unicon_ros.bridge.controls import Controls
 from unicon_ros.bridge.estop import STOP_SERVICES, EmergencyStop
 from unicon_ros.bridge.middleware_threads import calm_middleware_threads
-from unicon_ros.bridge.own_node import OwnNode, one_line
+from unicon_ros.bridge.own_node import OwnNode
 from unicon_ros.bridge.robot_frames import RobotFrames
 from unicon_ros.bridge.ros_platform import RosPlatform
 from unicon_ros.bridge.services import SERVICES, add_services

@@ -14,9 +14,9 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
+from unicon_core.errors import one_line
 from unicon_msgs_map import Decoder
 from unicon_ros import compat
-from unicon_ros.bridge.own_node import one_line
 from unicon_ros.bridge.qos import qos_profile
 from unicon_ros.bridge.qos_events import QosEvents
 

@@ -6,10 +6,10 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
+from unicon_core.errors import one_line
 from unicon_core.flow import Block
 from unicon_msgs_map import Encoder
 from unicon_ros import compat
-from unicon_ros.bridge.own_node import one_line
 from unicon_ros.bridge.qos import qos_profile
 from unicon_ros.bridge.qos_events import QosEvents
 

@@ -11,13 +11,15 @@ import math
 import numpy as np
 
 from unicon_core.flow import Block, Stage, Tick
-from unicon_core.workflow import Program
+from unicon_core.states.standard import GAIN_SCALE, GAIN_SCALE_SPEC
+from unicon_core.workflow import Program, WorkflowDocument
 
 __all__ = ["NO_LIMIT", "Tuning", "too_little_damping"]
 
 NO_LIMIT = 100.0
 """A command limit from here on does nothing, [m/s] and [rad/s]."""
 
+UNSCALED = (1.0, 1.0)
 
 LEAST_DAMPING_RATIO = 0.5
 """The damping ratio, as a part of that which the gains were made for, may not fall below this."""
@@ -51,6 +53,15 @@ class Tuning:
         self.damping_scale = 1.0
         self.command_limit = np.full(3, NO_LIMIT, np.float32)
 
+    def declare(self, document: WorkflowDocument) -> None:
+        """Let a workflow have the state `gain_scale`, before it is built: records tell it then.
+
+        A state of that name that it has already is its own, and stays.
+        """
+        states = document.get("states", dict, {})
+        if GAIN_SCALE not in states:
+            document.values["states"] = {**states, GAIN_SCALE: GAIN_SCALE_SPEC.to_dict()}
+
     def hook(self, program: Program) -> dict[Stage, list[Block]]:
         """Return the blocks that limit the velocity command and scale the gains.
 
@@ -65,13 +76,14 @@ class Tuning:
 
         unscaled, scaled = self._gain_scale(program)
         gains = ("joint_stiffness", "joint_damping")
+        told = (GAIN_SCALE,) if _declared(program) else ()
         return {
             Stage.INPUT: [
                 Block("command limits", limited, amends=("velocity_command",), endless=True),
                 # Declares nothing: it takes back what `gain scale` did, and no more.
                 Block("gains unscaled", unscaled, endless=True),
             ],
-            Stage.TUNE: [Block("gain scale", scaled, amends=gains, endless=True)],
+            Stage.TUNE: [Block("gain scale", scaled, writes=told, amends=gains, endless=True)],
         }
 
     def _gain_scale(self, program: Program) -> tuple[Tick, Tick]:
@@ -82,6 +94,8 @@ class Tuning:
         """
         live = (program.states["joint_stiffness"], program.states["joint_damping"])
         own = tuple(array.copy() for array in live)
+        told = program.states[GAIN_SCALE] if _declared(program) else np.ones(2)
+        before = UNSCALED
         changed = False
 
         def unscaled() -> None:
@@ -92,12 +106,19 @@ class Tuning:
                     array[...] = kept
 
         def scaled() -> None:
-            nonlocal changed
+            nonlocal before, changed
             scales = (self.stiffness_scale, self.damping_scale)
-            if scales != (1.0, 1.0):
+            if scales != before:
+                before = scales
+                told[...] = scales
+            if scales != UNSCALED:
                 changed = True
                 for array, kept, scale in zip(live, own, scales):
                     kept[...] = array
                     np.multiply(array, scale, out=array, casting="unsafe")
 
         return unscaled, scaled
+
+
+def _declared(program: Program) -> bool:
+    return program.states.layout.specs.get(GAIN_SCALE) == GAIN_SCALE_SPEC

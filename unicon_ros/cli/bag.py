@@ -73,7 +73,10 @@ def _recover(arguments: argparse.Namespace) -> int:
                 print(f"{file}: {messages} messages")
             continue
         done = recover(path)
-        print(f"{path}: no message in it" if done is None else f"{done[0]}: {done[1]} messages")
+        if done is None:
+            print(f"{path}: its run was killed before a message was in it; it is deleted")
+        else:
+            print(f"{done[0]}: {done[1]} messages")
     return 0
 
 

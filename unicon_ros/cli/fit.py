@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from unicon_core.errors import UniconError
-from unicon_core.robots.joint_physics import JOINT_PHYSICS
 from unicon_ros.cli.workflow_arguments import positive
 
 __all__ = ["add_fit", "run_fit"]
@@ -22,7 +21,7 @@ def add_fit(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--fit",
         nargs="?",
-        const=",".join(JOINT_PHYSICS),
+        const=True,  # all words, which are not known before NumPy is loaded
         metavar="WORDS",
         help="write a robot overlay: strength, friction, armature, delay, or some of them, "
         "separated by commas",
@@ -46,6 +45,7 @@ def run_fit(arguments: argparse.Namespace, folder: Path) -> None:
         UniconError: REAL is not a record, or lacks what is needed.
     """
     from unicon_core.robots import load_robot
+    from unicon_core.robots.joint_physics import JOINT_PHYSICS
     from unicon_ros.identify import fit_record
     from unicon_ros.recording import open_record
 
@@ -56,13 +56,14 @@ def run_fit(arguments: argparse.Namespace, folder: Path) -> None:
         raise UniconError(
             f"{real}: a fit replays records; make one of it: unicon bag import {real} real.mcap"
         )
+    asked = JOINT_PHYSICS if arguments.fit is True else arguments.fit.split(",")
     record = open_record(real)
     robot = load_robot(arguments.robot) if arguments.robot else None
     found, text = fit_record(
         record,
         real.name,
         robot=robot,
-        words=[word.strip() for word in arguments.fit.split(",") if word.strip()],
+        words=[word.strip() for word in asked if word.strip()],
         joints=[each.strip() for each in arguments.fit_joints.split(",") if each.strip()],
         window=arguments.fit_window,
         processes=arguments.processes,

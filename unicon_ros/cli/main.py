@@ -16,6 +16,7 @@ from contextlib import suppress
 
 import unicon_core
 from unicon_core.errors import UniconError
+from unicon_core.outlet import open_standard_files
 from unicon_core.signals import SIGNALS, Interrupted
 from unicon_ros.cli import analyze, bag, bench, check, known, preflight, replay, run, show, states
 
@@ -40,8 +41,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     Args:
         argv: arguments without the program's name; those of the process if None.
     """
-    if sys.stdout is None:  # it is closed (`unicon … >&-`): nobody is there to tell
-        sys.stdout = open(os.devnull, "w")  # noqa: SIM115 - until the process ends
+    open_standard_files()
     with SIGNALS:  # before anything is imported or opened
         status = _run(argv)
         return _finish(status)

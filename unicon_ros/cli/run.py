@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import select
 import sys
 import threading
 from contextlib import suppress
@@ -25,6 +26,9 @@ if TYPE_CHECKING:
     from unicon_core.workflow.document import WorkflowDocument
 
 __all__ = ["add", "add_options", "close_session", "run", "run_document"]
+
+LOOK = 0.2
+"""How long Enter is waited for before the phase is looked at, in [s]."""
 
 
 def add(commands: Any) -> None:
@@ -248,9 +252,17 @@ def _listen(runner: Runner, with_ros: bool) -> None:
             "its gates hold, or --ros and call ~/start"
         )
 
+    from unicon_core.runtime.phases import Phase
+
+    moving = (Phase.APPROACH, Phase.RUN, Phase.SOFT, Phase.DAMP)
+
     def listen() -> None:
         with suppress(OSError):
-            while os.read(0, 1024):
+            while runner.phase not in moving:  # then keys are the workflow's
+                if not select.select([0], [], [], LOOK)[0]:
+                    continue
+                if not os.read(0, 1024):
+                    return
                 if not runner.go() and runner.waits_for:
                     runner.options.warn(f"not yet: it waits for {runner.waits_for}")
 

@@ -247,6 +247,8 @@ class Background:
             self._discarded += lost
             trouble = self._finish()
         told = [reason, trouble or f"the {self._file.messages} messages before are kept"]
+        if reason and trouble.startswith(reason):  # the same error twice
+            told = [trouble]
         self._fail(f"{': '.join(filter(None, told))}; the run goes on without it")
 
     def _finish(self) -> str:

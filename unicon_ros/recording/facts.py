@@ -21,11 +21,20 @@ from unicon_core.runtime.tick_ring import PHASES, KeptMemory
 from unicon_ros.recording.tick_message import Kept
 
 if TYPE_CHECKING:
+    from unicon_core.robots import Robot
     from unicon_core.runtime import Runner
     from unicon_core.states import Layout
     from unicon_core.workflow import Program
 
-__all__ = ["SCHEMA", "content_of", "facts_of", "layout_facts", "network_hash", "versions_here"]
+__all__ = [
+    "SCHEMA",
+    "content_of",
+    "facts_of",
+    "layout_facts",
+    "network_hash",
+    "robot_facts",
+    "versions_here",
+]
 
 SCHEMA = "unicon.record/1"
 VERSIONS = ("numpy", "onnxruntime", "torch", "mujoco", "pybullet", "rclpy")
@@ -92,10 +101,19 @@ def facts_of(runner: Runner, kept: Kept) -> dict[str, str]:
         "platform": program.platform.facts.name,
         "platform_facts": json.dumps(_platform_facts(program)),
         "outside": json.dumps(_outside(program)),
-        "robot": program.robot.name,
-        "robot_file": _text_of(program.robot.path),
+        **robot_facts(program.robot),
         "policies": json.dumps(policies),
         "versions": json.dumps(versions_here()),
+    }
+
+
+def robot_facts(robot: Robot) -> dict[str, str]:
+    """Return what says which robot it is: its file, and the overlay that extends it or ""."""
+    overlay = robot.overlay
+    return {
+        "robot": robot.name,
+        "robot_file": _text_of(robot.path),
+        "robot_overlay": "" if overlay is None else _text_of(overlay),
     }
 
 

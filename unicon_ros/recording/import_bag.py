@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.errors import MissingDependencyError, UniconError
+from unicon_core.errors import MissingDependencyError, UniconError, one_line
 from unicon_core.resources import find_config
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_msgs_map import Decoder, MapStateError, load_map
 from unicon_ros.bridge.bindings import robot_variables
 from unicon_ros.recording.imported import layout_of, write_imported
+from unicon_ros.recording.read import missing
 
 __all__ = ["MAP", "import_bag", "open_bag"]
 
@@ -37,15 +39,18 @@ def open_bag(path: Path) -> Any:
         ) from error
     from rosbags.typesys import Stores, get_typestore
 
-    if not path.exists():
-        raise UniconError(f"cannot read {path}: there is no such file or folder")
+    if not os.path.exists(path):  # of a name that is too long, too
+        raise UniconError(missing(path))
     if not (path.is_file() or path.is_dir()):  # a pipe would never open
         raise UniconError(f"{path} is neither a file nor a folder; give a bag")
     try:
         reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY))
         reader.open()
     except Exception as error:  # whatever its storages raise
-        raise UniconError(f"{path} is not a bag that can be read: {_line(error)}") from error
+        raise UniconError(
+            f"{path} is not a bag that can be read: {one_line(error)[:300]}; give a recording of "
+            "unicon, or a bag of ROS 2: a folder, .mcap or .db3"
+        ) from error
     return reader
 
 
@@ -103,7 +108,7 @@ def import_bag(
     except UniconError:
         raise
     except Exception as error:  # whatever its storages raise at damaged content
-        raise UniconError(f"{source} cannot be read to its end: {_line(error)}") from error
+        raise UniconError(f"{source} cannot be read to its end: {one_line(error)[:300]}") from error
     finally:
         reader.close()
     refused = [decoder for decoder in decoders.values() if not decoder.received]
@@ -144,7 +149,3 @@ def _column(states: States, table: NDArray[Any], name: str) -> NDArray[Any]:
     slot = states.layout.slots[name]
     packed = np.ascontiguousarray(table[:, slot.offset : slot.offset + slot.nbytes])
     return packed.view(slot.dtype).reshape(-1, *slot.shape)
-
-
-def _line(error: BaseException) -> str:
-    return " ".join(f"{error}".split())[:300] or type(error).__name__

@@ -17,15 +17,14 @@ from unicon_core.runtime.phases import Phase
 from unicon_core.runtime.tick_ring import HEAD, PHASES
 from unicon_core.states import Layout, States
 from unicon_core.states.standard import COMMAND_STATES, hardware_states, standard_states
-from unicon_ros.recording.facts import versions_here
+from unicon_ros.recording.facts import robot_facts, versions_here
+from unicon_ros.recording.read import LONGEST, SHORTEST
 from unicon_ros.recording.tick_file import write_ticks
 from unicon_ros.recording.tick_message import Kept, kept_moments
 
 __all__ = ["layout_of", "write_imported"]
 
 CDR = bytes((0, 1, 0, 0))
-LONGEST = 86_400.0
-"""Of a period in [s]."""
 
 
 def layout_of(robot: Robot, names: Mapping[str, Any] | set[str]) -> Layout:
@@ -65,7 +64,7 @@ def write_imported(
     given = frozenset(measured)
     kept: Kept = {"received": given, "sent": None}
     period = float(np.median(np.diff(stamps))) * 1e-9 if len(stamps) > 1 else 0.0
-    if not 0.0 < period < LONGEST:
+    if not SHORTEST <= period <= LONGEST:
         raise UniconError(
             f"{source}: {len(stamps)} ticks have no period (median {period:g} s); its times are "
             "wrong: give --rate HZ"
@@ -75,8 +74,7 @@ def write_imported(
         "period_s": repr(period),
         "workflow": "",
         "platform": "imported",
-        "robot": robot.name,
-        "robot_file": robot.path.read_text("utf-8"),
+        **robot_facts(robot),
         "imported_from": str(source),
         "imported_states": json.dumps(sorted(states)),
         "policies": "{}",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+import os
 import struct
 from collections import Counter
 from pathlib import Path
@@ -13,7 +13,7 @@ import numpy as np
 from unicon_core.aligned import aligned
 from unicon_core.errors import UniconError
 from unicon_ros.recording.import_bag import open_bag
-from unicon_ros.recording.read import Record, files_of, open_record
+from unicon_ros.recording.read import Record, files_of, missing, open_record
 from unicon_ros.recording.scan import Scan, scan
 
 __all__ = ["info_of", "info_text"]
@@ -28,8 +28,8 @@ def info_of(path: Path) -> dict[str, Any]:
     Raises:
         UniconError: it cannot be read.
     """
-    if not path.exists():
-        raise UniconError(f"cannot read {path}: there is no such file or folder")
+    if not os.path.exists(path):  # of a name that is too long, too
+        raise UniconError(missing(path))
     try:
         paths = files_of(path)
         scans = [scan(each) for each in paths]
@@ -37,7 +37,7 @@ def info_of(path: Path) -> dict[str, Any]:
         return _foreign(path, error)
     if not any(each.facts for each in scans):
         return _foreign(path, None)
-    return _ours(path, paths, scans) | _ticks(open_record(path))
+    return _ours(path, paths, scans) | _ticks(open_record(path, scans))
 
 
 def _ours(path: Path, paths: list[Path], scans: list[Scan]) -> dict[str, Any]:
@@ -61,9 +61,13 @@ def _ours(path: Path, paths: list[Path], scans: list[Scan]) -> dict[str, Any]:
 def _ticks(record: Record) -> dict[str, Any]:
     facts = record.facts
     told = {name: facts[name] for name in TOLD if facts.get(name)}
+    try:
+        period = record.period
+    except UniconError:
+        period = 0.0
     missing = int(np.maximum(np.diff(record.ticks) - 1, 0).sum()) if len(record.ticks) else 0
     return told | {
-        "period_s": float(facts.get("period_s", "0")),
+        "period_s": period,
         "ticks": len(record.ticks),
         "missing_ticks": missing,
         "phases": dict(Counter(record.phases)),
@@ -71,9 +75,9 @@ def _ticks(record: Record) -> dict[str, Any]:
         "states": len(record.layout.specs),
         "num_robots": record.layout.num_robots,
         "memories": len(record.memories),
-        "policies": json.loads(facts.get("policies", "{}")),
-        "versions": json.loads(facts.get("versions", "{}")),
-        "overridden": json.loads(facts.get("overridden", "[]")),
+        "policies": record.policies,
+        "versions": record.told("versions", dict) or {},
+        "overridden": record.told("overridden", list) or [],
         "layout_hash": record.layout.hash,
         "attachments": {name: len(content) for name, content in record.files.items()},
     }
@@ -85,7 +89,10 @@ def _foreign(path: Path, why: Exception | None) -> dict[str, Any]:
         reader = open_bag(path)
     except UniconError as error:
         if path.suffix == ".partial":
-            raise UniconError(f"{path} is not a recording that was cut off: {why}") from error
+            raise UniconError(
+                f"{path} is not a recording that was cut off: "
+                f"{why or 'it says nothing of itself'}; give what a run has left or is writing"
+            ) from error
         raise
     try:
         topics: dict[str, dict[str, Any]] = {}

@@ -4,25 +4,31 @@ from __future__ import annotations
 
 import base64
 import json
+import os
 import re
 import struct
 from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import StateError, UniconError
-from unicon_core.runtime.tick_ring import HEAD
+from unicon_core.runtime.tick_ring import DONE, HEAD
 from unicon_core.states import Layout, States
 from unicon_ros.recording.facts import SCHEMA
 from unicon_ros.recording.scan import Scan, gather, scan
 from unicon_ros.recording.tick_message import Kept, Moment, kept_moments
 
-__all__ = ["Record", "files_of", "open_record"]
+__all__ = ["Record", "files_of", "missing", "open_record"]
+
+_T = TypeVar("_T")
+
+SHORTEST, LONGEST = 1e-6, 86_400.0
+"""Of a period in [s]."""
 
 _WRONG = (
     ArithmeticError,
@@ -55,6 +61,8 @@ class Record:
         ticks: number of each, shape (ticks,).
         phases: phase of each, as text.
         ended: False for the tick in which the fault was, shape (ticks,).
+        done: True for a tick with which its phase was done, shape (ticks,): the flow, or who gives
+            the states. Older records do not say it.
         memories: what the blocks remembered: `before` (index of a tick), `anew` (the flow was
             reset before it), and what `Memory.restore` takes.
         files: name to content of what goes along: `report.json`, `trace.json`.
@@ -69,6 +77,7 @@ class Record:
     ticks: NDArray[np.int64]
     phases: tuple[str, ...]
     ended: NDArray[np.bool_]
+    done: NDArray[np.bool_]
     memories: list[dict[str, Any]]
     files: Mapping[str, bytes]
     paths: tuple[Path, ...]
@@ -77,6 +86,43 @@ class Record:
     _begins: Sequence[int]
     _whole: Mapping[int, NDArray[np.uint8]]
     _feeds: dict[tuple[int, str], tuple[States, Any]] = field(default_factory=dict)
+
+    @property
+    def period(self) -> float:
+        """Time of a tick in [s].
+
+        Raises:
+            UniconError: the record does not say it.
+        """
+        said = self.facts.get("period_s", "nothing")
+        try:
+            period = float(said)
+        except ValueError:
+            period = 0.0
+        if not SHORTEST <= period <= LONGEST:
+            raise UniconError(
+                f"{self.paths[0]} does not say its period: period_s is {said!r:.40}; record it "
+                "with unicon run --record"
+            )
+        return period
+
+    def told(self, name: str, kind: type[_T]) -> _T | None:
+        """Return a fact that is written as JSON, None where there is none of that kind."""
+        try:
+            said = json.loads(self.facts.get(name, ""))
+        except (RecursionError, ValueError):
+            return None
+        return said if isinstance(said, kind) else None
+
+    @property
+    def policies(self) -> dict[str, dict[str, Any]]:
+        """Name of a policy to `path`, `model`, and the `sha256` of its network."""
+        policies: dict[str, Any] = self.told("policies", dict) or {}
+        return {
+            name: said
+            for name, said in policies.items()
+            if isinstance(said, dict) and isinstance(said.get("sha256"), str)
+        }
 
     def states(self, name: str, moment: str = "sent", rows: slice = slice(None)) -> NDArray[Any]:
         """Return a state in every tick, shape (ticks, …), or in some of them.
@@ -188,18 +234,30 @@ def files_of(path: Path) -> list[Path]:
     return sorted(found, key=number)
 
 
-def open_record(path: str | Path) -> Record:
+def missing(path: Path) -> str:
+    """Return what is told of a recording that is not there."""
+    partial = path.with_name(f"{path.name}.partial")
+    there = os.path.exists(partial)
+    hint = f"a run writes it, or was cut off: give {partial}" if there else "correct the name"
+    return f"cannot read {path}: there is no such file or folder; {hint}"
+
+
+def open_record(path: str | Path, looked: Sequence[Scan] | None = None) -> Record:
     """Open a recording or fault record; of one that a kill cut off, what is whole.
 
     Args:
         path: of a file, or of a folder with the files of one recording.
+        looked: what `scan` found in each of `files_of(path)`, where somebody has looked already:
+            a look is a pass over the whole file.
 
     Raises:
         UniconError: it cannot be read, or is not such a record.
     """
     try:
         paths = files_of(Path(path))
-        return _record(paths, [_scan(each) for each in paths])
+        return _record(paths, [scan(each) for each in paths] if looked is None else looked)
+    except FileNotFoundError as error:
+        raise UniconError(missing(Path(path))) from error
     except OSError as error:
         raise UniconError(f"cannot read {path}: {error.strerror}") from error
     except _WRONG as error:
@@ -210,21 +268,19 @@ def open_record(path: str | Path) -> Record:
         ) from error
 
 
-def _scan(path: Path) -> Scan:
-    found = scan(path)
-    if not found.facts.get("schema"):
-        raise ValueError("it has no facts of unicon")
-    if found.facts["schema"] != SCHEMA:
-        raise ValueError(f"its schema is {found.facts['schema']!r}, known is {SCHEMA}")
-    return found
-
-
 def _record(paths: Sequence[Path], scans: Sequence[Scan]) -> Record:
     facts = scans[0].facts
     for path, each in zip(paths, scans):
+        if not each.facts.get("schema"):
+            raise ValueError("it has no facts of unicon")
+        if each.facts["schema"] != SCHEMA:
+            raise ValueError(f"its schema is {each.facts['schema']!r}, known is {SCHEMA}")
         for fact in ("layout_hash", "moments", "kept", "run"):
             if each.facts.get(fact) != facts.get(fact):
-                raise ValueError(f"{path.name} is of another run ({fact})")
+                raise UniconError(
+                    f"{path} is of another run than {paths[0].name} ({fact}): a folder is read as "
+                    "one recording; give one of its files, or move the others away"
+                )
     layout = Layout.from_json(facts["layout"])
     moments = tuple(json.loads(facts["moments"]))
     some: Kept = {m: frozenset(n) for m, n in json.loads(facts.get("kept", "{}")).items()}
@@ -236,10 +292,15 @@ def _record(paths: Sequence[Path], scans: Sequence[Scan]) -> Record:
     heads = heads.view(_HEADS).reshape(-1)
     names = json.loads(facts["phases"])
     begins = [0]
-    for each in scans:
+    first = int(facts.get("first_row", "0"))
+    for path, each in zip(paths, scans):
+        if len(each.ticks) and int(each.facts.get("first_row", "0")) < first + begins[-1]:
+            raise UniconError(
+                f"{path} has ticks that another file of its folder has, too; move the copy away"
+            )
         begins.append(begins[-1] + len(each.ticks))
     files = {name: content for each in scans for name, content in each.files.items()}
-    memories = _memories(files, int(facts.get("first_row", "0")), begins[-1])
+    memories = _memories(files, first, begins[-1])
     whole = {
         each["before"]: np.frombuffer(base64.b64decode(each.pop("received")), np.uint8)
         for each in memories
@@ -256,6 +317,7 @@ def _record(paths: Sequence[Path], scans: Sequence[Scan]) -> Record:
         heads["tick"].astype(np.int64),
         tuple(names[number] for number in heads["phase"].tolist()),
         heads["ended"].astype(np.bool_),
+        (heads["ended"] & DONE).astype(np.bool_),
         memories,
         files,
         tuple(paths),

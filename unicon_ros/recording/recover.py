@@ -6,6 +6,7 @@ that name.
 
 from __future__ import annotations
 
+import os
 import shutil
 import struct
 import zlib
@@ -16,7 +17,7 @@ import numpy as np
 from unicon_core.errors import UniconError
 from unicon_ros.recording.bag_folder import BagFile, write_metadata
 from unicon_ros.recording.mcap_file import McapFile, Taken
-from unicon_ros.recording.read import files_of
+from unicon_ros.recording.read import files_of, missing
 from unicon_ros.recording.records import (
     ATTACHMENT,
     CHANNEL,
@@ -139,33 +140,44 @@ def recover(path: str | Path, final_name: bool = False) -> tuple[Path, int] | No
         final_name: finish it as `FILE.mcap`, which it would have become.
 
     Returns:
-        Where it is now and its number of messages; None where there was none in it, and then it is
-        deleted.
+        Where it is now and its number of messages; None where a run was killed before there was one
+        in it, and then it is deleted.
 
     Raises:
         UniconError: it is written at this moment, is not a recording, is damaged far from its end,
-            or cannot be written.
+            cannot be written, or is a `FILE.mcap` without a whole message.
     """
     path = Path(path)
+    if not os.path.exists(path):  # of a name that is too long, too
+        raise UniconError(missing(path))
     if path.suffix == ".mcap" and path.is_file():
         copy = _copied(path)
         try:
-            return _recovered(copy, final_name=False, most=None)
+            done = _recovered(copy, path, final_name=False, most=None)
         except UniconError:
             copy.unlink(missing_ok=True)
             raise
-    return _recovered(path, final_name, REST)
+        if done is None:
+            raise UniconError(
+                f"{path} has no whole message of a recording in it: there is nothing to recover; "
+                "give what a killed run left (FILE.mcap.partial), or move it away"
+            )
+        return done
+    return _recovered(path, path, final_name, REST)
 
 
-def _recovered(path: Path, final_name: bool, most: int | None) -> tuple[Path, int] | None:
+def _recovered(
+    path: Path, given: Path, final_name: bool, most: int | None
+) -> tuple[Path, int] | None:
     final = path.with_name(path.name.removesuffix(".partial"))
     if final == path or not path.is_file():
-        raise UniconError(_no_recording(path))
+        raise UniconError(_no_recording(given))
     try:
         file = McapFile(final)
     except Taken:
         raise UniconError(
-            f"recording {path} is being written by another run; give another name"
+            f"recording {path} is being written by another run; let that end first, or give "
+            "another name"
         ) from None
     except OSError as error:
         raise UniconError(
@@ -186,7 +198,7 @@ def _recovered(path: Path, final_name: bool, most: int | None) -> tuple[Path, in
         file.finish(target)
     except ValueError:
         file.leave()
-        raise UniconError(_no_recording(path)) from None
+        raise UniconError(_no_recording(given)) from None
     except UniconError:
         file.leave()
         raise
@@ -239,6 +251,7 @@ def recover_folder(folder: Path) -> list[tuple[Path, int]]:
             recover(path, final_name=True)
     files: list[BagFile] = []
     types: dict[str, str] = {}
+    runs: set[str | None] = set()
     for path in files_of(folder):
         try:
             found = scan(path)
@@ -246,6 +259,12 @@ def recover_folder(folder: Path) -> list[tuple[Path, int]]:
             raise UniconError(
                 f"{path} cannot be read: {error}; move it away from the others"
             ) from error
+        runs.add(found.facts.get("run"))
+        if len(runs) > 1:
+            raise UniconError(
+                f"{path} is of another run than the files before it: a folder is one bag; move it "
+                "to a folder of its own"
+            )
         types |= dict(found.topics.values())
         files.append(BagFile(path.name, found.messages(), found.span))
     try:

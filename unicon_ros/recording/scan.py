@@ -92,6 +92,8 @@ def scan(path: Path) -> Scan:
     if path.exists() and not path.is_file():  # a pipe would never open
         raise ValueError("it is not a file")
     with path.open("rb") as file:
+        if not path.stat().st_size:
+            raise ValueError("it is empty")
         if path.stat().st_size < len(MAGIC):
             raise ValueError("it does not begin as MCAP does")
         raw = memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from unicon_core.errors import StateError
 from unicon_core.states import States, StateSpec
 from unicon_ros.recording import Record
+from unicon_ros.replay.alignment import elements, refuse_other_batch
 
 __all__ = ["Columns"]
 
@@ -32,11 +33,7 @@ class Columns:
 
     def __init__(self, record: Record, states: States) -> None:
         self._record, self._states = record, states
-        if record.layout.num_robots != states.num_robots:
-            raise StateError(
-                f"the record is of {record.layout.num_robots or 1} robots and the workflow of "
-                f"{states.num_robots or 1}; give the workflow the same num_robots"
-            )
+        refuse_other_batch(record, states)
         self._index: dict[str, NDArray[np.intp] | None] = {}
         self.lacking: list[str] = []
         theirs, ours = record.layout.specs, states.layout.specs
@@ -52,7 +49,7 @@ class Columns:
             elif sorted(theirs[name].names) != sorted(spec.names):
                 self.lacking.append(f"state {name!r} has other elements in the record")
             else:
-                self._index[name] = _order(theirs[name].names, spec.names)
+                self._index[name] = elements(theirs[name].names, spec.names)
         self.lacking += [f"state {n!r} of the record is not here" for n in theirs if n not in ours]
         self.names = tuple(self._index)
         self._turned = [name for name, index in self._index.items() if index is not None]
@@ -84,14 +81,6 @@ class Columns:
         for name in self._turned:
             if name in self._record.kept[moment]:
                 self._states[name][...] = self.column(name, moment)[row]
-
-
-def _order(theirs: Sequence[str], ours: Sequence[str]) -> NDArray[np.intp] | None:
-    """Return the elements of the record in our order, None where that is theirs."""
-    if tuple(theirs) == tuple(ours):
-        return None
-    places = {name: i for i, name in enumerate(theirs)}
-    return np.array([places[name] for name in ours], np.intp)
 
 
 def _refuse_other_robot(

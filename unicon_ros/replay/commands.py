@@ -6,7 +6,6 @@ flow:
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 
 import numpy as np
@@ -74,10 +73,7 @@ class Recorded:
 
 def _known(record: Record) -> frozenset[str]:
     """Return what an imported record was told; all else in it was never commanded."""
-    try:
-        return frozenset(json.loads(record.facts.get("imported_states", "[]")))
-    except (TypeError, ValueError):
-        return frozenset()
+    return frozenset(map(str, record.told("imported_states", list) or ()))
 
 
 def recorded(

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.flow import Block
-from unicon_core.flow.compiler import CompiledGraph
+from unicon_core.flow.compiled import CompiledGraph
 from unicon_core.policies import Policy
 from unicon_core.states import States
 

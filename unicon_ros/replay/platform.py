@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +15,7 @@ from unicon_core.robots.joint_physics import JOINT_PHYSICS
 from unicon_core.states import States
 from unicon_core.states.standard import HARDWARE_STATES
 from unicon_core.workflow import WorkflowDocument
+from unicon_ros.recording import Record
 from unicon_ros.replay.series import Series, opened
 
 __all__ = ["TARGET", "ReplayPlatform", "make", "replayed_on"]
@@ -121,7 +121,7 @@ def make(
         if lacking:
             known = ", ".join(record.kept[moment])
             raise PlatformError(f"no state {lacking[0]!r} at {moment!r}; kept there: {known}")
-        names = [*_measured(record.facts), *also]
+        names = [*_measured(record), *also]
         series = Series(record, names, moment, states, None if each else period, start)
     except PlatformError:
         raise
@@ -142,11 +142,10 @@ def replayed_on(document: WorkflowDocument, bag: str | Path, **options: Any) -> 
         document.values["scene"] = {k: v for k, v in scene.items() if k not in DISTURBANCES}
 
 
-def _measured(facts: Mapping[str, str]) -> Sequence[str]:
+def _measured(record: Record) -> Sequence[str]:
     """Return the states that the recorded platform wrote, or may have written."""
     every = (*SIMULATED, *HARDWARE_STATES)
-    try:
-        writes = json.loads(facts["platform_facts"])["writes"]
-    except (KeyError, TypeError, ValueError):
+    writes = (record.told("platform_facts", dict) or {}).get("writes")
+    if not isinstance(writes, list):
         return every
     return [*(name for name in every if name in writes), "stamp_ns"]

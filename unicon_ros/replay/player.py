@@ -81,7 +81,7 @@ def play(
         else:
             controls = Controls(time.sleep)
             controls.runner = runner
-        ticks = round(SEEK / float(record.facts["period_s"]))
+        ticks = round(SEEK / record.period)
         with Keys(controls, platform.seek, ticks) if keys else nullcontext():
             return runner.run()
     finally:
@@ -114,7 +114,7 @@ def _described(
         "robot": robot,
         "platform": TARGET,
         "platforms": {TARGET: options},
-        "rate": rate / float(record.facts["period_s"]),
+        "rate": rate / record.period,
         "pacing": {"overrun": "catch_up"},
         "num_robots": layout.num_robots,
         "states": {name: layout.specs[name].to_dict() for name in own},

@@ -12,17 +12,18 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from unicon_core.errors import StateError, UniconError
+from unicon_core.errors import StateError, UniconError, one_line
 from unicon_core.flow import Block, Node, Stage, blocks_of, compile_graph
-from unicon_core.flow.compiler import CompiledGraph
+from unicon_core.flow.compiled import CompiledGraph
 from unicon_core.memory import changes
 from unicon_core.runtime import Runner, RunOptions
+from unicon_core.runtime.beforehand import approach_tree, waiting_tree
 from unicon_core.runtime.phases import Phase
-from unicon_core.runtime.runner import approach_tree, waiting_tree
 from unicon_core.runtime.tick_ring import memory_of
 from unicon_core.signals import SIGNALS
-from unicon_core.states.standard import COMMAND_STATES
+from unicon_core.states.standard import COMMAND_STATES, GAIN_SCALE, GAIN_SCALE_SPEC
 from unicon_core.workflow import Program, WorkflowDocument
 from unicon_ros.recording import Record
 from unicon_ros.replay.columns import Columns
@@ -70,8 +71,12 @@ class Replayed:
         self.skipped: dict[str, int] = {}
         self.homeless: set[str] = set()
         self.fault: str | None = None
-        said = _json(record.facts.get("outside"))
-        self.outside = {m: tuple(names) for m, names in (GIVEN if said is None else said).items()}
+        said: Mapping[str, Any] | None = record.told("outside", dict)
+        self.outside = {
+            moment: tuple(map(str, names))
+            for moment, names in (GIVEN if said is None else said).items()
+            if isinstance(names, (list, tuple))
+        }
         self.program = Program(
             document,
             hooks=[self._hook],
@@ -92,7 +97,8 @@ class Replayed:
             raise
         self.graph: CompiledGraph = runner.graph
         # What no command depends on is heard in the slack, behind the moment at which it is kept.
-        needed = {s for block in self.program.critical for s in (*block.reads, *block.amends)}
+        own = self.program.critical.difference(self.program.outside)
+        needed = {s for block in own for s in (*block.reads, *block.amends)}
         given = {*self.outside.get("input", ()), *self.outside.get("tuned", ())}
         self.beyond = {*self.outside.get("sent", ()), *(given - needed)}
 
@@ -105,7 +111,8 @@ class Replayed:
         Raises:
             StateError: what the blocks remembered cannot be given to these.
         """
-        record, ran = self.record, 0
+        record, platform, ran = self.record, self.program.platform, 0
+        assert isinstance(platform, StandIn)
         lost = False
         for row, phase in enumerate(record.phases):
             SIGNALS.check()
@@ -123,13 +130,15 @@ class Replayed:
                 self.skipped[why] = self.skipped.get(why, 0) + 1
                 continue
             self._row, self.graph = row, graph
+            # Where the flow itself was done this changes nothing: all begins anew either way.
+            platform.done = bool(record.done[row])
             ran += 1
             try:
                 graph.step()
                 graph.deferred()
             except Exception as error:
                 if self._told_of == row and not all(record.ended[row + 1 : row + 2]):
-                    self.fault = _text(error)  # found behind send, as in the run
+                    self.fault = one_line(error)  # found behind send, as in the run
                     break
                 failed(row, error)  # the recorded tick went on: it differs
         return ran
@@ -142,7 +151,7 @@ class Replayed:
             graph.step()
             graph.deferred()
         except Exception as error:
-            self.fault = _text(error)
+            self.fault = one_line(error)
 
     def _missing_before(self, row: int) -> bool:
         """Return whether ticks are missing: what the blocks remembered is not known then."""
@@ -181,9 +190,15 @@ class Replayed:
         self._at_input = self._kept("input", wanted)
         made |= {*given, *_written(program, Stage.INPUT, Stage.FLOW), *COMMAND_STATES}
         self._at_tuned = self._kept("tuned", [name for name in names if name not in made])
-        self._gains = self._kept("tuned", self.outside.get("tuned", ()))
+        gains = self._kept("tuned", self.outside.get("tuned", ()))
+        self._gains = [name for name in gains if name != GAIN_SCALE]
+        self._scales: NDArray[np.float64] | None = None
+        if GAIN_SCALE in gains:
+            scales = self.columns.column(GAIN_SCALE, "tuned")
+            self._scales = scales.reshape(len(scales), -1)[:, :2]  # of a batch they are all alike
         written = {s for block in program.blocks for s in (*block.writes, *block.amends)}
-        # Undeclared, so that they stay where they are; what they write is declared beside them.
+        # Undeclared, so that they stay where they are. What they give is declared beside them, as
+        # it was in the run: the graph puts off behind `send` what it put off there.
         stages = {
             Stage.RECV: [Block("received again", self._received, endless=True)],
             Stage.OBSERVE: [Block("compare", self._sent, endless=True)],
@@ -193,8 +208,12 @@ class Replayed:
             if moment not in self.record.moments:
                 continue
             stages[stage] = [Block(f"{moment} again", tick, endless=True)]
-            if fresh := [name for name in self.outside.get(moment, ()) if name not in written]:
-                stages[stage].append(Block("given", _quiet, writes=tuple(fresh), endless=True))
+            if theirs := self.outside.get(moment, ()):
+                fresh = tuple(name for name in theirs if name not in written)
+                amended = tuple(name for name in theirs if name in written)
+                stages[stage].append(
+                    Block("given", _quiet, writes=fresh, amends=amended, endless=True)
+                )
         return stages
 
     def _kept(self, moment: str, names: Sequence[str]) -> list[str]:
@@ -213,6 +232,12 @@ class Replayed:
     def _tuned(self) -> None:
         """Scale the gains as somebody wished; other gains are those of another workflow."""
         self._put("tuned", self._at_tuned)
+        if self._scales is not None:
+            for name, factor in zip(GAIN_SCALE_SPEC.names, self._scales[self._row].tolist()):
+                if factor != 1.0:
+                    own = self.program.states[name]
+                    np.multiply(own, factor, out=own, casting="unsafe")
+            return
         for name in self._gains:
             own, recorded = self.program.states[name], self.columns.column(name, "tuned")[self._row]
             if own.tobytes() == recorded.tobytes():
@@ -245,8 +270,8 @@ class Replayed:
 
 def _refuse_other_rate(record: Record, program: Program) -> None:
     try:
-        period = float(record.facts["period_s"])
-    except (KeyError, ValueError):
+        period = record.period
+    except UniconError:
         return
     if abs(period - program.period) > 1e-6 * period:
         raise StateError(
@@ -273,7 +298,8 @@ def _memories(record: Record) -> dict[int, Mapping[str, Any]]:
                 "that nothing after it can be foretold; record again with this version"
             )
         return {}
-    built = _json(record.files.get("memory.json"), {}).get("built")
+    told = record.files.get("memory.json")
+    built = None if told is None else json.loads(told).get("built")
     if built is None and record.ticks[0] == 0:  # it holds the run from its first tick
         built = kept.get(0)
     given: dict[int, Mapping[str, Any]] = {
@@ -320,17 +346,6 @@ def _factor(own: Any, recorded: Any) -> float | None:
     ratios = recorded[moved].astype(float) / own[moved]
     near = bool(np.all(np.abs(ratios - ratios[0]) <= 1e-5 * abs(ratios[0])))
     return round(float(ratios[0]), 5) if near else None
-
-
-def _text(error: Exception) -> str:
-    return " ".join(str(error).split()) or type(error).__name__
-
-
-def _json(text: str | bytes | None, default: Any = None) -> Any:
-    try:
-        return default if text is None else json.loads(text)
-    except ValueError:
-        return default
 
 
 def _quiet(*_: object) -> None:

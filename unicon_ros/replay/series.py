@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from unicon_core.runtime.phases import Phase
 from unicon_core.states import States
 from unicon_core.states.standard import JOINT_STATES
 from unicon_ros.recording import Record, open_record
+from unicon_ros.replay.alignment import elements, refuse_other_batch
 
 __all__ = ["Series", "opened"]
 
@@ -27,7 +29,9 @@ def opened(bag: str, relative_to: Path | None) -> Record:
         UniconError: it cannot be read.
     """
     beside = None if relative_to is None else relative_to / bag
-    return open_record(beside if beside is not None and beside.exists() else Path(bag).expanduser())
+    if beside is not None and os.path.exists(beside):
+        return open_record(beside)
+    return open_record(os.path.expanduser(bag))  # which leaves a user alone who is not known
 
 
 class Series:
@@ -92,10 +96,7 @@ def _rows(record: Record, period: float | None, start: float) -> NDArray[np.intp
     rows = rows if len(rows) else ended
     if not len(rows):
         raise StateError("the record holds no tick that ended: nothing can be replayed")
-    try:
-        own = float(record.facts["period_s"])
-    except (KeyError, ValueError) as error:
-        raise UniconError("the record does not say its period (period_s)") from error
+    own = record.period
     # Clocks may be set back.
     times = np.maximum.accumulate(record.stamps[rows] - record.stamps[rows[0]]) * 1e-9
     same = period is None or abs(period - own) <= 1e-6 * own
@@ -103,23 +104,20 @@ def _rows(record: Record, period: float | None, start: float) -> NDArray[np.intp
         assert period is not None
         grid = np.arange(int(float(times[-1]) / period + 1e-6) + 1) * period
         rows = rows[np.searchsorted(times, grid + 1e-9, side="right") - 1]
-    skipped = round(start / (own if same or period is None else period))
-    if not 0 <= skipped < len(rows):
+    skipped = start / (own if same or period is None else period)
+    if not 0.0 <= skipped < len(rows) - 0.5:
         raise UniconError(
-            f"start is {start:g} s, and the record is {float(times[-1]):.3g} s long; give less"
+            f"start is {start:g} s, and the record is {float(times[-1]):.3g} s long; give less, "
+            "from 0 on"
         )
-    return rows[skipped:]
+    return rows[round(skipped) :]
 
 
 def _aligned(record: Record, name: str, moment: str, states: States) -> NDArray[np.generic] | None:
     """Return a state of the record with the program's elements, None where they do not fit."""
     theirs, ours = record.layout.specs[name], states.spec(name)
     values: NDArray[np.generic] = record.states(name, moment)
-    if record.layout.num_robots != states.num_robots:
-        raise StateError(
-            f"the record is of {record.layout.num_robots or 1} robots and the workflow of "
-            f"{states.num_robots or 1}; give the workflow the same num_robots"
-        )
+    refuse_other_batch(record, states)
     if theirs.names != ours.names:
         lacking = [each for each in ours.names if each not in theirs.names]
         if lacking and name in JOINT_STATES:
@@ -129,6 +127,7 @@ def _aligned(record: Record, name: str, moment: str, states: States) -> NDArray[
             )
         if lacking or not ours.names:
             return None
-        values = values[..., [theirs.names.index(each) for each in ours.names]]
+        order = elements(theirs.names, ours.names)
+        values = values if order is None else values[..., order]
     same = values.shape[1:] == states[name].shape and values.dtype == states[name].dtype
     return values if same else None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -23,15 +22,20 @@ class StandIn:
     Args:
         facts: of the recorded platform.
         states: of the program; what is not among them is left out.
+
+    Attributes:
+        done: what `recv` says: set it where the recorded tick was the last of its phase.
     """
 
     def __init__(self, facts: Facts, states: States) -> None:
         reads = tuple(name for name in facts.reads if name in states)
         writes = tuple(name for name in facts.writes if name in states)
         self.facts = replace(facts, reads=reads, writes=writes, examine=None)
+        self.done = False
 
-    def recv(self) -> None:
-        """Do nothing: what was received is fed behind it."""
+    def recv(self) -> bool:
+        """Do nothing, as what was received is fed behind it; True in the last tick."""
+        return self.done
 
     def send(self) -> None:
         """Do nothing."""
@@ -47,12 +51,12 @@ class StandIn:
 def recorded_facts(record: Record) -> tuple[Facts, bool]:
     """Return the facts of the platform that a record was made on, and whether nothing was sent."""
     name = record.facts.get("platform", "")
+    said = record.told("platform_facts", dict) or {}
     try:
-        said = json.loads(record.facts["platform_facts"])
         reads, writes = tuple(map(str, said["reads"])), tuple(map(str, said["writes"]))
         simulated, silent = said["simulated"] is True, said["silent"] is True
         return Facts(name, simulated=simulated, batch=True, reads=reads, writes=writes), silent
-    except (KeyError, TypeError, ValueError):  # of a version that did not write them
+    except (KeyError, TypeError):  # of a version that did not write them
         pass
     try:
         facts = declared_facts(find_factory("platforms", name, PlatformError), name)

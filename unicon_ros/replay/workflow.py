@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-import json
+import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 from unicon_core.errors import UniconError, WorkflowError
-from unicon_core.located_yaml import parse_yaml
-from unicon_core.states.standard import HARDWARE_STATES
+from unicon_core.located_yaml import Located, parse_yaml
+from unicon_core.robots import Robot
+from unicon_core.states.standard import GAIN_SCALE, GAIN_SCALE_SPEC, HARDWARE_STATES
 from unicon_core.workflow import Program, WorkflowDocument, load_document
 from unicon_core.workflow.document import document_at
 from unicon_ros.recording import Record
-from unicon_ros.recording.facts import network_hash
+from unicon_ros.recording.facts import network_hash, versions_here
 
-__all__ = ["others", "workflow_of"]
+__all__ = ["others", "recorded_workflow", "versions", "workflow_of"]
 
 
 def workflow_of(
@@ -37,29 +38,60 @@ def workflow_of(
     if workflow is not None:
         document = load_document(workflow, overrides)
     else:
-        text = record.facts.get("workflow_effective", "")
-        if not text:
+        recorded = recorded_workflow(record)
+        if recorded is None:
             raise WorkflowError(
                 "the record holds no workflow, since it was written in Python or imported; give "
                 "one: unicon replay BAG WORKFLOW"
             )
-        path = record.facts.get("workflow_path") or "the record's workflow"
-        document = document_at(parse_yaml(text, path, WorkflowError), overrides)
+        document = document_at(recorded, overrides)
+        _refuse_absent(document)
     # A platform that cannot be asked here may have declared them.
-    lacking = [name for name in HARDWARE_STATES if name in record.layout.slots]
+    there = record.layout.specs
+    lacking: dict[str, Any] = {name: None for name in HARDWARE_STATES if name in there}
+    if there.get(GAIN_SCALE) == GAIN_SCALE_SPEC:
+        lacking[GAIN_SCALE] = GAIN_SCALE_SPEC.to_dict()
     declared = document.get("states", dict, {})
     if lacking:
-        document.values["states"] = dict.fromkeys(lacking) | declared
+        document.values["states"] = lacking | declared
     return document
+
+
+def recorded_workflow(record: Record) -> Located | None:
+    """Return the text of the workflow in a record, read as YAML; None where there is none.
+
+    Raises:
+        WorkflowError: it is not YAML, or more of it than is read.
+    """
+    text = record.facts.get("workflow_effective", "")
+    path = record.facts.get("workflow_path") or "the record's workflow"
+    return parse_yaml(text, path, WorkflowError) if text else None
+
+
+def _refuse_absent(document: WorkflowDocument) -> None:
+    """Refuse a recorded workflow whose files stayed where it was recorded."""
+    named = {"robot": document.values.get("robot")}
+    policies = document.values.get("policies")
+    for name, said in policies.items() if isinstance(policies, dict) else ():
+        named[f"policies.{name}"] = said.get("path") if isinstance(said, dict) else said
+    folder = document.path.parent
+    for key, text in named.items():
+        if not isinstance(text, str) or not text.startswith(("/", "./", "../")):
+            continue
+        if any(f"{key}.".startswith(f"{each}.") for each in document.overridden):
+            continue  # it is whoever set it whom its loader tells
+        if not os.path.exists(folder / text) and not os.path.exists(text):
+            raise WorkflowError(
+                f"the recorded workflow has {key}: {text}, which was in {folder} where it was "
+                f"recorded and is not there now; give another: --set {key}=NAME, or a WORKFLOW"
+            )
 
 
 def others(record: Record, program: Program) -> list[str]:
     """Return what a program was not built of as the recorded one was, one line each."""
-    found = []
-    facts = record.facts
-    if facts.get("robot_file") and facts["robot_file"] != _text(program.robot.path):
-        found.append(f"robot {program.robot.name}: {program.robot.path} is not the recorded file")
-    for name, was in _policies(record).items():
+    found = _other_robot(record.facts, program.robot)
+    for name, said in record.policies.items():
+        was = said["sha256"]
         contract = program.policies.get(name)
         if contract is None:
             found.append(f"policy {name!r} of the record is not in workflow {program.name}")
@@ -73,28 +105,34 @@ def others(record: Record, program: Program) -> list[str]:
     return found
 
 
+def _other_robot(facts: Mapping[str, str], robot: Robot) -> list[str]:
+    found = []
+    if facts.get("robot_file") and facts["robot_file"] != _text(robot.path):
+        found.append(f"robot {robot.name}: {robot.path} is not the recorded file")
+    was = facts.get("robot_overlay")
+    if was is None:  # of a version that did not write it
+        return found
+    now = "" if robot.overlay is None else _text(robot.overlay)
+    if now != was:
+        if not now:
+            told = "the recorded one was extended by an overlay, and this one is not"
+        elif not was:
+            told = f"{robot.overlay} extends it, and the recorded one was not extended"
+        else:
+            told = f"{robot.overlay} is not the recorded overlay"
+        found.append(f"robot {robot.name}: {told}")
+    return found
+
+
 def versions(record: Record) -> list[str]:
     """Return packages of other versions than the recorded ones, one line each."""
-    from unicon_ros.recording.facts import versions_here
-
-    try:
-        recorded = json.loads(record.facts["versions"])
-        here = versions_here()
-        return [
-            f"{name} {here[name]} here, {was} in the record"
-            for name, was in recorded.items()
-            if name in here and here[name] != was
-        ]
-    except (AttributeError, KeyError, TypeError, ValueError):
-        return []
-
-
-def _policies(record: Record) -> dict[str, str]:
-    try:
-        said = json.loads(record.facts["policies"])
-        return {str(name): str(each["sha256"]) for name, each in said.items()}
-    except (AttributeError, KeyError, TypeError, ValueError):
-        return {}
+    recorded: dict[str, Any] = record.told("versions", dict) or {}
+    here = versions_here()
+    return [
+        f"{name} {here[name]} here, {was} in the record"
+        for name, was in recorded.items()
+        if name in here and here[name] != was
+    ]
 
 
 def _text(path: Path) -> str:

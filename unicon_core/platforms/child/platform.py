@@ -33,6 +33,7 @@ from unicon_core import errors
 from unicon_core.errors import Fault, PlatformError, UniconError
 from unicon_core.platforms.kit.command import FiniteCheck
 from unicon_core.platforms.platform import Facts
+from unicon_core.resources import same_modules
 from unicon_core.robots import Robot
 from unicon_core.signals import SIGNALS, signal_name
 from unicon_core.states import States
@@ -266,14 +267,12 @@ class ChildPlatform:
             raise PlatformError(
                 f"platform {self.facts.name!r} cannot run in a child: {error}; leave out child"
             ) from error
-        environment = dict(os.environ)
-        environment["PYTHONPATH"] = os.pathsep.join(path for path in sys.path if path)
         self.process = subprocess.Popen(
             [sys.executable, "-m", "unicon_core.platforms.child.process"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             bufsize=0,
-            env=environment,
+            env=same_modules(),
             start_new_session=True,  # Ctrl-C and Ctrl-Z are the parent's: it damps in order
         )
         assert self.process.stdin is not None

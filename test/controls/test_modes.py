@@ -1,0 +1,287 @@
+"""`drive`, `modes` and `button_stop`, and the two workflows that walk by buttons."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from unicon_core.blocks.controls.drive import drive
+from unicon_core.blocks.controls.gamepad import EVENT
+from unicon_core.blocks.controls.modes import modes
+from unicon_core.blocks.safety.button_stop import button_stop
+from unicon_core.errors import Fault, WorkflowError
+from unicon_core.flow import Block, Stage
+from unicon_core.robots import load_robot
+from unicon_core.runtime import Runner, RunOptions
+from unicon_core.states import States, StateSpec
+from unicon_core.states.standard import BUTTONS, control_states, standard_states
+from unicon_core.workflow import Program, load_document
+from unicon_core.workflow.autowire import BuildContext
+
+TO = {
+    "passive": {"button": "B"},
+    "stand": {"button": "A", "from": ["passive", "walk"], "tilt": 0.5},
+    "walk": {"button": "start", "from": ["stand"], "after": 0.1, "calm": True},
+}
+
+
+class Hands:
+    """The control states, and buttons that are pressed and let go."""
+
+    def __init__(self) -> None:
+        robot = load_robot("go2")
+        mode = {"mode": StateSpec((), "int32")}
+        self.states = States(standard_states(robot.joint_names) | control_states() | mode)
+        self.told: list[str] = []
+        self.context = BuildContext(self.states, robot, 0.02, tell=self.told.append)
+        self.states["controls_alive"][...] = 1
+        names = ("sticks", "buttons", "controls_alive", "velocity_command")
+        self.controls = {name: self.states[name] for name in names}
+
+    def hold(self, *names: str) -> None:
+        self.states["buttons"][...] = [int(name in names) for name in BUTTONS]
+
+    def modes(self, to: Mapping[str, Any] = TO, begin: str = "passive") -> Any:
+        seen = [self.states[name] for name in ("sticks", "buttons", "projected_gravity", "mode")]
+        return modes(*seen, context=self.context, begin=begin, to=to)
+
+
+@pytest.fixture
+def hands() -> Hands:
+    return Hands()
+
+
+def test_sticks_drive_while_the_button_is_held(hands: Hands) -> None:
+    tick = drive(**hands.controls, speed=[1.0, 0.5, 2.0], dead_zone=0.2, hold="R1")
+    command, sticks = hands.states["velocity_command"], hands.states["sticks"]
+    sticks[...] = (1.0, 0.6, 0.1, 0.0)
+    tick()
+    assert not command.any()
+    hands.hold("R1")
+    tick()
+    assert command.tolist() == pytest.approx([0.5, -0.5, 0.0])
+    sticks[...] = (0.0, -1.0, -1.0, 0.0)
+    tick()
+    assert command.tolist() == pytest.approx([-1.0, 0.0, 2.0])
+    sticks[0] = np.nan
+    tick()
+    assert command[1] == 0.0
+    hands.states["controls_alive"][...] = 0
+    tick()
+    assert not command.any()
+
+
+def test_buttons_change_modes_and_wrong_ones_are_refused_with_the_reason(hands: Hands) -> None:
+    tick = hands.modes()
+    hands.hold("A")  # held down from before: it counts once it is pressed
+    assert tick() == "passive"
+    hands.hold("start")
+    assert tick() == "passive"
+    assert hands.told == ["start is refused: walk is entered from stand, and this is passive"]
+    hands.hold("A")
+    hands.states["projected_gravity"][...] = (1.0, 0.0, 0.0)
+    assert tick() == "passive"
+    assert hands.told[-1] == "A is refused: the base leans 1.57 rad, at most 0.5 are allowed"
+    hands.states["projected_gravity"][...] = (0.0, 0.0, -1.0)
+    assert tick() == "passive"  # it is still held
+    hands.hold()
+    tick()
+    hands.hold("A")
+    assert tick() == "stand"
+    assert hands.told[-1] == "mode: stand"
+    assert hands.states["mode"] == 1
+    hands.hold("start")
+    assert tick() == "stand"
+    assert hands.told[-1] == "start is refused: stand is not at its end, press it again in 0.1 s"
+    hands.hold()
+    for _ in range(6):
+        tick()
+    hands.states["sticks"][1] = 0.5
+    hands.hold("start")
+    assert tick() == "stand"
+    assert hands.told[-1] == "start is refused: a stick is pushed; let go of it first"
+    hands.states["sticks"][1] = 0.0
+    hands.hold()
+    tick()
+    hands.hold("start")
+    assert tick() == "walk"
+    hands.states["projected_gravity"][...] = np.nan
+    hands.hold("B", "A")
+    assert tick() == "passive"  # the first in the list, whatever else is pressed
+    tick.reset()
+    hands.hold("A")
+    assert tick() == "passive"
+
+
+@pytest.mark.parametrize(
+    ("to", "message"),
+    [
+        ({}, "no modes"),
+        ({"stand": "A"}, "to.stand: give {button: NAME}"),
+        ({"stand": {"button": "a"}}, "to.stand.button: no button 'a'; known: A, B"),
+        ({"stand": {"button": "A", "form": []}}, "to.stand: no 'form'; did you mean 'from'"),
+        ({"stand": {"button": "A", "from": ["lie"]}}, "to.stand.from: no mode 'lie'"),
+        ({"stand": {"button": "A", "from": "passive"}}, "give a list of modes"),
+        ({"stand": {"button": "A", "after": "2"}}, "to.stand.after is '2'; give a number"),
+        ({"stand": {"button": "A", "tilt": 9.0}}, "tilt"),
+        ({"stand": {"button": "A", "calm": 1}}, "give true or false"),
+        ({"stand": {"button": "A"}, "walk": {"button": "A"}}, "button A leads to stand and to"),
+    ],
+)
+def test_wrong_modes_are_named(hands: Hands, to: Mapping[str, Any], message: str) -> None:
+    with pytest.raises(WorkflowError) as raised:
+        hands.modes(to)
+    assert message in str(raised.value)
+
+
+def test_a_button_or_a_lost_device_stops(hands: Hands) -> None:
+    seen = {name: hands.states[name] for name in ("buttons", "controls_alive")}
+    tick = button_stop(**seen, period=0.02, on=["select", "F1"], lost=0.04)
+    tick()
+    hands.hold("F1")
+    with pytest.raises(Fault, match="the operator pressed F1"):
+        tick()
+    hands.hold()
+    hands.states["controls_alive"][...] = 0
+    tick()
+    tick()
+    with pytest.raises(Fault, match="not heard for 3 ticks; more than 2"):
+        tick()
+    tick.reset()
+    tick()
+    with pytest.raises(WorkflowError, match="on: no button 'halt'"):
+        button_stop(**seen, period=0.02, on=["halt"])
+    with pytest.raises(WorkflowError, match="give a list of buttons"):
+        button_stop(**seen, period=0.02, on="select")
+
+
+CODES = {"A": 0x130, "B": 0x131, "X": 0x133, "R1": 0x137, "select": 0x13A, "start": 0x13B}
+
+
+class Player:
+    """Presses buttons of a pipe at ticks, and notes mode and posture."""
+
+    def __init__(self, folder: Path, script: Mapping[int, tuple[str | int, int]]) -> None:
+        self.path = folder / "pad"
+        os.mkfifo(self.path)
+        self._file = os.open(self.path, os.O_RDWR | os.O_NONBLOCK)
+        self._script, self._tick = dict(script), 0
+        self.modes: list[int] = []
+        self.x: list[float] = []
+        self.height: list[float] = []
+
+    def hook(self, program: Program) -> dict[Stage, list[Block]]:
+        states = program.states
+
+        def play() -> None:
+            self.modes.append(int(states["mode"]))
+            self.x.append(float(states["base_pos_w"][0]))
+            self.height.append(float(states["base_pos_w"][2]))
+            said = self._script.get(self._tick)
+            if said is not None:
+                what, value = said
+                kind, code = (1, CODES[what]) if isinstance(what, str) else (3, what)
+                os.write(self._file, EVENT.pack(0, 0, kind, code, value))
+            self._tick += 1
+
+        return {Stage.OBSERVE: [Block("play", play, endless=True)]}
+
+    def run(self, workflow: str, duration: float) -> tuple[list[str], Any]:
+        told: list[str] = []
+        document = load_document(workflow, {"commands": [{"gamepad": {"device": str(self.path)}}]})
+        document.values["commands"].append({"drive": {"speed": [0.8, 0.4, 0.8], "hold": "R1"}})
+        program = Program(document, hooks=[self.hook])
+        runner = Runner(program, RunOptions(speed="max", duration=duration, warn=told.append))
+        report = runner.run()
+        os.close(self._file)
+        return told, report
+
+
+GO2 = {
+    5: ("start", 1),
+    8: ("start", 0),
+    10: ("A", 1),
+    12: ("A", 0),
+    50: ("start", 1),
+    52: ("start", 0),  # too early
+    140: ("X", 1),
+    142: ("X", 0),
+    260: ("A", 1),
+    262: ("A", 0),
+    400: ("start", 1),
+    402: ("start", 0),
+    410: ("R1", 1),
+    411: (0x01, -32768),
+    560: (0x01, 0),
+    561: ("R1", 0),
+    600: ("A", 1),
+    602: ("A", 0),
+    700: ("B", 1),
+    702: ("B", 0),
+}
+
+
+def test_a_go2_goes_through_all_its_modes(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    pytest.importorskip("onnxruntime")
+    player = Player(tmp_path, GO2)
+    told, report = player.run("go2_buttons", 15.0)
+    assert report.faults == []
+    assert [line for line in told if line.startswith("mode: ")] == [
+        f"mode: {mode}" for mode in ("stand", "lie", "stand", "walk", "stand", "passive")
+    ]
+    refused = [line for line in told if "refused" in line]
+    assert refused[0].startswith("start is refused: walk is entered from stand")
+    assert refused[1].startswith("start is refused: stand is not at its end")
+    assert len(refused) == 2
+    x, height = np.array(player.x), np.array(player.height)
+    assert height[130] > 0.25  # stands
+    assert height[255] < 0.15  # lies
+    assert x[560] - x[410] > 1.0  # walks
+    assert abs(x[690] - x[620]) < 0.1  # stands again
+    assert height[690] > 0.25
+    assert height[-1] < 0.2  # lets go
+
+
+def test_select_stops_the_run(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    pytest.importorskip("onnxruntime")
+    player = Player(tmp_path, {20: ("select", 1)})
+    _, report = player.run("go2_buttons", 2.0)
+    assert report.faults == ["the operator pressed select"]
+    assert report.ticks < 25
+
+
+def test_a_g1_goes_through_all_its_modes(tmp_path: Path, assets: Path) -> None:
+    pytest.importorskip("mujoco")
+    pytest.importorskip("onnxruntime")
+    script = {
+        1: ("A", 1),
+        3: ("A", 0),
+        30: ("start", 1),
+        32: ("start", 0),
+        90: ("start", 1),
+        92: ("start", 0),
+        100: ("R1", 1),
+        101: (0x01, -32768),
+        250: (0x01, 0),
+        251: ("R1", 0),
+        320: ("X", 1),
+        322: ("X", 0),
+    }
+    player = Player(tmp_path, script)
+    told, report = player.run("g1_buttons", 10.0)
+    assert report.faults == []
+    assert [line for line in told if line.startswith("mode: ")] == [
+        f"mode: {mode}" for mode in ("stand", "walk", "lie")
+    ]
+    assert any(line.startswith("start is refused: stand is not at its end") for line in told)
+    x, height = np.array(player.x), np.array(player.height)
+    assert height[:310].min() > 0.65
+    assert x[250] - x[100] > 0.8
+    assert height[-1] < 0.6

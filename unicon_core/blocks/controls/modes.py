@@ -1,0 +1,196 @@
+"""Selector `modes`: a state machine of buttons, for the `on:` of a switch.
+
+    switch:
+      on:
+        modes:
+          begin: passive
+          to:
+            passive: {button: B}
+            stand: {button: A, from: [passive, walk], tilt: 0.5}
+            walk: {button: start, from: [stand], after: 2.5, calm: true}
+      blend: 0.3
+      cases: {passive: damp, stand: …, walk: {policy: walk}}
+
+A button that is not for the present mode is refused, and says why.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.blocks.controls.device import declares_controls
+from unicon_core.blocks.controls.drive import button_named
+from unicon_core.blocks.joint_command import ticks_of
+from unicon_core.bounds import within
+from unicon_core.errors import WorkflowError, alternatives
+from unicon_core.flow.block import Reads, Writes
+from unicon_core.states import StateSpec
+from unicon_core.workflow.autowire import BuildContext
+
+__all__ = ["Modes", "modes"]
+
+CENTRED = 0.2
+"""A stick that is no further away is let go."""
+KEYS = ("button", "from", "after", "tilt", "calm")
+
+
+@dataclass(frozen=True)
+class _Way:
+    """How a mode is entered.
+
+    Attributes:
+        mode: its name.
+        place: of its button.
+        button: its name.
+        sources: modes from which it is entered; empty for any.
+        after: ticks that the mode before must have had.
+        tilt: how far the base may lean in [rad].
+        calm: no stick may be pushed.
+    """
+
+    mode: str
+    place: int
+    button: str
+    sources: tuple[str, ...]
+    after: int
+    tilt: float
+    calm: bool
+
+
+def modes(
+    sticks: Reads,
+    buttons: Reads,
+    projected_gravity: Reads,
+    mode: Writes,
+    *,
+    context: BuildContext,
+    begin: str,
+    to: Mapping[str, Mapping[str, Any]],
+) -> Modes:
+    """Return the name of the present mode.
+
+    Args:
+        begin: the mode in which it begins; state `mode` is 0 then, else 1, 2, … as in `to`.
+        to: mode to `button` and, where they are said, `from` (modes), `after` (time that the mode
+            before must have had, in [s]), `tilt` (most that the base may lean, in [rad]) and `calm`
+            (the sticks are let go).
+
+    Raises:
+        WorkflowError: an unknown mode, button or key, or a button of two modes from one.
+    """
+    if not to:
+        raise WorkflowError("to: no modes; give them as {stand: {button: A}}")
+    names = list(dict.fromkeys([begin, *to]))
+    ways = [_way(name, said, names, context.period) for name, said in to.items()]
+    for number, way in enumerate(ways):
+        for other in ways[:number]:
+            both = not (way.sources and other.sources) or {*way.sources} & {*other.sources}
+            if way.button == other.button and both:
+                raise WorkflowError(
+                    f"button {way.button} leads to {other.mode} and to {way.mode}; give one of "
+                    "them another, or other modes under from"
+                )
+    return Modes((sticks, buttons, projected_gravity), mode, names, ways, context)
+
+
+def _declares(**_: Any) -> Mapping[str, StateSpec]:
+    number = StateSpec((), "int32", "", "", (), "number of the present mode of `modes`")
+    return {**declares_controls(), "mode": number}
+
+
+setattr(modes, "declares", _declares)  # noqa: B010  a function has none to mypy
+
+
+def _way(name: str, said: Mapping[str, Any], names: Sequence[str], period: float) -> _Way:
+    if not isinstance(said, Mapping) or "button" not in said:
+        raise WorkflowError(f"to.{name}: give {{button: NAME}}, as {{button: A, from: [passive]}}")
+    for key in said:
+        if key not in KEYS:
+            raise WorkflowError(f"to.{name}: no {key!r}; {alternatives(str(key), KEYS)}")
+    sources = said.get("from", ())
+    if isinstance(sources, str) or not isinstance(sources, Sequence):
+        raise WorkflowError(f"to.{name}.from is {sources!r}; give a list of modes")
+    for source in sources:
+        if source not in names:
+            raise WorkflowError(
+                f"to.{name}.from: no mode {source!r}; {alternatives(str(source), names)}"
+            )
+    after, tilt, calm = said.get("after", 0.0), said.get("tilt", math.pi), said.get("calm", False)
+    for key, value in (("after", after), ("tilt", tilt)):
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            raise WorkflowError(f"to.{name}.{key} is {value!r}; give a number")
+    if not isinstance(calm, bool):
+        raise WorkflowError(f"to.{name}.calm is {calm!r}; give true or false")
+    ticks = ticks_of(float(after), period, f"to.{name}.after") if after else 0
+    within(float(tilt), f"to.{name}.tilt", "rad", math.pi)
+    button = str(said["button"])
+    place = button_named(button, f"to.{name}.button")
+    return _Way(name, place, button, tuple(sources), ticks or 0, float(tilt), calm)
+
+
+class Modes:
+    """The tick of `modes`."""
+
+    endless = True
+
+    def __init__(
+        self,
+        seen: tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.float32]],
+        mode: NDArray[np.int32],
+        names: Sequence[str],
+        ways: Sequence[_Way],
+        context: BuildContext,
+    ) -> None:
+        self._sticks, self._buttons, self._gravity = seen
+        self._mode, self._names, self._ways = mode, tuple(names), tuple(ways)
+        self._period = context.period
+        self._tell: Callable[[str], None] = context.tell
+        self._before = np.ones_like(self._buttons)
+        self._now, self._ticks = self._names[0], 0
+
+    def __call__(self) -> str:
+        pressed = self._buttons > self._before
+        self._before[...] = self._buttons
+        self._ticks += 1
+        if pressed.any():
+            self._press(pressed)
+        self._mode[...] = self._names.index(self._now)
+        return self._now
+
+    def _press(self, pressed: NDArray[np.bool_]) -> None:
+        wished = [way for way in self._ways if pressed[way.place]]
+        here = [way for way in wished if not way.sources or self._now in way.sources]
+        for way in here or wished[:1]:
+            if way.mode == self._now:
+                return
+            reason = self._refused(way)
+            if not reason:
+                self._now, self._ticks = way.mode, 0
+                self._tell(f"mode: {way.mode}")
+                return
+            self._tell(f"{way.button} is refused: {reason}")
+
+    def _refused(self, way: _Way) -> str:
+        if way.sources and self._now not in way.sources:
+            return f"{way.mode} is entered from {', '.join(way.sources)}, and this is {self._now}"
+        if self._ticks <= way.after:
+            left = (way.after - self._ticks + 1) * self._period
+            return f"{self._now} is not at its end, press it again in {left:.1f} s"
+        upright = min(max(-float(self._gravity[..., 2].max()), -1.0), 1.0)
+        lean = math.acos(upright) if math.isfinite(upright) else math.pi
+        if way.tilt < math.pi and not lean <= way.tilt:
+            return f"the base leans {lean:.2f} rad, at most {way.tilt:g} are allowed"
+        if way.calm and not float(np.abs(self._sticks).max()) <= CENTRED:
+            return "a stick is pushed; let go of it first"
+        return ""
+
+    def reset(self) -> None:
+        """Begin anew; what is held down counts once it is pressed again."""
+        self._now, self._ticks = self._names[0], 0
+        self._before[...] = 1

@@ -1,0 +1,78 @@
+"""Remotes: the bytes in which robots tell their own remote, into sticks and buttons; for drivers.
+
+Unitree: 40 bytes in LowState and in the UDP frames; uint16 at 2, bits 0 to 15 as `BUTTONS`; float32
+lx at 4, rx at 8, ry at 12, ly at 20; unitreerobotics/unitree_sdk2 example/g1/low_level/gamepad.hpp.
+Dobot Atom: 40 bytes; buttons in bytes 2 and 3, float32 lx at 4, rx at 8, ry at 12, ly at 16.
+PND Adam: 19 float32; lx, ly, rx, ry of ±32767, dead zone 5000, lt, rt, then at 8 A B X Y LB RB
+select start; pndbotics/pnd_rl_gym deploy/deploy_real/common/remote_controller.py. Of the cross at 6
+and 7 the signs are not known: it is left.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Callable
+from typing import Any
+
+from unicon_core.blocks.controls.device import Controls
+from unicon_core.states.standard import BUTTONS
+
+__all__ = ["REMOTES", "dobot", "pnd", "unitree"]
+
+_UNITREE = struct.Struct("<2xH3f4xf16x")
+_DOBOT = struct.Struct("<2xBB4f20x")
+_PND = struct.Struct("<19f")
+_DOBOT_2 = ("RB", "LB", "start", "select", "RT", "LT")
+"""Bits 0 to 5 of byte 2."""
+_DOBOT_3 = ("A", "B", "X", "Y", "up", "right", "down", "left")
+"""Bits 0 to 7 of byte 3."""
+_OURS = {"RB": "R1", "LB": "L1", "RT": "R2", "LT": "L2"}
+_PND_BUTTONS = ("A", "B", "X", "Y", "L1", "R1", "select", "start")
+PND_FULL, PND_DEAD = 32767.0, 5000.0
+
+
+def _set_sticks(controls: Controls, *values: float) -> None:
+    for element, value in enumerate(values):
+        good = math.isfinite(value)
+        controls.sticks[element] = min(max(value, -1.0), 1.0) if good else 0.0
+
+
+def unitree(raw: Any, controls: Controls) -> None:
+    """Take the 40 bytes of a Unitree robot."""
+    bits, lx, rx, ry, ly = _UNITREE.unpack(raw)
+    _set_sticks(controls, lx, ly, rx, ry)
+    for element in range(len(BUTTONS)):
+        controls.buttons[element] = bits >> element & 1
+    controls.alive[...] = 1
+
+
+def dobot(raw: Any, controls: Controls) -> None:
+    """Take the 40 bytes of a Dobot Atom."""
+    low, high, lx, rx, ry, ly = _DOBOT.unpack(raw)
+    _set_sticks(controls, lx, ly, rx, ry)
+    controls.buttons[...] = 0
+    for names, bits in ((_DOBOT_2, low), (_DOBOT_3, high)):
+        for place, name in enumerate(names):
+            controls.buttons[BUTTONS.index(_OURS.get(name, name))] = bits >> place & 1
+    controls.alive[...] = 1
+
+
+def pnd(raw: Any, controls: Controls) -> None:
+    """Take the 19 float32 of a PND Adam."""
+    lx, ly, rx, ry, lt, rt, _, _, *pressed = _PND.unpack(raw)
+    steady = [0.0 if abs(value) < PND_DEAD else value / PND_FULL for value in (lx, ly, rx, ry)]
+    _set_sticks(controls, *steady)
+    controls.buttons[...] = 0
+    told = dict(zip(_PND_BUTTONS, pressed))
+    for name, value in (told | {"L2": lt, "R2": rt}).items():
+        controls.buttons[BUTTONS.index(name)] = int(value > 0.5)  # false for NaN
+    controls.alive[...] = 1
+
+
+REMOTES: dict[str, tuple[int, Callable[[Any, Controls], None]]] = {
+    "unitree": (40, unitree),
+    "dobot": (40, dobot),
+    "pnd": (76, pnd),
+}
+"""`transport.remote` of a robot file to the number of bytes, and what takes them."""

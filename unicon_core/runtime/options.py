@@ -1,0 +1,56 @@
+"""RunOptions: how a program is to be run, and whether its platform can be; for the runner."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from unicon_core.errors import PlatformError
+from unicon_core.platforms.platform import WaitsForData
+from unicon_core.workflow import Program
+
+__all__ = ["RunOptions", "refuse_pace"]
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """How to run.
+
+    Attributes:
+        duration: end after this time in [s] of ticks; None: until the flow is done.
+        speed: `real` paces to the wall clock; `max` ticks as fast as it can (simulators).
+        capacity: ticks whose time stamps are kept.
+        warn: takes warnings, one line each.
+        status: called about once a second with facts for a status line, or None.
+        operator: wait for `Runner.go` before a robot moves, where the workflow does not say that
+            nobody is asked. False: whoever runs it has decided.
+    """
+
+    duration: float | None = None
+    speed: Literal["real", "max"] = "real"
+    capacity: int = 32_768
+    warn: Callable[[str], None] = print
+    status: Callable[[dict[str, Any]], None] | None = None
+    operator: bool = False
+
+
+def refuse_pace(program: Program, options: RunOptions) -> None:
+    """Refuse to run a program on a platform that cannot be paced so.
+
+    Raises:
+        PlatformError: it cannot.
+    """
+    platform, pacing = program.platform, program.pacing
+    wrong = ""
+    if pacing.trigger == "state" and not isinstance(platform, WaitsForData):
+        wrong = "cannot tell when its data arrive; set pacing.trigger: deadline"
+    elif options.speed == "max" and not platform.facts.simulated:
+        wrong = "is a robot, which takes its time; leave out speed max, or use a simulator"
+    elif pacing.overrun == "catch_up" and not platform.facts.simulated:
+        wrong = (
+            "is a robot, to which catch_up would send old commands in one go; set pacing.overrun: "
+            "skip"
+        )
+    if wrong:
+        raise PlatformError(f"platform {platform.facts.name!r} {wrong}")

@@ -1,0 +1,154 @@
+"""Division: which blocks of a divided workflow belong to a part, and what it publishes where."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from unicon_core.errors import WorkflowError, alternatives
+from unicon_core.flow import Block, Node, Zip, as_block, blocks_of, children_of
+from unicon_core.flow.nodes import with_children
+from unicon_core.flow.stage import Stage
+from unicon_core.states import States
+from unicon_core.states.groups import COMMAND, Groups
+from unicon_core.states.links import Publisher, Store, open_writers
+from unicon_core.workflow.build import Sections
+from unicon_core.workflow.document import WorkflowDocument
+from unicon_core.workflow.parts import Parts
+
+__all__ = ["check_places", "of_part", "owner_of", "publishers"]
+
+
+def of_part(
+    part: str,
+    parts: Parts | None,
+    sections: Sections,
+    ending: Node | None,
+    document: WorkflowDocument,
+) -> tuple[Sections, Node | None]:
+    """Return what of each stage, and of the wind-down, belongs to a part.
+
+    Raises:
+        WorkflowError: there is no such part, or what does not share a tick is divided.
+    """
+    if parts is None:
+        raise document.error(f"part {part!r}: the workflow has no parts; leave out --part", "parts")
+    if part not in parts.parts:
+        raise document.error(f"no part {part!r}; {alternatives(part, parts.parts)}", "parts")
+    own: Sections = {}
+    for stage, nodes in sections.items():
+        found = [_divided(node, parts, part) for node in nodes]
+        own[stage] = [node for node in found if node is not None]
+    own[Stage.FLOW] = own[Stage.FLOW] or [as_block(_idle, name="idle")]
+    if part != parts.first:
+        own[Stage.SAFETY], ending = [], None
+    return own, ending
+
+
+def _idle() -> None:
+    """Do nothing: the flow of a part that has none."""
+
+
+def owner_of(block: Block, parts: Parts) -> str:
+    """Return the part that a block belongs to."""
+    return block.part or parts.first
+
+
+def check_places(
+    sections: Mapping[Stage, list[Node]], ending: Node | None, parts: Parts | None
+) -> None:
+    """Refuse blocks of parts that are not there, and safety blocks away from the robot.
+
+    Raises:
+        WorkflowError: with the block's place.
+    """
+    for stage, nodes in (*sections.items(), (None, [ending] if ending else [])):
+        for block in (block for node in nodes for block in blocks_of(node)):
+            if not block.part:
+                continue
+            if parts is None:
+                raise WorkflowError(
+                    f"on: {block.part}: the workflow has no parts; declare them (parts:), or leave "
+                    "out on:",
+                    block.where or None,
+                )
+            if block.part not in parts.parts:
+                raise WorkflowError(
+                    f"on: no part {block.part!r}; {alternatives(block.part, parts.parts)}",
+                    block.where or None,
+                )
+            if stage in (None, Stage.SAFETY) and block.part != parts.first:
+                where = "safety" if stage else "wind_down"
+                raise WorkflowError(
+                    f"{where}: {block.name!r} is on {block.part!r}; {where} belongs to the part "
+                    f"with the robot: leave out on:",
+                    block.where or None,
+                )
+
+
+def _divided(node: Node, parts: Parts, part: str) -> Node | None:
+    """Return what of a tree belongs to a part, None for nothing.
+
+    Raises:
+        WorkflowError: what is in order (chain, loop, switch) is divided.
+    """
+    owners = _owners(node, parts)
+    if owners == {part}:
+        return node
+    if part not in owners:
+        return None
+    if not isinstance(node, Zip):
+        raise WorkflowError(
+            f"{type(node).__name__.lower()}: its blocks are of the parts "
+            f"{', '.join(sorted(owners))}, which do not share a tick; divide at a zip or a list",
+            node.where or None,
+        )
+    kept = [child for child in children_of(node) if part in _owners(child, parts)]
+    pruned = [_divided(child, parts, part) for child in kept]
+    whole = Zip(*(child for child in pruned if child is not None), where=node.where)
+    return with_children(whole, list(children_of(whole)))
+
+
+def _owners(node: Node, parts: Parts) -> set[str]:
+    return {owner_of(block, parts) for block in blocks_of(node)}
+
+
+def publishers(
+    store: Store,
+    part: str,
+    groups: Groups,
+    states: States,
+    stages: Mapping[Stage, list[Node]],
+) -> list[Block]:
+    """Put a publisher of each group behind what changes its states last; return them.
+
+    Command states go out behind `send`: nobody outside ever sees one that safety has not seen.
+
+    Args:
+        store: how they travel.
+        part: which publishes, "" for a workflow that is not divided.
+        groups: its groups.
+        states: of this process.
+        stages: all blocks of the tick; is added to.
+
+    Raises:
+        StateError: another run publishes under that name.
+    """
+    writers = open_writers(store, part, groups, states)
+    made = []
+    for name, group in groups.items():
+        last = Stage.SEND if name == COMMAND else Stage.RECV
+        for stage, nodes in stages.items():
+            if stage is Stage.OBSERVE:
+                continue
+            changed = {s for n in nodes for b in blocks_of(n) for s in (*b.writes, *b.amends)}
+            if changed & set(group.specs) and _rank(stage) > _rank(last):
+                last = stage
+        block = as_block(Publisher(writers[name], tuple(group.specs), f"publish {name}"))
+        block.stage = last
+        stages[last].append(block)
+        made.append(block)
+    return made
+
+
+def _rank(stage: Stage) -> int:
+    return list(Stage).index(stage)

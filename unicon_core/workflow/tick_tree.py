@@ -1,0 +1,59 @@
+"""The tree of a tick, made of its stages and checked; for the program."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from unicon_core.flow import Block, Deferred, Node, Zip, blocks_of
+from unicon_core.flow.checks import check_graph, raise_first
+from unicon_core.flow.critical_path import critical_path, is_patient
+from unicon_core.flow.fuse import fuse
+from unicon_core.flow.stage import Stage
+from unicon_core.states import States
+from unicon_core.states.standard import COMMAND_STATES
+from unicon_core.workflow.command_bounds import COMMAND
+from unicon_core.workflow.live_twin import TWIN_STATES
+
+__all__ = ["GIVEN", "tick_tree", "with_flow"]
+
+Stages = Mapping[Stage, Sequence[Node]]
+
+GIVEN = ("tick", COMMAND, "joint_vel_target", "joint_effort_ff", *TWIN_STATES)
+"""States that may be read though no block writes them before: the runner does, zero is meant, or a
+twin tells what it saw a tick ago."""
+
+
+def tick_tree(stages: Stages, states: States) -> tuple[Node, frozenset[Block]]:
+    """Return the checked tree of a tick, and the blocks that the command depends on.
+
+    Raises:
+        WorkflowError: blocks contradict each other.
+    """
+    acting = [n for stage, nodes in stages.items() if stage is not Stage.OBSERVE for n in nodes]
+    # Observers only look: what they would find missing is no reason not to run.
+    observing = [Deferred(node) for node in stages[Stage.OBSERVE]]
+    raise_first(check_graph(Zip(*acting, *observing), states, given=GIVEN))
+    patient = [node for node in acting if is_patient(node)]
+    sent = [node for node in acting if not is_patient(node)]
+    path = critical_path(Zip(*sent, *observing, *map(Deferred, patient)))
+    needed = path.critical.union(*(blocks_of(node) for node in patient))
+    return fuse(path.root, states), needed
+
+
+def with_flow(stages: Stages, flow: Node) -> dict[Stage, Sequence[Node]]:
+    """Return the stages with another flow, which nobody commands.
+
+    Safety blocks that look at what the other flow wrote, such as an observation, are left out:
+    nobody writes it here.
+    """
+    left = [n for s in stages for n in stages[s] if s not in (Stage.COMMAND, Stage.FLOW)]
+    ours = {state for node in (*left, flow) for b in blocks_of(node) for state in b.writes}
+    acted = (*stages[Stage.COMMAND], *stages[Stage.FLOW])
+    gone = {state for node in acted for b in blocks_of(node) for state in b.writes}
+    gone -= {*ours, *GIVEN, *COMMAND_STATES}  # what looks at commands always stays
+    safety = [
+        node
+        for node in stages[Stage.SAFETY]
+        if gone.isdisjoint(state for b in blocks_of(node) for state in b.reads)
+    ]
+    return {**stages, Stage.COMMAND: [], Stage.FLOW: [flow], Stage.SAFETY: safety}
