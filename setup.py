@@ -59,7 +59,7 @@ EXTRAS["torch"] = ["torch"]
 # Nor this: 130 MB installed, for exports to Parquet alone.
 EXTRAS["parquet"] = ["pyarrow"]
 # Nor what a vendor's protocol needs: a computer on a robot wants that of its robot alone.
-EXTRAS["hw-unitree"] = ["cyclonedds==11.0.1"]
+EXTRAS["hw-unitree"] = ["cyclonedds==11.0.1", "rosbags>=0.11"]
 
 
 def version() -> str:

@@ -1,6 +1,6 @@
 """Unitree's driver and our emulated robot against the official Python SDK, both directions.
 
-UNICON_UNITREE_SDK names a checkout of unitreerobotics/unitree_sdk2_python, UNICON_UNITREE_PYTHON the
+UNICON_UNITREE_SDK names a checkout of unitreerobotics/unitree_sdk2_python, UNICON_UNITREE_PYTHON a
 Python that has the cyclonedds it wants (0.10.2) and NumPy; without it this Python runs it.
 """
 
@@ -20,7 +20,7 @@ import pytest
 
 pytest.importorskip("cyclonedds", reason="needs cyclonedds: pip install 'unicon_ros[hw-unitree]'")
 
-from unitree_helpers import LOOPBACK, states_of, until
+from unitree_helpers import states_of, until
 
 from unicon_core.robots import load_robot
 from unicon_core.states import States, standard_states

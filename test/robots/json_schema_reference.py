@@ -14,6 +14,7 @@ _TYPES = {
     "string": str,
     "number": (int, float),
     "integer": int,
+    "boolean": bool,
     "null": type(None),
 }
 _NOTES = {"$schema", "$id", "$defs", "title", "description"}
