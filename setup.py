@@ -59,7 +59,8 @@ EXTRAS["torch"] = ["torch"]
 # Nor this: 130 MB installed, for exports to Parquet alone.
 EXTRAS["parquet"] = ["pyarrow"]
 # Nor what a vendor's protocol needs: a computer on a robot wants that of its robot alone.
-EXTRAS["hw-unitree"] = ["cyclonedds==11.0.1", "rosbags>=0.11"]
+for _robot in ("unitree", "pnd"):  # they speak DDS
+    EXTRAS[f"hw-{_robot}"] = ["cyclonedds==11.0.1", "rosbags>=0.11"]
 
 
 def version() -> str:
@@ -136,6 +137,8 @@ setup(
             "replay = unicon_ros.replay.platform:make",
             "ros = unicon_ros.bridge.ros_platform:make",
             "unitree = unicon_ros.hardware.unitree.platform:make",
+            "unitree_dex3 = unicon_ros.hardware.unitree_dex3.platform:make",
+            "pnd = unicon_ros.hardware.pnd.platform:make",
         ],
     },
     zip_safe=False,

@@ -31,6 +31,7 @@ class Inlet:
         counts: gets the good ones, and those of others.
         where: topic and domain, for messages.
         forget: called when the sender has gone: the next one begins anew.
+        anyone: whoever sends is read, as a robot does with commands.
     """
 
     def __init__(
@@ -41,10 +42,17 @@ class Inlet:
         counts: Counts,
         where: str,
         forget: Callable[[], None] = lambda: None,
+        *,
+        anyone: bool = False,
     ) -> None:
         self._reader, self._good, self._read = reader, good, read
         self._counts, self._where, self._forget = counts, where, forget
+        self._anyone = anyone
         self._source: int | None = None
+
+    def wait(self, timeout: float) -> bool:
+        """Return True once something is there, False after `timeout` in [s]."""
+        return self._reader.wait(timeout)
 
     def take(self) -> int:
         """Read the newest good message; return how many good ones have come."""
@@ -67,7 +75,7 @@ class Inlet:
         self._forget()
 
     def _own(self, source: int) -> bool:
-        if self._source in (None, source):
+        if self._anyone or self._source in (None, source):
             return True
         if self._source not in self._reader.sources:  # it has gone, and another robot has come
             self._anew()

@@ -88,7 +88,7 @@ class Participant:
         self, domain: int, address: str | None, what: str, extra: str = "hw-unitree"
     ) -> None:
         _load(what, extra)
-        if isinstance(domain, bool) or not 0 <= domain <= LARGEST_DOMAIN:
+        if type(domain) is not int or not 0 <= domain <= LARGEST_DOMAIN:
             raise PlatformError(f"{what}: domain is {domain}; give 0 to {LARGEST_DOMAIN}")
         self.domain, self._what = domain, what
         self._entities: list[Any] = []

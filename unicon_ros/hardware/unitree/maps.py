@@ -11,21 +11,11 @@ from collections.abc import Container, Mapping
 from typing import Any
 
 from unicon_msgs_map import PublishSpec, SubscribeSpec
-from unicon_ros.hardware.dds.maps import publish, subscribe
+from unicon_ros.hardware.dds.maps import COMMANDS, IMU, MEASURED, publish, subscribe
 from unicon_ros.hardware.unitree.facts import UnitreeFacts
 
-__all__ = ["COMMANDS", "command_in", "command_out", "head_in", "state_in", "state_out"]
+__all__ = ["command_in", "command_out", "head_in", "state_in", "state_out"]
 
-COMMANDS = {
-    "q": "joint_pos_target",
-    "dq": "joint_vel_target",
-    "tau": "joint_effort_ff",
-    "kp": "joint_stiffness",
-    "kd": "joint_damping",
-}
-"""Field of MotorCmd to state."""
-_MEASURED = {"q": "joint_pos", "dq": "joint_vel", "tau_est": "joint_effort"}
-_IMU = {"quaternion": "base_quat", "gyroscope": "base_ang_vel", "accelerometer": "base_lin_acc"}
 _CHECKSUM = {"crc": {"checksum": "unitree"}}
 PERCENT = 100.0
 
@@ -66,9 +56,9 @@ def command_in(facts: UnitreeFacts) -> SubscribeSpec:
 
 
 def _state(facts: UnitreeFacts, known: Container[str], percent: float) -> dict[str, Any]:
-    fields: dict[str, Any] = {f"imu_state.{key}": state for key, state in _IMU.items()}
+    fields: dict[str, Any] = {f"imu_state.{key}": state for key, state in IMU.items()}
     fields |= {"tick": "tick", "wireless_remote": "remote"}
-    motors = dict(_MEASURED)
+    motors = dict(MEASURED)
     if facts.go:
         motors["temperature"] = "motor_temperature"
         fields["foot_force"] = "foot_force"
