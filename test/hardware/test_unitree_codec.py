@@ -98,9 +98,9 @@ def arrays_of(robot: Robot) -> dict[str, np.ndarray]:
     made = {name: rng.normal(size=n).astype(np.float32) for name in names}
     made |= {name: rng.normal(size=size).astype(np.float32) for name, size in sizes.items()}
     made["base_quat"] /= np.linalg.norm(made["base_quat"])
-    made["temperatures"] = np.arange(20.0, 20 + 2 * n, dtype=np.float32)
+    made["temperatures"] = np.arange(20, 20 + 2 * n, dtype=np.int16)
     made["motor_temperature"] = np.arange(30.0, 30 + n, dtype=np.float32)
-    made["motor_error"] = np.arange(n, dtype=np.int32)
+    made["errors"] = np.arange(2**32 - n, 2**32, dtype=np.uint32)
     made["foot_force"] = np.array([11.0, 12, 13, 14], np.float32)
     made["battery_charge"] = np.array(0.57, np.float32)
     made["battery_voltage"] = np.array(29.5, np.float32)
@@ -210,7 +210,7 @@ def test_what_one_end_says_the_other_end_reads(name: str) -> None:
     told = ["joint_pos", "joint_vel", "joint_effort", "base_quat", "base_ang_vel", "base_lin_acc"]
     told += ["remote", "tick"]
     told += ["motor_temperature", "foot_force"] if facts.go else ["temperatures", "mode_machine"]
-    told += [] if facts.go else ["motor_error"]
+    told += [] if facts.go else ["errors"]
     told += ["battery_voltage"] if facts.battery else []
     for key in told:
         np.testing.assert_array_equal(theirs[key], ours[key], err_msg=key)

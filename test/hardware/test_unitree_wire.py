@@ -93,6 +93,23 @@ def test_both_ways_everything_is_equal(pair: Pair) -> None:
     assert not pair.wire.wait(0.0)
 
 
+def test_errors_and_the_hotter_temperature_of_each_motor_are_told() -> None:
+    pair = Pair(load_robot("g1_29dof"))
+    try:
+        pair.theirs["motor_error"][3] = -2  # on the wire a uint32 with the highest bit set
+        pair.theirs["motor_temperature"][...] = np.arange(29.0)
+        assert pair.told() == 1
+        assert pair.ours["motor_error"].tolist() == [0, 0, 0, -2, *[0] * 25]
+        np.testing.assert_array_equal(pair.ours["motor_temperature"], np.arange(29.0))
+        pair.face._tick += 2
+        raw = bytearray(pair.face._encode())
+        struct.pack_into("<h", raw, 4 + 70 + 20, 77)  # the second one of motor 0
+        assert sent(pair, summed(pair, bytes(raw))) == 1
+        assert pair.ours["motor_temperature"][0] == 77.0
+    finally:
+        pair.close()
+
+
 def test_a_backlog_is_drained_to_the_newest(pair: Pair) -> None:
     for value in (1.0, 2.0, 3.0):
         pair.theirs["joint_pos"][...] = value
@@ -163,6 +180,21 @@ def test_a_bad_frame_does_not_hide_the_good_one_before_it(go2: Pair) -> None:
     assert sent(go2, summed(go2, bytes(bad))) + go2.wire.take() >= 0
     until(lambda: go2.wire.counts.refused["impossible values"] == 1, go2.wire.take)
     assert go2.ours["joint_pos"][0] == 0.5
+
+
+def test_senders_are_known_by_the_same_number_everywhere(go2: Pair) -> None:
+    others = [Participant(DOMAIN, LOOPBACK, f"robot {i}") for i in range(6)]
+    try:
+        message, frame = shared_messages().struct("unitree_go/msg/LowState"), go2.face._encode()
+        for number, other in enumerate(others, 2):
+            writer = other.writer("rt/lowstate", message)
+            until(lambda: len(go2.wire._reader.sources) == number)  # noqa: B023
+            writer.write(frame)
+            _, info = until(go2.wire._reader.take)[-1]
+            assert info.publication_handle in go2.wire._reader.sources
+    finally:
+        for other in others:
+            other.close()
 
 
 def test_strangers_and_a_robot_that_comes_back(go2: Pair) -> None:

@@ -23,7 +23,7 @@ from unicon_core.blocks.projected_gravity import projected_gravity
 from unicon_core.errors import Fault, PlatformError
 from unicon_core.platforms.kit.command import FiniteCheck
 from unicon_core.platforms.kit.damping import DAMPING_TIME, Damping, LastSent, repeated
-from unicon_core.platforms.platform import Facts
+from unicon_core.platforms.platform import Facts, WarmsUp
 from unicon_core.robots import Robot
 from unicon_core.signals import SIGNALS
 from unicon_core.states import States
@@ -79,6 +79,7 @@ class WiredRobot:
         self._sent = LastSent(states)
         self._stamp = states["stamp_ns"]
         self._heard = time.monotonic_ns()
+        self._warm_up = wire.warm_up if isinstance(wire, WarmsUp) else None
         self._closed = False
 
     def connect(self, patience: float) -> None:
@@ -136,6 +137,8 @@ class WiredRobot:
     def warm_up(self) -> None:
         """Do what `send` does up to the sending, to warm up."""
         self._finite()
+        if self._warm_up is not None:
+            self._warm_up()
 
     def send(self) -> bool | None:
         """Send the command states.

@@ -7,7 +7,7 @@ class MyWire(DdsEnd):
             self.listen("rt/state", message, frames)
             self.speak("rt/cmd", message, encoder.encode)
 
-It has `take`, `wait`, `put`, `commanders` and `close` of a `Wire`.
+It has `take`, `wait`, `put`, `warm_up`, `commanders` and `close` of a `Wire`.
 """
 
 from __future__ import annotations
@@ -110,6 +110,11 @@ class DdsEnd:
         for writer, encode in self._outlets:
             raw = encode()
             writer.write(raw + bytes(-len(raw) % 4))
+
+    def warm_up(self) -> None:
+        """Do what `put` does up to the sending."""
+        for _, encode in self._outlets:
+            encode()
 
     @property
     def matched(self) -> bool:

@@ -128,7 +128,9 @@ class Participant:
         from cyclonedds.sub import DataReader
 
         qos = Qos(Policy.Reliability.BestEffort, Policy.History.KeepLast(DEPTH))
-        return Reader(self._made(DataReader, self._topic(topic, message, name), qos))
+        reader = Reader(self._made(DataReader, self._topic(topic, message, name), qos))
+        self._entities += reader.waits
+        return reader
 
     def writer(self, topic: str, message: Struct, name: str = "") -> Writer:
         """Return a writer: reliable, which fits readers of either kind, and never waits.
@@ -179,7 +181,11 @@ class Participant:
 
 
 class Reader:
-    """Takes raw messages of a topic; made by `Participant`."""
+    """Takes raw messages of a topic; made by `Participant`.
+
+    Attributes:
+        waits: what it waits with, to be deleted before it.
+    """
 
     def __init__(self, reader: Any) -> None:
         from cyclonedds._clayer import ddspy_take
@@ -187,9 +193,10 @@ class Reader:
 
         self._reader, self._ref, self._take = reader, reader._ref, ddspy_take
         any_state = SampleState.Any | ViewState.Any | InstanceState.Any
-        self._condition = ReadCondition(reader, any_state)
+        condition = ReadCondition(reader, any_state)
         self._waiting = WaitSet(reader.participant)
-        self._waiting.attach(self._condition)
+        self._waiting.attach(condition)
+        self.waits = [condition, self._waiting]
 
     def take(self) -> list[tuple[bytes, Any]]:
         """Return what came since the last call, the oldest first: payload and its DDS info.
@@ -206,8 +213,8 @@ class Reader:
     @property
     def sources(self) -> list[int]:
         """Who writes to the topic, by the `publication_handle` of what they send."""
-        found: list[int] = self._reader.get_matched_publications()
-        return found
+        # Said with a sign here, and without one there.
+        return [handle % (1 << 64) for handle in self._reader.get_matched_publications()]
 
 
 class Writer:

@@ -111,7 +111,8 @@ class UnitreeFace:
         if facts.waist is not None:
             arrays |= self._imu
         self._tick, self._pairs = own["tick"], own["temperatures"].reshape(-1, 2)
-        self._heat = arrays["motor_temperature"]
+        self._heat, self._error = arrays["motor_temperature"], arrays["motor_error"]
+        self._errors = own["errors"]
         own["mode_machine"][...] = (facts.mode_machine or 0) if variant is None else variant
         self._encode = Encoder.build(state_out(facts, arrays), arrays).encode
         heard = {name: np.zeros(n, np.float32) for name in COMMAND_STATES} | own_arrays(robot)
@@ -145,6 +146,7 @@ class UnitreeFace:
             angle, rate = (-float(states[name][waist]) for name in ("joint_pos", "joint_vel"))
             turned({name: states[name] for name in IMU_STATES}, self._imu, angle, rate)
         self._pairs[...] = self._heat[:, None]
+        self._errors[...] = self._error
         self._writer.write(self._encode())
 
     def hear(self) -> bool:

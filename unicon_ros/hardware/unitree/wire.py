@@ -37,7 +37,8 @@ def own_arrays(robot: Robot) -> dict[str, NDArray[Any]]:
         "mode_machine": np.zeros((), np.uint8),
         "mode_pr": np.zeros((), np.uint8),
         "modes": np.zeros(n, np.uint8),
-        "temperatures": np.zeros(2 * n, np.float32),
+        "temperatures": np.zeros(2 * n, np.int16),
+        "errors": np.zeros(n, np.uint32),
     }
 
 
@@ -90,6 +91,9 @@ class UnitreeWire:
             self._imu = {name: np.array(states[name]) for name in IMU_STATES}
             arrays |= self._imu
         self._hottest: NDArray[Any] | None = None
+        self._errors: tuple[NDArray[Any], ...] = ()
+        if not facts.go and "motor_error" in states:  # an int32, which is not 0 either
+            self._errors = states["motor_error"], own["errors"].view(np.int32)
         if not facts.go and "motor_temperature" in states:
             self._hottest = states["motor_temperature"]
             self._pairs = own["temperatures"][0::2], own["temperatures"][1::2]
@@ -176,6 +180,8 @@ class UnitreeWire:
             turned(imu, {name: states[name] for name in IMU_STATES}, angle, rate)
         if self._hottest is not None:
             np.maximum(*self._pairs, out=self._hottest)
+        if self._errors:
+            self._errors[0][...] = self._errors[1]
         if self._remote is not None:
             self._remote[...] = self._bytes
 
@@ -187,6 +193,11 @@ class UnitreeWire:
         """
         assert self._writer is not None
         self._writer.write(self._encode())
+
+    def warm_up(self) -> None:
+        """Do what `put` does up to the sending, and sum up the last frame once more."""
+        self._frames.warm_up()
+        self._encode()
 
     def prepare(self) -> str:
         """Let the robot's own controller let go; return what is waited for, "" at the end."""
