@@ -181,11 +181,11 @@ def test_the_platform_stops_the_hand_at_its_end() -> None:
         assert not theirs["joint_stiffness"].any()
         assert not theirs["joint_damping"].any()
         silent.clear()
-        good = made.counts.good
+        ours["joint_stiffness"][...] = 9.0
         quiet = make(ours, HAND, 0.01, address=LOOPBACK, domain=DOMAIN, silent=True)
         quiet.send()
         quiet.close()
-        assert made.counts.good == good
+        assert not theirs["joint_stiffness"].any()
     finally:
         ended.set()
         thread.join()

@@ -97,6 +97,17 @@ class TransportFacts:
             raise self._wrong(key, "a text")
         return value
 
+    def one_of(self, key: str, known: tuple[str, ...]) -> str:
+        """Return a word that is one of some.
+
+        Raises:
+            RobotError: it is none.
+        """
+        value = self._robot.transport.get(key)
+        if value not in known:
+            raise self._wrong(key, f"one of {', '.join(known)}")
+        return str(value)
+
     def slots(self, key: str, count: int) -> tuple[int, ...]:
         """Return the motor slot of each joint.
 

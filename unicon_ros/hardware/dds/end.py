@@ -58,11 +58,11 @@ class DdsEnd:
 
     @contextmanager
     def closing(self) -> Iterator[None]:
-        """Close the participant where what is built inside fails."""
+        """Close it where what is built inside fails."""
         try:
             yield
         except BaseException:
-            self.participant.close()
+            self.close()
             raise
 
     def listen(
