@@ -63,7 +63,8 @@ EXTRAS["torch"] = ["torch"]
 # Nor this: 130 MB installed, for exports to Parquet alone.
 EXTRAS["parquet"] = ["pyarrow"]
 # Nor what a vendor's protocol needs: a computer on a robot wants that of its robot alone.
-EXTRAS["hw-unitree"] = ["cyclonedds==11.0.1", "rosbags>=0.11"]
+for _robot in ("unitree", "pnd", "inspire-dds"):  # they speak DDS
+    EXTRAS[f"hw-{_robot}"] = ["cyclonedds==11.0.1", "rosbags>=0.11"]
 
 
 def version() -> str:
@@ -141,10 +142,13 @@ setup(
             "azureloong = unicon_ros.hardware.azureloong.platform:make",
             "fourier = unicon_ros.hardware.fourier.platform:make",
             "inspire = unicon_ros.hardware.inspire.platform:make",
+            "inspire_dds = unicon_ros.hardware.inspire_dds.platform:make",
+            "pnd = unicon_ros.hardware.pnd.platform:make",
             "replay = unicon_ros.replay.platform:make",
             "rohand = unicon_ros.hardware.rohand.platform:make",
             "ros = unicon_ros.bridge.ros_platform:make",
             "unitree = unicon_ros.hardware.unitree.platform:make",
+            "unitree_dex3 = unicon_ros.hardware.unitree_dex3.platform:make",
             "unitree_legged = unicon_ros.hardware.unitree_legged.platform:make",
             "xhand = unicon_ros.hardware.xhand.platform:make",
         ],
@@ -152,7 +156,12 @@ setup(
             "arx = unicon_ros.hardware.arx.face:face",
             "azureloong = unicon_ros.hardware.azureloong.face:face",
             "fourier_fsa = unicon_ros.hardware.fourier.face:face",
+            "inspire = unicon_ros.hardware.inspire.face:face",
+            "inspire_dfx = unicon_ros.hardware.inspire_dds.face:face",
+            "pnd_adam = unicon_ros.hardware.pnd.face:face",
+            "rohand = unicon_ros.hardware.rohand.face:face",
             "ros = unicon_ros.emulate.ros_face:face",
+            "unitree_dex3 = unicon_ros.hardware.unitree_dex3.face:face",
             "unitree_go = unicon_ros.hardware.unitree.face:face",
             "unitree_hg = unicon_ros.hardware.unitree.face:face",
             "unitree_legged = unicon_ros.hardware.unitree_legged.face:face",

@@ -26,9 +26,10 @@ from unicon_msgs_map.layout.messages import shared_messages
 from unicon_msgs_map.layout.paths import Reference, parse_path
 from unicon_msgs_map.spec import FieldSpec
 from unicon_ros.bench.domains import free_domain
-from unicon_ros.hardware.unitree import dds, release, wire
-from unicon_ros.hardware.unitree.dds import Participant
-from unicon_ros.hardware.unitree.dds_types import OCTETS, dds_type
+from unicon_ros.hardware.dds import participant as dds
+from unicon_ros.hardware.dds.participant import Participant
+from unicon_ros.hardware.dds.types import OCTETS, dds_type
+from unicon_ros.hardware.unitree import release, wire
 from unicon_ros.hardware.unitree.face import face
 from unicon_ros.hardware.unitree.platform import make
 

@@ -86,6 +86,41 @@ class TransportFacts:
             raise self._wrong(key, f"{count} texts, one for each joint")
         return tuple(values)
 
+    def text(self, key: str) -> str:
+        """Return a text, such as a topic.
+
+        Raises:
+            RobotError: it is none, or empty.
+        """
+        value = self._robot.transport.get(key)
+        if not isinstance(value, str) or not value:
+            raise self._wrong(key, "a text")
+        return value
+
+    def one_of(self, key: str, known: tuple[str, ...]) -> str:
+        """Return a word that is one of some.
+
+        Raises:
+            RobotError: it is none.
+        """
+        value = self._robot.transport.get(key)
+        if value not in known:
+            raise self._wrong(key, f"one of {', '.join(known)}")
+        return str(value)
+
+    def slots(self, key: str, count: int) -> tuple[int, ...]:
+        """Return the motor slot of each joint.
+
+        Raises:
+            RobotError: they are not as many different ones of 0 to `count` - 1.
+        """
+        values: Any = self._robot.transport.get(key)
+        joints = self._robot.num_joints
+        good = isinstance(values, list | tuple) and all(type(value) is int for value in values)
+        if not good or len(set(values)) != joints or not all(0 <= v < count for v in values):
+            raise self._wrong(key, f"{joints} different slots of 0 to {count - 1}")
+        return tuple(values)
+
     def mapping(self, key: str, keys: tuple[str, ...], least: int, most: int) -> dict[str, int]:
         """Return whole numbers by name.
 

@@ -19,9 +19,9 @@ from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_msgs_map import Encoder
-from unicon_ros.hardware.unitree.dds import Participant
+from unicon_ros.hardware.dds.frames import Frames
+from unicon_ros.hardware.dds.participant import Participant
 from unicon_ros.hardware.unitree.facts import UnitreeFacts
-from unicon_ros.hardware.unitree.frames import Frames
 from unicon_ros.hardware.unitree.maps import command_in, state_out
 from unicon_ros.hardware.unitree.release import CHECK_MODE, RELEASE_MODE, SWITCHER
 from unicon_ros.hardware.unitree.service import Server

@@ -7,26 +7,15 @@ motor) and `remote` (40 bytes).
 
 from __future__ import annotations
 
-import json
 from collections.abc import Container, Mapping
 from typing import Any
 
-from unicon_msgs_map import PublishSpec, SubscribeSpec, parse_map
-from unicon_msgs_map.layout.messages import shared_messages
+from unicon_msgs_map import PublishSpec, SubscribeSpec
+from unicon_ros.hardware.dds.maps import COMMANDS, IMU, MEASURED, publish, subscribe
 from unicon_ros.hardware.unitree.facts import UnitreeFacts
 
-__all__ = ["COMMANDS", "command_in", "command_out", "head_in", "state_in", "state_out"]
+__all__ = ["command_in", "command_out", "head_in", "state_in", "state_out"]
 
-COMMANDS = {
-    "q": "joint_pos_target",
-    "dq": "joint_vel_target",
-    "tau": "joint_effort_ff",
-    "kp": "joint_stiffness",
-    "kd": "joint_damping",
-}
-"""Field of MotorCmd to state."""
-_MEASURED = {"q": "joint_pos", "dq": "joint_vel", "tau_est": "joint_effort"}
-_IMU = {"quaternion": "base_quat", "gyroscope": "base_ang_vel", "accelerometer": "base_lin_acc"}
 _CHECKSUM = {"crc": {"checksum": "unitree"}}
 PERCENT = 100.0
 
@@ -67,9 +56,9 @@ def command_in(facts: UnitreeFacts) -> SubscribeSpec:
 
 
 def _state(facts: UnitreeFacts, known: Container[str], percent: float) -> dict[str, Any]:
-    fields: dict[str, Any] = {f"imu_state.{key}": state for key, state in _IMU.items()}
+    fields: dict[str, Any] = {f"imu_state.{key}": state for key, state in IMU.items()}
     fields |= {"tick": "tick", "wireless_remote": "remote"}
-    motors = dict(_MEASURED)
+    motors = dict(MEASURED)
     if facts.go:
         motors["temperature"] = "motor_temperature"
         fields["foot_force"] = "foot_force"
@@ -112,18 +101,13 @@ def _part(state: str, run: Any) -> str:
     return f"{state}[{first}:{last}]"
 
 
-def _entry(facts: UnitreeFacts, name: str, fields: Mapping[str, Any], way: str) -> Any:
-    topic = facts.state_topic if name == "LowState" else facts.command_topic
-    entry = {"topic": topic, "type": facts.message(name).name, "fields": dict(fields)}
-    parsed = parse_map(json.dumps({way: [entry]}), shared_messages(), name=facts.protocol)
-    return getattr(parsed, way)[0]
+def _topic(facts: UnitreeFacts, name: str) -> str:
+    return facts.state_topic if name == "LowState" else facts.command_topic
 
 
 def _subscribe(facts: UnitreeFacts, name: str, fields: Mapping[str, Any]) -> SubscribeSpec:
-    spec: SubscribeSpec = _entry(facts, name, fields, "subscribe")
-    return spec
+    return subscribe(_topic(facts, name), facts.message(name).name, fields)
 
 
 def _publish(facts: UnitreeFacts, name: str, fields: Mapping[str, Any]) -> PublishSpec:
-    spec: PublishSpec = _entry(facts, name, {**fields, **_CHECKSUM}, "publish")
-    return spec
+    return publish(_topic(facts, name), facts.message(name).name, {**fields, **_CHECKSUM})

@@ -13,7 +13,7 @@ import time
 from collections.abc import Generator
 
 from unicon_core.errors import Fault
-from unicon_ros.hardware.unitree.dds import Participant
+from unicon_ros.hardware.dds.participant import Participant
 from unicon_ros.hardware.unitree.service import Client
 
 __all__ = ["CHECK_MODE", "RELEASE_MODE", "SWITCHER", "Release"]

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from unicon_msgs_map.layout.messages import shared_messages
-from unicon_ros.hardware.unitree.dds import Participant
+from unicon_ros.hardware.dds.participant import Participant
 
 __all__ = ["Client", "Server", "packed", "unpacked"]
 

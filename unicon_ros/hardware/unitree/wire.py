@@ -13,9 +13,10 @@ from unicon_core.platforms.kit.base import Mounting
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_msgs_map import Decoder, Encoder
-from unicon_ros.hardware.unitree.dds import Participant
+from unicon_ros.hardware.dds.frames import Frames
+from unicon_ros.hardware.dds.inlet import Inlet, newer
+from unicon_ros.hardware.dds.participant import Participant
 from unicon_ros.hardware.unitree.facts import UnitreeFacts
-from unicon_ros.hardware.unitree.frames import Frames
 from unicon_ros.hardware.unitree.maps import command_out, head_in, state_in
 from unicon_ros.hardware.unitree.release import Release
 from unicon_ros.hardware.unitree.torso import IMU_STATES, turned
@@ -26,7 +27,6 @@ __all__ = ["LABEL", "UnitreeWire", "own_arrays"]
 LABEL = "platform 'unitree'"
 REMOTE = 40
 """Bytes of the wireless remote."""
-_HALF = 1 << 31
 
 
 def own_arrays(robot: Robot) -> dict[str, NDArray[Any]]:
@@ -106,10 +106,12 @@ class UnitreeWire:
             self._remote = states["wireless_remote"]
         self._encode = Encoder.build(command_out(facts), arrays).encode
         self._last = -1
-        self._source: int | None = None
         self.participant = Participant(domain, address, LABEL)
         try:
             self._reader = self.participant.reader(facts.state_topic, facts.message("LowState"))
+            self._inlet = Inlet(
+                self._reader, self._good, self._frames.read, self.counts, self.where, self._forget
+            )
             self.participant.watch()
             self._writer = None
             self._release: Release | None = None
@@ -128,30 +130,16 @@ class UnitreeWire:
         Raises:
             Fault: the robot's variant is another one than it was.
         """
-        good: list[bytes] = []
-        for raw, info in self._reader.take():
-            if not info.valid_data:  # its writer has gone: the next one begins anew
-                if info.publication_handle == self._source:
-                    self._source, self._last = None, -1
-            elif self._own(info.publication_handle) and self._frames.good(raw) and self._new(raw):
-                self._source = info.publication_handle
-                good.append(raw)
-        number = len(good)
-        while good and not self._frames.read(good.pop()):
-            number -= 1
+        number = self._inlet.take()
         if number:
-            self.counts.good += number
             self._measured()
         return number
 
-    def _own(self, source: int) -> bool:
-        if self._source in (None, source):
-            return True
-        if self._source not in self._reader.sources:  # it has gone, and another robot has come
-            self._source, self._last = None, -1
-            return True
-        self.counts.refuse("another sender", f"{self.where} has two")
-        return False
+    def _forget(self) -> None:
+        self._last = -1
+
+    def _good(self, raw: bytes) -> bool:
+        return self._frames.good(raw) and self._new(raw)
 
     def _new(self, raw: bytes) -> bool:
         """Look at the number and the variant of a frame."""
@@ -160,7 +148,7 @@ class UnitreeWire:
             return False
         if self._checked:
             number = int(self._tick)
-            if self._last >= 0 and not 0 < (number - self._last) % (2 * _HALF) < _HALF:
+            if self._last >= 0 and not newer(number, self._last):
                 self.counts.refuse("old tick", f"{number} behind {self._last}")
                 return False
             self._last = number

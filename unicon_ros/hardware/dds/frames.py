@@ -1,4 +1,4 @@
-"""Frames: checks raw messages before they are decoded, for both ends of Unitree's wire."""
+"""Frames: checks raw messages before they are decoded, for both ends of a wire over DDS."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from unicon_msgs_map import Decoder, SubscribeSpec
 from unicon_msgs_map.codec.checksum import unitree_crc
+from unicon_msgs_map.layout.messages import Array, Struct
 from unicon_msgs_map.layout.paths import Reference, parse_path
 from unicon_msgs_map.layout.walker import static_size
 from unicon_msgs_map.spec import FieldSpec
@@ -29,8 +30,10 @@ class Frames:
         spec: how they are read.
         arrays: what they are read into.
         counts: gets what is refused.
-        checked: the checksum must be right.
+        checked: Unitree's checksum must be right.
         orientation: state of a quaternion, which must have norm 1, or "".
+        lengths: of sequences in front of which nothing varies, by field: other lengths are refused.
+        size: with the header, in bytes; of a type with sequences or texts 0 leaves it to decoding.
 
     Raises:
         MapStateError: arrays and mapping do not fit.
@@ -44,27 +47,36 @@ class Frames:
         *,
         checked: bool = True,
         orientation: str = "",
+        lengths: Mapping[str, int] | None = None,
+        size: int = 0,
     ) -> None:
         self._counts, self._checked = counts, checked
         self._decoder = Decoder.build(spec, arrays)
         if orientation:
             self._decoder.need_orientation(orientation)
         message = spec.messages.struct(spec.type)
-        size = static_size(message, 0)
-        assert size is not None
-        self.size = 4 + size
-        self._buffer = bytearray(self.size)
-        field = FieldSpec("crc", parse_path("crc"), Reference("const", value=0))
-        self._crc = unitree_crc(field, message, self._buffer)
+        self._lengths = {_at(message, name): (name, n) for name, n in (lengths or {}).items()}
+        body = static_size(message, 0)
+        self.size = size if body is None else 4 + body
+        self._least = self.size or max(self._lengths, default=0) + 4
+        if checked:
+            self._buffer = bytearray(self.size)
+            field = FieldSpec("crc", parse_path("crc"), Reference("const", value=0))
+            self._crc = unitree_crc(field, message, self._buffer)
 
     def good(self, raw: bytes) -> bool:
         """Tell whether header, length and checksum are right; count what is not."""
         if raw[:2] != HEADER:
             self._counts.refuse("not little-endian XCDR1", f"header {raw[:4].hex()}")
             return False
-        if not self.size <= len(raw) <= self.size + PADDING:
-            reason = "short" if len(raw) < self.size else "long"
-            self._counts.refuse(reason, f"{len(raw)} bytes, not {self.size}")
+        for at, (name, wanted) in self._lengths.items():
+            found = int.from_bytes(raw[at : at + 4], "little")
+            if len(raw) >= at + 4 and found != wanted:
+                self._counts.refuse(f"another length of {name}", f"{found}, not {wanted}")
+                return False
+        if len(raw) < self._least or (self.size and len(raw) > self.size + PADDING):
+            reason = "short" if len(raw) < self._least else "long"
+            self._counts.refuse(reason, f"{len(raw)} bytes, not {self._least}")
             return False
         if self._checked:
             self._buffer[4:] = raw[4 : self.size]
@@ -84,3 +96,16 @@ class Frames:
             return True
         self._counts.refuse("impossible values", self._decoder.last_error)
         return False
+
+
+def _at(message: Struct, name: str) -> int:
+    """Return where the length of a sequence stands in a frame, behind what has one size."""
+    at = 0
+    for field, kind in message.fields.items():
+        if field == name:
+            assert isinstance(kind, Array)
+            break
+        size = static_size(kind, at % 8)
+        assert size is not None
+        at += size
+    return 4 + at + -at % 4

@@ -1,4 +1,4 @@
-"""Raw bytes over CycloneDDS, for Unitree's drivers and emulators: no Python object per message.
+"""Raw bytes over CycloneDDS, for drivers and emulators: no Python object per message.
 
     participant = Participant(0, "eth0", "platform 'unitree'")
     reader = participant.reader("rt/lowstate", struct)     # reader.take(): [(bytes, writer), …]
@@ -18,7 +18,7 @@ from typing import Any
 
 from unicon_core.errors import Fault, MissingDependencyError, PlatformError
 from unicon_msgs_map.layout.messages import Struct
-from unicon_ros.hardware.unitree.dds_types import dds_type
+from unicon_ros.hardware.dds.types import dds_type
 
 __all__ = ["LARGEST_DOMAIN", "VERSION", "Participant", "Reader", "Writer"]
 
@@ -49,14 +49,14 @@ _domains: dict[int, tuple[str | None, Any, int]] = {}
 process has one configuration for each domain."""
 
 
-def _load(what: str) -> None:
+def _load(what: str, extra: str) -> None:
     """Look whether the package is there, in the version that is known.
 
     Raises:
         MissingDependencyError: it is not installed.
         PlatformError: it is another version.
     """
-    install = "pip install 'unicon_ros[hw-unitree]'"
+    install = f"pip install 'unicon_ros[{extra}]'"
     try:
         found = metadata.version("cyclonedds")
         import cyclonedds  # noqa: F401
@@ -73,19 +73,22 @@ class Participant:
     """This process on a DDS domain.
 
     Args:
-        domain: its number; robots have 0.
+        domain: its number; most robots have 0.
         address: of this machine's network interface to the robot, or its name; None leaves the
             choice to CYCLONEDDS_URI, and without it to CycloneDDS.
         what: in front of messages.
+        extra: of the package, which installs cyclonedds.
 
     Raises:
         MissingDependencyError: cyclonedds is not installed.
         PlatformError: another version of it is, or the interface or domain cannot be used.
     """
 
-    def __init__(self, domain: int, address: str | None, what: str) -> None:
-        _load(what)
-        if isinstance(domain, bool) or not 0 <= domain <= LARGEST_DOMAIN:
+    def __init__(
+        self, domain: int, address: str | None, what: str, extra: str = "hw-unitree"
+    ) -> None:
+        _load(what, extra)
+        if type(domain) is not int or not 0 <= domain <= LARGEST_DOMAIN:
             raise PlatformError(f"{what}: domain is {domain}; give 0 to {LARGEST_DOMAIN}")
         self.domain, self._what = domain, what
         self._entities: list[Any] = []
@@ -115,29 +118,37 @@ class Participant:
         self._entities.append(entity)
         return entity
 
-    def reader(self, topic: str, message: Struct) -> Reader:
-        """Return a reader: best effort, which fits writers of either kind."""
+    def reader(self, topic: str, message: Struct, name: str = "") -> Reader:
+        """Return a reader: best effort, which fits writers of either kind.
+
+        Args:
+            name: of the type in DDS, where it does not follow from the message's.
+        """
         from cyclonedds.core import Policy, Qos
         from cyclonedds.sub import DataReader
 
         qos = Qos(Policy.Reliability.BestEffort, Policy.History.KeepLast(DEPTH))
-        reader = Reader(self._made(DataReader, self._topic(topic, message), qos))
+        reader = Reader(self._made(DataReader, self._topic(topic, message, name), qos))
         self._entities += reader.waits
         return reader
 
-    def writer(self, topic: str, message: Struct) -> Writer:
-        """Return a writer: reliable, which fits readers of either kind, and never waits."""
+    def writer(self, topic: str, message: Struct, name: str = "") -> Writer:
+        """Return a writer: reliable, which fits readers of either kind, and never waits.
+
+        Args:
+            name: of the type in DDS, where it does not follow from the message's.
+        """
         from cyclonedds.core import Policy, Qos
         from cyclonedds.pub import DataWriter
 
         qos = Qos(Policy.Reliability.Reliable(max_blocking_time=0), Policy.History.KeepLast(1))
-        made = self._made(DataWriter, self._topic(topic, message), qos)
+        made = self._made(DataWriter, self._topic(topic, message, name), qos)
         return Writer(made, f"{self._what}: {topic}")
 
-    def _topic(self, topic: str, message: Struct) -> Any:
+    def _topic(self, topic: str, message: Struct, name: str) -> Any:
         from cyclonedds.topic import Topic
 
-        return self._made(Topic, topic, dds_type(message))
+        return self._made(Topic, topic, dds_type(message, name))
 
     def watch(self) -> None:
         """Begin to see who else writes, for `others`; discovery takes part of a second."""

@@ -1,0 +1,221 @@
+"""Dex3-1's driver: golden frames, mode bytes, both ends on loopback, attacks."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+pytest.importorskip("cyclonedds", reason="needs cyclonedds: pip install 'unicon_ros[hw-unitree]'")
+
+from dds_ends import DOMAIN, LOOPBACK, Ends, golden_frame, states_of, until
+
+from unicon_core.errors import Fault, PlatformError, RobotError
+from unicon_core.robots import load_robot
+from unicon_core.states.standard import COMMAND_STATES
+from unicon_core.workflow.hardware import refuse_incomplete
+from unicon_ros.hardware.dds import maps
+from unicon_ros.hardware.unitree_dex3.codec import Dex3Facts, own_arrays
+from unicon_ros.hardware.unitree_dex3.face import face
+from unicon_ros.hardware.unitree_dex3.platform import make
+from unicon_ros.hardware.unitree_dex3.wire import Dex3Wire
+from unicon_ros.hardware.wire import Counts
+
+HAND = load_robot("dex3_left")
+FACTS = Dex3Facts.of(HAND)
+TELLS = ("joint_pos", "joint_vel", "joint_effort")
+# Element of HandCmd: mode, three bytes that nobody sets, q, dq, tau, kp, kd, reserve.
+COMMAND = struct.Struct("<B3x5fI")
+STATE = struct.Struct("<B3x4f2hf2II4I")
+
+
+def arrays_of() -> dict[str, np.ndarray]:
+    return maps.arrays_of(states_of(HAND)) | own_arrays(HAND)
+
+
+@pytest.fixture
+def hand() -> Iterator[Ends]:
+    made = Ends(HAND, Dex3Wire, face)
+    yield made
+    made.close()
+
+
+def test_golden_frames_are_read(assets: Path) -> None:
+    arrays, counts = arrays_of(), Counts()
+    raw = golden_frame(assets, "hg_handstate")
+    frames = FACTS.state_in(arrays, counts)
+    assert frames.good(raw)
+    assert frames.read(raw)
+    for slot in range(7):
+        told = STATE.unpack_from(raw, 8 + slot * STATE.size)
+        assert tuple(float(arrays[name][slot]) for name in TELLS) == (told[1], told[2], told[4])
+        assert tuple(arrays["temperatures"][2 * slot : 2 * slot + 2]) == told[5:7]
+        assert arrays["motor_error"][slot] == told[10]
+    raw = golden_frame(assets, "hg_handcmd")
+    frames = FACTS.command_in(arrays, counts)
+    assert frames.good(raw)
+    assert frames.read(raw)
+    for slot in range(7):
+        mode, *numbers, _ = COMMAND.unpack_from(raw, 8 + slot * COMMAND.size)
+        assert arrays["modes"][slot] == mode
+        found = [float(arrays[name][slot]) for name in COMMAND_STATES]
+        assert sorted(found) == sorted(numbers)
+    assert not counts.refused
+
+
+def test_commands_have_the_vendor_s_mode_bytes() -> None:
+    arrays = arrays_of()
+    rng = np.random.default_rng(1)
+    for name in COMMAND_STATES:
+        arrays[name][...] = rng.normal(size=7)
+    raw = FACTS.command_out(arrays)()
+    assert raw[:8] == b"\0\1\0\0\7\0\0\0"
+    assert len(raw) == 8 + 7 * COMMAND.size + 16
+    names = ("joint_pos_target", "joint_vel_target", "joint_effort_ff")
+    names += ("joint_stiffness", "joint_damping")
+    for slot in range(7):
+        mode, *numbers, _ = COMMAND.unpack_from(raw, 8 + slot * COMMAND.size)
+        assert mode == slot | 1 << 4
+        assert numbers == [float(arrays[name][slot]) for name in names]
+    stop = FACTS.stop_out()()
+    assert len(stop) == len(raw)
+    for slot in range(7):
+        read = COMMAND.unpack_from(stop, 8 + slot * COMMAND.size)
+        assert read == (slot | 1 << 4 | 1 << 7, 0, 0, 0, 0, 0, 0)
+
+
+@settings(max_examples=20, deadline=None)
+@given(noise=st.binary(max_size=1500), at=st.integers(0, 400), value=st.binary(min_size=1))
+def test_garbage_never_raises_and_never_writes_what_is_not_finite(
+    noise: bytes, at: int, value: bytes
+) -> None:
+    arrays, counts = arrays_of(), Counts()
+    frames = FACTS.state_in(arrays, counts)
+    good = FACTS.state_out(arrays)()
+    for raw in (noise, good[:at], good[:at] + value[:4] + good[at + 4 :], good + noise):
+        if frames.good(raw):
+            frames.read(raw)
+        for name in TELLS:
+            assert np.isfinite(arrays[name]).all()
+
+
+def test_both_ways_everything_is_equal(hand: Ends) -> None:
+    rng = np.random.default_rng(3)
+    for seed in range(10):
+        hand.drawn(TELLS, seed)
+        hand.theirs["motor_temperature"][...] = rng.integers(20, 60, 7)
+        for name in COMMAND_STATES:
+            hand.ours[name][...] = rng.normal(size=7)
+        assert hand.told() == 1
+        for name in (*TELLS, "motor_temperature"):
+            np.testing.assert_array_equal(hand.ours[name], hand.theirs[name])
+        hand.heard()
+        for name in COMMAND_STATES:
+            np.testing.assert_array_equal(hand.theirs[name], hand.ours[name])
+    assert not hand.wire.counts.refused
+    assert not hand.face.counts.refused
+    assert hand.wire.commanders() == {"rt/dex3/left/cmd": 0}
+
+
+def test_wrong_frames_are_counted_and_left(hand: Ends) -> None:
+    hand.told()
+    good = hand.face._outlets[0][1]()
+    before = hand.ours["joint_pos"].copy()
+    refused = hand.wire.counts.refused
+    bad = bytearray(good)
+    struct.pack_into("<f", bad, 12, np.nan)
+    assert hand.sent(bytes(bad)) == 0
+    assert refused["impossible values"] == 1
+    six = bytearray(good)
+    six[4] = 6
+    assert hand.sent(bytes(six)) == 0
+    assert refused["another length of motor_state"] == 1
+    np.testing.assert_array_equal(hand.ours["joint_pos"], before)
+    hand.face._outlets[0][0].write(good)
+    assert until(hand.wire.take) == 1
+
+
+def test_the_hand_leaves_commands_with_other_modes(hand: Ends) -> None:
+    raw = bytearray(FACTS.command_out(arrays_of())())
+    raw[8] = 0x21  # motor 1 in the place of motor 0, status 2
+    hand.wire._outlets[0][0].write(bytes(raw))
+    until(lambda: hand.face.hear() or hand.face.counts.refused["motor mode"])
+    raw[8] = 0x90  # one motor stops, the others do not
+    hand.wire._outlets[0][0].write(bytes(raw))
+    until(lambda: hand.face.hear() or hand.face.counts.refused["motor mode"] == 2)
+
+
+def test_the_platform_stops_the_hand_at_its_end() -> None:
+    from threading import Event, Thread
+
+    theirs, ours, ended = states_of(HAND), states_of(HAND), Event()
+    made = face(theirs, HAND, domain=DOMAIN)
+    silent = Event()
+
+    def tick() -> None:
+        while not ended.wait(0.002):
+            if not silent.is_set():
+                made.tell()
+            made.hear()
+
+    thread = Thread(target=tick)
+    thread.start()
+    try:
+        platform = make(ours, HAND, 0.01, address=LOOPBACK, domain=DOMAIN, silence=0.3)
+        until(lambda: platform._wire.matched)  # type: ignore[attr-defined]
+        ours["joint_stiffness"][...] = 1.5
+        platform.send()
+        until(lambda: theirs["joint_stiffness"][0] == 1.5)
+        assert not made.stopped
+        silent.set()
+        with pytest.raises(Fault, match="nothing from rt/dex3/left/state of DDS domain"):
+            until(platform.recv)
+        platform.close()
+        until(lambda: made.stopped)
+        assert not theirs["joint_stiffness"].any()
+        assert not theirs["joint_damping"].any()
+        silent.clear()
+        ours["joint_stiffness"][...] = 9.0
+        quiet = make(ours, HAND, 0.01, address=LOOPBACK, domain=DOMAIN, silent=True)
+        quiet.send()
+        quiet.close()
+        assert not theirs["joint_stiffness"].any()
+    finally:
+        ended.set()
+        thread.join()
+        made.close()
+
+
+def test_the_right_hand_is_refused_for_its_order() -> None:
+    with pytest.raises(RobotError, match=r"dex3_right cannot be driven.*joint_order"):
+        refuse_incomplete(load_robot("dex3_right"), "unitree_dex3")
+
+
+def test_wrong_options_and_facts_are_named() -> None:
+    def opened(**options: Any) -> str:
+        with pytest.raises(PlatformError) as raised:
+            make(states_of(HAND), HAND, 0.02, **{"connect": 0.05, **options})
+        return str(raised.value)
+
+    assert "domain is 231; give 0 to 230" in opened(domain=231)
+    assert "domain is two; give" in opened(domain="two")
+    told = opened(domain=DOMAIN, address=LOOPBACK)
+    assert "no frame that it understands from rt/dex3/left/state" in told
+    from dataclasses import replace
+
+    for key, value, words in (
+        ("status", 8, "transport.status is 8; write a whole number from 0 to 7"),
+        ("motors", [0] * 7, "7 different slots of 0 to 6"),
+        ("motors", None, "7 different slots of 0 to 6"),
+        ("state_topic", "", "write a text"),
+        ("rate_hz", "fast", "a number from 1 to 10000"),
+    ):
+        robot = replace(HAND, transport={**HAND.transport, key: value})
+        with pytest.raises(RobotError, match=words):
+            Dex3Facts.of(robot)

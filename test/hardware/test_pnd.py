@@ -1,0 +1,286 @@
+"""Adam's driver: golden frames, both LowStates, both ends on loopback, attacks."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+pytest.importorskip("cyclonedds", reason="needs cyclonedds: pip install 'unicon_ros[hw-pnd]'")
+
+from dds_ends import DOMAIN, LOOPBACK, Ends, golden_frame, states_of, until
+
+from unicon_core.errors import Fault, MissingDependencyError, PlatformError, RobotError
+from unicon_core.robots import Robot, load_robot
+from unicon_core.states import States, standard_states
+from unicon_core.states.standard import BUTTONS, COMMAND_STATES, control_states, hardware_states
+from unicon_ros.hardware.dds import maps, participant
+from unicon_ros.hardware.pnd.codec import REMOTE, LowStates, PndFacts
+from unicon_ros.hardware.pnd.face import face
+from unicon_ros.hardware.pnd.platform import Pnd, make
+from unicon_ros.hardware.pnd.wire import PndWire
+from unicon_ros.hardware.wire import Counts
+
+ADAM = load_robot("adam_lite")
+FACTS = PndFacts.of(ADAM)
+TELLS = ("joint_pos", "joint_vel", "joint_effort", "base_ang_vel", "base_lin_acc")
+TARGETS = ("joint_pos_target", "joint_vel_target", "joint_effort_ff", "joint_stiffness")
+TARGETS += ("joint_damping",)
+MOTORS = 23
+# Places in a frame, of the golden ones: 4 bytes of header, then the body.
+COMMAND = struct.Struct("<B3x6fI")
+STATE = struct.Struct("<B3x4fII")
+FIRST_COMMAND, FIRST_STATE, TICK_AT, QUAT_AT = 12, 72, 8, 12
+PLAIN_SIZE = 796
+"""Of a LowState without battery: reserve stands at 788 of the body."""
+
+
+def adam_states(robot: Robot) -> States:
+    names = robot.joint_names
+    return States(standard_states(names) | hardware_states(names) | control_states())
+
+
+def arrays_of() -> dict[str, Any]:
+    own = {"remote": np.zeros(REMOTE, np.float32), "tick": np.zeros((), np.uint32)}
+    made = maps.arrays_of(adam_states(ADAM)) | own
+    made["base_quat"][...] = (1, 0, 0, 0)
+    return made
+
+
+@pytest.fixture(params=[True, False], ids=["battery", "plain"])
+def adam(request: pytest.FixtureRequest) -> Iterator[Ends]:
+    made = Ends(ADAM, PndWire, face, states=adam_states, battery=request.param)
+    yield made
+    made.close()
+
+
+def test_the_golden_state_is_read(assets: Path) -> None:
+    raw = bytearray(golden_frame(assets, "adam_lowstate"))
+    arrays, counts = arrays_of(), Counts()
+    frames = LowStates(FACTS, arrays, counts, battery=True)
+    assert frames.good(bytes(raw))
+    assert not frames.read(bytes(raw))  # its quaternion has not norm 1
+    assert "norm" in counts.last or "orientation" in counts.last
+    struct.pack_into("<4f", raw, QUAT_AT, 0.5, -0.5, 0.5, 0.5)
+    frames.forget()
+    assert frames.good(bytes(raw))
+    assert frames.read(bytes(raw))
+    assert arrays["base_quat"].tolist() == [0.5, -0.5, 0.5, 0.5]
+    for slot in range(MOTORS):
+        _, q, dq, _, tau, code, _ = STATE.unpack_from(raw, FIRST_STATE + slot * STATE.size)
+        assert [float(arrays[name][slot]) for name in TELLS[:3]] == [q, dq, tau]
+        assert arrays["motor_error"][slot] == code
+    remote = struct.unpack_from("<19f", raw, FIRST_STATE + MOTORS * STATE.size)
+    assert arrays["remote"].tolist() == list(remote)
+    assert arrays["tick"] == struct.unpack_from("<I", raw, TICK_AT)[0]
+    plain = LowStates(FACTS, arrays, counts, battery=False)
+    assert not plain.good(bytes(raw))
+    assert counts.refused["long"] == 1
+    cut = bytes(raw[: PLAIN_SIZE - 4]) + b"\7\0\0\0"  # what the C++ programs construct
+    assert plain.good(cut)
+    assert plain.read(cut)
+    assert not frames.good(cut)
+
+
+def test_commands_are_those_of_the_vendor_s_layout(assets: Path) -> None:
+    golden, arrays = golden_frame(assets, "adam_lowcmd"), arrays_of()
+    rng = np.random.default_rng(1)
+    for name in COMMAND_STATES:
+        arrays[name][...] = rng.normal(size=MOTORS)
+    raw = FACTS.command_out(arrays)()
+    assert len(raw) == len(golden)
+    assert raw[:5] == b"\0\1\0\0\0"
+    assert raw[8:12] == golden[8:12]  # 23
+    for slot in range(MOTORS):
+        read = COMMAND.unpack_from(raw, FIRST_COMMAND + slot * COMMAND.size)
+        assert read == (1, *(float(arrays[name][slot]) for name in TARGETS), 0.0, 0)
+    heard = {name: np.zeros(MOTORS, np.float32) for name in COMMAND_STATES}
+    heard |= {"modes": np.zeros(MOTORS, np.uint8), "mode_pr": np.zeros((), np.uint8)}
+    frames = FACTS.command_in(heard, Counts())
+    assert frames.good(golden)
+    assert frames.read(golden)
+    for slot in range(MOTORS):
+        mode, *numbers, _, _ = COMMAND.unpack_from(golden, FIRST_COMMAND + slot * COMMAND.size)
+        assert heard["modes"][slot] == mode
+        assert [float(heard[name][slot]) for name in TARGETS] == numbers
+
+
+@settings(max_examples=20, deadline=None)
+@given(noise=st.binary(max_size=900), at=st.integers(0, 850), value=st.binary(min_size=1))
+@pytest.mark.parametrize("battery", [True, False])
+def test_garbage_never_raises_and_never_writes_what_is_not_finite(
+    battery: bool, noise: bytes, at: int, value: bytes
+) -> None:
+    arrays = arrays_of()
+    frames = LowStates(FACTS, arrays, Counts(), battery=battery)
+    good = FACTS.state_out(arrays, battery=battery).encode()
+    for raw in (noise, good[:at], good[:at] + value[:4] + good[at + 4 :], good + noise):
+        frames.forget()
+        if frames.good(raw):
+            frames.read(raw)
+        for name in (*TELLS, "base_quat"):
+            assert np.isfinite(arrays[name]).all()
+
+
+def test_both_ways_everything_is_equal(adam: Ends) -> None:
+    rng = np.random.default_rng(3)
+    for seed in range(10):
+        adam.drawn(TELLS, seed)
+        quat = rng.normal(size=4)
+        adam.theirs["base_quat"][...] = quat / np.linalg.norm(quat)
+        adam.theirs["motor_error"][...] = rng.integers(-(2**31), 2**31, MOTORS)
+        for name in COMMAND_STATES:
+            adam.ours[name][...] = rng.normal(size=MOTORS)
+        assert adam.told() == 1
+        for name in (*TELLS, "base_quat", "motor_error"):
+            np.testing.assert_array_equal(adam.ours[name], adam.theirs[name])
+        adam.heard()
+        for name in COMMAND_STATES:
+            np.testing.assert_array_equal(adam.theirs[name], adam.ours[name])
+    assert not adam.face.counts.refused
+    assert adam.wire.commanders() == {"rt/lowcmd": 0}
+
+
+def test_its_remote_is_heard(adam: Ends) -> None:
+    adam.face.remote[:4] = (32767.0, -16383.5, 4000.0, np.nan)
+    adam.face.remote[8] = 1.0
+    assert adam.told() == 0  # not a number anywhere: a damaged frame
+    adam.face.remote[3] = 32767.0
+    assert adam.told() == 1
+    assert adam.ours["sticks"].tolist() == [1.0, -0.5, 0.0, 1.0]
+    assert adam.ours["buttons"][BUTTONS.index("A")] == 1
+    assert adam.ours["controls_alive"] == 1
+
+
+def test_wrong_frames_are_counted_and_left(adam: Ends) -> None:
+    adam.face._tick[...] = 1000
+    adam.told()
+    good = bytearray(adam.face._outlets[0][1]())
+    before, refused = adam.ours["joint_pos"].copy(), adam.wire.counts.refused
+    refused.clear()
+    assert adam.sent(bytes(good)) == 0
+    assert refused == {"old tick": 1}
+    for number, (at, value) in enumerate(
+        [(FIRST_STATE + 4, np.nan), (FIRST_STATE + 8, np.inf), (QUAT_AT, 0.0)], 1
+    ):
+        bad = bytearray(good)
+        struct.pack_into("<I", bad, TICK_AT, 1001 + number)
+        struct.pack_into("<f", bad, at, value)
+        assert adam.sent(bytes(bad)) == 0
+        assert refused["impossible values"] == number
+    np.testing.assert_array_equal(adam.ours["joint_pos"], before)
+    struct.pack_into("<I", good, TICK_AT, 1010)
+    assert adam.sent(bytes(good)) == 1
+    struct.pack_into("<I", good, TICK_AT, 900)  # reordered
+    assert adam.sent(bytes(good)) == 0
+    assert refused["old tick"] == 2
+
+
+def test_another_adam_is_told_by_its_number_of_motors() -> None:
+    def cut(values: Any) -> Any:
+        return values[:19]
+
+    arrays = {name: cut(getattr(ADAM, name)) for name in ("lower", "upper", "joint_names")}
+    fields = ("velocity_limit", "effort_limit", "default_joint_pos", "rest_joint_pos")
+    fields += ("joint_stiffness", "joint_damping")
+    arrays |= {name: cut(getattr(ADAM, name)) for name in fields if hasattr(ADAM, name)}
+    small = replace(ADAM, transport={**ADAM.transport, "motors": list(range(19))}, **arrays)
+    made = face(adam_states(small), small, domain=DOMAIN)
+    wire = PndWire(adam_states(ADAM), ADAM, DOMAIN, LOOPBACK)
+    try:
+        refused = wire.counts.refused
+        until(lambda: refused["another length of motor_state"], lambda: (made.tell(), wire.take()))
+        assert "19, not 23" in wire.counts.last
+        assert wire.counts.good == 0
+    finally:
+        wire.close()
+        made.close()
+
+
+def test_the_robot_leaves_other_modes(adam: Ends) -> None:
+    raw = bytearray(adam.wire._outlets[0][1]())
+    refused = adam.face.counts.refused
+    raw[4] = 1
+    adam.wire._outlets[0][0].write(bytes(raw))
+    until(lambda: adam.face.hear() or refused["mode_pr"])
+    raw[4], raw[FIRST_COMMAND] = 0, 0
+    adam.wire._outlets[0][0].write(bytes(raw))
+    until(lambda: adam.face.hear() or refused["motor mode"])
+
+
+def test_the_platform_knows_silence_and_damps_at_its_end() -> None:
+    from threading import Event, Thread
+
+    theirs, ours, ended, mute = adam_states(ADAM), adam_states(ADAM), Event(), Event()
+    made = face(theirs, ADAM, domain=DOMAIN)
+
+    def tick() -> None:
+        while not ended.wait(0.002):
+            if not mute.is_set():
+                made.tell()
+            made.hear()
+
+    thread = Thread(target=tick)
+    thread.start()
+    try:
+        platform = make(ours, ADAM, 0.002, address=LOOPBACK, domain=DOMAIN, silence=0.3)
+        assert isinstance(platform, Pnd)
+        assert {"sticks", "projected_gravity", "motor_error"} <= set(platform.facts.writes)
+        until(lambda: platform._wire.matched)  # type: ignore[attr-defined]
+        ours["joint_pos_target"][...] = ADAM.default_joint_pos
+        ours["joint_stiffness"][...] = 30.0
+        ours["joint_damping"][...] = 2.0
+        for _ in range(20):
+            platform.send()
+        until(lambda: theirs["joint_stiffness"][0] == 30.0)
+        mute.set()
+        with pytest.raises(Fault, match="nothing from rt/lowstate of DDS domain"):
+            until(platform.recv)
+        platform.close()
+        until(lambda: theirs["joint_stiffness"][0] == 0.0)
+        assert theirs["joint_damping"].any()
+        mute.clear()
+        again = make(ours, ADAM, 0.002, address=LOOPBACK, domain=DOMAIN, silent=True)
+        before = theirs["joint_damping"].copy()
+        again.send()
+        again.close()
+        np.testing.assert_array_equal(theirs["joint_damping"], before)
+    finally:
+        ended.set()
+        thread.join()
+        made.close()
+
+
+def test_wrong_options_and_facts_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    def opened(**options: Any) -> str:
+        with pytest.raises(PlatformError) as raised:
+            make(states_of(ADAM), ADAM, 0.02, **{"connect": 0.05, **options})
+        return str(raised.value)
+
+    assert "domain is 231; give 0 to 230" in opened(domain=231)
+    assert "no frame that it understands from rt/lowstate" in opened(
+        domain=DOMAIN, address=LOOPBACK
+    )
+    for key, value, words in (
+        ("motors", list(range(22)), "23 different slots of 0 to 22"),
+        ("mode_pr", 2, "mode_pr is 2; write a whole number from 0 to 1"),
+        ("motor_mode", True, "motor_mode is True"),
+        ("domain", None, "domain is None"),
+    ):
+        robot = replace(ADAM, transport={**ADAM.transport, key: value})
+        with pytest.raises(RobotError, match=words):
+            PndFacts.of(robot)
+
+    def absent(name: str) -> str:
+        raise participant.metadata.PackageNotFoundError(name)
+
+    monkeypatch.setattr(participant.metadata, "version", absent)
+    with pytest.raises(MissingDependencyError, match=r"needs cyclonedds: .*\[hw-pnd\]"):
+        make(states_of(ADAM), ADAM, 0.02)

@@ -1,0 +1,84 @@
+"""Inlet: takes the newest good message of one sender of a DDS topic, for wires of robots.
+
+inlet = Inlet(reader, frames.good, frames.read, counts, "rt/lowstate of DDS domain 0")
+inlet.take()    # what came is read into the arrays; how many good ones
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from unicon_ros.hardware.dds.participant import Reader
+from unicon_ros.hardware.wire import Counts
+
+__all__ = ["Inlet", "newer"]
+
+_HALF = 1 << 31
+
+
+def newer(number: int, last: int) -> bool:
+    """Tell whether a frame number of 32 bits, which may wrap, is behind the last one."""
+    return 0 < (number - last) % (2 * _HALF) < _HALF
+
+
+class Inlet:
+    """Messages of whoever sent the first good one, until that sender has gone.
+
+    Args:
+        reader: of the topic.
+        good: whether a message may be read; it counts what it refuses.
+        read: reads a message; where it returns False, the one before it is read.
+        counts: gets the good ones, and those of others.
+        where: topic and domain, for messages.
+        forget: called when the sender has gone: the next one begins anew.
+        anyone: whoever sends is read, as a robot does with commands.
+    """
+
+    def __init__(
+        self,
+        reader: Reader,
+        good: Callable[[bytes], bool],
+        read: Callable[[bytes], bool],
+        counts: Counts,
+        where: str,
+        forget: Callable[[], None] = lambda: None,
+        *,
+        anyone: bool = False,
+    ) -> None:
+        self._reader, self._good, self._read = reader, good, read
+        self._counts, self._where, self._forget = counts, where, forget
+        self._anyone = anyone
+        self._source: int | None = None
+
+    def wait(self, timeout: float) -> bool:
+        """Return True once something is there, False after `timeout` in [s]."""
+        return self._reader.wait(timeout)
+
+    def take(self) -> int:
+        """Read the newest good message; return how many good ones have come."""
+        good: list[bytes] = []
+        for raw, info in self._reader.take():
+            if not info.valid_data:
+                if info.publication_handle == self._source:
+                    self._anew()
+            elif self._own(info.publication_handle) and self._good(raw):
+                self._source = info.publication_handle
+                good.append(raw)
+        number = len(good)
+        while good and not self._read(good.pop()):
+            number -= 1
+        self._counts.good += number
+        return number
+
+    def _anew(self) -> None:
+        self._source = None
+        self._forget()
+
+    def _own(self, source: int) -> bool:
+        if self._anyone or self._source in (None, source):
+            return True
+        if self._source not in self._reader.sources:  # it has gone, and another robot has come
+            self._anew()
+            return True
+        self._counts.refuse("another sender", f"{self._where} has two")
+        return False

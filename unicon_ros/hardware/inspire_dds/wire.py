@@ -1,0 +1,118 @@
+"""InspireDdsWire: angles of a hand in, targets out, over DDS."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.robots import Robot
+from unicon_core.states import States
+from unicon_ros.hardware.dds.end import DdsEnd
+from unicon_ros.hardware.dds.participant import Participant
+from unicon_ros.hardware.inspire_dds.both import Both
+from unicon_ros.hardware.inspire_dds.codec import DFX, HandFacts
+from unicon_ros.hardware.wire import Counts
+
+__all__ = ["EXTRA", "LABEL", "InspireDdsWire"]
+
+LABEL, EXTRA = "platform 'inspire_dds'", "hw-inspire-dds"
+WINDOW = 0.05
+"""Over which the speed is taken, [s]: a step of 1/1000 within 10 ms would be up to 0.17 rad/s."""
+
+
+class InspireDdsWire(DdsEnd):
+    """The connection to one hand.
+
+    Neither interface has a number in its state: a hand that repeats itself is not told from one
+    that does not move.
+
+    Args:
+        states: what is measured goes into these, commands come from these.
+        robot: its file.
+        domain: of DDS; None for the robot file's.
+        address: of this machine's network interface, or its name; None for the default.
+        silent: nothing is sent.
+
+    Raises:
+        UniconError: it cannot be opened.
+    """
+
+    def __init__(
+        self,
+        states: States,
+        robot: Robot,
+        domain: int | None,
+        address: str | None,
+        *,
+        silent: bool = False,
+    ) -> None:
+        self._facts, counts = HandFacts.of(robot), Counts()
+        facts, kind = self._facts, self._facts.kind
+        domain = facts.domain if domain is None else domain
+        self._told: NDArray[Any] = np.zeros(kind.count, kind.dtype)
+        self._both: Both | None = None
+        self._targets: NDArray[Any] = np.zeros(kind.count, kind.dtype)
+        self._states, self._silent = states, silent
+        self._past: deque[tuple[float, NDArray[np.float64]]] = deque()
+        arrays = {name: states[name] for name in states} | {"told": self._told}
+        frames = facts.state_in(arrays, counts)
+        self._key = domain, facts.command_topic
+        where = f"{facts.state_topic} of DDS domain {domain}"
+        super().__init__(Participant(domain, address, LABEL, EXTRA), where, counts)
+        with self.closing():
+            command, state = facts.messages()
+            self.listen(facts.state_topic, state, frames, name=kind.names[1])
+            self.watch(facts.command_topic)
+            if not silent:
+                if kind is DFX:
+                    self._both = Both.of(*self._key, kind.count)
+                    self._targets = self._both.targets
+                encode = facts.command_out({"targets": self._targets}).encode
+                self.speak(facts.command_topic, command, encode, name=kind.names[0])
+
+    def take(self) -> int:
+        """Bring the newest good frame into the states; return how many good ones have come."""
+        number = super().take()
+        if number:
+            angles = self._facts.to_angles(self._told[self._facts.slots])
+            self._states["joint_vel"][...] = self._speed(angles)
+            self._states["joint_pos"][...] = angles
+            if self._both is not None:
+                self._both.found(self._told)
+        return number
+
+    def _speed(self, angles: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the mean speed over the last while in [rad/s]."""
+        now, past = time.monotonic(), self._past
+        past.append((now, angles))
+        while len(past) > 2 and past[1][0] < now - WINDOW:
+            past.popleft()
+        before, then = past[0]
+        return (angles - then) / max(now - before, 1e-3)
+
+    def put(self) -> None:
+        """Send the target positions; what is beyond open or closed is clamped.
+
+        Raises:
+            Fault: CycloneDDS refuses it.
+        """
+        sent, beyond = self._facts.to_wire(self._states["joint_pos_target"])
+        self.counts.clamped += beyond
+        self._targets[self._facts.slots] = sent
+        super().put()
+
+    def commanders(self) -> dict[str, int]:
+        """Return the topic of commands, with the number of others that write there."""
+        ours = 0 if self._both is None else self._both.users - 1  # the other hand's wire
+        return {topic: max(number - ours, 0) for topic, number in super().commanders().items()}
+
+    def close(self) -> None:
+        """Leave the domain."""
+        if self._both is not None:
+            self._both.leave(*self._key)
+            self._both = None
+        super().close()

@@ -1,0 +1,1 @@
+"""PND's Adam over DDS."""

@@ -1,0 +1,97 @@
+"""PndWire: LowState in, LowCmd out, over DDS."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from unicon_core.blocks.controls.device import Controls
+from unicon_core.blocks.controls.remotes import pnd
+from unicon_core.platforms.kit.base import Mounting
+from unicon_core.robots import Robot
+from unicon_core.states import States
+from unicon_ros.hardware.dds.end import DdsEnd
+from unicon_ros.hardware.dds.maps import arrays_of
+from unicon_ros.hardware.dds.participant import Participant
+from unicon_ros.hardware.pnd.codec import (
+    COMMAND,
+    REMOTE,
+    STATE_NAME,
+    STATES,
+    LowStates,
+    PndFacts,
+)
+from unicon_ros.hardware.wire import Counts
+
+__all__ = ["EXTRA", "LABEL", "PndWire"]
+
+LABEL, EXTRA = "platform 'pnd'", "hw-pnd"
+
+
+class PndWire(DdsEnd):
+    """The connection to a robot, which tells one of the two LowStates: both are listened to.
+
+    Args:
+        states: what is measured goes into these, commands come from these.
+        robot: its file.
+        domain: of DDS; None for the robot file's.
+        address: of this machine's network interface, or its name; None for the default.
+        silent: nothing is sent.
+
+    Raises:
+        UniconError: it cannot be opened.
+    """
+
+    def __init__(
+        self,
+        states: States,
+        robot: Robot,
+        domain: int | None,
+        address: str | None,
+        *,
+        silent: bool = False,
+    ) -> None:
+        facts, counts = PndFacts.of(robot), Counts()
+        domain = facts.domain if domain is None else domain
+        self._remote = np.zeros(REMOTE, np.float32)
+        own = {"remote": self._remote, "tick": np.zeros((), np.uint32)}
+        arrays = arrays_of(states) | own
+        self._controls = Controls(states) if "sticks" in states else None
+        self._mounting, self._states = Mounting.of(robot), states
+        self._kinds = {
+            battery: LowStates(facts, arrays, counts, battery=battery) for battery in STATES
+        }
+        where = f"{facts.state_topic} of DDS domain {domain}"
+        super().__init__(Participant(domain, address, LABEL, EXTRA), where, counts)
+        with self.closing():
+            for battery, frames in self._kinds.items():
+                message = facts.message(STATES[battery])
+                self.listen(
+                    facts.state_topic, message, frames, name=STATE_NAME, forget=frames.forget
+                )
+            self.watch(facts.command_topic)
+            if not silent:
+                encode = facts.command_out(arrays)
+                self.speak(facts.command_topic, facts.message(COMMAND), encode)
+
+    def take(self) -> int:
+        """Bring the newest good frame into the states; return how many good ones have come."""
+        number = super().take()
+        if number:
+            self._choose()
+            self._measured()
+        return number
+
+    def _choose(self) -> None:
+        """Listen only to that kind of LowState that the robot tells."""
+        if len(self._inlets) > 1:
+            kept = next(k for k, frames in enumerate(self._kinds.values()) if frames.good_ones)
+            self._inlets = [self._inlets[kept]]
+
+    def _measured(self) -> None:
+        if self._mounting.turned:
+            states, mounting = self._states, self._mounting
+            states["base_quat"][...] = mounting.quat(states["base_quat"])
+            for name in ("base_ang_vel", "base_lin_acc"):
+                states[name][...] = mounting.vector(states[name])
+        if self._controls is not None:
+            pnd(self._remote, self._controls)
