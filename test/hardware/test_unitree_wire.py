@@ -487,6 +487,15 @@ def members(kind: Any) -> Iterator[Any]:
             yield from members(inner.subtype)
 
 
+def test_without_an_address_the_environment_chooses(monkeypatch: pytest.MonkeyPatch) -> None:
+    interfaces = '<Interfaces><NetworkInterface name="lo"/></Interfaces>'
+    monkeypatch.setenv("CYCLONEDDS_URI", f"<General>{interfaces}</General>")
+    Participant(free_domain(), None, "test").close()
+    monkeypatch.setenv("CYCLONEDDS_URI", "<General><Nonsense/></General>")
+    with pytest.raises(PlatformError, match=r"cannot join DDS domain .* see CYCLONEDDS_URI"):
+        Participant(free_domain(), None, "test")
+
+
 DDS_MESSAGES = ("go/msg/LowCmd", "go/msg/LowState", "hg/msg/LowCmd", "hg/msg/LowState")
 DDS_MESSAGES += ("go/msg/MotorCmds", "hg/msg/HandCmd", "hg/msg/HandState")
 DDS_MESSAGES += ("api/msg/Request", "api/msg/Response")
