@@ -136,7 +136,7 @@ class Emulated:
         self.robot, self.port, self.states = robot, port, States(standard_states(robot.joint_names))
         scene, period = scene or Scene(), 1.0 / RATE
         self.physics = (
-            make_fake(self.states, robot, period, scene=scene, time_constant=0.02)
+            make_fake(self.states, robot, period, scene=scene, time_constant=0.05)
             if scene.model is None
             else make_mujoco(self.states, robot, period, scene=scene, timestep=period)
         )

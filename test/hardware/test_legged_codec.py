@@ -11,12 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from legged_peer import LENGTHS, sealed, slow_command, slow_crc
 
+from unicon_core.robots import load_robot
 from unicon_ros.hardware.unitree_legged.codec import (
     LAYOUTS,
     CommandFrame,
     Frame,
     encrypted_crc,
 )
+from unicon_ros.hardware.unitree_legged.link import link_of
 
 POS_STOP, VEL_STOP = 2.146e9, 16000.0
 COLUMNS = st.tuples(
@@ -158,3 +160,21 @@ def test_an_idle_command_is_the_vendors_initial_one(assets: Path) -> None:
     assert idle.buffer[562] == 0
     assert idle.buffer[:22] == theirs[:22]
     assert idle.sound()
+
+
+@pytest.mark.parametrize(
+    ("name", "generation", "local_port"),
+    [
+        ("a1", "legged_sdk_3.3.1", 8080),  # include/unitree_legged_sdk/udp.h: UDP_CLIENT_PORT
+        ("aliengo", "legged_sdk_3.3.1", 8080),
+        ("aliengo", "legged_sdk_3.8.4", 8082),  # branch Aliengo, example_position_aliengo.cpp
+        ("go1", "legged_sdk_3.8.6", 8090),  # branch go1, example/example_position.cpp
+    ],
+)
+def test_robot_files_have_the_sdks_figures(name: str, generation: str, local_port: int) -> None:
+    link = link_of(load_robot(name), generation=generation)
+    assert (link.address, link.port, link.local_port) == ("192.168.123.10", 8007, local_port)
+    assert link.layout is LAYOUTS[LENGTHS[name]]
+    assert (link.motors, link.level_flag) == (slice(0, 12), 0xFF)
+    assert (link.servo, link.damping) == (0x0A, 0x00)
+    assert (link.pos_stop, link.vel_stop, link.rate) == (POS_STOP, VEL_STOP, 500.0)

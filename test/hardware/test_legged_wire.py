@@ -1,4 +1,4 @@
-"""Driver and face of `unitree_legged` on loopback in one process: states, commands, attacks."""
+"""The driver of `unitree_legged` against a socket that a test drives: states and attacks."""
 
 from __future__ import annotations
 
@@ -11,19 +11,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from legged_peer import ALIENGO, Emulated, free_port, robot_of, slow_command, slow_state, states_of
+from legged_peer import free_port, robot_of, slow_command, slow_state, states_of
 
-from unicon_core import Program, block
-from unicon_core.errors import Fault, PlatformError, RobotError, StateError
-from unicon_core.platforms.platform import Prepares
+from unicon_core.errors import Fault, PlatformError
 from unicon_core.robots import load_robot
-from unicon_core.states import States, StateSpec, standard_states
+from unicon_core.states import States, StateSpec
 from unicon_ros.hardware.udp import Udp
-from unicon_ros.hardware.unitree_legged.link import link_of
 from unicon_ros.hardware.unitree_legged.platform import UnitreeLegged, make
-from unicon_ros.hardware.unitree_legged.wire import LeggedWire
 
-GENERATIONS = [("a1", None), *(("aliengo", each) for each in ALIENGO), ("go1", None)]
 UPRIGHT = (1.0, 0.0, 0.0, 0.0, 0.1, 0.2, 0.3, 0.0, 0.0, 9.81)
 PERIOD = 0.002
 
@@ -355,182 +350,3 @@ def test_a_silent_driver_asks_only_where_it_may(peers: Callable[..., Peer]) -> N
     platform.send()
     platform.close()
     assert set(polling.commands()) <= {slow_command("go1", [])}
-
-
-def test_a_robot_that_does_not_obey_says_what_to_do() -> None:
-    port, local = free_port(), free_port()
-    robot = load_robot("go1")
-    emulated = Emulated(robot, port, obeys=False)
-    states = states_of(robot)
-    platform = None
-    try:
-        ended = threading.Event()
-        thread = threading.Thread(
-            target=lambda: [emulated.run(0.02) for _ in iter(ended.is_set, 1)]
-        )
-        thread.start()
-        try:
-            platform = make(
-                states, robot, PERIOD, address="127.0.0.1", port=port, local_port=local, watchdog=5
-            )
-            assert isinstance(platform, Prepares)
-            assert "on the remote press L2+B, then L1+L2+START" in platform.prepare()
-            assert "FR_hip_joint is in mode 0x00" in platform.prepare()
-            states["joint_stiffness"][...] = 20.0
-            emulated.face.obeys = True
-            deadline = time.monotonic() + 5.0
-            while platform.prepare() and time.monotonic() < deadline:
-                platform.wait(0.01)
-                platform.recv()
-            assert platform.prepare() == ""
-        finally:
-            ended.set()
-            thread.join()
-    finally:
-        if platform is not None:
-            platform.close()
-        emulated.close()
-
-
-@pytest.mark.parametrize(("name", "generation"), GENERATIONS)
-def test_wire_and_face_are_two_ends_of_one_protocol(name: str, generation: str | None) -> None:
-    robot, port, local = robot_of(name), free_port(), free_port()
-    emulated = Emulated(robot, port, generation=generation)
-    states = states_of(robot)
-    link = link_of(robot, generation=generation, address="127.0.0.1", port=port, local_port=local)
-    wire = LeggedWire(states, robot, link, 5.0)
-    rng = np.random.default_rng(1)
-    told, heard = emulated.states, emulated.states
-    try:
-        for i in range(50):
-            told["joint_pos"][...] = rng.uniform(-2.0, 2.0, 12)
-            told["joint_vel"][...] = rng.uniform(-20.0, 20.0, 12)
-            told["base_ang_vel"][...] = rng.uniform(-5.0, 5.0, 3)
-            states["joint_pos_target"][...] = rng.uniform(-2.0, 2.0, 12)
-            states["joint_vel_target"][...] = rng.uniform(-2.0, 2.0, 12)
-            states["joint_effort_ff"][...] = np.round(rng.uniform(-20.0, 20.0, 12) * 256) / 256
-            states["joint_stiffness"][...] = np.round(rng.uniform(1.0, 90.0, 12) * 32) / 32
-            states["joint_damping"][...] = np.round(rng.uniform(1.0, 9.0, 12) * 16) / 16
-            wire.put()
-            deadline = time.monotonic() + 2.0
-            while not (
-                emulated.face.hear()
-                and np.array_equal(heard["joint_pos_target"], states["joint_pos_target"])
-            ):
-                assert time.monotonic() < deadline
-            for key in ("joint_vel_target", "joint_effort_ff", "joint_stiffness", "joint_damping"):
-                np.testing.assert_array_equal(heard[key], states[key], err_msg=f"{i} {key}")
-            emulated.face.tell()
-            assert wire.wait(2.0)
-            wire.take()
-            for key in ("joint_pos", "joint_vel", "base_ang_vel"):
-                np.testing.assert_array_equal(states[key], told[key], err_msg=f"{i} {key}")
-        assert emulated.face.refused == 0
-        assert not wire.counts.refused
-    finally:
-        wire.close()
-        emulated.close()
-
-
-def test_a_face_refuses_what_the_board_would() -> None:
-    robot, port = load_robot("go1"), free_port()
-    emulated = Emulated(robot, port)
-    us = Udp(("127.0.0.1", 0), ("127.0.0.1", port), "us")
-    good = slow_command("go1", [(0.1, 0.0, 0.0, 20.0, 1.0)] * 12)
-    bad = [b"", good[:-1], good + b"x", good[:-1] + b"\0", bytes(614), slow_command("a1", [])]
-    bad += [slow_command("go1", [(float("nan"), 0.0, 0.0, 1.0, 1.0)] * 12)]
-    bad += [slow_command("go1", [(0.0, 0.0, 0.0, 0.0, 0.0)] * 12, servo=77)]
-    try:
-        for data in bad:
-            us.send(data)
-        time.sleep(0.02)
-        assert not emulated.face.hear()
-        emulated.face.tell()
-        assert emulated.face.refused == len(bad)
-        assert not us.wait(0.02)  # none of them was answered
-        us.send(good)
-        time.sleep(0.02)
-        assert emulated.face.hear()
-        emulated.face.tell()
-        emulated.face.tell()
-        assert us.wait(1.0)
-        assert len(us.received()) == 1  # one answer for one command
-        us.send(slow_command("go1", [(0.1, 0.0, 3.0, 20.0, 1.0)] * 12, servo=0))
-        time.sleep(0.02)
-        assert emulated.face.hear()
-        assert not emulated.states["joint_stiffness"].any()
-        assert not emulated.states["joint_effort_ff"].any()
-        assert (emulated.states["joint_damping"] > 0.0).all()
-    finally:
-        us.close()
-        emulated.close()
-
-
-@pytest.mark.parametrize(
-    ("name", "options", "message"),
-    [
-        ("aliengo", {}, r"speaks one of 3 protocols.*say the generation.*legged_sdk_3\.3\.1"),
-        ("aliengo", {"generation": "aliengo_sdk_1.2.2"}, r"structs are not packed.*spoken are leg"),
-        ("go1", {"generation": "legged_sdk_3.3.1"}, r"no generation 'legged_sdk_3.3.1'; did you"),
-        ("go1", {"generation": 3}, "no generation 3"),
-        ("go1", {"address": "go1.local"}, "address is 'go1.local'; give an IPv4"),
-        ("go1", {"address": 7}, "address is 7"),
-        ("go1", {"port": 0}, "port is 0; give one from 1 to 65535"),
-        ("go1", {"port": True}, "port is True"),
-        ("go1", {"local_port": 70000}, "local_port is 70000"),
-        ("a1", {"encrypted": True}, "known of Go1's datagrams alone"),
-        ("go1", {"watchdog": 0.001}, "watchdog is 0.001 s; give more than a tick of 0.002 s"),
-        ("go1", {"watchdog": float("nan")}, "watchdog is nan"),
-    ],
-)
-def test_a_wrong_option_is_told(name: str, options: dict[str, Any], message: str) -> None:
-    robot = robot_of(name)
-    with pytest.raises(PlatformError, match=message):
-        make(states_of(robot), robot, PERIOD, connect=0.01, **options)
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"motors": [0, 1, 2]}, "write 12 slots in sequence"),
-        ({"motors": list(range(9, 21))}, "all below 20"),
-        ({"level_flag": 256}, "level_flag is 256"),
-        ({"pos_stop": None}, "pos_stop is None"),
-        ({"damping_mode": "x"}, "damping_mode is 'x'"),
-        ({"generations": {}}, r"generations is \{\}"),
-        ({"generations": {"x": 3}}, r"generations is \{'x': 3\}; write"),
-        ({"generations": {"x": {"command_bytes": [1]}}}, r"has \[1\] and None bytes"),
-        (
-            {"generations": {"x": {"local_port": 1, "command_bytes": 1}}},
-            "has 1 and None bytes; known: 610 and 771, 614 and 807",
-        ),
-    ],
-)
-def test_a_robot_file_that_lacks_a_fact_is_told(changes: dict[str, Any], message: str) -> None:
-    robot = load_robot("go1")
-    robot = replace(robot, transport={**robot.transport, **changes})
-    with pytest.raises(RobotError, match=message):
-        make(states_of(robot), robot, PERIOD, connect=0.01)
-
-
-def test_foot_forces_are_four() -> None:
-    robot = load_robot("a1")
-    specs = standard_states(robot.joint_names) | {"foot_force": StateSpec((2,))}
-    with pytest.raises(StateError, match=r"foot_force.*writes four"):
-        make(States(specs), robot, PERIOD, address="127.0.0.1", connect=0.01)
-
-
-@pytest.mark.parametrize(("name", "battery"), [("a1", False), ("go1", True)])
-def test_check_knows_what_a_robot_tells_without_opening_it(name: str, battery: bool) -> None:
-    described: dict[str, Any] = {
-        "robot": name,
-        "platform": "unicon_ros.hardware.unitree_legged.platform:make",
-        "rate": 50,
-        "states": {"foot_force": {"shape": [4]}},
-    }
-    writes = Program(dry=True, flow=block("hold"), **described).platform.facts.writes
-    assert ("battery_charge" in writes) is battery
-    assert {"foot_force", "motor_error"} <= set(writes)
-    described["robot"] = "aliengo"
-    with pytest.raises(PlatformError, match="say the generation"):
-        Program(dry=True, flow=block("damp"), **described)
