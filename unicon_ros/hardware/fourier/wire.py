@@ -133,6 +133,9 @@ class FourierWire:
         np.copyto(states["joint_effort"], measured[:, 3] * signs, where=good, casting="same_kind")
         self._errors[good] = self._frames["errors"][good]
         self._errors[:, KIND_OF_ENCODER[0]] &= ~np.uint32(KIND_OF_ENCODER[1])
+        if not self._enabling.done:
+            # Of an earlier run that died: it is cleared behind the gates, which stop at any error.
+            self._errors[:, TIMED_OUT[0]] &= ~np.uint32(TIMED_OUT[1])
         if self._error is not None:
             # The main word, or else the first extended one that is not 0.
             first = np.argmax(self._errors != 0, axis=1)
@@ -153,11 +156,9 @@ class FourierWire:
 
     def prepare(self) -> str:
         """See `Prepared`: gains 0, PD mode, enabled, with the actuators' own dead man."""
-        wrong = self._errors.copy()
-        wrong[:, TIMED_OUT[0]] &= ~np.uint32(TIMED_OUT[1])  # it is cleared
-        joints = np.flatnonzero(wrong.any(axis=1))
+        joints = np.flatnonzero(self._errors.any(axis=1))
         if len(joints) and not self._enabling.began:
-            words = " ".join(f"{word:#x}" for word in wrong[joints[0]])
+            words = " ".join(f"{word:#x}" for word in self._errors[joints[0]])
             return (
                 f"actuator {self._labels[joints[0]]} tells an error: {words}; see the "
                 "vendor's list, and switch the robot off and on"
