@@ -145,6 +145,28 @@ def test_wrong_facts_and_options_are_told(robot: Robot, monkeypatch: pytest.Monk
         make(states, robot, 0.02, unverified=True)
 
 
+def test_a_bus_that_is_not_there_is_told(robot: Robot) -> None:
+    pytest.importorskip(
+        "can", reason="python-can is not installed: pip install 'unicon_ros[hw-arx]'"
+    )
+    from unicon_ros.hardware.arx.platform import make
+
+    states = states_of(robot)
+    for interface in ("socketcan", "nonsense"):
+        with pytest.raises(PlatformError, match=r"cannot open CAN bus 'can77' .*ip link set can77"):
+            make(states, robot, 0.02, channel="can77", interface=interface, unverified=True)
+    with pytest.raises(PlatformError, match=r"no frame .* from all 6 motors \(joint1 \(motor 1\)"):
+        make(
+            states,
+            robot,
+            0.02,
+            channel="arx_none",
+            interface="virtual",
+            unverified=True,
+            connect=0.02,
+        )
+
+
 class Pair:
     """Our wire and the emulated motors, on a bus of this process."""
 

@@ -36,7 +36,7 @@ from unicon_ros.hardware.wire import Counts
 __all__ = ["FourierWire"]
 
 LARGEST = 1e6
-"""[deg]: nothing beyond it is a position, and its float stays finite."""
+"""[deg], and of gains and currents: nothing beyond it is meant, and its float stays finite."""
 KIND_OF_ENCODER = 1, 0x03
 """Of `errors`: a word whose lowest two bits are no error."""
 
@@ -173,15 +173,15 @@ class FourierWire:
                 network does not take it.
         """
         states, actuators, commands = self._states, self._actuators, self._commands
+        beyond = False
         for field, state in (("pos", "joint_pos_target"), ("vel", "joint_vel_target")):
             wanted = states[state] * actuators.degrees
-            sent = np.clip(wanted, -LARGEST, LARGEST)
-            if not np.array_equal(wanted, sent):
-                self.counts.clamped += 1
-            commands[field] = sent
+            commands[field] = sent = np.clip(wanted, -LARGEST, LARGEST)
+            beyond |= not np.array_equal(wanted, sent)
+        self.counts.clamped += beyond
         torque = states["joint_effort_ff"]
         if actuators.current is not None:
-            commands["current"] = torque * actuators.current
+            commands["current"] = np.clip(torque * actuators.current, -LARGEST, LARGEST)
         elif torque.any():
             joint = int(np.flatnonzero(torque)[0])
             raise Fault(
@@ -190,8 +190,8 @@ class FourierWire:
                 "(transport.current_scale)"
             )
         gains = self._gains
-        gains["kp"] = states["joint_stiffness"] * actuators.kp
-        gains["kd"] = states["joint_damping"] * actuators.kd
+        gains["kp"] = np.clip(states["joint_stiffness"] * actuators.kp, 0.0, LARGEST)
+        gains["kd"] = np.clip(states["joint_damping"] * actuators.kd, 0.0, LARGEST)
         both = np.array((gains["kp"], gains["kd"]), np.float32)
         changed = (both != self._sent_gains).any(axis=0)
         # Datagrams get lost and these are not repeated each tick: one joint's are, in turn.
