@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import shutil
+import subprocess
 import threading
 import time
 from collections.abc import Iterator
@@ -82,6 +85,67 @@ def test_commands_are_packed_as_the_vendors_library_does(
         assert fits != beyond, i
 
 
+@pytest.mark.slow
+def test_the_vendors_library_agrees(robot: Robot, tmp_path: Path) -> None:
+    """2,000 random commands and answers of each kind, a third of the commands beyond the ranges."""
+    library = os.environ.get("UNICON_ARX_LIBRARY")
+    if library is None or shutil.which("g++") is None:
+        pytest.skip("UNICON_ARX_LIBRARY does not name a libhardware.so of arx5-sdk, or g++ lacks")
+    (tmp_path / "none.c").write_text("")
+    soem, program = tmp_path / "libsoem.so", tmp_path / "vendor"
+    source = Path(__file__).with_name("arx_vendor.cpp")
+    for command in (
+        ["g++", "-shared", "-o", soem, tmp_path / "none.c"],
+        ["g++", "-rdynamic", "-o", program, source, library, f"-Wl,-rpath-link,{tmp_path}"],
+    ):
+        subprocess.run(command, check=True)
+    random, asked = np.random.default_rng(5), []
+    for i in range(2000):
+        for word, layout in (("E", EC), ("D", DM)):
+            most = np.array([500.0, 5.0, 12.5, layout.velocity, layout.torque])
+            figures = random.uniform(-1, 1, 5) * most * (1.5 if i % 3 == 0 else 1.0)
+            asked.append((word, layout, np.float32(figures)))
+        motor = int(random.integers(1, 8))
+        data = bytearray(random.bytes(8))
+        data[0] = 0x20 | data[0] & 0x1F
+        asked.append(("R", motor, bytes(data)))
+        data[0] = data[0] & 0xF0 | motor
+        asked.append(("M", motor, bytes(data)))
+    lines = [
+        f"{word} {what} {data.hex()}"
+        if isinstance(data, bytes)
+        else " ".join([word, *(f"{figure:.9g}" for figure in data)])
+        for word, what, data in asked
+    ]
+    ran = subprocess.run(
+        [program],
+        input="\n".join(lines),
+        stderr=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        text=True,
+        check=True,
+        env={"LD_LIBRARY_PATH": f"{tmp_path}:{Path(library).parent}"},
+    )
+    answers = ran.stderr.splitlines()
+    assert len(answers) == len(asked)
+    for (word, what, data), theirs in zip(asked, answers):
+        if isinstance(data, bytes):
+            told = reply_of(what if word == "R" else 0, data)
+            motor, *figures = theirs.split()
+            assert told is not None
+            assert told.motor == int(motor)
+            np.testing.assert_allclose(told[1:4], [float(f) for f in figures[:3]], atol=1e-4)
+            assert told.error == int(figures[4])
+            if told.temperature is not None:
+                assert int(told.temperature) % 256 == int(figures[3])
+        else:
+            pack, joint = packing(robot, what)
+            rows = np.zeros((5, 6), np.float32)
+            rows[:, joint] = data[[2, 3, 4, 0, 1]]
+            pack(rows)
+            assert pack.frames[joint].tobytes().hex() == theirs.split()[1]
+
+
 def test_answers_are_read_as_the_vendors_library_does() -> None:
     for number, frame, motor, *figures in numbers(REPLIES):
         told = reply_of(int(number), bytes.fromhex(frame))
@@ -143,6 +207,28 @@ def test_wrong_facts_and_options_are_told(robot: Robot, monkeypatch: pytest.Monk
     monkeypatch.setitem(__import__("sys").modules, "can", None)
     with pytest.raises(MissingDependencyError, match=r"needs python-can: .*unicon_ros\[hw-arx\]"):
         make(states, robot, 0.02, unverified=True)
+
+
+def test_a_bus_that_is_not_there_is_told(robot: Robot) -> None:
+    pytest.importorskip(
+        "can", reason="python-can is not installed: pip install 'unicon_ros[hw-arx]'"
+    )
+    from unicon_ros.hardware.arx.platform import make
+
+    states = states_of(robot)
+    for interface in ("socketcan", "nonsense"):
+        with pytest.raises(PlatformError, match=r"cannot open CAN bus 'can77' .*ip link set can77"):
+            make(states, robot, 0.02, channel="can77", interface=interface, unverified=True)
+    with pytest.raises(PlatformError, match=r"no frame .* from all 6 motors \(joint1 \(motor 1\)"):
+        make(
+            states,
+            robot,
+            0.02,
+            channel="arx_none",
+            interface="virtual",
+            unverified=True,
+            connect=0.02,
+        )
 
 
 class Pair:

@@ -135,6 +135,12 @@ def test_what_is_asked_and_commanded_is_as_the_vendor_packs_it(robot: Robot) -> 
         assert sent[1] == struct.pack(">Bfff", 0x0E, -np.rad2deg(0.5), np.rad2deg(1.0), 0.0)
         wire.put()  # gains that have not changed are repeated in turn alone
         assert sum(data[0] == 0xA1 for data in one.listen()) <= 1
+        for name in ("joint_pos_target", "joint_vel_target", "joint_stiffness", "joint_damping"):
+            states[name][3] = 1e38
+        wire.put()
+        assert wire.counts.clamped == 1
+        for data in one.listen():
+            assert len(data) == 1 or np.isfinite(np.frombuffer(data, ">f4", offset=1)).all()
         states["joint_effort_ff"][3] = 1.0
         with pytest.raises(Fault, match=r"1 N·m are to be fed forward at left_knee_pitch_joint"):
             wire.put()
@@ -179,6 +185,7 @@ def test_actuators_are_enabled_limp_and_then_obey(pair: Pair) -> None:
     again = FourierWire(pair.states, pair.actuators, 0.2)  # a second run
     pair.wire, first = again, pair.wire
     pair.step(5)
+    assert not pair.states["motor_error"].any()  # gates stop at errors, and come before it clears
     pair.prepared()
     assert pair.emulated.face.obeys
     first.close()

@@ -119,6 +119,19 @@ def test_who_never_hears_the_robot_is_told_and_closed(robot: Robot, states: Stat
         Wired(states, robot, 0.02, wire, silence=0.0)
 
 
+def test_a_connection_that_fails_before_the_run_is_an_error_and_no_fault(
+    robot: Robot, states: States
+) -> None:
+    class Unplugged(Scripted):
+        def take(self) -> int:
+            raise Fault("the cable is out")
+
+    wire = Unplugged(states, [])
+    with pytest.raises(PlatformError, match="platform 'scripted': the cable is out"):
+        opened(Wired(states, robot, 0.02, wire), connect=1.0)
+    assert wire.closed
+
+
 def test_close_damps_what_was_driven_and_nothing_else(robot: Robot, states: States) -> None:
     states["joint_pos_target"][...], states["joint_stiffness"][...] = robot.default_joint_pos, 20.0
     wire = Scripted(states, [0.1])

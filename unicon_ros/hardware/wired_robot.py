@@ -90,12 +90,12 @@ class WiredRobot:
         """Wait for the first good frame, for so many seconds.
 
         Raises:
-            PlatformError: none came.
+            PlatformError: none came, or the connection does not work.
         """
         if not 0.0 < patience < float("inf"):
             raise PlatformError(f"{self._label}: connect is {patience} s; give a time above 0")
         end = time.monotonic() + patience
-        while not self._take():
+        while not self._first():
             SIGNALS.check()
             if time.monotonic() > end:
                 raise PlatformError(
@@ -104,6 +104,12 @@ class WiredRobot:
                     f"interface, address and the robot file {self._robot.path.name}"
                 )
             time.sleep(LOOKING)
+
+    def _first(self) -> bool:
+        try:
+            return self._take()
+        except Fault as fault:  # such as a network that is not there: nothing runs yet
+            raise PlatformError(f"{self._label}: {fault}") from fault
 
     @property
     def _label(self) -> str:

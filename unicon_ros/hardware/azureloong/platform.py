@@ -76,7 +76,7 @@ def make(
         )
     facts = TransportFacts(robot)
     shares = [
-        facts.number(key, 0.0, 1.0) if given is None else within(given, key, "", 1.0)
+        facts.number(key, 0.001, 1.0) if given is None else within(given, key, "", 1.0)
         for key, given in (("torque_limit_rate", torque_limit_rate), ("filter_rate", filter_rate))
     ]
     wire = AzureWire(states, robot, ipv4(address, "azureloong"), *shares)

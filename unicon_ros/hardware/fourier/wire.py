@@ -36,7 +36,7 @@ from unicon_ros.hardware.wire import Counts
 __all__ = ["FourierWire"]
 
 LARGEST = 1e6
-"""[deg]: nothing beyond it is a position, and its float stays finite."""
+"""[deg], and of gains and currents: nothing beyond it is meant, and its float stays finite."""
 KIND_OF_ENCODER = 1, 0x03
 """Of `errors`: a word whose lowest two bits are no error."""
 
@@ -133,6 +133,9 @@ class FourierWire:
         np.copyto(states["joint_effort"], measured[:, 3] * signs, where=good, casting="same_kind")
         self._errors[good] = self._frames["errors"][good]
         self._errors[:, KIND_OF_ENCODER[0]] &= ~np.uint32(KIND_OF_ENCODER[1])
+        if not self._enabling.done:
+            # Of an earlier run that died: it is cleared behind the gates, which stop at any error.
+            self._errors[:, TIMED_OUT[0]] &= ~np.uint32(TIMED_OUT[1])
         if self._error is not None:
             # The main word, or else the first extended one that is not 0.
             first = np.argmax(self._errors != 0, axis=1)
@@ -153,11 +156,9 @@ class FourierWire:
 
     def prepare(self) -> str:
         """See `Prepared`: gains 0, PD mode, enabled, with the actuators' own dead man."""
-        wrong = self._errors.copy()
-        wrong[:, TIMED_OUT[0]] &= ~np.uint32(TIMED_OUT[1])  # it is cleared
-        joints = np.flatnonzero(wrong.any(axis=1))
+        joints = np.flatnonzero(self._errors.any(axis=1))
         if len(joints) and not self._enabling.began:
-            words = " ".join(f"{word:#x}" for word in wrong[joints[0]])
+            words = " ".join(f"{word:#x}" for word in self._errors[joints[0]])
             return (
                 f"actuator {self._labels[joints[0]]} tells an error: {words}; see the "
                 "vendor's list, and switch the robot off and on"
@@ -172,15 +173,15 @@ class FourierWire:
                 network does not take it.
         """
         states, actuators, commands = self._states, self._actuators, self._commands
+        beyond = False
         for field, state in (("pos", "joint_pos_target"), ("vel", "joint_vel_target")):
             wanted = states[state] * actuators.degrees
-            sent = np.clip(wanted, -LARGEST, LARGEST)
-            if not np.array_equal(wanted, sent):
-                self.counts.clamped += 1
-            commands[field] = sent
+            commands[field] = sent = np.clip(wanted, -LARGEST, LARGEST)
+            beyond |= not np.array_equal(wanted, sent)
+        self.counts.clamped += beyond
         torque = states["joint_effort_ff"]
         if actuators.current is not None:
-            commands["current"] = torque * actuators.current
+            commands["current"] = np.clip(torque * actuators.current, -LARGEST, LARGEST)
         elif torque.any():
             joint = int(np.flatnonzero(torque)[0])
             raise Fault(
@@ -189,8 +190,8 @@ class FourierWire:
                 "(transport.current_scale)"
             )
         gains = self._gains
-        gains["kp"] = states["joint_stiffness"] * actuators.kp
-        gains["kd"] = states["joint_damping"] * actuators.kd
+        gains["kp"] = np.clip(states["joint_stiffness"] * actuators.kp, 0.0, LARGEST)
+        gains["kd"] = np.clip(states["joint_damping"] * actuators.kd, 0.0, LARGEST)
         both = np.array((gains["kp"], gains["kd"]), np.float32)
         changed = (both != self._sent_gains).any(axis=0)
         # Datagrams get lost and these are not repeated each tick: one joint's are, in turn.
