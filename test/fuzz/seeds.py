@@ -11,6 +11,7 @@ __all__ = [
     "ENV",
     "INCLUDED",
     "LEGGED_GYM",
+    "MEMBERS",
     "ONE_BLOCK",
     "PLATFORMS",
     "REPLAYS",
@@ -301,11 +302,30 @@ flow:
 )
 """Beside a recording of ten ticks at 50 Hz, named run.mcap."""
 
+MEMBERS = """\
+schema: unicon.workflow/1
+robot: {body: go2, left_hand: inspire_rh56_left, right_hand: rohand}
+platform: {body: fake, hands: fake}
+platforms: {fake: {time_constant: 0.05}, left_hand: {time_constant: 0.1}}
+scene: {initial_pose: rest, noise: {joint_vel: 0.1}, delay: 1}
+rate: 50
+duration: 3.0
+flow:
+  chain:
+    - pose: {to: stand, duration: 0.2}
+    - zip:
+        - {hold: {duration: 0.4}, of: body}
+        - {chain: [{pose: {to: {"L_*": 0.3}, duration: 0.2}}, hold], of: left_hand}
+        - {damp: , of: right_hand}
+safety: [finite, {joint_limits: {margin: 0.01}, of: left_hand}, joint_limits]
+"""
+
 WORKFLOWS = (
     STARTS,
     POSTURES,
     CALLS,
     WALK,
+    MEMBERS,
     *((_CONFIG / f"{name}.yaml").read_text("utf-8") for name in ("go2_walk", "go2_stand")),
 )
 
@@ -317,6 +337,7 @@ SET_PATHS = (
     "safety.0", "commands", "commands.0", "states", "states.x", "states.tick", "policies",
     "policies.walk", "policies.walk.given", "check", "check.accept", "pacing", "num_robots", "map",
     "flow.chain.0", "flow.chain.0.pose.to", "flow.chain.1.loop.until", "deferred", "name", "ros",
+    "robot.body", "robot.left_hand", "platform.body", "platform.hands", "platforms.left_hand",
     "schema", "description", "a", "", ".", "a.b.c", "safety.99", "flow.chain.x",
 )  # fmt: skip
 

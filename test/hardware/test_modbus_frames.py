@@ -24,7 +24,7 @@ from unicon_ros.hardware.modbus.frames import (
     write_answer,
     write_request,
 )
-from unicon_ros.hardware.modbus.hand import Told
+from unicon_ros.hardware.modbus.registers import Told
 from unicon_ros.hardware.rohand.codec import registers_of as rohand
 
 WORDS = st.lists(st.integers(0, 0xFFFF), min_size=1, max_size=120)

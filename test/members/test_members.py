@@ -188,6 +188,18 @@ def test_a_joint_has_one_writer(flow: list[Any], told: str) -> None:
     assert told in str(raised.value)
 
 
+def test_one_word_moves_a_workflow_of_members_to_one_platform(
+    go2_with_hands: dict[str, Any],
+) -> None:
+    """Options of members stay where they are, unread."""
+    options = {"left_hand": {"address": "192.168.11.210"}, "fake": {"time_constant": 0.1}}
+    whole = go2_with_hands | {"platform": "fake", "platforms": options}
+    program = Program(**whole, flow="hold")
+    assert not isinstance(program.platform, JoinedPlatform)
+    assert "body_stamp_ns" not in program.states
+    program.close()
+
+
 def test_members_divide_the_joints_among_blocks() -> None:
     program = Program(
         robot={"body": "go2", "left_hand": "inspire_rh56_left"},

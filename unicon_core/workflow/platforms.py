@@ -33,7 +33,7 @@ from unicon_core.workflow.hardware import (
     refuse_protocol,
 )
 from unicon_core.workflow.members import member_context, member_robot, scene_of_member
-from unicon_core.workflow.platform_use import PlatformUse, read_platforms
+from unicon_core.workflow.platform_use import PlatformUse, read_members, read_platforms
 from unicon_core.workflow.registry import Factory, find_factory, known
 from unicon_core.workflow.scene import read_scene
 
@@ -230,7 +230,7 @@ def platform_options(
     """
     every = document.get("platforms", dict, {})
     used = {each.use.name for each in chosen.values()}
-    members = tuple(member for member in chosen if member)
+    members = tuple(read_members(document))
     for other in every:
         if other in used or other in members:
             continue

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from unicon_core.robots import Robot
-from unicon_ros.hardware.modbus.hand import HandRegisters, Told
 from unicon_ros.hardware.modbus.reached import fact
+from unicon_ros.hardware.modbus.registers import HandRegisters, Told
 
 __all__ = ["registers_of"]
 

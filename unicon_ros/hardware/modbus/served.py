@@ -27,7 +27,7 @@ from unicon_ros.hardware.modbus.frames import (
     Tcp,
     refusal,
 )
-from unicon_ros.hardware.modbus.hand import HandRegisters
+from unicon_ros.hardware.modbus.registers import HandRegisters
 
 __all__ = ["HandFace", "PtyServer", "TcpServer"]
 

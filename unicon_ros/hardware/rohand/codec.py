@@ -13,9 +13,9 @@ import numpy as np
 from unicon_core.errors import PlatformError, RobotError
 from unicon_core.robots import Robot
 from unicon_ros.hardware.modbus.frames import read_answer, read_request
-from unicon_ros.hardware.modbus.hand import HandRegisters, Told
 from unicon_ros.hardware.modbus.link import Link
 from unicon_ros.hardware.modbus.reached import fact
+from unicon_ros.hardware.modbus.registers import HandRegisters, Told
 
 __all__ = ["check_protocol", "registers_of"]
 
