@@ -37,7 +37,7 @@ NOISE = {
 """Standard deviation of what sensors tell, in the states' units: of a good encoder and a MEMS."""
 STEP = 0.002
 """Longest physics step in [s]."""
-TIME_CONSTANT = 0.05
+TIME_CONSTANT = 0.03
 """Of joints without a model, in [s]."""
 SINKING = 20.0
 """Time constant with which they sink where they are limp, in [s]."""
