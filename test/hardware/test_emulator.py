@@ -242,6 +242,15 @@ def test_a_robot_without_its_model_is_joints_alone_and_says_so() -> None:
     assert stage.face.closed == 0
 
 
+def test_joints_alone_are_no_faster_than_the_robots() -> None:
+    stage = Stage(posture="default", still=True)
+    stage.face.commands = [(ROBOT.upper, 60.0)]
+    stage.tick(30)
+    speeds = np.abs([told["joint_vel"] for told in stage.face.told]).max(axis=0)
+    assert (speeds <= ROBOT.velocity_limit * 1.001).all()
+    assert speeds.max() > 15.0
+
+
 def test_a_hand_that_takes_positions_has_a_loop_of_its_own() -> None:
     robot = load_robot("inspire_rh56_left")
     stage = Stage(robot, posture="default", still=True)

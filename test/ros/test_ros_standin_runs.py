@@ -33,7 +33,7 @@ STEP = 0.25
 """Largest step while a flow comes in. What a policy does later on a robot that hangs on nothing and
 falls nowhere is its own."""
 TELLING = ("--each",)
-"""Of a stand-in that says every command; its joints lag behind an approach by 0.025 rad."""
+"""Of a stand-in that says every command; its joints lag behind an approach by 0.015 rad."""
 ROOM = 1.0
 """For a busy machine in [s]."""
 

@@ -37,7 +37,7 @@ NOISE = {
 """Standard deviation of what sensors tell, in the states' units: of a good encoder and a MEMS."""
 STEP = 0.002
 """Longest physics step in [s]."""
-TIME_CONSTANT = 0.05
+TIME_CONSTANT = 0.03
 """Of joints without a model, in [s]."""
 SINKING = 20.0
 """Time constant with which they sink where they are limp, in [s]."""
@@ -127,13 +127,18 @@ def random_posture(robot: Robot, random: np.random.Generator) -> NDArray[np.floa
 
 
 class JointsAlone(FakePlatform):
-    """Joints without a model; limp ones sink towards the middle of their range, as on a gantry."""
+    """Joints without a model, no faster than the robot's.
+
+    Limp ones sink towards the middle of their range, as on a gantry.
+    """
 
     def __init__(self, states: States, robot: Robot, period: float, scene: Scene) -> None:
         super().__init__(states, robot, period, replace(scene, model=None), TIME_CONSTANT)
         middle = 0.5 * (robot.lower + robot.upper)
         self._middle = np.where(np.isnan(middle), self._pos, middle)
         self._sunk = np.float32(-math.expm1(-period / SINKING))
+        self._longest = np.nan_to_num(robot.velocity_limit * np.float32(period), nan=np.inf)
+        self._before = self._pos.copy()
 
     def send(self) -> bool | None:
         """Move the joints for one tick.
@@ -141,9 +146,13 @@ class JointsAlone(FakePlatform):
         Raises:
             Fault: a command is not finite.
         """
+        self._before[...] = self._pos
         super().send()
         limp = self._command.rows[3] <= 0.0
         self._pos += limp * self._sunk * (self._middle - self._pos)
+        step = np.clip(self._pos - self._before, -self._longest, self._longest)
+        self._pos[...] = self._before + step
+        self._vel[...] = step / np.float32(self._period)
         return None
 
 

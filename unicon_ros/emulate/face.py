@@ -2,7 +2,13 @@
 
 A driver's `Wire` and a vendor's `Face` are two ends of one protocol; both take their facts from the
 robot file. The emulator behind a face holds the states of its own simulator: `tell` reads what a
-robot measures, and `hear` writes the command states.
+robot measures, and `hear` writes the command states. What all robots do alike is the emulator's
+(`emulator.py`): dead man, commands that are not finite, its own controller before `obeys`.
+
+    def face(states: States, robot: Robot, *, address: str = "127.0.0.1", …) -> MyFace: ...
+
+Such a factory is named `module:face`, or registered under its protocol in the entry point group
+`unicon.faces`. An attribute `where`, such as "127.0.0.1:8007", is told to the user.
 """
 
 from __future__ import annotations
