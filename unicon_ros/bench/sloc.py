@@ -70,6 +70,10 @@ def lines_of_python(text: str) -> int:
 _STARTS = (tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT)
 
 
+def _counted(count: int, what: str) -> str:
+    return f"{count} {what}" if count == 1 else f"{count} {what}s"
+
+
 def run(rounds: int | None = None) -> Bench:
     """Count, and make and run each transfer; there is nothing to repeat.
 
@@ -96,7 +100,8 @@ def run(rounds: int | None = None) -> Bench:
         verdict = {True: "ran", False: "FAILED", None: "not run here"}[outcome.ran]
         bench.facts[f"{transfer.source} → {transfer.target}"] = "\n".join(
             (
-                f"{outcome.lines} line, {outcome.words} word; {verdict}: {outcome.told}",
+                f"{_counted(outcome.lines, 'line')}, {_counted(outcome.words, 'word')}; "
+                f"{verdict}: {outcome.told}",
                 *(f"    {line}" for line in outcome.difference),
             )
         )

@@ -183,7 +183,9 @@ def _robot(platform: str, robot: str) -> Iterator[dict[str, str]]:
     environment = os.environ | {"ROS_DOMAIN_ID": str(free_domain())}
     command = [sys.executable, "-m", "unicon_ros.bench.standins.robot", robot]
     command += ["--posture", "default"]
-    standin = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
+    standin = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, env=environment
+    )
     try:
         assert standin.stdout is not None
         standin.stdout.readline()  # it is ready
