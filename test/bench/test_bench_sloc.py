@@ -1,8 +1,14 @@
-"""The counts of `unicon bench sloc`."""
+"""`unicon bench sloc`: edits that are made, counted and run."""
 
 from __future__ import annotations
 
-from unicon_ros.bench import sloc
+from pathlib import Path
+
+import pytest
+
+from unicon_core.errors import UniconError
+from unicon_ros.bench import sloc, transfers
+from unicon_ros.bench.transfers import Transfer, difference, edited, lines_of, transferred
 
 
 def test_docstrings_comments_and_blank_lines_are_no_code() -> None:
@@ -12,11 +18,62 @@ def test_docstrings_comments_and_blank_lines_are_no_code() -> None:
 
 
 def test_yaml_counts_lines_with_content() -> None:
-    assert sloc.lines_of_yaml("a: 1\n\n# no\n  - b  # yes\n") == 2
+    assert lines_of("a: 1\n\n# no\n  - b  # yes\n") == 2
 
 
-def test_no_move_changes_a_line_of_the_workflow() -> None:
-    facts = sloc.run().facts
-    moves = [value for name, value in facts.items() if "→" in name]
-    assert len(moves) == len(sloc.MOVES)
-    assert all("workflow: 0 lines" in move for move in moves)
+def test_an_edit_changes_the_word_of_a_key_alone() -> None:
+    text = "name: robot\n# robot: x\nrobot: h1\nplatform: mujoco   # robot: y\nflow: {robot: z}\n"
+    new = edited(text, {"robot": "g1", "platform": "ros"})
+    assert difference(text, new) == (
+        "-robot: h1",
+        "-platform: mujoco   # robot: y",
+        "+robot: g1",
+        "+platform: ros   # robot: y",
+    )
+
+
+@pytest.mark.parametrize("key", ["flow", "rate", "ro.ot"])
+def test_an_edit_that_cannot_be_made_is_told(key: str) -> None:
+    with pytest.raises(UniconError, match=f"the workflow has no line '{key}: WORD' to edit"):
+        edited("robot: h1\nflow: {hold: {}}\n", {key: "x"})
+
+
+def test_what_is_edited_is_run_and_counted() -> None:
+    outcome = transferred(Transfer("a", "b", sloc.H1, {}, {"platform": "fake_robot"}))
+    assert outcome.ran, outcome.told
+    assert (outcome.lines, outcome.words) == (1, 1)
+    assert [line[0] for line in outcome.difference] == ["-", "+"]
+    assert outcome.told.startswith("100 ticks, ")
+
+
+def test_a_transfer_that_fails_is_told_with_its_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+    wrong = Transfer("G1", "Go2", "g1_walk", {}, {"robot": "nobody"})
+    monkeypatch.setattr(transfers, "_missing", lambda values: "")
+    outcome = transferred(wrong)
+    assert outcome.ran is False
+    assert "unknown robot 'nobody'" in outcome.told
+
+
+def test_what_this_machine_lacks_is_told_and_not_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(transfers, "assets_root", lambda: None)
+    outcome = transferred(Transfer("a", "b", sloc.H1, {}, {"robot": "t1"}))
+    assert outcome.ran is None
+    assert outcome.told == "there are no assets; set UNICON_ASSETS"
+    monkeypatch.setattr(transfers, "find_spec", lambda name: None)
+    outcome = transferred(Transfer("a", "b", sloc.H1, {}, {"platform": "ros"}))
+    assert outcome.told == "rclpy is not installed"
+
+
+@pytest.mark.slow
+@pytest.mark.alone
+@pytest.mark.timeout(900)
+def test_every_transfer_of_the_table_runs(assets: Path) -> None:
+    pytest.importorskip("mujoco")
+    bench = sloc.run()
+    moves = {name: value for name, value in bench.facts.items() if "→" in name}
+    assert len(moves) == len(sloc.TRANSFERS)
+    failed = {name: value for name, value in moves.items() if "FAILED" in value}
+    assert not failed
+    edited = [value for name, value in moves.items() if name != "H1 → H1"]
+    assert all(value.startswith("1 line, 1 word; ") for value in edited)
+    assert bench.holds

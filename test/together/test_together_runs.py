@@ -28,6 +28,7 @@ robot: go2
 platform: fake_robot
 rate: 50
 duration: 0.2
+pacing: {hang: 20}
 start: {operator: false, gates: false, approach: 10.0, fade_in: 0.2}
 flow: {zip: [{"robot_process:note": {}}, {pose: {to: stand, duration: 1.0}}]}
 safety: {only: [finite, joint_limits, range_stop]}
@@ -66,8 +67,8 @@ def in_time(*processes: subprocess.Popen[str], runs: int, apart: float | None = 
     Args:
         processes: of the robots.
         runs: of each.
-        apart: how far apart first ticks may be in [s]; None for as late as a busy machine lets them
-            come, while they are due at one moment.
+        apart: how far apart first ticks may be in the median of all runs in [s]; None for as late
+            as a busy machine lets them come, while they are due at one moment.
     """
     said = [ended(process, 60.0 + 10.0 * runs) for process in processes]
     assert [len(each) for each in said] == [runs] * len(processes)
@@ -81,7 +82,8 @@ def in_time(*processes: subprocess.Popen[str], runs: int, apart: float | None = 
             found.append((max(times) - min(times)) * 1e-9)
     print(f"apart: {', '.join(f'{value * 1e3:.2f}' for value in began)} ms")
     assert max(due) < 2e-3
-    assert apart is None or max(began) < apart
+    # A tick that the machine lets come late is late: told in the report, and not what is claimed.
+    assert apart is None or sorted(began)[len(began) // 2] < apart
 
 
 @pytest.mark.alone

@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from unicon_core.errors import PlatformError
 from unicon_core.platforms.kit.command import Command
@@ -81,6 +82,7 @@ class FakePlatform:
         self._initial = start_of(robot, scene).joint_pos if by_model else scene.joint_pos(robot)
         self._lower = np.nan_to_num(robot.lower, nan=-np.inf)
         self._upper = np.nan_to_num(robot.upper, nan=np.inf)
+        self._longest: NDArray[np.float32] | None = None
         self._command = Command(states, robot.joint_names, dtype=np.float32)
         self._servo = Servo(self._command.rows, robot.effort_limit)
         shape = states["joint_pos_target"].shape
@@ -131,6 +133,9 @@ class FakePlatform:
         new += self._pos
         np.clip(new, self._lower, self._upper, out=new)
         np.subtract(new, self._pos, out=self._vel)
+        if self._longest is not None:
+            np.clip(self._vel, -self._longest, self._longest, out=self._vel)
+            np.add(self._pos, self._vel, out=new)
         self._vel /= self._period
         self._pos[...] = new
         self._ticks += 1
@@ -154,7 +159,8 @@ class FakePlatform:
 class FakeRobot(FakePlatform):
     """The same where a robot is meant: real time, the machine's clock, and a robot's rules.
 
-    Its IMU has the noise that every real one has: one without counts as frozen (`imu_stop`).
+    Its joints are no faster than the robot's, and its IMU has the noise that every real one has:
+    one without counts as frozen (`imu_stop`).
     """
 
     facts = replace(FakePlatform.facts, name="fake_robot", simulated=False, batch=False)
@@ -163,6 +169,8 @@ class FakeRobot(FakePlatform):
         self, states: States, robot: Robot, period: float, scene: Scene, time_constant: float
     ) -> None:
         super().__init__(states, robot, period, scene, time_constant)
+        step = np.nan_to_num(robot.velocity_limit, nan=np.inf) * period
+        self._longest = step.astype(np.float32)
         rng, noise = np.random.default_rng(0), {"base_ang_vel": 1e-3, "base_lin_acc": 1e-2}
         self._noise = [
             (states[name], rng.normal(0.0, scale, (1000, 3)).astype(np.float32))

@@ -35,18 +35,6 @@ CLOSING = 3.0
 """How long `close` of another thread waits for the ticking one to damp, in [s]."""
 
 
-class _Here:
-    """Tells others that this run is there, and is not ready: a block."""
-
-    name, endless = "here", True
-
-    def __init__(self, rendezvous: Rendezvous) -> None:
-        self._rendezvous = rendezvous
-
-    def __call__(self) -> None:
-        self._rendezvous(False)
-
-
 class Runner:
     """Runs one program; `tick` and `close` may also be driven by a host such as the ROS node.
 
@@ -351,7 +339,7 @@ class Runner:
         prepare = platform.prepare if isinstance(platform, Prepares) else None
         waiting = self._waiting = Waiting(program.gates, self.asks, warn, prepare)
         # The others learn that this one is there, and is not ready.
-        here = [] if self._rendezvous is None else [as_block(_Here(self._rendezvous))]
+        here = [] if self._rendezvous is None else [as_block(self._rendezvous.here, name="here")]
         if not self._ticked(waiting_tree(program, as_block(waiting), *here), NEVER_NS):
             return False
         if waiting.reason:
@@ -368,14 +356,9 @@ class Runner:
 
     def _met(self) -> bool:
         """Wait for others where nothing is sent: in a simulator, or without approach."""
-        rendezvous = self._rendezvous
-        if rendezvous is None:
+        if self._rendezvous is None:
             return True
-
-        def met() -> bool:
-            return rendezvous(True)
-
-        tree = waiting_tree(self.program, as_block(met, name="together"))
+        tree = waiting_tree(self.program, as_block(self._rendezvous.met, name="together"))
         return self._ticked(tree, NEVER_NS) and self._due()
 
     def _due(self) -> bool:

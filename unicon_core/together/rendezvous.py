@@ -106,6 +106,14 @@ class Rendezvous:
             self._warn(f"waiting for {self.reason}")
         return False
 
+    def here(self) -> None:
+        """Let the others learn that this one is there, and is not ready."""
+        self(False)
+
+    def met(self) -> bool:
+        """Return the same where there is no way to go first."""
+        return self(True)
+
     def facts(self, first_ns: int) -> dict[str, Any]:
         """Return what the report tells.
 

@@ -1,7 +1,7 @@
 """`unicon bench sloc`: what it takes to move a workflow to another robot, in lines, counted.
 
-The counterpart of the UniCon paper's table of transfer effort: for each move, which files differ
-and how many lines of them anybody had to write; the workflow itself changes by one word.
+The counterpart of the UniCon paper's table of transfer effort. Each edit is made in a copy of a
+workflow file, counted in the difference of both, and run; what cannot be run here is told.
 """
 
 from __future__ import annotations
@@ -13,8 +13,9 @@ from pathlib import Path
 import unicon_core
 from unicon_core.resources import find_config
 from unicon_ros.bench.report import Bench
+from unicon_ros.bench.transfers import Transfer, lines_of, transferred
 
-__all__ = ["lines_of_python", "lines_of_yaml", "run"]
+__all__ = ["TRANSFERS", "lines_of_python", "run"]
 
 _SKIPPED = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT}
 
@@ -25,15 +26,32 @@ COMPONENTS = (
 )
 """What is shared by all workflows, beside the paper's columns Sim, robot driver and NN."""
 
-MOVES = (
-    # from, to, robot file that is needed, words of the workflow that change
-    ("H1 behind ROS 2 topics", "H1 in MuJoCo", None, ("platform",)),
-    ("H1 in MuJoCo", "G1 in MuJoCo", "g1_29dof", ("robot",)),
-    ("G1 in MuJoCo", "T1 in MuJoCo", "t1", ("robot",)),
-    ("G1 in MuJoCo", "Go2 in MuJoCo", "go2", ("robot",)),
-    ("G1 in MuJoCo", "G1 behind ROS 2 topics", None, ("platform",)),
+H1 = "h1_stand"
+
+TRANSFERS = (
+    # the paper's workflows: H1, Sim, G1, Adam
+    Transfer("H1", "H1", H1, {"platform": "fake_robot"}),
+    Transfer("H1", "H1 in MuJoCo", H1, {"platform": "fake_robot"}, {"platform": "mujoco"}),
+    Transfer("H1 in MuJoCo", "G1 in MuJoCo", H1, {}, {"robot": "g1_29dof"}),
+    Transfer("G1 in MuJoCo", "Adam in MuJoCo", H1, {"robot": "g1_29dof"}, {"robot": "adam_lite"}),
+    # and more
+    Transfer("G1 in MuJoCo", "T1 in MuJoCo", H1, {"robot": "g1_29dof"}, {"robot": "t1"}),
+    Transfer("G1 in MuJoCo", "Go2 in MuJoCo", H1, {"robot": "g1_29dof"}, {"robot": "go2"}),
+    Transfer(
+        "G1 in MuJoCo", "G1 as a robot", H1, {"robot": "g1_29dof"}, {"platform": "fake_robot"}
+    ),
+    Transfer(
+        "G1 in MuJoCo", "G1 behind ROS 2 topics", H1, {"robot": "g1_29dof"}, {"platform": "ros"}
+    ),
+    Transfer(
+        "G1 walks in MuJoCo", "G1 walks as a robot", "g1_walk", {}, {"platform": "fake_robot"}
+    ),
+    Transfer(
+        "Go2 walks in MuJoCo", "Go2 walks as a robot", "go2_walk", {}, {"platform": "fake_robot"}
+    ),
 )
-"""The paper's row H1 → Sim → G1 → another robot, and two more."""
+"""The paper's row H1 → Sim → G1 → Adam without its policies, which are not public, and more moves,
+two of them with a policy. `fake_robot` and a stand-in behind topics take the robots' places."""
 
 
 def lines_of_python(text: str) -> int:
@@ -52,14 +70,12 @@ def lines_of_python(text: str) -> int:
 _STARTS = (tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT)
 
 
-def lines_of_yaml(text: str) -> int:
-    """Return the lines with content: no blank ones, no comments."""
-    stripped = (line.strip() for line in text.splitlines())
-    return sum(bool(line) and not line.startswith("#") for line in stripped)
+def _counted(count: int, what: str) -> str:
+    return f"{count} {what}" if count == 1 else f"{count} {what}s"
 
 
 def run(rounds: int | None = None) -> Bench:
-    """Count; there is nothing to repeat.
+    """Count, and make and run each transfer; there is nothing to repeat.
 
     Args:
         rounds: taken for the command line's sake.
@@ -71,12 +87,24 @@ def run(rounds: int | None = None) -> Bench:
         files = sorted(path.rglob("*.py")) if path.is_dir() else [path]
         lines = sum(lines_of_python(file.read_text(encoding="utf-8")) for file in files)
         bench.facts[f"component: {name}"] = f"{lines} lines of Python, written once"
-    for source, target, robot, words in MOVES:
-        needed = "no new file"
+    tried, ran = 0, 0
+    for transfer in TRANSFERS:
+        robot = transfer.edit.get("robot")
         if robot is not None:
             text = find_config("robots", robot).read_text(encoding="utf-8")
-            needed = f"{lines_of_yaml(text)} lines of facts in config/robots/{robot}.yaml"
-        bench.facts[f"{source} → {target}"] = (
-            f"{needed}; workflow: 0 lines, {len(words)} word ({', '.join(words)})"
+            written = f"{lines_of(text)} lines of facts, written once"
+            bench.facts[f"robot file: {robot}"] = written
+        outcome = transferred(transfer)
+        tried += outcome.ran is not None
+        ran += outcome.ran is True
+        verdict = {True: "ran", False: "FAILED", None: "not run here"}[outcome.ran]
+        bench.facts[f"{transfer.source} → {transfer.target}"] = "\n".join(
+            (
+                f"{_counted(outcome.lines, 'line')}, {_counted(outcome.words, 'word')}; "
+                f"{verdict}: {outcome.told}",
+                *(f"    {line}" for line in outcome.difference),
+            )
         )
+    if tried:
+        bench.ratio("transfers that ran / that were tried", ran / tried, 1.0, at_least=True)
     return bench
