@@ -137,7 +137,7 @@ class JointsAlone(FakePlatform):
         middle = 0.5 * (robot.lower + robot.upper)
         self._middle = np.where(np.isnan(middle), self._pos, middle)
         self._sunk = np.float32(-math.expm1(-period / SINKING))
-        self._longest = np.nan_to_num(robot.velocity_limit * np.float32(period), nan=np.inf)
+        self._step_most = np.nan_to_num(robot.velocity_limit * np.float32(period), nan=np.inf)
         self._before = self._pos.copy()
 
     def send(self) -> bool | None:
@@ -150,7 +150,7 @@ class JointsAlone(FakePlatform):
         super().send()
         limp = self._command.rows[3] <= 0.0
         self._pos += limp * self._sunk * (self._middle - self._pos)
-        step = np.clip(self._pos - self._before, -self._longest, self._longest)
+        step = np.clip(self._pos - self._before, -self._step_most, self._step_most)
         self._pos[...] = self._before + step
         self._vel[...] = step / np.float32(self._period)
         return None
