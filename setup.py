@@ -59,7 +59,7 @@ EXTRAS["torch"] = ["torch"]
 # Nor this: 130 MB installed, for exports to Parquet alone.
 EXTRAS["parquet"] = ["pyarrow"]
 # Nor what a vendor's protocol needs: a computer on a robot wants that of its robot alone.
-for _robot in ("unitree", "pnd", "inspire-dds"):  # they speak DDS
+for _robot in ("unitree", "pnd", "dobot", "inspire-dds"):  # they speak DDS
     EXTRAS[f"hw-{_robot}"] = ["cyclonedds==11.0.1", "rosbags>=0.11"]
 
 
@@ -138,6 +138,7 @@ setup(
             "ros = unicon_ros.bridge.ros_platform:make",
             "unitree = unicon_ros.hardware.unitree.platform:make",
             "unitree_dex3 = unicon_ros.hardware.unitree_dex3.platform:make",
+            "dobot = unicon_ros.hardware.dobot.platform:make",
             "inspire_dds = unicon_ros.hardware.inspire_dds.platform:make",
             "pnd = unicon_ros.hardware.pnd.platform:make",
         ],
