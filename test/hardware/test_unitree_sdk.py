@@ -1,7 +1,8 @@
 """Unitree's driver and our emulated robot against the official Python SDK, both directions.
 
 UNICON_UNITREE_SDK names a checkout of unitreerobotics/unitree_sdk2_python, UNICON_UNITREE_PYTHON a
-Python that has the cyclonedds it wants (0.10.2) and NumPy; without it this Python runs it.
+Python that has the cyclonedds it wants, 0.10.2, and NumPy. On cyclonedds 11 the SDK does not find
+us: there its octets are another type.
 """
 
 from __future__ import annotations
@@ -9,7 +10,6 @@ from __future__ import annotations
 import json
 import os
 import subprocess
-import sys
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -42,16 +42,17 @@ class Peer:
     """The SDK's process, and what it says."""
 
     def __init__(self, role: str, kind: str, domain: int) -> None:
-        sdk = os.environ.get("UNICON_UNITREE_SDK")
-        if not sdk:
-            pytest.skip("UNICON_UNITREE_SDK does not name a checkout of unitree_sdk2_python")
-        own = os.environ.get("UNICON_UNITREE_PYTHON")
-        paths = [sdk] if own else [sdk, *sys.path]
+        sdk, python = (os.environ.get(f"UNICON_UNITREE_{name}") for name in ("SDK", "PYTHON"))
+        if not sdk or not python:
+            pytest.skip(
+                "UNICON_UNITREE_SDK does not name a checkout of unitree_sdk2_python, or "
+                "UNICON_UNITREE_PYTHON a Python with cyclonedds 0.10.2 and NumPy"
+            )
         self.process = subprocess.Popen(
-            [own or sys.executable, str(PEER), role, kind, str(domain), str(COUNT)],
+            [python, str(PEER), role, kind, str(domain), str(COUNT)],
             stdout=subprocess.PIPE,
             text=True,
-            env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths))},
+            env={**os.environ, "PYTHONPATH": sdk},
         )
         self.said: list[dict[str, Any]] = []
         self._reading = threading.Thread(target=self._read)

@@ -6,6 +6,7 @@ import json
 import struct
 import time
 from collections.abc import Iterator
+from threading import Event, Thread
 from typing import Any
 
 import numpy as np
@@ -341,8 +342,6 @@ def test_the_platform_knows_silence_and_damps_at_its_end() -> None:
     robot = load_robot("go2")
     theirs, ours = states_of(robot), states_of(robot)
     made = face(theirs, robot, domain=DOMAIN, mode="")
-    from threading import Event, Thread
-
     ended, told = Event(), Event()
     told.set()
 
@@ -411,6 +410,36 @@ def test_states_that_a_workflow_declares_are_written() -> None:
         made.close()
 
 
+def test_a_peer_without_checksums_and_numbers_is_heard_as_such() -> None:
+    robot = load_robot("go2")
+    theirs, ours = states_of(robot), states_of(robot)
+    made = face(theirs, robot, domain=DOMAIN, mode="")
+    theirs["battery_charge"][...] = 0.0
+    bare = made._encode()[:-4] + bytes(4)
+    ended = Event()
+
+    def tick() -> None:
+        while not ended.wait(0.002):
+            made._writer.write(bare)
+
+    thread = Thread(target=tick)
+    thread.start()
+    try:
+        options: dict[str, Any] = {"address": LOOPBACK, "domain": DOMAIN}
+        with pytest.raises(PlatformError, match=r"refused: \d+ wrong CRC; the last one: wrong CRC"):
+            make(ours, robot, 0.02, connect=0.5, **options)
+        platform = make(ours, robot, 0.02, peer="unitree_mujoco", **options)
+        assert platform.prepare() == ""
+        assert "battery_charge" not in platform.facts.writes
+        assert ours["battery_charge"] == 1.0
+        assert until(platform.arrivals)
+        platform.close()
+    finally:
+        ended.set()
+        thread.join()
+        made.close()
+
+
 def test_wrong_options_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     robot = load_robot("go2")
 
@@ -457,6 +486,15 @@ def members(kind: Any) -> Iterator[Any]:
     for inner in getattr(kind, "__metadata__", ()):
         if hasattr(inner, "subtype"):
             yield from members(inner.subtype)
+
+
+def test_without_an_address_the_environment_chooses(monkeypatch: pytest.MonkeyPatch) -> None:
+    interfaces = '<Interfaces><NetworkInterface name="lo"/></Interfaces>'
+    monkeypatch.setenv("CYCLONEDDS_URI", f"<General>{interfaces}</General>")
+    Participant(free_domain(), None, "test").close()
+    monkeypatch.setenv("CYCLONEDDS_URI", "<General><Nonsense/></General>")
+    with pytest.raises(PlatformError, match=r"cannot join DDS domain .* see CYCLONEDDS_URI"):
+        Participant(free_domain(), None, "test")
 
 
 DDS_MESSAGES = ("go/msg/LowCmd", "go/msg/LowState", "hg/msg/LowCmd", "hg/msg/LowState")

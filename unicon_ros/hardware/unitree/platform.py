@@ -17,7 +17,7 @@ from unicon_core.errors import PlatformError
 from unicon_core.platforms.platform import Binding, Facts
 from unicon_core.robots import Robot
 from unicon_core.states import States
-from unicon_core.states.standard import JOINT_STATES
+from unicon_core.states.standard import HARDWARE_STATES, JOINT_STATES
 from unicon_ros.hardware.torso import IMU_STATES
 from unicon_ros.hardware.unitree.facts import PROTOCOLS, UnitreeFacts
 from unicon_ros.hardware.unitree.wire import LABEL, UnitreeWire
@@ -25,30 +25,26 @@ from unicon_ros.hardware.wired_robot import SILENCE, WiredRobot, opened
 
 __all__ = ["Unitree", "make"]
 
-HARDWARE = ("motor_temperature", "motor_error", "battery_charge", "battery_voltage")
+SIMULATOR = "unitree_mujoco"
 REMOTE = ("wireless_remote", "foot_force")
 """States that it writes where a workflow declares them: 40 bytes; four forces, without a unit."""
 
 
-def _facts(robot: Robot, states: States) -> Facts:
+def _facts(robot: Robot, states: States, peer: str) -> Facts:
     """Return what it writes of a robot."""
     facts = UnitreeFacts.of(robot)
-    told = {*HARDWARE, *REMOTE}
-    told -= {"motor_error"} if facts.go else {"battery_charge", "battery_voltage", "foot_force"}
-    told -= set() if facts.battery else {"battery_charge", "battery_voltage"}
-    writes = (*Unitree.facts.writes, *REMOTE)
-    return replace(
-        Unitree.facts,
-        writes=tuple(
-            name
-            for name in writes
-            if name in states and (name in told or name not in (*HARDWARE, *REMOTE))
-        ),
-    )
+    lacking = {"motor_error"} if facts.go else {"foot_force"}
+    if not facts.battery:
+        lacking |= {"battery_charge", "battery_voltage"}
+    if peer == SIMULATOR:  # it sends zeros, of a battery too
+        lacking |= set(HARDWARE_STATES)
+    every = (*Unitree.facts.writes, *REMOTE)
+    writes = tuple(name for name in every if name in states and name not in lacking)
+    return replace(Unitree.facts, writes=writes)
 
 
 def _examined(states: States, robot: Robot, period: float, **options: Any) -> Binding:
-    return Binding(_facts(robot, states))
+    return Binding(_facts(robot, states, options.get("peer", "robot")))
 
 
 class Unitree(WiredRobot):
@@ -56,7 +52,7 @@ class Unitree(WiredRobot):
 
     facts = Facts(
         "unitree",
-        writes=(*JOINT_STATES, *IMU_STATES, "projected_gravity", "stamp_ns", *HARDWARE),
+        writes=(*JOINT_STATES, *IMU_STATES, "projected_gravity", "stamp_ns", *HARDWARE_STATES),
         protocols=PROTOCOLS,
         examine=_examined,
     )
@@ -68,10 +64,11 @@ class Unitree(WiredRobot):
         period: float,
         wire: UnitreeWire,
         *,
+        peer: str,
         silence: float,
         silent: bool,
     ) -> None:
-        self.facts = _facts(robot, states)
+        self.facts = _facts(robot, states, peer)
         super().__init__(states, robot, period, wire, silence=silence, silent=silent)
         self._unitree = wire
 
@@ -104,8 +101,8 @@ def make(
         address: of this machine's network interface to the robot, or that interface's name;
             without it CYCLONEDDS_URI, or CycloneDDS itself, decides.
         domain: of DDS, instead of the robot file's.
-        peer: `unitree_mujoco` sends no checksums and no frame numbers, and has no controller of its
-            own that must let go.
+        peer: `unitree_mujoco` sends no checksums, frame numbers, temperatures and battery, and has
+            no controller of its own that must let go.
         connect: how long to wait for the first frame in [s].
         silence: of the robot that is a fault, in [s].
         silent: receive only: nothing is sent, at the end either.
@@ -115,8 +112,8 @@ def make(
         RobotError: the robot file lacks a fact.
         PlatformError: the network cannot be used, or no frame came in time.
     """
-    if peer not in ("robot", "unitree_mujoco"):
-        raise PlatformError(f"{LABEL}: no peer {peer!r}; known: robot, unitree_mujoco")
+    if peer not in ("robot", SIMULATOR):
+        raise PlatformError(f"{LABEL}: no peer {peer!r}; known: robot, {SIMULATOR}")
     facts = UnitreeFacts.of(robot)
     real = peer == "robot"
     wire = UnitreeWire(
@@ -130,7 +127,7 @@ def make(
         silent=silent,
     )
     try:
-        built = Unitree(states, robot, period, wire, silence=silence, silent=silent)
+        built = Unitree(states, robot, period, wire, peer=peer, silence=silence, silent=silent)
     except BaseException:
         wire.close()
         raise

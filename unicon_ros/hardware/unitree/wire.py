@@ -12,6 +12,7 @@ from unicon_core.errors import Fault
 from unicon_core.platforms.kit.base import Mounting
 from unicon_core.robots import Robot
 from unicon_core.states import States
+from unicon_core.states.standard import HARDWARE_STATES
 from unicon_msgs_map import Decoder, Encoder
 from unicon_ros.hardware.dds.frames import Frames
 from unicon_ros.hardware.dds.inlet import Inlet, newer
@@ -97,7 +98,10 @@ class UnitreeWire:
         if not facts.go and "motor_temperature" in states:
             self._hottest = states["motor_temperature"]
             self._pairs = own["temperatures"][0::2], own["temperatures"][1::2]
-        read = state_in(facts, arrays.keys() - {"tick", "mode_machine"})  # the head's
+        told = arrays.keys() - {"tick", "mode_machine"}  # the head's
+        if not checked:
+            told -= set(HARDWARE_STATES)
+        read = state_in(facts, told)
         self._frames = Frames(read, arrays, self.counts, checked=checked, orientation="base_quat")
         self._head = Decoder.build(head_in(facts), arrays)
         self._bytes = own["remote"]
