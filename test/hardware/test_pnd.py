@@ -204,6 +204,24 @@ def test_another_adam_is_told_by_its_number_of_motors() -> None:
         made.close()
 
 
+def test_strangers_and_a_robot_that_comes_back() -> None:
+    adam = Ends(ADAM, PndWire, face, states=adam_states, battery=True)
+    adam.face._tick[...] = 10**6
+    stranger = face(adam_states(ADAM), ADAM, domain=DOMAIN)
+    try:
+        adam.theirs["joint_pos"][...] = 0.5
+        adam.told()
+        refused = adam.wire.counts.refused
+        until(lambda: refused["another sender"], lambda: (stranger.tell(), adam.wire.take()))
+        assert adam.ours["joint_pos"][0] == 0.5
+        adam.face.close()  # it dies, and whoever tells now is the robot, whatever its number
+        until(adam.wire.take, stranger.tell)
+        assert adam.ours["joint_pos"][0] == 0.0
+    finally:
+        stranger.close()
+        adam.close()
+
+
 def test_the_robot_leaves_other_modes(adam: Ends) -> None:
     raw = bytearray(adam.wire._outlets[0][1]())
     refused = adam.face.counts.refused

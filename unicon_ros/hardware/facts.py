@@ -108,6 +108,16 @@ class TransportFacts:
             raise self._wrong(key, f"one of {', '.join(known)}")
         return str(value)
 
+    def run(self, key: str, first: int, count: int) -> None:
+        """Look whether a list is `count` whole numbers in a row from `first` on.
+
+        Raises:
+            RobotError: it is not.
+        """
+        values = self._robot.transport.get(key)
+        if not isinstance(values, list | tuple) or list(values) != [*range(first, first + count)]:
+            raise self._wrong(key, f"{first} to {first + count - 1}, the only order known")
+
     def slots(self, key: str, count: int) -> tuple[int, ...]:
         """Return the motor slot of each joint.
 

@@ -15,7 +15,7 @@ from unicon_msgs_map.layout.messages import Array, Primitive, String, Struct, Ty
 
 __all__ = ["dds_name", "dds_type"]
 
-OCTETS = ("uint8", "int8", "byte", "char")
+OCTETS = ("uint8", "int8", "byte")
 """What Unitree's IDL has as octet; their .msg files call temperatures of octets signed."""
 
 

@@ -21,11 +21,11 @@ from unicon_core.states.standard import COMMAND_STATES
 from unicon_msgs_map import Encoder
 from unicon_ros.hardware.dds.frames import Frames
 from unicon_ros.hardware.dds.participant import Participant
+from unicon_ros.hardware.torso import IMU_STATES, turned
 from unicon_ros.hardware.unitree.facts import UnitreeFacts
 from unicon_ros.hardware.unitree.maps import command_in, state_out
 from unicon_ros.hardware.unitree.release import CHECK_MODE, RELEASE_MODE, SWITCHER
 from unicon_ros.hardware.unitree.service import Server
-from unicon_ros.hardware.unitree.torso import IMU_STATES, turned
 from unicon_ros.hardware.unitree.wire import REMOTE, own_arrays
 from unicon_ros.hardware.wire import Counts
 

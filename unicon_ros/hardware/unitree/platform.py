@@ -18,8 +18,8 @@ from unicon_core.platforms.platform import Binding, Facts
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.states.standard import HARDWARE_STATES, JOINT_STATES
+from unicon_ros.hardware.torso import IMU_STATES
 from unicon_ros.hardware.unitree.facts import PROTOCOLS, UnitreeFacts
-from unicon_ros.hardware.unitree.torso import IMU_STATES
 from unicon_ros.hardware.unitree.wire import LABEL, UnitreeWire
 from unicon_ros.hardware.wired_robot import SILENCE, WiredRobot, opened
 

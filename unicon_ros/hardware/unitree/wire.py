@@ -17,10 +17,10 @@ from unicon_msgs_map import Decoder, Encoder
 from unicon_ros.hardware.dds.frames import Frames
 from unicon_ros.hardware.dds.inlet import Inlet, newer
 from unicon_ros.hardware.dds.participant import Participant
+from unicon_ros.hardware.torso import IMU_STATES, turned
 from unicon_ros.hardware.unitree.facts import UnitreeFacts
 from unicon_ros.hardware.unitree.maps import command_out, head_in, state_in
 from unicon_ros.hardware.unitree.release import Release
-from unicon_ros.hardware.unitree.torso import IMU_STATES, turned
 from unicon_ros.hardware.wire import Counts
 
 __all__ = ["LABEL", "UnitreeWire", "own_arrays"]

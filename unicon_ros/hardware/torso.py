@@ -1,4 +1,4 @@
-"""Torso: an IMU above a waist joint, told as if it sat in the pelvis; for H1 and H1-2.
+"""Torso: an IMU above a waist joint, told as if it sat in the pelvis; for H1, H1-2 and Atom.
 
 With the waist angle θ (and its rate θ'), torso to pelvis is a turn about z:
 R_pelvis = R_torso Rz(θ)ᵀ and ω_pelvis = Rz(θ) ω_torso - (0, 0, θ') (unitreerobotics/unitree_rl_gym

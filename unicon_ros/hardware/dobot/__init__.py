@@ -1,0 +1,1 @@
+"""Dobot's Atom over DDS."""
