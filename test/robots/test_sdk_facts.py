@@ -79,7 +79,7 @@ FACTS: dict[str, list[tuple[str, dict[str, Any]]]] = {
         ("atom", {"domain": 0, "address": "192.168.8.234", "motor_mode": 1}),
         ("atom", {"lower_command_topic": "rt/lower/cmd", "upper_command_topic": "rt/upper/cmd"}),
         ("atom", {"fsm_topic": "rt/set/fsm/id", "emergency_state_topic": "rt/emergency/state"}),
-        ("atom", {"upper_control_topic": "rt/switch/upper/control"}),
+        ("atom", {"switch_topic": "rt/switch/upper/control"}),
         ("atom", {"lower_motors": list(range(12)), "upper_motors": list(range(12, 29))}),
         ("atom", {"gyro_unit": "deg/s", "rpy_unit": "deg"}),
         ("atom", {"rpc_ports": {"algorithms": 51234, "control": 51235}}),
