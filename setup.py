@@ -37,7 +37,6 @@ EXTRAS = {
     ],
     "zmq": ["pyzmq"],
     "plots": ["matplotlib"],
-    "hw-arx": ["python-can>=4.3"],
     # setuptools 80 turns `colcon build --symlink-install` into a silent copy.
     "test": [
         "pytest",
@@ -63,6 +62,7 @@ EXTRAS["torch"] = ["torch"]
 # Nor this: 130 MB installed, for exports to Parquet alone.
 EXTRAS["parquet"] = ["pyarrow"]
 # Nor what a vendor's protocol needs: a computer on a robot wants that of its robot alone.
+EXTRAS["hw-arx"] = ["python-can>=4.3"]
 for _robot in ("unitree", "pnd", "dobot", "inspire-dds"):  # they speak DDS
     EXTRAS[f"hw-{_robot}"] = ["cyclonedds==11.0.1", "rosbags>=0.11"]
 
