@@ -36,6 +36,7 @@ def opens() -> Iterator[Opens]:
 
 
 def addresses(*names: str) -> dict[str, str]:
+    pytest.importorskip("zmq", reason="store zmq needs pyzmq")
     held = [socket.socket() for _ in names]
     for each in held:
         each.bind(("127.0.0.1", 0))
