@@ -21,7 +21,7 @@ from unicon_core.platforms.platform import Prepares, ReportsVariant, SeesCommand
 from unicon_core.robots import load_robot
 from unicon_core.states import States, standard_states
 from unicon_core.states.spec import StateSpec
-from unicon_core.states.standard import COMMAND_STATES
+from unicon_core.states.standard import BUTTONS, COMMAND_STATES, control_states
 from unicon_msgs_map.codec.checksum import unitree_crc
 from unicon_msgs_map.layout.messages import shared_messages
 from unicon_msgs_map.layout.paths import Reference, parse_path
@@ -393,6 +393,7 @@ def test_states_that_a_workflow_declares_are_written() -> None:
     robot = load_robot("go2")
     specs = standard_states(robot.joint_names)
     specs |= {"foot_force": StateSpec((4,)), "wireless_remote": StateSpec((40,), "uint8")}
+    specs |= control_states()
     ours = States(specs)
     theirs = States(standard_states(robot.joint_names) | {"foot_force": StateSpec((4,))})
     theirs["foot_force"][...] = (20, 21, -22, 23)
@@ -405,6 +406,8 @@ def test_states_that_a_workflow_declares_are_written() -> None:
         until(ends.take, made.tell)
         assert ours["foot_force"].tolist() == [20, 21, -22, 23]
         assert ours["wireless_remote"][2:4].tolist() == [1, 2]
+        pressed = [name for name, value in zip(BUTTONS, ours["buttons"]) if value]
+        assert (pressed, int(ours["controls_alive"])) == (["R1", "B"], 1)
     finally:
         ends.close()
         made.close()

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from unicon_core.blocks.controls.device import Controls
+from unicon_core.blocks.controls.remotes import unitree as held
 from unicon_core.errors import Fault
 from unicon_core.platforms.kit.base import Mounting
 from unicon_core.robots import Robot
@@ -108,6 +110,7 @@ class UnitreeWire:
         self._remote: NDArray[Any] | None = None
         if "wireless_remote" in states:
             self._remote = states["wireless_remote"]
+        self._controls = Controls(states) if "sticks" in states else None
         self._encode = Encoder.build(command_out(facts), arrays).encode
         self._last = -1
         self.participant = Participant(domain, address, LABEL)
@@ -188,6 +191,8 @@ class UnitreeWire:
             self._errors[0][...] = self._errors[1]
         if self._remote is not None:
             self._remote[...] = self._bytes
+        if self._controls is not None:
+            held(self.remote, self._controls)
 
     def put(self) -> None:
         """Send the command states.

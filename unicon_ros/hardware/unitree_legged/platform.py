@@ -15,6 +15,7 @@ from unicon_core.errors import PlatformError
 from unicon_core.platforms.platform import Binding, Facts
 from unicon_core.robots import Robot
 from unicon_core.states import States
+from unicon_core.states.standard import CONTROL_STATES
 from unicon_ros.hardware.unitree_legged.link import NAME, Link, link_of
 from unicon_ros.hardware.unitree_legged.reader import FOOT_FORCE
 from unicon_ros.hardware.unitree_legged.wire import LeggedWire
@@ -38,6 +39,7 @@ _WRITES = (
     "motor_error",
     *_BATTERY,
     "stamp_ns",
+    *CONTROL_STATES,
 )
 
 

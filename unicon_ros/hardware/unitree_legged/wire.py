@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from unicon_core.blocks.controls.device import Controls
+from unicon_core.blocks.controls.remotes import unitree as held
 from unicon_core.errors import Fault, PlatformError
 from unicon_core.robots import Robot
 from unicon_core.states import States
@@ -56,6 +58,7 @@ class LeggedWire:
     ) -> None:
         self.counts, self.where = Counts(), f"{link.address}:{link.port}"
         self.remote = bytearray(40)
+        self._controls = Controls(states) if "sticks" in states else None
         self._reader = StateReader(states, robot, link, self.counts, encrypted)
         self._link, self._check_mode, self._names = link, check_mode, robot.joint_names
         self._commands = [states[name] for name in COMMAND_STATES]
@@ -93,6 +96,8 @@ class LeggedWire:
         for datagram in reversed(self._udp.received()):
             if self._reader.good(datagram):
                 self._reader.tell(self.remote)
+                if self._controls is not None:
+                    held(self.remote, self._controls)
                 self.counts.good += 1
                 return 1
         return 0
