@@ -414,7 +414,8 @@ def test_two_runs_of_one_name_at_once_are_refused(
     try:
         grown(tmp_path / "run.mcap.partial", 20_000)
         assert main([*RUN, "--speed", "max", "--duration", "0.5", "--record", str(file)]) == 1
-        assert "is being written by another run; give another name" in capsys.readouterr().err
+        told = capsys.readouterr().err
+        assert "is being written by another run; let that end first, or give another name" in told
     finally:
         run.terminate()
         run.wait(20)

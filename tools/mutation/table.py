@@ -343,6 +343,7 @@ ROWS = [
         ("Variant.__call__", "value != expected", "False"),
         ("Variant.__call__", "if not told:", "if False:"),
         ("NoCommand.__call__", "''"),
+        ("Alone.__call__", "''"),
     ),
     *_rows(
         "gates/gate.py",
@@ -365,7 +366,8 @@ ROWS = [
             "pass",
         ),
         ("_gates", "gates.append(Imu(imu, readers, period, _imu_stop(program, told)))", "pass"),
-        ("_gates", "gates.append(Variant(platform.variant, robot))", "pass"),
+        ("_gates", "gates.append(Variant(each.variant, own))", "pass"),
+        ("_gates", "gates.append(Alone(each.commanders))", "pass"),
         ("_gates", 'gates.append(NoCommand(states["velocity_command"]))', "pass"),
         ("_gates", "gates += _tilt(program, told)", "pass"),
         ("_gates", "gates += _stops(program, measured)", "pass"),

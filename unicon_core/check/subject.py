@@ -74,8 +74,8 @@ class Subject:
     @cached_property
     def written(self) -> frozenset[str]:
         """States that some block of the workflow writes, or a device."""
-        received = [block for node in self.program.stages[Stage.RECV] for block in blocks_of(node)]
-        return frozenset(name for block in (*received, *self.blocks) for name in block.writes)
+        devices = [b for node in self.program.stages[Stage.RECV][1:] for b in blocks_of(node)]
+        return frozenset(name for block in (*devices, *self.blocks) for name in block.writes)
 
     @cached_property
     def model(self) -> LoadedModel | None:
