@@ -157,9 +157,9 @@ def shared(states: States, robot: Robot, period: float) -> Shared:
     return Shared(states, robot, period)
 
 
-def prepared(states: States, robot: Robot, period: float) -> Prepared:
+def prepared(states: States, robot: Robot, period: float, *, silent: bool = False) -> Prepared:
     """Build one that is taken over behind the gates."""
-    return Prepared(states, robot, period)
+    return Prepared(states, robot, period, silent=silent)
 
 
 def _set(name: str, index: int, value: float) -> Callable[[WrongRobot, States], None]:

@@ -14,6 +14,7 @@ from unicon_core import Program, block, policy
 from unicon_core.check import check_workflow, refuse_errors
 from unicon_core.errors import Fault
 from unicon_core.gates.gate import StartGate
+from unicon_core.runtime.beforehand import prepared
 
 ROBOT = "gate_robots:make"
 
@@ -158,6 +159,19 @@ def test_a_robot_waits_while_another_one_commands_it() -> None:
 def test_a_robot_whose_own_controller_lets_go_behind_the_gates_does_not_wait_for_it() -> None:
     program = Program(robot="go2", platform="gate_robots:prepared", rate=50, flow=block("hold"))
     assert "commanders" not in reasons(program, 2)
+    prepare = prepared(program)
+    assert prepare is not None
+    assert prepare() == "1 others send to rt/command; end them, one alone may command a robot"
+    reasons(program, 40)
+    assert prepare() == ""  # it has let go, and nobody else is left
+    plain = Program(robot="go2", platform="gate_robots:shared", rate=50, flow=block("hold"))
+    assert prepared(plain) is None
+    silent = Program(
+        robot="go2", platform="gate_robots:prepared", rate=50, flow=block("hold"), silent=True
+    )
+    look = prepared(silent)
+    assert look is not None
+    assert look() == ""  # it sends nothing, and its own controller goes on
 
 
 def test_in_a_simulator_gates_are_shown_and_hold() -> None:

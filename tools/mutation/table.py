@@ -444,6 +444,11 @@ ROWS = [
         ("Runner._ticked", "if ticker.stop:", "if False:"),
     ),
     *_rows("runtime/beforehand.py", ENDS, ("waiting_tree", "Zip(*program.hearing, ", "Zip(")),
+    *_rows(
+        "runtime/beforehand.py",
+        GATES,
+        ("prepared", 'next(filter(None, (gate() for gate in alone)), "")', "''"),
+    ),
     *_rows("runtime/options.py", ENDS, ("refuse_pace", REMOVED)),
     *_rows(
         "runtime/runner.py",

@@ -11,8 +11,8 @@ from contextlib import suppress
 from unicon_core.errors import Fault, Hung, UniconError
 from unicon_core.flow import Node, as_block
 from unicon_core.flow.compiled import CompiledGraph
-from unicon_core.platforms.platform import Prepares, Resettable
-from unicon_core.runtime.beforehand import approach_tree, waiting_tree
+from unicon_core.platforms.platform import Resettable
+from unicon_core.runtime.beforehand import approach_tree, prepared, waiting_tree
 from unicon_core.runtime.damp import Damp
 from unicon_core.runtime.options import RunOptions, refuse_pace
 from unicon_core.runtime.pacing import prepare_process, process_age_s
@@ -335,9 +335,8 @@ class Runner:
         program = self.program
         if program.platform.facts.simulated or not program.has_platform:
             return self._met()
-        platform, warn = program.platform, self.options.warn
-        prepare = platform.prepare if isinstance(platform, Prepares) else None
-        waiting = self._waiting = Waiting(program.gates, self.asks, warn, prepare)
+        warn = self.options.warn
+        waiting = self._waiting = Waiting(program.gates, self.asks, warn, prepared(program))
         # The others learn that this one is there, and is not ready.
         here = [] if self._rendezvous is None else [as_block(self._rendezvous.here, name="here")]
         if not self._ticked(waiting_tree(program, as_block(waiting), *here), NEVER_NS):
