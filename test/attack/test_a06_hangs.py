@@ -83,8 +83,11 @@ def test_catch_up_is_bounded_in_a_simulator(tmp_path: Path) -> None:
     workflow = load_workflow(path, hooks=[lambda _: {Stage.OBSERVE: [Block("sleepy", sleepy)]}])
     report = Runner(workflow).run()
     assert report.faults == []
-    hasty = sum(b - a < 5_000_000 for a, b in pairwise(starts[10:]))
-    assert hasty <= CATCH_UP + 5  # a busy machine makes some more
+    longest = in_a_row = 0  # a busy machine makes further ones, each bounded as this is
+    for a, b in pairwise(starts[10:]):
+        in_a_row = in_a_row + 1 if b - a < 5_000_000 else 0
+        longest = max(longest, in_a_row)
+    assert 1 < longest <= CATCH_UP + 1
     assert report.overruns >= 40
 
 
