@@ -14,7 +14,12 @@ from unicon_core.workflow import load_workflow
 from unicon_ros.bridge import RosSession
 from unicon_ros.bridge.topics_in import TopicIn
 
-pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("domain"), pytest.mark.timeout(90)]
+pytestmark = [
+    pytest.mark.ros,
+    pytest.mark.alone,  # a peer that another test starves for 0.5 s is silent
+    pytest.mark.usefixtures("domain"),
+    pytest.mark.timeout(90),
+]
 
 WALK = """\
 schema: unicon.workflow/1

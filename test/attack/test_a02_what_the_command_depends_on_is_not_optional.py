@@ -11,7 +11,12 @@ from unicon_core.errors import PlatformError
 from unicon_core.robots import load_robot
 from unicon_core.workflow import load_workflow
 
-pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("domain"), pytest.mark.timeout(90)]
+pytestmark = [
+    pytest.mark.ros,
+    pytest.mark.alone,  # a peer that another test starves for 0.5 s is silent
+    pytest.mark.usefixtures("domain"),
+    pytest.mark.timeout(90),
+]
 
 TILT = "finite, tilt_stop"
 

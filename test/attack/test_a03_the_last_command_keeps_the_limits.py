@@ -15,7 +15,12 @@ from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner
 from unicon_core.workflow import Program, load_workflow
 
-pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("domain"), pytest.mark.timeout(90)]
+pytestmark = [
+    pytest.mark.ros,
+    pytest.mark.alone,  # a peer that another test starves for 0.5 s is silent
+    pytest.mark.usefixtures("domain"),
+    pytest.mark.timeout(90),
+]
 
 GAINS = """\
 subscribe:
