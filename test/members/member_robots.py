@@ -27,12 +27,19 @@ class Noting(FakeRobot):
     facts = replace(FakeRobot.facts, name="noting")
 
     def __init__(
-        self, states: States, robot: Robot, period: float, wrong: str, after: int, steps: int
+        self,
+        states: States,
+        robot: Robot,
+        period: float,
+        wrong: str,
+        after: int,
+        steps: int,
+        others: int,
     ) -> None:
         super().__init__(states, robot, period, Scene(), 0.0)
         self._states, self._robot = states, robot
         self._wrong, self._after, self._left = wrong, after, steps
-        self.steps = steps
+        self.steps, self._others = steps, others
 
     def _note(self, what: str) -> None:
         LOG.append((self._robot.name, what))
@@ -66,8 +73,8 @@ class Noting(FakeRobot):
         return "" if self._left < 0 else f"{self._left + 1} steps left"
 
     def commanders(self) -> Mapping[str, int]:
-        """Somebody else is there."""
-        return {f"topic of {self._robot.name}": 1}
+        """So many others are there."""
+        return {f"topic of {self._robot.name}": self._others}
 
     def variant(self) -> Mapping[str, Any]:
         """As the robot file says."""
@@ -82,7 +89,8 @@ def make(
     wrong: str = "",
     after: int = 0,
     steps: int = 0,
+    others: int = 0,
     silent: bool = False,
 ) -> Noting:
     """Build one."""
-    return Noting(states, robot, period, wrong, after, steps)
+    return Noting(states, robot, period, wrong, after, steps, others)

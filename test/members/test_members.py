@@ -280,8 +280,8 @@ def test_two_robots_run_behind_their_gates_and_the_hands_get_ready_first() -> No
         assert of(name)[-2:] == ["limp", "closed"]
         assert "command" in of(name)
     assert program.platform.commanders() == {  # type: ignore[attr-defined]
-        "topic of go2": 1,
-        "topic of inspire_rh56_left": 1,
+        "topic of go2": 0,
+        "topic of inspire_rh56_left": 0,
     }
 
 
@@ -302,7 +302,7 @@ def test_a_fault_of_one_damps_all(where: str, faulty: str) -> None:
 def test_a_member_in_a_process_of_its_own_is_prepared_there() -> None:
     program = robots(
         {},
-        {"steps": 1},
+        {"steps": 1, "others": 1},
         platform={"body": MADE, "left_hand": {"child": MADE, "silence": 5.0, "watchdog": 5.0}},
     )
     platform: Any = program.platform

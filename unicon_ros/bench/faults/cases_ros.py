@@ -75,7 +75,7 @@ def _called(
     return Case(group, name, wants, node=True, peer=peer, ticks=_NODE, **others)
 
 
-_estop = partial(_called, "~/estop")
+_estop = partial(_called, "~/estop", workflow=_BUSY)
 _services = partial(_called, "services", workflow=_BUSY)
 _asleep = partial(_estop, when="-1", spread=0, arguments=_WAITING)  # nothing ticks yet
 
