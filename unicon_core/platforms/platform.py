@@ -163,7 +163,8 @@ class SeesCommanders(Protocol):
 class Prepares(Protocol):
     """A robot that takes no commands at once: its own controller lets go, or a mode is entered.
 
-    It is asked once a tick behind the gates and the operator's go, before anything is sent.
+    It is asked once a tick behind the gates and the operator's go, before anything is sent, and
+    asked again where something else is still waited for: what is done stays done.
     """
 
     def prepare(self) -> str:
