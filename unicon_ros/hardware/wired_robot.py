@@ -19,6 +19,8 @@ from dataclasses import replace
 from functools import partial
 from typing import Any, TypeVar
 
+import numpy as np
+
 from unicon_core.blocks.projected_gravity import projected_gravity
 from unicon_core.errors import Fault, PlatformError
 from unicon_core.platforms.kit.command import FiniteCheck
@@ -72,8 +74,11 @@ class WiredRobot:
         writes = tuple(name for name in self.facts.writes if name in states)
         self.facts = replace(self.facts, writes=writes)
         self._gravity: Callable[[], None] | None = None
+        self._scratch: Callable[[], object] = int  # does nothing
         if {"base_quat", "projected_gravity"} <= set(writes):
             self._gravity = projected_gravity(states["base_quat"], states["projected_gravity"])
+            level = (1.0, 0.0, 0.0, 0.0)
+            self._scratch = projected_gravity(np.array(level), np.zeros(3))
         commands = {name: states[name] for name in COMMAND_STATES}
         self._finite = FiniteCheck(commands, robot.joint_names)
         self._sent = LastSent(states)
@@ -148,8 +153,9 @@ class WiredRobot:
         return None
 
     def warm_up(self) -> None:
-        """Do what `send` does up to the sending, to warm up."""
+        """Do what `recv` and `send` do, but change no state and send nothing, to warm up."""
         self._finite()
+        self._scratch()
         if self._warm_up is not None:
             self._warm_up()
 

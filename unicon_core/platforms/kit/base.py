@@ -105,6 +105,13 @@ class Mounting:
         """Return the orientation base to world of one sensor to world, wxyz, shape (4,)."""
         return self._right @ reading if self.turned else reading
 
+    def turn(self, readings: Mapping[str, NDArray[Any]]) -> None:
+        """Turn the states of an IMU, those of the sensor's frame, in place."""
+        if self.turned:
+            readings["base_quat"][...] = self.quat(readings["base_quat"])
+            for name in ("base_ang_vel", "base_lin_acc"):
+                readings[name][...] = self.vector(readings[name])
+
 
 class BaseStates:
     """Writes the base's states, those that are there.
