@@ -21,13 +21,13 @@ from unicon_msgs_map import Encoder
 from unicon_msgs_map.layout.messages import Struct, shared_messages
 from unicon_ros.hardware.dds.frames import Frames
 from unicon_ros.hardware.dds.maps import publish, subscribe
+from unicon_ros.hardware.dds.participant import LARGEST_DOMAIN
 from unicon_ros.hardware.facts import TransportFacts
 from unicon_ros.hardware.wire import Counts
 
 __all__ = ["DFX", "FTP", "KINDS", "Arrays", "HandFacts", "Kind"]
 
 Arrays = Mapping[str, NDArray[Any]]
-LARGEST_DOMAIN = 230
 ANGLES = 1
 """Bit of `mode` of the FTP: `angle_set` counts."""
 
