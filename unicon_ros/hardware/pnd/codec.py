@@ -19,11 +19,10 @@ from unicon_core.robots import Robot
 from unicon_msgs_map import Decoder, Encoder
 from unicon_msgs_map.layout.messages import Struct, shared_messages
 from unicon_ros.hardware.dds.frames import Frames
-from unicon_ros.hardware.dds.inlet import newer
 from unicon_ros.hardware.dds.maps import COMMANDS, IMU, MEASURED, motors, publish, subscribe
 from unicon_ros.hardware.dds.participant import LARGEST_DOMAIN
 from unicon_ros.hardware.facts import TransportFacts
-from unicon_ros.hardware.wire import Counts
+from unicon_ros.hardware.wire import Counts, newer
 
 __all__ = ["COMMAND", "REMOTE", "STATES", "STATE_NAME", "Arrays", "LowStates", "PndFacts"]
 
