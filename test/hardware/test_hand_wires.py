@@ -97,7 +97,9 @@ def test_positions_come_and_targets_go(hand: Hand) -> None:
         ticked(platform, lambda: bool(np.allclose(here["joint_pos"], goal, atol=step)))
         ticked(platform, lambda: not here["joint_vel"].any())
         here["joint_pos_target"][...] = robot.upper + 5.0  # clamped, never wrapped
+        assert platform.info()["clamped"] == 0
         platform.send()
+        assert platform.info()["clamped"] == 1
         until(lambda: np.allclose(there["joint_pos_target"], robot.upper, atol=step))
         platform.close()
         platform.close()

@@ -57,9 +57,11 @@ def test_calls_come_in_order_with_what_the_robot_file_says(module: Any) -> None:
     np.testing.assert_allclose([row[4] for row in told], goal, atol=1e-6)
     platform.recv()
     np.testing.assert_allclose(states["joint_pos"], goal, atol=1e-6)
-    states["joint_pos_target"][...] = 99.0  # clamped
+    assert platform.info()["clamped"] == 0
+    states["joint_pos_target"][...] = 99.0
     states["joint_stiffness"][3] = 0.0
     platform.send()
+    assert platform.info()["clamped"] == 1
     told = module.CALLS[-1][2]
     np.testing.assert_allclose([row[4] for row in told], ROBOT.upper, atol=1e-6)
     assert [row[6] for row in told] == [3] * 3 + [0] + [3] * 8

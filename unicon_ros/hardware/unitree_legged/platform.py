@@ -96,11 +96,10 @@ class UnitreeLegged(WiredRobot):
         self.facts = replace(self.facts, writes=_told(states, link))
 
     def info(self) -> Mapping[str, Any]:
-        """Return the generation too, and what was clamped or came from others."""
+        """Return the generation too, and how many came from others."""
         return {
             **super().info(),
             "generation": self._generation,
-            "clamped": self.wire.clamped,
             "strangers": self.wire.strangers,
         }
 

@@ -150,7 +150,9 @@ class XhandWire:
         Raises:
             Fault: the module does not take them.
         """
-        held = np.clip(self._target.astype(float), self._lower, self._upper)
+        wanted = self._target.astype(float)
+        held = np.clip(wanted, self._lower, self._upper)
+        self.counts.clamped += not np.array_equal(held, wanted)
         mode = int(self._facts["mode"])
         on = self._stiffness > 0.0
         for joint in range(self._count):
