@@ -242,7 +242,7 @@ def test_what_is_contradictory_must_be_said() -> None:
     with pytest.raises(RobotError, match=r"atom cannot be driven on platform 'dobot'"):
         refuse_incomplete(ATOM, "dobot")
     for key, value, words in (
-        ("waist_joint", "neck", "transport.waist_joint is neck; write one of"),
+        ("waist_joint", "neck", "transport.waist_joint is 'neck'; write one of"),
         ("lower_motors", [1, 0], "0 to 11, the only order known"),
         ("fsm_topic", None, "transport.fsm_topic is None"),
     ):

@@ -328,8 +328,8 @@ def test_a_stranger_at_the_face_is_left(tcp: tuple[Hand, Pumped]) -> None:
     ("make", "options", "told"),
     [
         (inspire, {"address": "127.0.0.1", "device": "/dev/null"}, "give one of them"),
-        (inspire, {"port": 0}, "port is 0; give 1 to 65535"),
-        (inspire, {"port": 70000}, "port is 70000; give 1 to 65535"),
+        (inspire, {"port": 0}, "port is 0; give one from 1 to 65535"),
+        (inspire, {"port": 70000}, "port is 70000; give one from 1 to 65535"),
         (inspire, {"device": "/dev/null"}, "is not a serial line"),
         (inspire, {"device": "/dev/there_is_none"}, "No such file or directory"),
         (rohand, {}, "give its serial line: platforms: {rohand: {device: /dev/ttyUSB0}}"),

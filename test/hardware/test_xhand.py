@@ -6,6 +6,7 @@ import json
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import numpy as np
 import pytest
 from hand_peers import hand_states, until
 
-from unicon_core.errors import Fault, MissingDependencyError, PlatformError
+from unicon_core.errors import Fault, MissingDependencyError, PlatformError, RobotError
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import Program
@@ -164,3 +165,10 @@ def test_it_runs_beside_a_body_in_a_process_of_its_own(
     ]
     assert {call[0] for call in told[4:-1]} == {"send_command"}
     assert told[-1] == ["close_device"]
+
+
+@pytest.mark.parametrize("key", ["baudrate", "kp", "max_torque", "mode", "module"])
+def test_a_fact_that_lacks_is_told(module: Any, key: str) -> None:
+    robot = replace(ROBOT, transport={k: v for k, v in ROBOT.transport.items() if k != key})
+    with pytest.raises(RobotError, match=f"transport.{key} is None; write"):
+        make(hand_states(robot), robot, 0.01, device="/dev/ttyUSB0")
