@@ -162,9 +162,5 @@ def make(
             f"stiffness, damping and torque: platforms: {{{NAME}: {{poll: true}}}}"
         )
     wire = LeggedWire(states, robot, link, watchdog, encrypted=encrypted, check_mode=check_mode)
-    try:
-        platform = UnitreeLegged(states, robot, period, wire, link, silence=silence, silent=silent)
-    except BaseException:
-        wire.close()
-        raise
-    return opened(platform, connect)
+    built = UnitreeLegged(states, robot, period, wire, link, silence=silence, silent=silent)
+    return opened(built, connect)
