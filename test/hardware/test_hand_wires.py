@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import select
 import socket
+import sys
 import threading
 import time
 import tty
@@ -332,6 +333,7 @@ def test_a_stranger_at_the_face_is_left(tcp: tuple[Hand, Pumped]) -> None:
         (inspire, {"port": 70000}, "port is 70000; give one from 1 to 65535"),
         (inspire, {"device": "/dev/null"}, "is not a serial line"),
         (inspire, {"device": "/dev/there_is_none"}, "No such file or directory"),
+        (inspire, {"domain": 1}, "domain is an option of hands over DDS, and robot inspire_rh56_l"),
         (rohand, {}, "give its serial line: platforms: {rohand: {device: /dev/ttyUSB0}}"),
     ],
 )
@@ -340,6 +342,15 @@ def test_a_wrong_option_is_told(make: Any, options: dict[str, Any], told: str) -
     with pytest.raises(PlatformError) as raised:
         make(hand_states(robot), robot, PERIOD, **options)
     assert told in str(raised.value)
+
+
+def test_modbus_needs_no_package(tcp: tuple[Hand, Pumped], monkeypatch: pytest.MonkeyPatch) -> None:
+    for package in ("cyclonedds", "rosbags", "pymodbus", "serial"):
+        monkeypatch.setitem(sys.modules, package, None)
+    hand, _ = tcp
+    platform = hand.open()
+    assert {"motor_error", "motor_status"} <= set(platform.facts.writes)
+    platform.close()
 
 
 def test_nobody_at_the_port_is_told() -> None:
