@@ -103,8 +103,8 @@ def test_a_robot_whose_gains_have_no_unit_is_refused(robot: Robot) -> None:
         ("stiffness_scale", [0.5] * 22, "write 23 numbers"),
         ("damping_scale", [-1.0] * 23, "write 23 numbers"),
         ("timeout_mode", 1.5, "write a whole number"),
-        ("actuator_sign", [0.5] * 23, "is not 1 or -1"),
-        ("actuators", ["127.0.0.1"] * 23, "an address twice"),
+        ("actuator_sign", [0.5] * 23, "write 1 or -1 for each joint"),
+        ("actuators", ["127.0.0.1"] * 23, "write an address of its own"),
         ("actuators", ["here"] * 23, "here"),
         ("port_fast", 0, "from 1 to 65535"),
     ):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import select
 import socket
+import sys
 import threading
 import time
 import tty
@@ -97,7 +98,9 @@ def test_positions_come_and_targets_go(hand: Hand) -> None:
         ticked(platform, lambda: bool(np.allclose(here["joint_pos"], goal, atol=step)))
         ticked(platform, lambda: not here["joint_vel"].any())
         here["joint_pos_target"][...] = robot.upper + 5.0  # clamped, never wrapped
+        assert platform.info()["clamped"] == 0
         platform.send()
+        assert platform.info()["clamped"] == 1
         until(lambda: np.allclose(there["joint_pos_target"], robot.upper, atol=step))
         platform.close()
         platform.close()
@@ -326,10 +329,11 @@ def test_a_stranger_at_the_face_is_left(tcp: tuple[Hand, Pumped]) -> None:
     ("make", "options", "told"),
     [
         (inspire, {"address": "127.0.0.1", "device": "/dev/null"}, "give one of them"),
-        (inspire, {"port": 0}, "port is 0; give 1 to 65535"),
-        (inspire, {"port": 70000}, "port is 70000; give 1 to 65535"),
+        (inspire, {"port": 0}, "port is 0; give one from 1 to 65535"),
+        (inspire, {"port": 70000}, "port is 70000; give one from 1 to 65535"),
         (inspire, {"device": "/dev/null"}, "is not a serial line"),
         (inspire, {"device": "/dev/there_is_none"}, "No such file or directory"),
+        (inspire, {"domain": 1}, "domain is an option of hands over DDS, and robot inspire_rh56_l"),
         (rohand, {}, "give its serial line: platforms: {rohand: {device: /dev/ttyUSB0}}"),
     ],
 )
@@ -338,6 +342,15 @@ def test_a_wrong_option_is_told(make: Any, options: dict[str, Any], told: str) -
     with pytest.raises(PlatformError) as raised:
         make(hand_states(robot), robot, PERIOD, **options)
     assert told in str(raised.value)
+
+
+def test_modbus_needs_no_package(tcp: tuple[Hand, Pumped], monkeypatch: pytest.MonkeyPatch) -> None:
+    for package in ("cyclonedds", "rosbags", "pymodbus", "serial"):
+        monkeypatch.setitem(sys.modules, package, None)
+    hand, _ = tcp
+    platform = hand.open()
+    assert {"motor_error", "motor_status"} <= set(platform.facts.writes)
+    platform.close()
 
 
 def test_nobody_at_the_port_is_told() -> None:

@@ -39,7 +39,7 @@ def reader_of(name: str) -> tuple[StateReader, States, Counts]:
 
 
 @pytest.mark.parametrize("name", ["a1", "go1"])
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(
     motors=st.lists(MOTOR, min_size=20, max_size=20),
     imu=st.lists(PLAIN, min_size=10, max_size=10),
@@ -75,7 +75,7 @@ def test_any_state_is_read_as_the_slow_twin_wrote_it(
 
 
 @pytest.mark.parametrize("name", ["a1", "go1"])
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(data=st.data())
 def test_any_bytes_under_a_right_checksum_are_taken_or_refused(name: str, data: Any) -> None:
     reader, states, counts = reader_of(name)
@@ -100,7 +100,7 @@ def test_a_face_takes_or_refuses_any_bytes_under_a_right_checksum(name: str) -> 
     board = face(states, robot, port=port)
     us = Udp(("127.0.0.1", 0), ("127.0.0.1", port), "us")
 
-    @settings(max_examples=20, deadline=None)
+    @settings(max_examples=20)
     @given(data=st.data())
     def hostile(data: Any) -> None:
         head = HEADS[name]
@@ -124,7 +124,7 @@ def test_a_face_takes_or_refuses_any_bytes_under_a_right_checksum(name: str) -> 
         board.close()
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(values=st.lists(FLOAT, min_size=3, max_size=3))
 def test_a_clamped_figure_is_the_nearest_that_the_wire_has(values: list[float]) -> None:
     """Whatever is asked for, nothing on the wire has another sign, or is beyond its range."""

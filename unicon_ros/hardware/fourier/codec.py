@@ -116,12 +116,12 @@ class Actuators:
         try:
             addresses = tuple(str(ipaddress.IPv4Address(a)) for a in addresses)
         except ValueError as error:
-            raise RobotError(f"robot {robot.name}: transport.actuators: {error}") from error
+            raise facts.wrong("actuators", f"IPv4 addresses ({error})") from error
         if len(set(addresses)) < len(addresses):
-            raise RobotError(f"robot {robot.name}: transport.actuators names an address twice")
+            raise facts.wrong("actuators", "an address of its own for each")
         signs = facts.numbers("actuator_sign", -1.0, 1.0)
         if not (np.abs(signs) == 1.0).all():
-            raise RobotError(f"robot {robot.name}: transport.actuator_sign is not 1 or -1 for each")
+            raise facts.wrong("actuator_sign", "1 or -1 for each joint")
         known = transport.get("current_scale") is not None
         return cls(
             robot.joint_names,

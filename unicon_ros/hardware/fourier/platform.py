@@ -71,9 +71,4 @@ def make(
     network = ipv4(address, "fourier") if address else ""
     dead_man = within(dead_man, "dead_man", "s", 5.0, max(0.01, period))
     wire = FourierWire(states, Actuators.of(robot, network), dead_man)
-    try:
-        built = Fourier(states, robot, period, wire, silence=silence, silent=silent)
-    except BaseException:
-        wire.close()
-        raise
-    return opened(built, connect)
+    return opened(Fourier(states, robot, period, wire, silence=silence, silent=silent), connect)

@@ -114,6 +114,7 @@ class LeggedWire:
         if late:
             effort = stiffness = self._nothing
         self._repeater.put(self._out.write(pos, vel, effort, stiffness, damping))
+        self.counts.clamped = self._out.clamped
         if late and not self._told_late:
             self._told_late = True
             raise Fault(
@@ -142,11 +143,6 @@ class LeggedWire:
         """End the thread and close the socket."""
         self._repeater.close()
         self._udp.close()
-
-    @property
-    def clamped(self) -> int:
-        """Figures so far that the datagram could not hold."""
-        return self._out.clamped
 
     @property
     def strangers(self) -> int:
