@@ -17,7 +17,7 @@ def face(
 
     Args:
         port: to listen at on loopback, 0 for any; None for the robot file's.
-        serial: it is reached over a pty, `face.server.device`.
+        serial: it is reached over a pty, `face.where`.
     """
     told = robot.transport["port"] if port is None else port
     server = PtyServer() if serial else TcpServer(int(told))

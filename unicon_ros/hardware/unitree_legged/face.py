@@ -71,6 +71,7 @@ class LeggedFace:
         rate: of its frames in [Hz].
         dead_man: infinity.
         obeys: commands act.
+        where: address and port.
         good: good commands so far.
         refused: others so far.
         remote: the 40 bytes of the wireless remote that it tells.
@@ -83,6 +84,7 @@ class LeggedFace:
     ) -> None:
         self.rate, self.obeys, self._encrypted, self._link = link.rate, obeys, encrypted, link
         self.good = self.refused = 0
+        self.where = f"{link.address}:{link.port}"
         self.remote = bytearray(40)
         self._states, self._told = states, 0
         self._in, self._out = Frame(link.layout.command), Frame(link.layout.state)
