@@ -75,6 +75,7 @@ class UnitreeFace:
         rate: of LowState in [Hz].
         dead_man: infinity: what the robots do is not public.
         obeys: its own controller has let go.
+        where: topic and domain.
         mode: of that controller, "" where it has let go.
         counts: of commands.
         remote: the wireless remote's bytes, to be pressed.
@@ -94,6 +95,7 @@ class UnitreeFace:
         variant: int | None,
     ) -> None:
         self.rate, self.mode, self.counts = facts.rate, mode, Counts()
+        self.where = f"{facts.command_topic} of DDS domain {domain}"
         self.remote = bytearray(REMOTE)
         self.asked: dict[str, list[int]] = {}
         self._facts, self._states = facts, states
