@@ -11,7 +11,6 @@ from emulated_runs import PATIENT, Served
 from legged_peer import free_port
 from peer import Peer
 
-from unicon_core.robots import load_robot
 from unicon_ros.bench.domains import free_domain
 
 __all__ = ["DRIVES", "completed", "serve"]
