@@ -4,16 +4,23 @@ from __future__ import annotations
 
 import random
 import re
-from collections.abc import Callable
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from emulated_runs import PATIENT, Served
 from legged_peer import free_port
 from peer import Peer
 
+from unicon_core.robots import Robot
 from unicon_ros.bench.domains import free_domain
+from unicon_ros.emulate.emulator import emulated
+from unicon_ros.emulate.face import Face
 
-__all__ = ["DRIVES", "completed", "serve"]
+__all__ = ["DRIVES", "completed", "serve", "stepped"]
 
 ROBOTS = Path(__file__).resolve().parents[2] / "config" / "robots"
 DRIVES = {
@@ -80,7 +87,6 @@ def serve(
     name: str,
     robot: str,
     *more: str,
-    drives: str = "",
     generation: str = "",
 ) -> Served:
     """Serve a robot where no other test's is.
@@ -90,7 +96,6 @@ def serve(
         name: of the robot, whose platform drives it.
         robot: its name or file.
         more: further arguments of `unicon emulate`.
-        drives: the robot whose driver is tried on it, which has to find it.
         generation: of its protocol, where it has several.
     """
     platform, arguments, options = DRIVES[name], list(more), {"silence": 5, "connect": 20}
@@ -126,3 +131,36 @@ def serve(
     if platform in BLIND:
         served.safety = re.sub(r"tilt_stop, |\{imu_stop[^}]*\}\}, ", "", PATIENT)
     return served
+
+
+@contextmanager
+def stepped(
+    robot: Robot, face: Callable[..., Face], options: dict[str, Any], **more: Any
+) -> Iterator[list[dict[str, Any]]]:
+    """Step an emulated robot of joints alone in a thread, for quick tests; yield what it says."""
+    said: list[dict[str, Any]] = []
+    emulator = emulated(
+        robot,
+        face,
+        options,
+        model="fake",
+        say=lambda kind, **facts: said.append({"kind": kind, **facts}),
+        **more,
+    )
+    ended, period = threading.Event(), 1.0 / said[0]["rate"]
+
+    def step() -> None:
+        due = time.monotonic()
+        while not ended.is_set():
+            emulator.tick(time.monotonic())
+            due = max(due + period, time.monotonic() - 0.1)  # a busy machine catches up a little
+            time.sleep(max(0.0, due - time.monotonic()))
+
+    thread = threading.Thread(target=step)
+    thread.start()
+    try:
+        yield said
+    finally:
+        ended.set()
+        thread.join()
+        emulator.close()
