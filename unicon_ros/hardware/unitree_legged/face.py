@@ -99,7 +99,7 @@ class LeggedFace:
             self._out["bms"]["soc"] = round(100 * FULL)
             self._out["bms"]["cells"][:CELLS] = 120
         self._udp = Udp((link.address, link.port), (link.address, 9), f"robot {robot.name}")
-        self._owes = False
+        self._owed: dict[tuple[str, int], None] = {}
 
     def hear(self) -> bool:
         """Bring the newest good command into the command states; True where one came."""
@@ -109,7 +109,7 @@ class LeggedFace:
                 self.refused += 1
                 continue
             self.good += 1
-            self._udp.peer, self._owes = sender, True
+            self._owed[sender] = None
             heard = True
             self._obey()
         return heard and self.obeys
@@ -145,11 +145,10 @@ class LeggedFace:
         damping[brakes] = BRAKE
 
     def tell(self) -> None:
-        """Answer, where a command has come."""
+        """Answer everybody of whom a command has come."""
         self._told += 1
-        if not self._owes:
+        if not self._owed:
             return
-        self._owes = False
         states, frame, motors = self._states, self._out, self._motors
         motors["q"], motors["dq"] = states["joint_pos"], states["joint_vel"]
         motors["q_raw"], motors["dq_raw"] = states["joint_pos"], states["joint_vel"]
@@ -169,7 +168,9 @@ class LeggedFace:
         frame["remote"][...] = np.frombuffer(self.remote, np.uint8)
         frame["tick"][...] = round(self._told * 1000.0 / self.rate) & 0xFFFFFFFF  # [ms]
         frame.seal(self._encrypted)
-        self._udp.send(frame.buffer)
+        for self._udp.peer in self._owed:
+            self._udp.send(frame.buffer)
+        self._owed.clear()
 
     def close(self) -> None:
         """Close the socket."""

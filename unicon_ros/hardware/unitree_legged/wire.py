@@ -29,8 +29,8 @@ __all__ = ["LeggedWire"]
 
 HELD = 3.0
 """A motor that tells as much obeys somebody else, while our commands ask for nothing, [N·m]."""
-LATELY = 0.5
-"""For so long it counts, [s]."""
+LATELY = 2.0
+"""For so long it counts, [s]: of two who send as often, one may be heard last for a while."""
 
 
 class LeggedWire:
