@@ -52,7 +52,7 @@ class Hand:
         server = self.face.server
         options: dict[str, Any] = {}
         if isinstance(server, PtyServer):
-            options["device"] = server.device
+            options["device"] = server.where
         else:
             options |= {"address": "127.0.0.1", "port": server.port}
         factory = rohand if kind == "rohand" else inspire
@@ -380,7 +380,7 @@ def test_a_hand_that_says_nothing_is_told_with_what_was_refused() -> None:
 def test_another_version_of_the_protocol_is_refused() -> None:
     robot = load_robot("rohand")
     face = rohand_face(hand_states(robot), robot, version=0x0203)
-    device = face.server.device  # type: ignore[union-attr]
+    device = face.where
     with pumped(face), pytest.raises(PlatformError, match=r"version 2\.3 of its protocol"):
         rohand(hand_states(robot), robot, PERIOD, device=device)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import socket
 import threading
 import time
@@ -359,3 +360,40 @@ def test_a_silent_driver_asks_only_where_it_may(peers: Callable[..., Peer]) -> N
     platform.send()
     platform.close()
     assert set(polling.commands()) <= {slow_command("go1", [])}
+
+
+@pytest.mark.parametrize(("torque", "count"), [(2.0, 0), (20.0, 1)])
+def test_motors_that_hold_while_nothing_is_asked_of_them_obey_somebody_else(
+    peers: Callable[..., Peer], torque: float, count: int
+) -> None:
+    peer = peers()
+    platform = peer.opened()
+    motors = [(10, 0.1, 0.0, -round(256 * torque) * (i == 3), 30) for i in range(12)]
+    end = time.monotonic() + 5.0
+    while list(platform.commanders().values()) != [count]:
+        assert time.monotonic() < end
+        peer.tick += 2
+        peer.udp.send(peer.frame(peer.tick, motors=motors))
+        platform.wait(0.05)
+        platform.recv()
+    assert all(where.startswith("127.0.0.1:") for where in platform.commanders())
+    platform.send()  # from now on they may obey us
+    platform.wire._held = -math.inf  # long ago
+    peer.tick += 2
+    peer.udp.send(peer.frame(peer.tick, motors=motors))
+    platform.wait(0.5)
+    platform.recv()
+    assert list(platform.commanders().values()) == [0]
+
+
+def test_all_datagrams_of_a_look_are_counted(peers: Callable[..., Peer]) -> None:
+    peer = peers()
+    platform = peer.opened()
+    count = platform.arrivals()
+    for _ in range(5):
+        peer.good()
+    peer.udp.send(b"too short")
+    time.sleep(0.05)
+    platform.recv()
+    assert platform.arrivals() == count + 5
+    assert sum(platform.info()["refused"].values()) == 1

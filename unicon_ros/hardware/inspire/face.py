@@ -18,7 +18,7 @@ def face(
 
     Args:
         port: to listen at on loopback, 0 for any; None for the robot file's.
-        serial: it is reached over a pty, `face.server.device`.
+        serial: it is reached over a pty, `face.where`.
     """
     if port is None:
         port = TransportFacts(robot).integer("port", 1, 65535)

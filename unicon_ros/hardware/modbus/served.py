@@ -75,12 +75,16 @@ class TcpServer:
 
     Args:
         port: 0 for any.
+
+    Attributes:
+        where: address and port.
     """
 
     def __init__(self, port: int = 0, address: str = "127.0.0.1") -> None:
         self._listening = socket.create_server((address, port))
         self._listening.setblocking(False)
         self.port = int(self._listening.getsockname()[1])
+        self.where = f"{address}:{self.port}"
         self._clients: list[tuple[socket.socket, _Served]] = []
 
     def serve(self, answer: Answer) -> None:
@@ -106,13 +110,13 @@ class PtyServer:
     """A serial line to nobody.
 
     Attributes:
-        device: to be opened by the driver.
+        where: the device, to be opened by the driver.
     """
 
     def __init__(self) -> None:
         self._master, self._slave = os.openpty()
         tty.setraw(self._slave)
-        self.device = os.ttyname(self._slave)
+        self.where = os.ttyname(self._slave)
         self._served = _Served(self._master, Rtu())
 
     def serve(self, answer: Answer) -> None:
@@ -135,6 +139,7 @@ class HandFace:
         extra: further registers and what they hold.
 
     Attributes:
+        where: address and port, or the serial line's device.
         memory: all registers.
         known: which of them there are.
         cleared: how often errors were cleared.
@@ -153,6 +158,7 @@ class HandFace:
         extra: dict[int, int] | None = None,
     ) -> None:
         self._states, self._registers, self.server = states, registers, server
+        self.where = server.where
         self.memory = np.zeros(0x10000, np.uint16)
         self.known = np.zeros(0x10000, np.bool_)
         self._joints = len(registers.at_zero)

@@ -12,7 +12,7 @@ __all__ = ["face"]
 
 
 def face(states: States, robot: Robot, *, version: int = 0x0100) -> HandFace:
-    """Return the face of a hand on a pty, `face.server.device`.
+    """Return the face of a hand on a pty, `face.where`.
 
     Args:
         version: of its protocol, the major one in the high byte.

@@ -77,6 +77,7 @@ class UnitreeFace(DdsEnd):
         rate: of LowState in [Hz].
         dead_man: infinity: what the robots do is not public.
         obeys: its own controller has let go.
+        where: topic and domain.
         mode: of that controller, "" where it has let go.
         counts: of commands.
         remote: the wireless remote's bytes, to be pressed.
