@@ -13,6 +13,8 @@ from typing import Any
 
 from peer import Peer
 
+from unicon_ros.bench.domains import free_domain
+
 HERE = Path(__file__).resolve().parent
 UNICON = (sys.executable, "-m", "unicon_ros")
 PLATFORM = "udp_robot:make"
@@ -42,15 +44,21 @@ class Emulated:
     ) -> None:
         os.environ["PYTHONPATH"] = str(HERE)  # the face, and the platform
         options = {"port": 0, "dead_man": 30.0, **options}
+        self._begin(processes, robot, "--face=udp_robot:face", *more, **options)
+        self.port = int(self.of("ready")[0]["where"].rpartition(":")[2])
+
+    def _begin(
+        self, processes: Callable[..., Peer], robot: str, *more: str, **options: Any
+    ) -> None:
+        """Start it, and wait until it is there."""
         given = [f"--set={name}={value}" for name, value in options.items()]
-        self.peer = processes(*UNICON, "emulate", robot, "--face=udp_robot:face", *given, *more)
+        self.peer = processes(*UNICON, "emulate", robot, *given, *more)
         self.peer.wait_for(
             lambda: bool(self.of("ready")) or self.peer.process.poll() is not None,
             "the robot",
             timeout=60.0,
         )
         assert self.of("ready"), self.peer.end()
-        self.port = int(self.of("ready")[0]["where"].rpartition(":")[2])
 
     def of(self, kind: str) -> list[dict[str, Any]]:
         """Return what it has said of a kind."""
@@ -89,6 +97,32 @@ class Emulated:
                 stderr=subprocess.STDOUT,
                 text=True,
             )
+
+
+class EmulatedUnitree(Emulated):
+    """An emulated robot of Unitree, in a DDS domain of its own.
+
+    Args:
+        processes: starts it.
+        robot: its name.
+        more: further arguments of `unicon emulate`.
+        options: of the face.
+    """
+
+    def __init__(
+        self, processes: Callable[..., Peer], robot: str, *more: str, **options: Any
+    ) -> None:
+        self.domain = free_domain()
+        self._begin(processes, robot, *more, domain=self.domain, **options)
+
+    def sets(self, platform: str = "unitree", patient: bool = True) -> list[str]:
+        """Return the arguments that let a workflow drive it, and leave the workflow as it is."""
+        silence = ", silence: 5" if patient else ""
+        options = f"{{address: 127.0.0.1, domain: {self.domain}, connect: 30{silence}}}"
+        found = [f"--set=platform={platform}", f"--set=platforms.unitree={options}"]
+        if patient:
+            found += ["--set=pacing.hang=20", f"--set=safety={PATIENT}"]
+        return found
 
 
 def ended(run: subprocess.Popen[str], folder: Path, timeout: float = 120.0) -> dict[str, Any]:
