@@ -73,7 +73,7 @@ def test_a_robot_that_cannot_be_emulated_is_told_with_the_reason(
     nobody = Transfer("a", "b", sloc.H1, {}, {"platform": "unitree"}, ("--face=nobody",))
     outcome = transferred(nobody)
     assert outcome.ran is False
-    assert outcome.told.startswith("no robot: unicon: unknown face 'nobody'; ")
+    assert outcome.told.startswith("no robot: unicon: error: unknown face 'nobody'; ")
 
 
 @pytest.mark.slow

@@ -34,7 +34,7 @@ LONGEST = 5.0
 """Behind the first command, [s]: it lies, goes to where its flow begins, stands up, stands."""
 WATCHDOG = 0.3
 """Of the child in [s]: patient with a busy machine; unless said it is 0.1."""
-CHILD = f"{{child: unitree, silence: 5, watchdog: {WATCHDOG}}}"
+CHILD = f"{{child: unitree, silence: 2, watchdog: {WATCHDOG}}}"
 ROBOTS = {
     "go2": ("go2_stand", ("go2",), ()),
     "g1": ("h1_stand", ("g1_29dof", "--hang", "--posture=default"), ("--set=robot=g1_29dof",)),
