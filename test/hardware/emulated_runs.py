@@ -13,6 +13,8 @@ from typing import Any
 
 from peer import Peer
 
+from unicon_ros.bench.domains import free_domain
+
 HERE = Path(__file__).resolve().parent
 UNICON = (sys.executable, "-m", "unicon_ros")
 PLATFORM = "udp_robot:make"
@@ -125,6 +127,25 @@ class Emulated(Served):
         )
         self.port = int(self.where.rpartition(":")[2])
         self.options["port"] = self.port
+
+
+class EmulatedUnitree(Served):
+    """An emulated robot of Unitree, in a DDS domain of its own.
+
+    Args:
+        processes: starts it.
+        robot: its name.
+        more: further arguments of `unicon emulate`.
+        options: of the face.
+    """
+
+    def __init__(
+        self, processes: Callable[..., Peer], robot: str, *more: str, **options: Any
+    ) -> None:
+        domain = free_domain()
+        given = [f"--set={name}={value}" for name, value in {**options, "domain": domain}.items()]
+        reached = {"address": "127.0.0.1", "domain": domain, "connect": 30}
+        super().__init__(processes, robot, *given, *more, platform="unitree", options=reached)
 
 
 def ended(run: subprocess.Popen[str], folder: Path, timeout: float = 120.0) -> dict[str, Any]:

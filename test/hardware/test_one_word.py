@@ -34,7 +34,7 @@ MODELLED = {
 }
 """Those whose models are at hand; a humanoid hangs, since nobody balances it."""
 ALONE = ("--model=fake", "--posture=random", "--seed=3")
-NEEDS = {"dobot": "cyclonedds", "inspire_dds": "cyclonedds", "pnd": "cyclonedds", "ros": "rclpy"}
+NEEDS = {"dobot": "cyclonedds", "pnd": "cyclonedds", "ros": "rclpy"}
 NEEDS |= {"unitree": "cyclonedds", "unitree_dex3": "cyclonedds"}
 
 
@@ -46,8 +46,9 @@ def stands(
     generation: str = "",
 ) -> None:
     """Let `h1_stand` drive an emulated robot to its default pose."""
-    if DRIVES[name] in NEEDS:
-        pytest.importorskip(NEEDS[DRIVES[name]], reason=f"needs {NEEDS[DRIVES[name]]}")
+    needs = "cyclonedds" if "dfx" in name else NEEDS.get(DRIVES[name])
+    if needs is not None:
+        pytest.importorskip(needs, reason=f"needs {needs}")
     file = completed(name, folder)
     served = serve(processes, name, file, "--each", *more, generation=generation)
     run = served.run("h1_stand", folder, f"--set=robot={file}", "--duration=4")

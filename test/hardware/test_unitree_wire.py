@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import struct
 import time
 from collections.abc import Iterator
@@ -26,7 +27,7 @@ from unitree_helpers import (
     writer_of,
 )
 
-from unicon_core.errors import Fault, MissingDependencyError, PlatformError
+from unicon_core.errors import Fault, MissingDependencyError, PlatformError, UniconError
 from unicon_core.platforms.platform import Prepares, ReportsVariant, SeesCommanders, WaitsForData
 from unicon_core.robots import load_robot
 from unicon_core.states import States, standard_states
@@ -508,6 +509,19 @@ def test_without_an_address_the_environment_chooses(monkeypatch: pytest.MonkeyPa
     monkeypatch.setenv("CYCLONEDDS_URI", "<General><Nonsense/></General>")
     with pytest.raises(PlatformError, match=r"cannot join DDS domain .* see CYCLONEDDS_URI"):
         Participant(free_domain(), None, "test")
+
+
+def test_what_the_robot_does_without_commands_is_an_assumption_that_has_to_be_made() -> None:
+    robot = load_robot("go2")
+    for given, dead_man in ((None, math.inf), (0.1, 0.1)):
+        made = face(states_of(robot), robot, domain=DOMAIN, dead_man=given)
+        assert made.dead_man == dead_man
+        made.close()
+    for wrong in (0.0, -1.0, 0.002, 11.0, math.nan, True, "soon"):
+        with pytest.raises(
+            UniconError, match=r"emulated unitree: dead_man is .* above 0.002 to 10"
+        ):
+            face(states_of(robot), robot, domain=DOMAIN, dead_man=wrong)  # type: ignore[arg-type]
 
 
 DDS_MESSAGES = ("go/msg/LowCmd", "go/msg/LowState", "hg/msg/LowCmd", "hg/msg/LowState")

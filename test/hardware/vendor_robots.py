@@ -36,14 +36,14 @@ DRIVES = {
     "go2": "unitree",
     "h1": "unitree",
     "h1_2": "unitree",
-    "inspire_rh56_dfx_left": "inspire_dds",
+    "inspire_rh56_dfx_left": "inspire",
     "inspire_rh56_left": "inspire",
     "n1": "fourier",
     "rohand": "rohand",
     "x2": "ros",
 }
 """The platform of each robot that can be served to another process."""
-BLIND = ("fourier", "inspire", "inspire_dds", "rohand", "unitree_dex3")
+BLIND = ("fourier", "inspire", "rohand", "unitree_dex3")
 """Platforms that tell of no IMU."""
 STAND_INS: dict[str, tuple[tuple[str, str], ...]] = {
     "aliengo": (
@@ -115,7 +115,7 @@ def serve(
     elif platform == "ros":
         given.clear()
         arguments.append("--face=ros")
-    elif platform == "inspire":
+    elif platform == "inspire" and "dfx" not in name:
         arguments.append("--set=port=0")
     elif platform != "rohand":
         given |= {"address": "127.0.0.1", "domain": free_domain()}
@@ -125,7 +125,7 @@ def serve(
     served = Served(processes, robot, *arguments, platform=platform, options=given)
     if platform == "rohand":
         given["device"] = served.where
-    elif platform == "inspire":
+    elif platform == "inspire" and "dfx" not in name:
         address, _, port = served.where.rpartition(":")
         given |= {"address": address, "port": int(port)}
     if platform in BLIND:

@@ -53,7 +53,7 @@ def simulated(robots: list[Robot], dice: random.Random, latency_ms: int) -> None
         if robot.stall[0] <= now < robot.stall[1]:
             robot.next_at = robot.stall[1]
             continue
-        begun = robot.side.moment_ns and robot.side.moment_ns - now <= 1.5 * robot.period
+        begun = robot.side.moment_ns and robot.side.moment_ns - now <= 2.0 * robot.period
         if now >= robot.dies_at or robot.faulted or begun:
             if begun and robot.said[-1][1].stage != BEGUN and now < robot.dies_at:
                 robot.said.append((now, Word(BEGUN, False, robot.side.moment_ns)))

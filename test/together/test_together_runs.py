@@ -7,16 +7,19 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from datetime import datetime, timezone
 from pathlib import Path
 
 import pytest
+from peer import Peer
 
 from unicon_core.errors import UniconError
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.runtime.phases import describe
 from unicon_core.states.backends.shm import segments
 from unicon_core.workflow import load_workflow
+from unicon_ros.bench.domains import free_domains
 
 GROUP = f"runs-{os.getpid()}"
 HERE = Path(__file__).resolve().parent
@@ -125,6 +128,31 @@ def test_two_robots_begin_together_twenty_times(
         time.sleep(0.1)
     left, right = (begin(workflow, runs, said[me], f"platform={platform}") for me in said)
     in_time(left, right, runs=runs)
+
+
+@pytest.mark.slow
+@pytest.mark.alone
+@pytest.mark.timeout(400)
+@pytest.mark.parametrize("when", ["together", "at"])
+def test_two_emulated_go2_begin_together_twenty_times(
+    workflow: Path, processes: Callable[..., Peer], when: str
+) -> None:
+    """Each behind Unitree's DDS, in a domain of its own: four processes."""
+    pytest.importorskip("cyclonedds", reason="needs cyclonedds: 'unicon_ros[hw-unitree]'")
+    said = []
+    for me, domain in zip(("left", "right"), free_domains(2)):
+        emulate = ["-m", "unicon_ros", "emulate", "go2", "--model=fake", "--posture=default"]
+        peer = processes(sys.executable, *emulate, f"--set=domain={domain}")
+        peer.wait_for(lambda peer=peer: bool(peer.of("ready")), "the robot", timeout=60.0)
+        options = f"{{address: 127.0.0.1, domain: {domain}, connect: 30, silence: 5}}"
+        start = together(me) if when == "together" else "start.at={every: 10}"
+        said.append((start, "platform=unitree", f"platforms.unitree={options}"))
+    while when == "at" and not 0.1 < time.time() % 10.0 < 0.5:  # both mean the same one
+        time.sleep(0.1)
+    left, right = (
+        begin(workflow, 20, *each, "start.approach=2.0", "pacing.priority=20") for each in said
+    )
+    in_time(left, right, runs=20)
 
 
 @pytest.mark.slow

@@ -1,7 +1,9 @@
 """Face of robots behind Unitree's DDS: LowState at 500 Hz, LowCmd, and the motion switcher.
 
-Not emulated, as it is not public: what the robot does when LowCmd stops, how long its controller
-takes to let go, and rpy, raw motor readings, voltages of cells and the like, which stay zero.
+What the robot does when LowCmd stops is not public: it goes on with its last command, unless option
+`dead_man` says otherwise, which is an assumption. Not emulated, for the same reason: how long its
+controller takes to let go, and rpy, raw motor readings, voltages of cells and the like, which stay
+zero.
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from unicon_core.bounds import within
 from unicon_core.errors import PlatformError
 from unicon_core.robots import Robot
 from unicon_core.states import States
@@ -38,6 +41,8 @@ MODE = "normal"
 """Of its own controller, until it lets go."""
 TICK_MS = 2
 NOT_IMPLEMENTED = 3203
+LONGEST = 10.0
+"""Of `dead_man` in [s]."""
 TEMPERATURE, VOLTAGE = 35.0, 29.0
 """What it tells where its simulator knows none, in [°C] and [V]."""
 
@@ -50,6 +55,7 @@ def face(
     domain: int | None = None,
     mode: str = MODE,
     variant: int | None = None,
+    dead_man: float | None = None,
 ) -> UnitreeFace:
     """Build the robot's end.
 
@@ -58,16 +64,20 @@ def face(
         domain: of DDS, instead of the robot file's.
         mode: of its own controller at the start, "" where it has let go.
         variant: `mode_machine` that it tells, instead of the robot file's.
+        dead_man: it damps without a LowCmd for so long, in [s]. An assumption: what a real one
+            does is not public, and without this the last command goes on for ever.
 
     Raises:
-        UniconError: the robot file lacks a fact, or the network cannot be used.
+        UniconError: the robot file lacks a fact, an option is out of range, or the network cannot
+            be used.
     """
     facts = UnitreeFacts.of(robot)
     if variant is not None and not 0 <= variant <= 255:
         raise PlatformError(f"{LABEL}: variant is {variant}; give 0 to 255")
-    return UnitreeFace(
-        states, robot, facts, facts.domain if domain is None else domain, address, mode, variant
-    )
+    if dead_man is not None:
+        dead_man = within(dead_man, f"{LABEL}: dead_man", "s", LONGEST, 1.0 / facts.rate)
+    domain = facts.domain if domain is None else domain
+    return UnitreeFace(states, robot, facts, domain, address, mode, variant, dead_man)
 
 
 class UnitreeFace(DdsEnd):
@@ -75,7 +85,7 @@ class UnitreeFace(DdsEnd):
 
     Attributes:
         rate: of LowState in [Hz].
-        dead_man: infinity: what the robots do is not public.
+        dead_man: infinity unless given: what the robots do is not public.
         obeys: its own controller has let go.
         where: topic and domain.
         mode: of that controller, "" where it has let go.
@@ -83,8 +93,6 @@ class UnitreeFace(DdsEnd):
         remote: the wireless remote's bytes, to be pressed.
         asked: numbers of the requests that its services got, by service.
     """
-
-    dead_man = math.inf
 
     def __init__(
         self,
@@ -95,8 +103,10 @@ class UnitreeFace(DdsEnd):
         address: str | None,
         mode: str,
         variant: int | None,
+        dead_man: float | None,
     ) -> None:
         self.rate, self.mode, counts = facts.rate, mode, Counts()
+        self.dead_man = math.inf if dead_man is None else dead_man
         self.remote = bytearray(REMOTE)
         self.asked: dict[str, list[int]] = {}
         self._facts, self._states = facts, states
