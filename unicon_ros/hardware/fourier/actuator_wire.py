@@ -79,9 +79,12 @@ class ActuatorWire:
         if now - self._asked >= 0.9 / self._rate:
             self._asked, self._turn = now, (self._turn + 1) % len(self._sockets)
             self._ask()
-        complete = self._answered.complete()
+        complete = self._complete()
         self.counts.good += complete
         return int(complete)
+
+    def _complete(self) -> bool:
+        return self._answered.complete()
 
     def _sort(self, joint: int, data: bytes) -> None:
         """Keep an answer, or count it as refused."""
@@ -109,27 +112,28 @@ class ActuatorWire:
         """See `Wire`."""
         return bool(select.select(self._sockets, [], [], timeout)[0])
 
-    def _tell_all(self, datagrams: Iterable[tuple[int, bytes | memoryview]]) -> None:
-        """Send datagrams, each to its joint.
+    def _tell_all(self, datagrams: Iterable[tuple[Udp, bytes | memoryview]]) -> None:
+        """Send datagrams, each with its socket.
 
         Raises:
             Fault: one could not be sent; all others were, since who damps or lets go has to reach
                 the joints that still have a way.
         """
         fault: Fault | None = None
-        for joint, data in datagrams:
+        for socket, data in datagrams:
             try:
-                self._tell(joint, data)
+                socket.send(data)
             except Fault as one:
                 fault = fault or one
         if fault is not None:
             raise fault
 
-    def _close(self, enabled: bool) -> None:
-        """Let go; switch all actuators off before, if we have enabled them."""
+    def _close(self, enabled: bool, times: int = 1) -> None:
+        """Let go; switch all actuators off before, so many times, if we have enabled them."""
         try:
             if enabled and self._opened:
-                self._tell_all((joint, bytes([DISABLE])) for joint in range(len(self._sockets)))
+                off = bytes([DISABLE])
+                self._tell_all((socket, off) for socket in self._sockets * times)
         finally:
             self._let_go()
 

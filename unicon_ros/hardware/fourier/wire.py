@@ -182,11 +182,10 @@ class FourierWire(ActuatorWire):
         changed[self._turn] = True
         self._sent_gains = both
         size, data = GAINS_TYPE.itemsize, gains.view(np.uint8).data
-        due = np.flatnonzero(changed).tolist()
-        datagrams = [(joint, data[joint * size : (joint + 1) * size]) for joint in due]
+        due, sockets = np.flatnonzero(changed).tolist(), self._sockets
+        datagrams = [(sockets[joint], data[joint * size : (joint + 1) * size]) for joint in due]
         size, data = COMMAND_TYPE.itemsize, commands.view(np.uint8).data
-        joints = range(len(self._sockets))
-        datagrams += [(joint, data[joint * size : (joint + 1) * size]) for joint in joints]
+        datagrams += [(one, data[i * size : (i + 1) * size]) for i, one in enumerate(sockets)]
         self._tell_all(datagrams)
 
     def close(self) -> None:
