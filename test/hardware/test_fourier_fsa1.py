@@ -424,6 +424,7 @@ safety: [finite, joint_limits]
 
 
 @pytest.mark.slow
+@pytest.mark.alone
 def test_a_file_of_the_user_with_the_missing_facts_runs(tmp_path: Path) -> None:
     fast, control = free_ports(2)
     text = Path(load_robot("gr1t2").path).read_text()
