@@ -5,11 +5,13 @@ from __future__ import annotations
 import os
 import select
 import socket
+import struct
 import sys
 import threading
 import time
 import tty
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -28,9 +30,9 @@ from unicon_core.workflow import Program
 from unicon_ros.hardware.inspire.face import face as inspire_face
 from unicon_ros.hardware.inspire.platform import Inspire
 from unicon_ros.hardware.inspire.platform import make as inspire
-from unicon_ros.hardware.modbus.frames import Frame, Refused, Rtu, Tcp, read_request
+from unicon_ros.hardware.modbus.frames import Frame, Refused, Rtu, Tcp, read_request, write_request
 from unicon_ros.hardware.modbus.link import Link, open_serial
-from unicon_ros.hardware.modbus.served import HandFace, PtyServer
+from unicon_ros.hardware.modbus.served import HandFace, PtyServer, _Served
 from unicon_ros.hardware.rohand.face import face as rohand_face
 from unicon_ros.hardware.rohand.platform import make as rohand
 
@@ -320,6 +322,54 @@ def test_a_stranger_at_the_face_is_left(tcp: tuple[Hand, Pumped]) -> None:
     for stranger in strangers:
         stranger.close()
     platform.close()
+
+
+def test_who_takes_nothing_holds_no_exchange_up() -> None:
+    """A peer that was stopped: what is sent to it piles up, and a write would wait for ever."""
+    ours, theirs = socket.socketpair()
+    link = Link(ours.fileno(), Tcp(), ours.close)
+    began = time.monotonic()
+    with pytest.raises(TimeoutError, match="takes nothing"):  # noqa: PT012
+        while time.monotonic() < began + 20.0:
+            with suppress(Refused):
+                link.exchange(1, read_request(0, 1), timeout=0.0)
+    link.close()
+    theirs.close()
+
+
+def test_a_link_that_is_closed_again_lets_go_of_nothing_else() -> None:
+    master, slave, device = pty_pair()
+    link = open_serial(device, 115200)
+    link.close()
+    others = [os.open(os.devnull, os.O_RDONLY) for _ in range(3)]  # one takes its number
+    link.close()
+    for file in (*others, master, slave):
+        os.close(file)
+
+
+def test_a_client_that_reads_nothing_holds_no_hand_up() -> None:
+    """What is answered to it piles up, and a write would wait for ever: it is let go of."""
+    ours, theirs = socket.socketpair()
+    ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
+    served = _Served(ours.fileno(), Tcp())
+    ask = Tcp().pack(Frame(1, 1, read_request(0, 100)))
+    for _ in range(200):
+        theirs.send(ask)
+        if not served.serve(lambda _: bytes(202)):
+            break
+    else:
+        raise AssertionError("it was answered for ever")
+    ours.close()
+    theirs.close()
+
+
+def test_one_finger_alone_is_heard(tcp: tuple[Hand, Pumped]) -> None:
+    hand, _ = tcp
+    face = hand.face
+    start = face._registers.target + 2
+    answer = face._answer(Frame(0, face._registers.unit, write_request(start, np.array([500]))))
+    assert answer == struct.pack(">BHH", 16, start, 1)
+    assert face._heard
 
 
 # -- wrong options ---------------------------------------------------------------------------------

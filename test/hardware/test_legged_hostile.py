@@ -74,6 +74,18 @@ def test_any_state_is_read_as_the_slow_twin_wrote_it(
         assert states["battery_charge"] == f32(soc / 100.0)
 
 
+def test_modes_are_those_of_the_newest_good_datagram() -> None:
+    """`prepare` looks at them: what was refused must not say that motors are ready, or are not."""
+    reader, _, _ = reader_of("a1")
+    servo = [(10, 0.0, 0.0, 0, 0)] * 20
+    assert reader.good(slow_state("a1", servo, (1.0, *[0.0] * 9), 1))
+    reader.tell(bytearray(40))
+    damaged = bytearray(slow_state("a1", [(0, 0.0, 0.0, 0, 0)] * 20, (1.0, *[0.0] * 9), 2))
+    damaged[-1] ^= 1
+    assert not reader.good(bytes(damaged))
+    assert set(reader.modes) == {10}
+
+
 @pytest.mark.parametrize("name", ["a1", "go1"])
 @settings(max_examples=20)
 @given(data=st.data())

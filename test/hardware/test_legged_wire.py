@@ -20,6 +20,7 @@ from unicon_core.states import States, StateSpec
 from unicon_core.states.standard import BUTTONS, control_states
 from unicon_ros.hardware.udp import Udp
 from unicon_ros.hardware.unitree_legged.platform import UnitreeLegged, make
+from unicon_ros.hardware.unitree_legged.repeater import Repeater
 
 UPRIGHT = (1.0, 0.0, 0.0, 0.0, 0.1, 0.2, 0.3, 0.0, 0.0, 9.81)
 PERIOD = 0.002
@@ -304,6 +305,19 @@ def test_a_tick_that_does_not_come_is_damped_for_good(peers: Callable[..., Peer]
     for datagram in after:
         motors = np.frombuffer(datagram[10:550], np.uint8).reshape(20, 27)
         assert not motors[:, 9:13].any()  # torque and stiffness
+
+
+def test_a_process_that_was_stopped_sends_nothing_stiff_when_it_goes_on() -> None:
+    """Its tick may come before the thread that damps: who is late is seen by both."""
+    sent: list[bytes] = []
+    repeater = Repeater(sent.append, 500.0, 0.02, b"idle", b"limp")  # the thread does not run yet
+    assert not repeater.late  # nobody has to renew the idle command
+    repeater.put(b"stiff")
+    assert not repeater.late
+    time.sleep(0.03)
+    assert repeater.late
+    repeater.put(b"limp too")
+    assert repeater.late  # for good
 
 
 def test_close_damps_and_a_second_run_finds_the_port(peers: Callable[..., Peer]) -> None:

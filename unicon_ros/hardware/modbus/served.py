@@ -42,6 +42,7 @@ class _Served:
 
     def __init__(self, file: int, framing: Framing) -> None:
         self.file, self._framing, self._data = file, framing, bytearray()
+        os.set_blocking(file, False)
 
     def serve(self, answer: Answer) -> bool:
         """Answer what has come; False once the client has gone."""
@@ -62,12 +63,21 @@ class _Served:
                 del self._data[:size]
                 told = answer(frame)
                 if told is not None:
-                    os.write(self.file, self._framing.pack(frame._replace(pdu=told)))
+                    self._tell(self._framing.pack(frame._replace(pdu=told)))
         except Refused:  # as the vendor's: no answer
             self._data.clear()
         except OSError:
-            return False
+            return isinstance(self._framing, Rtu)
         return True
+
+    def _tell(self, data: bytes) -> None:
+        """Send an answer.
+
+        Raises:
+            OSError: the client takes nothing any more; nobody waits for it.
+        """
+        if os.write(self.file, data) < len(data):
+            raise BlockingIOError
 
 
 class TcpServer:
@@ -220,7 +230,8 @@ class HandFace:
         if len(data) != 2 * count:
             return refusal(function, 3)
         self.memory[start : start + count] = np.frombuffer(data, ">u2")
-        self._heard |= start == self._registers.target
+        target = self._registers.target
+        self._heard |= start < target + self._joints and target < start + count
         if self._registers.clear and start == self._registers.clear[0]:
             self.cleared += 1
             if "motor_error" in self._states:

@@ -36,7 +36,7 @@ class StateReader:
         encrypted: the checksum of a Go1 that is not an EDU is right too.
 
     Attributes:
-        modes: of the robot's motors, shape (n,).
+        modes: of the robot's motors in the datagram that was told last, shape (n,).
 
     Raises:
         StateError: `foot_force` is not of four.
@@ -49,7 +49,7 @@ class StateReader:
         motors, count = frame["motors"][link.motors], robot.num_joints
         self._link, self._counts, self._encrypted = link, counts, encrypted
         self._level, self._tick, self._remote = frame["level"], frame["tick"], frame["remote"]
-        self.modes = motors["mode"]
+        self._modes, self.modes = motors["mode"], np.zeros(count, np.uint8)
         self._newest: int | None = None
         # What must be finite, side by side: one check for all.
         self._floats = np.zeros(2 * count + 10, np.float32)
@@ -121,6 +121,7 @@ class StateReader:
         self._mounting.turn(self._imu, self._base)
         np.multiply(self._torque, _NM, out=self._effort)
         remote[:] = self._remote.data
+        self.modes[...] = self._modes
         modes = self.modes.tobytes()
         if modes != self._errors_of:
             self._errors_of, link = modes, self._link
