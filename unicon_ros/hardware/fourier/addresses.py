@@ -49,7 +49,7 @@ class Addressed:
         listed = addresses(robot, "actuators", facts.texts("actuators"), network)
         signs = facts.numbers("actuator_sign", -1.0, 1.0)
         if not (np.abs(signs) == 1.0).all():
-            raise RobotError(f"robot {robot.name}: transport.actuator_sign is not 1 or -1 for each")
+            raise facts.wrong("actuator_sign", "1 or -1 for each joint")
         return {
             "names": robot.joint_names,
             "addresses": listed,
@@ -104,7 +104,7 @@ def addresses(robot: Robot, key: str, listed: tuple[str, ...], network: str) -> 
     try:
         found = tuple(str(ipaddress.IPv4Address(address)) for address in listed)
     except ValueError as error:
-        raise RobotError(f"robot {robot.name}: transport.{key}: {error}") from error
+        raise TransportFacts(robot).wrong(key, f"IPv4 addresses ({error})") from error
     if len(set(found)) < len(found):
-        raise RobotError(f"robot {robot.name}: transport.{key} names an address twice")
+        raise TransportFacts(robot).wrong(key, "an address of its own for each")
     return found
