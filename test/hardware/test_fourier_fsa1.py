@@ -107,7 +107,7 @@ def test_a_robot_whose_actuators_are_not_known_is_refused_with_what_is_missing(
         ("encoder_zero", [float("nan")] * 15, "write 15 numbers"),
         ("encoder_sign", [2] * 15, "write 15 numbers"),
         ("encoder_sign", [0.5] * 15, "is not 1 or -1"),
-        ("encoders", ["127.0.0.1"] * 15, "an address twice"),
+        ("encoders", ["127.0.0.1"] * 15, "an address of its own for each"),
         ("encoders", "192.168.137.170", "is not a list"),
         ("encoders", ["192.168.137.70"], "names an address of transport.actuators"),
         ("port_control", "2333", "from 1 to 65535"),
