@@ -321,6 +321,30 @@ def test_a_controller_that_does_not_let_go_is_a_fault(
         pair.close()
 
 
+def test_check_mode_is_asked_again_where_its_answer_was_lost(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(release, "AGAIN", 0.05)
+    robot = load_robot("g1_29dof")
+    robot.transport["release"]["wait"] = 0.0  # type: ignore[index]
+    pair = Pair(robot, release=True)
+    answer, asked = pair.face._answer, []
+
+    def reply(service: str, server: Any, request: Any) -> None:
+        asked.append(request.header.identity.api_id)
+        if len(asked) > 2:  # the first two answers are lost
+            answer(service, server, request)
+
+    monkeypatch.setattr(pair.face, "_answer", reply)
+    try:
+        released(pair)
+        assert asked[:3] == [1001, 1001, 1001]
+        assert asked.count(1003) == 1
+        assert pair.face.obeys
+    finally:
+        pair.close()
+
+
 def test_a_robot_without_the_service_is_a_fault_with_the_remedy(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
