@@ -34,6 +34,8 @@ LONGEST = 5.0
 """Behind the first command, [s]: it lies, goes to where its flow begins, stands up, stands."""
 WATCHDOG = 0.3
 """Of the child in [s]: patient with a busy machine; unless said it is 0.1."""
+SETTLED = 3.0
+"""Limp legs swing on a gantry, which a busy machine would see late, [s]."""
 CHILD = f"{{child: unitree, silence: 2, watchdog: {WATCHDOG}}}"
 ROBOTS = {
     "go2": ("go2_stand", ("go2",), ()),

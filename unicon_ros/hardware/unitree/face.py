@@ -16,12 +16,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from unicon_core.blocks.controls.remotes import unitree_pressed
 from unicon_core.bounds import within
 from unicon_core.errors import PlatformError
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_msgs_map import Encoder
+from unicon_ros.emulate.remote import Remote
 from unicon_ros.hardware.dds.end import DdsEnd
 from unicon_ros.hardware.dds.frames import Frames
 from unicon_ros.hardware.dds.maps import arrays_of
@@ -56,6 +58,7 @@ def face(
     mode: str = MODE,
     variant: int | None = None,
     dead_man: float | None = None,
+    remote: str | None = None,
 ) -> UnitreeFace:
     """Build the robot's end.
 
@@ -66,6 +69,8 @@ def face(
         variant: `mode_machine` that it tells, instead of the robot file's.
         dead_man: it damps without a LowCmd for so long, in [s]. An assumption: what a real one
             does is not public, and without this the last command goes on for ever.
+        remote: a game pad that is held as its wireless remote, such as /dev/input/event5, or a
+            pipe, or auto; see block `gamepad`.
 
     Raises:
         UniconError: the robot file lacks a fact, an option is out of range, or the network cannot
@@ -77,7 +82,14 @@ def face(
     if dead_man is not None:
         dead_man = within(dead_man, f"{LABEL}: dead_man", "s", LONGEST, 1.0 / facts.rate)
     domain = facts.domain if domain is None else domain
-    return UnitreeFace(states, robot, facts, domain, address, mode, variant, dead_man)
+    made = UnitreeFace(states, robot, facts, domain, address, mode, variant, dead_man)
+    if remote is not None:
+        try:
+            made.held = Remote(remote, robot, made.remote, unitree_pressed)
+        except BaseException:
+            made.close()
+            raise
+    return made
 
 
 class UnitreeFace(DdsEnd):
@@ -91,6 +103,7 @@ class UnitreeFace(DdsEnd):
         mode: of that controller, "" where it has let go.
         counts: of commands.
         remote: the wireless remote's bytes, to be pressed.
+        held: what presses them, or None.
         asked: numbers of the requests that its services got, by service.
     """
 
@@ -108,6 +121,7 @@ class UnitreeFace(DdsEnd):
         self.rate, self.mode, counts = facts.rate, mode, Counts()
         self.dead_man = math.inf if dead_man is None else dead_man
         self.remote = bytearray(REMOTE)
+        self.held: Remote | None = None
         self.asked: dict[str, list[int]] = {}
         self._facts, self._states = facts, states
         n = robot.num_joints
@@ -151,6 +165,8 @@ class UnitreeFace(DdsEnd):
         """Send what the robot measures."""
         states, waist = self._states, self._facts.waist
         self._tick += TICK_MS
+        if self.held is not None:
+            self.held()
         if waist is not None:
             angle, rate = (-float(states[name][waist]) for name in ("joint_pos", "joint_vel"))
             turned({name: states[name] for name in IMU_STATES}, self._imu, angle, rate)
@@ -200,3 +216,9 @@ class UnitreeFace(DdsEnd):
             server.reply(asked, 0)
         else:
             server.reply(asked, NOT_IMPLEMENTED)
+
+    def close(self) -> None:
+        """Leave the domain."""
+        if self.held is not None:
+            self.held.close()
+        super().close()
