@@ -10,6 +10,7 @@ import difflib
 import json
 import os
 import re
+import select
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping
@@ -36,6 +37,9 @@ TIMEOUT = 120.0
 
 AGAIN = 2
 """How often a run in real time is repeated where it failed: the machine may have stood still."""
+
+STAND_IN = ("--face", "ros", "--model", "fake", "--posture", "default")
+"""Of `unicon emulate`: a robot behind plain topics."""
 
 GONE = 5.0
 """How long a stand-in may take to end, [s]."""
@@ -162,6 +166,8 @@ def _run(path: Path, values: Mapping[str, Any]) -> tuple[bool, str]:
             )
     except subprocess.TimeoutExpired:
         return False, f"not over after {TIMEOUT:g} s"
+    except UniconError as error:
+        return False, str(error)
     if not report.is_file():
         lines = done.stderr.strip().splitlines() or [f"exit status {done.returncode}"]
         return False, lines[-1]
@@ -176,19 +182,27 @@ def _run(path: Path, values: Mapping[str, Any]) -> tuple[bool, str]:
 
 @contextmanager
 def _robot(platform: str, robot: str) -> Iterator[dict[str, str]]:
-    """Let a robot stand behind topics where the platform is ROS; give the environment of both."""
+    """Let a robot stand behind topics where the platform is ROS; give the environment of both.
+
+    Raises:
+        UniconError: it does not begin.
+    """
     if platform != "ros":
         yield dict(os.environ)
         return
     environment = os.environ | {"ROS_DOMAIN_ID": str(free_domain())}
-    command = [sys.executable, "-m", "unicon_ros.bench.standins.robot", robot]
-    command += ["--posture", "default"]
+    command = [sys.executable, "-m", "unicon_ros", "emulate", robot, *STAND_IN]
     standin = subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, env=environment
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
     )
     try:
         assert standin.stdout is not None
-        standin.stdout.readline()  # it is ready
+        assert standin.stderr is not None
+        came = select.select([standin.stdout], [], [], TIMEOUT)[0]
+        if not (came and '"ready"' in standin.stdout.readline()):
+            standin.kill()
+            why = standin.stderr.read().strip().splitlines() or [f"not there after {TIMEOUT:g} s"]
+            raise UniconError(f"the emulated robot did not begin: {why[-1]}")
         yield environment
     finally:
         standin.terminate()
