@@ -29,6 +29,7 @@ from unicon_ros.hardware.booster.face import BoosterFace, face
 from unicon_ros.hardware.booster.platform import make
 from unicon_ros.hardware.booster.service import number
 from unicon_ros.hardware.booster.wire import BoosterWire
+from unicon_ros.hardware.dds.maps import arrays_of
 from unicon_ros.hardware.wire import Counts
 
 T1 = load_robot("t1")
@@ -93,21 +94,21 @@ def taken_over(pair: Ends) -> list[str]:
 
 @pytest.mark.parametrize("cranks", [N, 0, 5])
 def test_states_are_those_of_the_vendor_s_layout(cranks: int) -> None:
-    states, own, counts = t1_states(T1), FACTS.own_arrays(), Counts()
-    arrays = {name: states[name] for name in states} | own
+    states, rpy, counts = t1_states(T1), np.zeros(3, np.float32), Counts()
+    arrays = arrays_of(states) | {"rpy": rpy}
     frames = FACTS.state_in(arrays, counts)
     raw = state_bytes(1, cranks)
     assert frames.good(raw)
     assert frames.read(raw)
     imu = IMU.unpack_from(raw, 4)
-    told = np.concatenate((own["rpy"], states["base_ang_vel"], states["base_lin_acc"]))
+    told = np.concatenate((rpy, states["base_ang_vel"], states["base_lin_acc"]))
     np.testing.assert_array_equal(told, np.float32(imu))
     for joint in range(N):
         at = 48 + STATE.size * (cranks + joint)
         _, q, dq, _, tau, temperature, lost, code, rate = STATE.unpack_from(raw, at)
         assert [float(states[name][joint]) for name in TELLS[:3]] == [q, dq, tau]
         assert (states["motor_temperature"][joint], lost) == (temperature, joint)
-        assert own["reserve"][2 * joint : 2 * joint + 2].tolist() == [code, rate]
+        assert (states["motor_error"][joint], rate) == (code, 500)
 
 
 @pytest.mark.parametrize(
@@ -127,7 +128,7 @@ def test_states_are_those_of_the_vendor_s_layout(cranks: int) -> None:
 )
 def test_states_of_another_robot_are_refused(raw: bytes, why: str) -> None:
     states, counts = t1_states(T1), Counts()
-    arrays = {name: states[name] for name in states} | FACTS.own_arrays()
+    arrays = arrays_of(states) | {"rpy": np.zeros(3, np.float32)}
     assert not FACTS.state_in(arrays, counts).good(raw)
     assert counts.refused == {why: 1}
 
@@ -138,7 +139,7 @@ def test_garbage_never_raises_and_never_writes_what_is_not_finite(
     noise: bytes, at: int, value: bytes
 ) -> None:
     states, counts = t1_states(T1), Counts()
-    arrays = {name: states[name] for name in states} | FACTS.own_arrays()
+    arrays = arrays_of(states) | {"rpy": np.zeros(3, np.float32)}
     frames, good = FACTS.state_in(arrays, counts), state_bytes(2)
     for raw in (noise, good[:at], good[:at] + value[:4] + good[at + 4 :], good + noise):
         if frames.good(raw):

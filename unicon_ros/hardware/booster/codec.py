@@ -42,8 +42,8 @@ MODE = "booster_interface/msg/RobotStatesMsg"
 REMOTE = "booster_interface/msg/RemoteControllerState"
 MODES = ("damping", "prepare", "walking", "custom")
 REQUESTS = ("change_mode", "get_mode")
-RESERVED = 2
-"""Words at the end of a motor's state: an error code, and its frames per second."""
+MOTOR = MEASURED | {"temperature": "motor_temperature", "reserve[0]": "motor_error"}
+"""Field of MotorState to state."""
 PERCENT = 100.0
 _PARALLEL_AT, _MOTOR = 40, 36
 """Place of the first length in a LowState, and bytes of a motor in it."""
@@ -104,13 +104,8 @@ class BoosterFacts:
         """Return the layout of a message."""
         return shared_messages().struct(name)
 
-    def own_arrays(self) -> dict[str, NDArray[Any]]:
-        """Return the arrays of LowState that are no states, zero; for both ends of the wire."""
-        n = len(self.slots)
-        return {"rpy": np.zeros(3, np.float32), "reserve": np.zeros(RESERVED * n, np.uint32)}
-
     def state_in(self, arrays: Arrays, counts: Counts) -> LowStates:
-        """Return what reads LowState into those arrays that are there."""
+        """Return what reads LowState into those arrays that are there, `rpy` among them."""
         fields = self._state("motor_state_serial", arrays)
         spec = subscribe(self.topics["state"], STATE, fields)
         frames = Frames(spec, arrays, counts, checked=False)
@@ -142,12 +137,8 @@ class BoosterFacts:
         return way(self.topics["battery"], BATTERY, fields)
 
     def _state(self, array: str, known: Container[str]) -> dict[str, Any]:
-        told = MEASURED | {"temperature": "motor_temperature"}
-        told = {field: name for field, name in told.items() if name in known}
+        told = {field: name for field, name in MOTOR.items() if name in known}
         fields: dict[str, Any] = motors(array, self.slots, told)
-        for joint, slot in enumerate(self.slots):
-            first = RESERVED * joint
-            fields[f"{array}[{slot}].reserve"] = f"reserve[{first}:{first + RESERVED}]"
         fields["imu_state.rpy"] = "rpy"
         return fields | {"imu_state.gyro": "base_ang_vel", "imu_state.acc": "base_lin_acc"}
 

@@ -31,7 +31,7 @@ from unicon_ros.hardware.booster.codec import (
 from unicon_ros.hardware.booster.service import SUCCESS, Server, number
 from unicon_ros.hardware.booster.wire import EXTRA
 from unicon_ros.hardware.dds.end import DdsEnd
-from unicon_ros.hardware.dds.maps import publish
+from unicon_ros.hardware.dds.maps import arrays_of, publish
 from unicon_ros.hardware.dds.participant import Participant
 from unicon_ros.hardware.wire import Counts
 
@@ -89,14 +89,14 @@ class BoosterFace(DdsEnd):
         self.mode = np.array(facts.modes[mode], np.int32)
         self._states, self._facts = states, facts
         self._commanded, self._told = False, 0
-        own = facts.own_arrays()
-        self._rpy, self._errors = own["rpy"], own["reserve"][::2]
+        self._rpy = np.zeros(3, np.float32)
         defaults: dict[str, NDArray[Any]] = {
             "motor_temperature": np.full(n, TEMPERATURE, np.float32),
+            "motor_error": np.zeros(n, np.uint32),
             "battery_charge": np.ones((), np.float32),
             "battery_voltage": np.array(VOLTAGE, np.float32),
         }
-        arrays = defaults | {name: states[name] for name in states} | own
+        arrays = defaults | arrays_of(states) | {"rpy": self._rpy}
         kind: NDArray[Any] = np.zeros((), np.uint32)
         self._heard = command_arrays(n) | {"cmd_type": kind}
         topics = facts.topics
@@ -130,8 +130,6 @@ class BoosterFace(DdsEnd):
     def tell(self) -> None:
         """Send what the robot measures."""
         self._rpy[...] = rpy_of_quat(self._states["base_quat"])
-        if "motor_error" in self._states:
-            self._errors[...] = self._states["motor_error"].view(np.uint32)
         self.put()
         if self._told % SELDOM == 0:
             for writer, encode in self._seldom:

@@ -57,9 +57,8 @@ class BoosterWire(DdsEnd):
     ) -> None:
         facts, counts = BoosterFacts.of(robot), Counts()
         domain = facts.domain if domain is None else domain
-        own = facts.own_arrays()
         self._states, self._robot, self._facts = states, robot, facts
-        self._rpy, self._errors = own["rpy"], own["reserve"][::2]
+        self._rpy = np.zeros(3, np.float32)
         self._mounting = Mounting.of(robot)
         self._given = {name: states[name] for name in COMMAND_STATES}
         self._sent = command_arrays(robot.num_joints)
@@ -72,7 +71,7 @@ class BoosterWire(DdsEnd):
         where = f"{facts.topics['state']} of DDS domain {domain}"
         super().__init__(participant, where, counts)
         with self.closing():
-            frames = facts.state_in(arrays_of(states) | own, counts)
+            frames = facts.state_in(arrays_of(states) | {"rpy": self._rpy}, counts)
             self.listen(facts.topics["state"], facts.message(STATE), frames)
             controls = Controls(states) if "sticks" in states else None
             self._side = Side(participant, facts, arrays_of(states), controls)
@@ -108,8 +107,6 @@ class BoosterWire(DdsEnd):
         if mounting.turned:
             for name in ("base_ang_vel", "base_lin_acc"):
                 states[name][...] = mounting.vector(states[name])
-        if "motor_error" in states:
-            states["motor_error"][...] = self._errors
 
     def put(self) -> None:
         """Send the command states; the ankles' stiffness becomes a torque.
