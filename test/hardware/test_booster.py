@@ -308,7 +308,7 @@ def test_the_emulated_robot_refuses_what_is_not_for_its_joints(pair: Ends) -> No
 
 def test_wrong_facts_and_options_are_named() -> None:
     for key, value, words in (
-        ("command_type", "PARALLEL", "transport.command_type is PARALLEL; write one of SERIAL"),
+        ("command_type", "PARALLEL", "transport.command_type is 'PARALLEL'; write one of SERIAL"),
         (
             "torque_servo",
             {"motors": [40]},
