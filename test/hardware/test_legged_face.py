@@ -127,3 +127,23 @@ def test_a_face_refuses_what_the_board_would() -> None:
     finally:
         us.close()
         emulated.close()
+
+
+def test_everybody_who_commands_is_answered() -> None:
+    robot, port = load_robot("a1"), free_port()
+    emulated = Emulated(robot, port)
+    peers = [Udp(("127.0.0.1", 0), ("127.0.0.1", port), f"peer {k}") for k in range(2)]
+    try:
+        motors = [(0.0, 0.0, 0.0, 0.0, 0.0)] * 12
+        for peer in (*peers, peers[0]):
+            peer.send(slow_command("a1", motors))
+        time.sleep(0.05)
+        emulated.face.hear()
+        emulated.face.tell()
+        emulated.face.tell()
+        time.sleep(0.05)
+        assert [len(peer.received()) for peer in peers] == [1, 1]
+    finally:
+        for peer in peers:
+            peer.close()
+        emulated.close()

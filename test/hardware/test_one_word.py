@@ -5,6 +5,7 @@ All gates and the whole set of safety blocks are on.
 
 from __future__ import annotations
 
+import json
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
@@ -14,7 +15,7 @@ import pytest
 from emulated_runs import FIRST, UNICON, ended
 from legged_peer import ALIENGO
 from peer import Peer
-from vendor_robots import DRIVES, completed, serve
+from vendor_robots import DRIVES, UNSEEING, completed, serve, stepped
 
 from unicon_core.robots import load_robot
 
@@ -54,16 +55,18 @@ def stands(
     run = served.run("h1_stand", folder, f"--set=robot={file}", "--duration=4")
     report = ended(run, folder)
     assert report["faults"] == []
-    assert served.of("first")[0]["distance"] <= FIRST
+    commands = served.of("command")
+    # An A1, Aliengo or Go1 is asked by limp ones before.
+    assert next(line for line in commands if line["stiffness"] > 0.0)["distance"] <= FIRST
     assert served.of("refused") == []
     # It is asked to let go first; at the end actuators may be disabled before the last command.
     assert [line for line in served.of("ignored") if line["count"] == 0] == []
     robot = load_robot(file)
     goal = np.clip(robot.default_joint_pos, robot.lower, robot.upper)
-    away = [np.abs(np.array(line["target"]) - goal).max() for line in served.of("command")]
+    away = [np.abs(np.array(line["target"]) - goal).max() for line in commands]
     there = int(np.argmin(away))
     assert away[there] < 0.01  # hands count in steps of their own
-    assert served.of("command")[there]["distance"] < SAG
+    assert commands[there]["distance"] < SAG
 
 
 @pytest.mark.parametrize("name", MODELLED)
@@ -89,3 +92,26 @@ def test_an_aliengo_goes_to_its_pose_in_each_generation_that_is_spoken(
     processes: Callable[..., Peer], tmp_path: Path, generation: str
 ) -> None:
     stands(processes, "aliengo", tmp_path, *ALONE, generation=generation)
+
+
+def test_an_arm_goes_to_its_pose_on_a_bus_of_this_process(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("can", reason="needs python-can: pip install 'unicon_ros[hw-arx]'")
+    from unicon_ros.cli.main import main
+    from unicon_ros.hardware.arx.face import face
+
+    robot, bus = load_robot("arx_x5"), f"can-{tmp_path.name}"
+    options = {"channel": bus, "interface": "virtual", "unverified": True, "silence": 5}
+    with stepped(robot, face, {"channel": bus}, posture="random", seed=3) as said:
+        status = main(
+            [
+                *("run", "h1_stand", "--set=robot=arx_x5", "--set=platform=arx", "--yes"),
+                *(f"--set=platforms={json.dumps({'arx': options})}", "--duration=4"),
+                *("--set=pacing.hang=20", f"--set=safety={UNSEEING}"),
+            ]
+        )
+    assert status == 0, capsys.readouterr().err
+    first = next(line for line in said if line["kind"] == "first")
+    assert first["distance"] <= FIRST
+    assert [line["by"] for line in said if line["kind"] == "damping"] == ["command"]

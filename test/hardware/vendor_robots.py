@@ -20,7 +20,7 @@ from unicon_ros.bench.domains import free_domain
 from unicon_ros.emulate.emulator import emulated
 from unicon_ros.emulate.face import Face
 
-__all__ = ["DRIVES", "completed", "serve", "stepped"]
+__all__ = ["DRIVES", "UNSEEING", "completed", "serve", "stepped"]
 
 ROBOTS = Path(__file__).resolve().parents[2] / "config" / "robots"
 DRIVES = {
@@ -45,6 +45,8 @@ DRIVES = {
 """The platform of each robot that can be served to another process."""
 BLIND = ("fourier", "inspire", "rohand", "unitree_dex3")
 """Platforms that tell of no IMU."""
+UNSEEING = re.sub(r"tilt_stop, |\{imu_stop[^}]*\}\}, ", "", PATIENT)
+"""Safety of the workflows before a robot without an IMU."""
 STAND_INS: dict[str, tuple[tuple[str, str], ...]] = {
     "aliengo": (
         ("stiffness: null, damping: null", "stiffness: 20.0, damping: 2.0"),
@@ -129,7 +131,7 @@ def serve(
         address, _, port = served.where.rpartition(":")
         given |= {"address": address, "port": int(port)}
     if platform in BLIND:
-        served.safety = re.sub(r"tilt_stop, |\{imu_stop[^}]*\}\}, ", "", PATIENT)
+        served.safety = UNSEEING
     return served
 
 

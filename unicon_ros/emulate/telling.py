@@ -4,7 +4,7 @@
 |---|---|
 | `ready` | it is there: robot, protocol, rate [Hz], model, posture in [rad] |
 | `first` | how far the first command, and each after a silence, was from where joints were, [rad] |
-| `command` | every command, where that was asked for |
+| `command` | every command, where that was asked for, with its largest stiffness, [N·m/rad] |
 | `commands` | after every 50 of them: how many, the largest distance and step between two, [rad] |
 | `ignored` | the first command of some that came while the robot does not obey |
 | `refused` | the same of commands that are not finite |
@@ -70,7 +70,9 @@ class Telling:
         self._worst = max(self._worst, worst)
         self._left.clear()
         if self._each:
-            self._say("command", stamp=now, distance=worst, target=self._target.tolist())
+            stiffness = float(self._stiffness.max())
+            target = self._target.tolist()
+            self._say("command", stamp=now, distance=worst, stiffness=stiffness, target=target)
         if not self._watched:
             self._say("first", distance=worst, joint=self._names[int(away.argmax())])
         else:

@@ -168,8 +168,8 @@ class LeggedFace:
         frame["remote"][...] = np.frombuffer(self.remote, np.uint8)
         frame["tick"][...] = round(self._told * 1000.0 / self.rate) & 0xFFFFFFFF  # [ms]
         frame.seal(self._encrypted)
-        for peer in self._owed:
-            self._udp.peer = peer
+        for sender in self._owed:
+            self._udp.peer = sender
             self._udp.send(frame.buffer)
         self._owed.clear()
 
