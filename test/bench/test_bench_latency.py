@@ -32,6 +32,7 @@ def test_plain_and_our_own_pipelines_close_the_loop(monkeypatch: pytest.MonkeyPa
     )
     variants = tuple(variant for variant in latency.VARIANTS if variant.name in chosen)
     monkeypatch.setattr(latency, "VARIANTS", variants)
+    monkeypatch.setenv("UNICON_UNITREE_SDK", "")
     result = latency.run(1, seconds=0.6)
     for name in chosen[:2]:
         for row in ("recv", "send", "state_to_command", "end_to_end"):
@@ -47,6 +48,8 @@ def test_plain_and_our_own_pipelines_close_the_loop(monkeypatch: pytest.MonkeyPa
     assert set(result.ratios) == {"end_to_end", "local", "mirror", "cpu"}
     assert all(ratio["value"] > 0.0 for ratio in result.ratios.values())
     assert result.facts["joints"] == 20
+    assert result.facts["left out: SDK (sync), SDK (async)"]
+    assert not [case for case in result.cases if "SDK" in case]
 
 
 def test_turns_that_would_let_peers_take_each_other_for_dead_are_refused(

@@ -17,15 +17,16 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from unicon_core.errors import UniconError
 from unicon_core.signals import SIGNALS
 from unicon_ros import compat
+from unicon_ros.bench import sdk
 from unicon_ros.bench.domains import free_domain, loopback_environment
 from unicon_ros.bench.floor import c_level_floor
 from unicon_ros.bench.loops import LEASE, SETTLE, Loop
 from unicon_ros.bench.report import Bench
+from unicon_ros.bench.rounds import SEED, Rows, interval, ratios, rounds_of
 from unicon_ros.bench.turns import take_turns
 
 __all__ = ["VARIANTS", "Variant", "run"]
@@ -34,9 +35,6 @@ PIPELINES = "unicon_ros.bench.pipelines"
 SWEEPS = 2  # of all phases in one turn: 0.9 % of the rate
 ROUNDS = 20
 SECONDS = 0.45
-SEED = 0
-
-Samples = dict[str, NDArray[np.float64]]
 
 
 @dataclass(frozen=True)
@@ -146,9 +144,14 @@ def run(
         with SIGNALS.guard():  # Ctrl-C is looked for between turns
             makers = {v.name: partial(_loop, v, i, options) for i, v in enumerate(VARIANTS)}
             whole, loops = take_turns(makers, rounds, seconds)
-        samples = {name: loop.samples() for name, loop in loops.items()}
-        results = [{name: each[i] for name, each in samples.items()} for i in range(whole)]
+            results, official, lacking = rounds_of(whole, loops), [], sdk.unavailable()
+            if not lacking and whole and not SIGNALS.asked:
+                rates = options.swept_rate, state_rate
+                official = sdk.measure(rounds, seconds, *rates, options.folder)
     bench = _bench(results, options)
+    sdk.add(bench, official, UNITS)
+    if lacking:
+        bench.facts["left out: SDK (sync), SDK (async)"] = lacking
     floor = None
     if results and not SIGNALS.asked:
         floor = c_level_floor(free_domain(), state_rate)
@@ -181,7 +184,7 @@ def _loop(variant: Variant, number: int, options: _Options) -> Loop:
 UNITS = {"cpu": " [% of a core]", "lost": " [%]", "stale": " [%]"}
 
 
-def _bench(results: list[dict[str, Samples]], options: _Options) -> Bench:
+def _bench(results: list[dict[str, Rows]], options: _Options) -> Bench:
     bench = Bench("latency", seed=SEED, rounds=len(results))
     bench.facts.update(
         rate_hz=options.swept_rate,
@@ -202,34 +205,12 @@ def _bench(results: list[dict[str, Samples]], options: _Options) -> Bench:
             parts = [r[variant.name][row] for r in results if row in r.get(variant.name, {})]
             bench.case(f"{variant.name}: {row}{UNITS.get(row, '')}", np.concatenate(parts))
     for name, row, ours, base_row, base, bar in RATIOS:
-        ratios = _ratios(results, row, ours, base_row, base)
-        if not ratios.size:
+        found = ratios(results, row, ours, base_row, base)
+        if not found.size:
             continue
         if bar is None:
-            bench.facts[name] = f"{np.median(ratios):.3g} ({_interval(ratios)})"
+            bench.facts[name] = f"{np.median(found):.3g} ({interval(found)})"
         else:
-            bench.ratio(name, float(np.median(ratios)), bar)
-            bench.facts[f"{name}, 95 % interval"] = _interval(ratios)
+            bench.ratio(name, float(np.median(found)), bar)
+            bench.facts[f"{name}, 95 % interval"] = interval(found)
     return bench
-
-
-def _ratios(
-    results: list[dict[str, Samples]], row: str, ours: str, base_row: str, base: str
-) -> NDArray[np.float64]:
-    """Return the ratio of the means of each round that has both.
-
-    Means: latencies of an executor have several humps, between which a median jumps.
-    """
-    pairs = [
-        (r[ours][row], r[base][base_row])
-        for r in results
-        if row in r.get(ours, {}) and base_row in r.get(base, {})
-    ]
-    return np.array([np.mean(a) / np.mean(b) for a, b in pairs])
-
-
-def _interval(ratios: NDArray[np.float64]) -> str:
-    """Return the 95 % bootstrap interval of the median over rounds."""
-    draws = np.random.default_rng(SEED).choice(ratios, (1000, len(ratios)))
-    low, high = np.percentile(np.median(draws, axis=1), [2.5, 97.5])
-    return f"{low:.3g} to {high:.3g}"

@@ -58,6 +58,10 @@ class Slice:
         """Return which times lie within."""
         return (times >= self.begin) & (times <= self.end)
 
+    def fresh(self, stamps: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Return which states were made in this turn: the age of others counts the time held."""
+        return stamps >= self.begin - round(SETTLE * 1e9)
+
 
 @dataclass
 class Loop:
@@ -206,14 +210,14 @@ def breathe(loops: Iterable[Loop]) -> None:
 def _bridged(
     each: Slice, measured: dict[str, Any], controlled: dict[str, Any]
 ) -> dict[str, NDArray[np.float64]]:
-    ticks = each.holds(controlled["end"])
+    ticks = each.holds(controlled["end"]) & each.fresh(controlled["stamp"])
     part = {name: controlled[name][ticks] for name in ("stamp", "seen", "begin", "end")}
     latency = _under_way(each, measured)
     if not part["stamp"].size or not latency.size:
         return {}
     due = part["stamp"][part["end"] < each.end - GRACE_NS]
     lost = ~np.isin(due, measured["stamp"])
-    return {
+    rows = {
         "recv": (part["seen"] - part["stamp"]) * 1e-3,
         "send": (part["end"] - part["begin"]) * 1e-3,
         "state_to_command": (part["end"] - part["stamp"]) * 1e-3,
@@ -222,6 +226,11 @@ def _bridged(
         "lost": np.array([100.0 * lost.mean() if lost.size else 0.0]),
         "stale": np.array([100.0 * (np.diff(part["stamp"]) == 0).sum() / part["stamp"].size]),
     }
+    if "cost" in controlled:  # of the calls alone, without the waiting; -1 where nothing was told
+        cost = controlled["cost"][ticks]
+        if (cost := cost[cost >= 0]).size:
+            rows["recv_and_send"] = cost * 1e-3
+    return rows
 
 
 def _mirrored(
@@ -244,7 +253,7 @@ def _mirrored(
 def _under_way(each: Slice, log: dict[str, Any]) -> NDArray[np.float64]:
     """Return how long messages that arrived in a slice took, in [µs]."""
     latency: NDArray[np.float64] = (log["received"] - log["stamp"]) * 1e-3
-    return latency[each.holds(log["received"])]
+    return latency[each.holds(log["received"]) & each.fresh(log["stamp"])]
 
 
 def _cpu_ns(process: int) -> int:

@@ -1,0 +1,125 @@
+"""Rows of the official SDK in `unicon bench latency`: how figures are made, and what lacks."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from unicon_core.signals import SIGNALS
+from unicon_ros.bench import sdk
+from unicon_ros.bench.loops import Slice, _bridged
+from unicon_ros.bench.report import Bench
+from unicon_ros.bench.rounds import Rows
+
+pytest.importorskip("cyclonedds", reason="needs cyclonedds: pip install 'unicon_ros[hw-unitree]'")
+
+from unicon_ros.bench.pipelines.unitree_robot import WINDOW, Made
+
+
+def test_identity_control_hands_on_which_state_it_answers() -> None:
+    made = Made()
+    told = [np.float32(made.add(stamp)) for stamp in range(1, WINDOW + 3)]
+    assert made.when(float(told[-1])) == WINDOW + 2
+    assert made.when(float(told[2])) == 3
+    assert made.when(float(told[0])) == WINDOW + 1  # its number is another state's by now
+
+
+@pytest.mark.parametrize("position", [0.5 / WINDOW, -1.0, 1.0, float("nan"), float("inf"), 1e30])
+def test_a_position_that_no_state_told_is_of_none(position: float) -> None:
+    made = Made()
+    made.add(7)
+    assert made.when(position) == 0
+
+
+def controlled(**columns: list[int]) -> dict[str, np.ndarray]:
+    rows = {"stamp": [10, 20, 20], "seen": [11, 21, 22], "begin": [12, 22, 23], "end": [13, 23, 24]}
+    return {name: 1000 * np.array(row) for name, row in (rows | columns).items()}
+
+
+def test_a_state_that_was_received_before_tells_nothing_of_what_receiving_costs() -> None:
+    measured = {"stamp": np.array([10_000]), "received": np.array([15_000])}
+    everything = Slice(0, 10**9, 0.1, 0.1)
+    rows = _bridged(everything, measured, controlled(cost=[3, 4, -1]))
+    assert rows["recv_and_send"].tolist() == [3.0, 4.0]
+    assert "recv_and_send" not in _bridged(everything, measured, controlled())
+    assert "recv_and_send" not in _bridged(everything, measured, controlled(cost=[-1, -1, -1]))
+
+
+def test_a_state_from_before_the_pause_does_not_count_the_pause() -> None:
+    second = 10**9
+    stamps = np.array([5 * second, 10 * second])
+    measured = {"stamp": stamps, "received": stamps + np.array([5_001_000_000, 1_000_000])}
+    given = {name: np.full(2, 10 * second + 1) for name in ("seen", "begin", "end")}
+    rows = _bridged(Slice(10 * second, 11 * second, 0.1, 0.1), measured, given | {"stamp": stamps})
+    assert rows["end_to_end"].tolist() == [1000.0]
+    assert len(rows["recv"]) == 1
+
+
+def test_rows_and_ratios_are_those_of_the_rounds_that_have_both() -> None:
+    def rows(cost: float, end: float) -> Rows:
+        return {"recv_and_send": np.full(3, cost), "end_to_end": np.full(3, end)}
+
+    both = {sdk.SYNC: rows(100, 1000), sdk.ON_STATE: rows(10, 250), sdk.ASYNC: rows(1, 500)}
+    both |= {sdk.SYNC_500: rows(200, 1), sdk.OURS_500: rows(20, 1)}
+    bench = Bench("made", seed=0, rounds=2)
+    sdk.add(bench, [both, {sdk.SYNC_500: rows(1, 1)}], {"end_to_end": " [of made units]"})
+    assert bench.ratios["unitree_recv_and_send"]["value"] == pytest.approx(0.1)
+    assert bench.ratios["unitree_recv_and_send"]["holds"]
+    assert bench.facts["unitree, end to end, of SDK (sync)"].startswith("0.25 (")
+    assert bench.facts["unitree, end to end, of SDK (async)"].startswith("0.5 (")
+    assert f"{sdk.SYNC}: end_to_end [of made units]" in bench.cases
+    assert [name for name in bench.cases if "500" in name] == [
+        f"{sdk.SYNC_500}: recv_and_send",
+        f"{sdk.OURS_500}: recv_and_send",
+    ]
+
+
+def test_without_results_nothing_is_told() -> None:
+    bench = Bench("made", seed=0, rounds=0)
+    sdk.add(bench, [], {})
+    assert not bench.cases
+    assert not bench.ratios
+    assert not bench.facts
+
+
+def test_what_lacks_is_said_in_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("UNICON_UNITREE_SDK", raising=False)
+    assert "UNICON_UNITREE_SDK is ''; name a checkout of unitree_sdk2_python" in sdk.unavailable()
+    monkeypatch.setenv("UNICON_UNITREE_SDK", str(tmp_path))
+    assert "name a checkout" in sdk.unavailable()
+    (tmp_path / "unitree_sdk2py").mkdir()
+    monkeypatch.setenv("UNICON_UNITREE_PYTHON", "")
+    assert "UNICON_UNITREE_PYTHON is ''" in sdk.unavailable()
+    monkeypatch.setenv("UNICON_UNITREE_PYTHON", str(tmp_path / "none"))
+    assert "which does not run" in sdk.unavailable()
+    monkeypatch.setenv("UNICON_UNITREE_PYTHON", sys.executable)
+    said = sdk.unavailable()
+    assert "where the SDK fails (ModuleNotFoundError: No module named" in said
+    assert "cyclonedds 0.10.2" in said
+    assert "\n" not in said
+
+
+def test_without_cyclonedds_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sdk, "find_spec", lambda name: None)
+    assert "pip install 'unicon_ros[hw-unitree]'" in sdk.unavailable()
+
+
+@pytest.mark.slow
+@pytest.mark.alone
+@pytest.mark.timeout(200)
+def test_the_sdk_and_ours_close_the_loop_with_one_robot(tmp_path: Path) -> None:
+    if lacking := sdk.unavailable():
+        pytest.skip(lacking)
+    with SIGNALS.guard():
+        results = sdk.measure(2, 0.6, 49.6, 500.0, tmp_path)
+    bench = Bench("made", seed=0, rounds=2)
+    sdk.add(bench, results, {})
+    for variant in sdk.VARIANTS[:4]:
+        cases = {row: bench.cases[f"{variant.name}: {row}"] for row in ("recv", "end_to_end")}
+        assert all(case["samples"] >= 20 for case in cases.values())
+        assert 0.0 < cases["recv"]["p50"] < cases["end_to_end"]["p50"]
+    assert bench.ratios["unitree_recv_and_send"]["value"] > 0.0
+    assert bench.cases[f"{sdk.OURS_500}: recv_and_send"]["samples"] >= 100
