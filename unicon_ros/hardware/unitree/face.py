@@ -217,10 +217,6 @@ class UnitreeFace(DdsEnd):
         else:
             server.reply(asked, NOT_IMPLEMENTED)
 
-    def wait(self, timeout: float) -> bool:
-        """Return True once a command is there, False after `timeout` in [s]."""
-        return self._reader.wait(timeout)
-
     def close(self) -> None:
         """Leave the domain."""
         if self.held is not None:
