@@ -60,8 +60,20 @@ def test_what_this_machine_lacks_is_told_and_not_counted(monkeypatch: pytest.Mon
     assert outcome.ran is None
     assert outcome.told == "there are no assets; set UNICON_ASSETS"
     monkeypatch.setattr(transfers, "find_spec", lambda name: None)
-    outcome = transferred(Transfer("a", "b", sloc.H1, {}, {"platform": "ros"}))
-    assert outcome.told == "rclpy is not installed"
+    for platform, module in (("ros", "rclpy"), ("unitree", "cyclonedds"), ("mujoco", "mujoco")):
+        outcome = transferred(Transfer("a", "b", sloc.H1, {"platform": platform}))
+        assert outcome.told == f"{module} is not installed"
+
+
+def test_a_robot_that_cannot_be_emulated_is_told_with_the_reason(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(transfers, "AGAIN", 0)
+    monkeypatch.setattr(transfers, "_missing", lambda values: "")
+    nobody = Transfer("a", "b", sloc.H1, {}, {"platform": "unitree"}, ("--face=nobody",))
+    outcome = transferred(nobody)
+    assert outcome.ran is False
+    assert outcome.told.startswith("no robot: unicon: error: unknown face 'nobody'; ")
 
 
 @pytest.mark.slow
@@ -74,6 +86,11 @@ def test_every_transfer_of_the_table_runs(assets: Path) -> None:
     assert len(moves) == len(sloc.TRANSFERS)
     failed = {name: value for name, value in moves.items() if "FAILED" in value}
     assert not failed
-    edited = [value for name, value in moves.items() if name != "H1 → H1"]
-    assert all(value.startswith("1 line, 1 word; ") for value in edited)
+    counted = {name: value.partition(";")[0] for name, value in moves.items()}
+    assert counted.pop("H1 → H1") == "0 lines, 0 words"
+    assert counted.pop("G1 → Adam") == "2 lines, 2 words"  # another robot, of another maker
+    assert set(counted.values()) == {"1 line, 1 word"}
+    for name in ("G1 walks", "Go2 walks"):  # behind Unitree's protocol
+        told = moves[f"{name} in MuJoCo → {name}"]
+        assert "not run" in told or float(told.split(" m ahead")[0].split()[-1]) > 1.0
     assert bench.holds

@@ -1,4 +1,4 @@
-"""`unicon robots`, `policies`, `platforms`, `blocks`, `workflows`, and the import of policies."""
+"""`unicon robots`, `policies`, `platforms`, `faces`, `blocks`, `workflows`, `policies import`."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from unicon_ros.cli.main import main
 
 ROOT = Path(__file__).resolve().parents[2]
 GOLDEN = ROOT / "test" / "cli" / "golden"
-KINDS = ("robots", "policies", "platforms", "blocks", "workflows")
+KINDS = ("robots", "policies", "platforms", "faces", "blocks", "workflows")
 
 
 def unicon(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
@@ -69,7 +69,7 @@ def test_every_policy_is_listed_with_its_terms(capsys: pytest.CaptureFixture[str
     assert row.endswith(" ".join(term.name for term in contract.terms))
 
 
-@pytest.mark.parametrize("kind", ["platforms", "blocks"])
+@pytest.mark.parametrize("kind", ["platforms", "faces", "blocks"])
 def test_every_factory_is_listed_with_where_it_is(
     kind: str, capsys: pytest.CaptureFixture[str]
 ) -> None:

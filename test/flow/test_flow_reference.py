@@ -39,7 +39,7 @@ def run(
     return [*world.log, *seen]
 
 
-@settings(max_examples=500, deadline=None)
+@settings(max_examples=500)
 @given(
     trees,
     block_kinds,

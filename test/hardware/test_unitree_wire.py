@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+import math
+import os
 import struct
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from threading import Event, Thread
 from typing import Any
 
@@ -26,7 +29,10 @@ from unitree_helpers import (
     writer_of,
 )
 
-from unicon_core.errors import Fault, MissingDependencyError, PlatformError
+from unicon_core.blocks.controls.device import Controls
+from unicon_core.blocks.controls.gamepad import EVENT
+from unicon_core.blocks.controls.remotes import unitree
+from unicon_core.errors import Fault, MissingDependencyError, PlatformError, UniconError
 from unicon_core.platforms.platform import Prepares, ReportsVariant, SeesCommanders, WaitsForData
 from unicon_core.robots import load_robot
 from unicon_core.states import States, standard_states
@@ -325,6 +331,30 @@ def test_a_controller_that_does_not_let_go_is_a_fault(
         pair.close()
 
 
+def test_check_mode_is_asked_again_where_its_answer_was_lost(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(release, "AGAIN", 0.05)
+    robot = load_robot("g1_29dof")
+    robot.transport["release"]["wait"] = 0.0  # type: ignore[index]
+    pair = Pair(robot, release=True)
+    answer, asked = pair.face._answer, []
+
+    def reply(service: str, server: Any, request: Any) -> None:
+        asked.append(request.header.identity.api_id)
+        if len(asked) > 2:  # the first two answers are lost
+            answer(service, server, request)
+
+    monkeypatch.setattr(pair.face, "_answer", reply)
+    try:
+        released(pair)
+        assert asked[:3] == [1001, 1001, 1001]
+        assert asked.count(1003) == 1
+        assert pair.face.obeys
+    finally:
+        pair.close()
+
+
 def test_a_robot_without_the_service_is_a_fault_with_the_remedy(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -508,6 +538,41 @@ def test_without_an_address_the_environment_chooses(monkeypatch: pytest.MonkeyPa
     monkeypatch.setenv("CYCLONEDDS_URI", "<General><Nonsense/></General>")
     with pytest.raises(PlatformError, match=r"cannot join DDS domain .* see CYCLONEDDS_URI"):
         Participant(free_domain(), None, "test")
+
+
+def test_what_the_robot_does_without_commands_is_an_assumption_that_has_to_be_made() -> None:
+    robot = load_robot("go2")
+    for given, dead_man in ((None, math.inf), (0.1, 0.1)):
+        made = face(states_of(robot), robot, domain=DOMAIN, dead_man=given)
+        assert made.dead_man == dead_man
+        made.close()
+    for wrong in (0.0, -1.0, 0.002, 11.0, math.nan, True, "soon"):
+        with pytest.raises(
+            UniconError, match=r"emulated unitree: dead_man is .* above 0\.002 to 10"
+        ):
+            face(states_of(robot), robot, domain=DOMAIN, dead_man=wrong)  # type: ignore[arg-type]
+
+
+def test_a_pipe_is_held_as_the_robot_s_remote(tmp_path: Path) -> None:
+    path = tmp_path / "pad"
+    os.mkfifo(path)
+    writer = os.open(path, os.O_RDWR | os.O_NONBLOCK)
+    pair = Pair(load_robot("go2"), remote=str(path))
+    seen = States(control_states())
+    for code, value, buttons, forward in ((0x130, 1, {"A"}, 0.0), (0x13B, 1, {"A", "start"}, 1.0)):
+        os.write(writer, EVENT.pack(0, 0, 1, code, value))
+        os.write(writer, EVENT.pack(0, 0, 3, 0x01, -32768 if forward else 0))
+        assert pair.told() == 1
+        unitree(pair.wire.remote, Controls(seen))
+        assert {name for name, held in zip(BUTTONS, seen["buttons"]) if held} == buttons
+        assert seen["sticks"].tolist() == pytest.approx([0.0, forward, 0.0, 0.0], abs=1e-4)
+    os.close(writer)  # nobody holds it any more
+    assert pair.told() == 1
+    assert not any(pair.wire.remote)
+    pair.close()
+    (tmp_path / "file").write_text("")
+    with pytest.raises(UniconError, match="is not an input device"):
+        Pair(load_robot("go2"), remote=str(tmp_path / "file"))
 
 
 DDS_MESSAGES = ("go/msg/LowCmd", "go/msg/LowState", "hg/msg/LowCmd", "hg/msg/LowState")

@@ -7,6 +7,7 @@ import gc
 import math
 import os
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ import pytest
 
 from unicon_core.errors import UniconError
 from unicon_core.runtime import Pacing, Runner, RunOptions, WallClock, prepare_process
+from unicon_core.runtime.ticker import Ticker
 from unicon_core.workflow import load_workflow
 
 pytestmark = pytest.mark.alone
@@ -168,3 +170,20 @@ def test_a_run_of_a_second_drifts_less_than_a_period(tmp_path: Path) -> None:
 @pytest.mark.timeout(900)
 def test_a_run_of_ten_minutes_drifts_less_than_a_period(tmp_path: Path) -> None:
     assert abs(drift_in_periods(tmp_path, 600.0)) < 1.0
+
+
+@pytest.mark.parametrize("late", [0.4, 2.4])
+def test_a_first_tick_that_is_late_leaves_the_deadlines_behind_it_where_they_were(
+    tmp_path: Path, late: float
+) -> None:
+    path = tmp_path / "hold.yaml"
+    path.write_text("robot: go2\nplatform: fake\nrate: 50\nflow: hold\n")
+    program = load_workflow(path)
+    ticker = Ticker(program, program.root, 16, None)
+    ticker.first_ns = first = time.perf_counter_ns() - round(late * ticker.period_ns)
+    ticker.run(3)
+    program.close()
+    due = ticker.statistics.kept()[:, 0] - first
+    assert not np.any(due % ticker.period_ns)
+    assert due[0] >= int(late) * ticker.period_ns
+    assert ticker.statistics.overruns >= int(late)

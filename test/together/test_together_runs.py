@@ -7,16 +7,19 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from datetime import datetime, timezone
 from pathlib import Path
 
 import pytest
+from peer import Peer
 
 from unicon_core.errors import UniconError
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.runtime.phases import describe
 from unicon_core.states.backends.shm import segments
 from unicon_core.workflow import load_workflow
+from unicon_ros.bench.domains import free_domains
 
 GROUP = f"runs-{os.getpid()}"
 HERE = Path(__file__).resolve().parent
@@ -129,6 +132,31 @@ def test_two_robots_begin_together_twenty_times(
 
 @pytest.mark.slow
 @pytest.mark.alone
+@pytest.mark.timeout(400)
+@pytest.mark.parametrize("when", ["together", "at"])
+def test_two_emulated_go2_begin_together_twenty_times(
+    workflow: Path, processes: Callable[..., Peer], when: str
+) -> None:
+    """Each behind Unitree's DDS, in a domain of its own: four processes."""
+    pytest.importorskip("cyclonedds", reason="needs cyclonedds: 'unicon_ros[hw-unitree]'")
+    said = []
+    for me, domain in zip(("left", "right"), free_domains(2)):
+        emulate = ["-m", "unicon_ros", "emulate", "go2", "--model=fake", "--posture=default"]
+        peer = processes(sys.executable, *emulate, f"--set=domain={domain}")
+        peer.wait_for(lambda peer=peer: bool(peer.of("ready")), "the robot", timeout=60.0)
+        options = f"{{address: 127.0.0.1, domain: {domain}, connect: 30, silence: 5}}"
+        start = together(me) if when == "together" else "start.at={every: 10}"
+        said.append((start, "platform=unitree", f"platforms.unitree={options}"))
+    while when == "at" and not 0.1 < time.time() % 10.0 < 0.5:  # both mean the same one
+        time.sleep(0.1)
+    left, right = (
+        begin(workflow, 20, *each, "start.approach=2.0", "pacing.priority=20") for each in said
+    )
+    in_time(left, right, runs=20)
+
+
+@pytest.mark.slow
+@pytest.mark.alone
 def test_three_at_once(workflow: Path) -> None:
     three = [begin(workflow, 3, together(me, "a, b, c")) for me in "abc"]
     in_time(*three, runs=3)
@@ -170,8 +198,9 @@ def test_who_is_killed_leaves_a_fault_that_names_it(workflow: Path) -> None:
     assert faults.startswith("not started, waited 6 s for 'right', which ")
 
 
+@pytest.mark.alone
 def test_a_moment_of_the_clock_is_kept_and_told_in_the_report(workflow: Path) -> None:
-    when = datetime.fromtimestamp(time.time() + 1.2, timezone.utc).isoformat()
+    when = datetime.fromtimestamp(time.time() + 2.5, timezone.utc).isoformat()
     program = load_workflow(workflow, {"start.at": when, "flow": "hold"})
     assert dict(describe(program))["approach"].endswith(f"; then {when} is waited for")
     report = Runner(program).run()
@@ -183,9 +212,10 @@ def test_a_moment_of_the_clock_is_kept_and_told_in_the_report(workflow: Path) ->
     assert began["late_us"] > 0.0
 
 
+@pytest.mark.alone
 def test_a_simulator_waits_with_nothing_sent_and_its_commands_are_the_same(workflow: Path) -> None:
     hashes = []
-    when = datetime.fromtimestamp(time.time() + 1.0, timezone.utc).isoformat()
+    when = datetime.fromtimestamp(time.time() + 2.5, timezone.utc).isoformat()
     for start in ({"start.at": when}, {}):
         changed = {"platform": "fake", "flow": "hold", "scene.initial_pose": "rest"} | start
         report = Runner(load_workflow(workflow, changed)).run()

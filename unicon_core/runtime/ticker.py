@@ -41,8 +41,9 @@ class Ticker:
         arrivals: when the platform's data come, as far as it was measured.
         detail: switches the time stamps of blocks.
         hang_ns: how late a tick may be; later ones are a fault.
-        first_ns: when the first tick is due, on the same clock; 0 for at once. One that data
-            trigger comes with those nearest to it.
+        first_ns: when the first tick is due, on the same clock; 0 for at once. All others are due
+            whole periods behind it, though it was late. One that data trigger comes with those
+            nearest to it.
     """
 
     def __init__(
@@ -121,7 +122,10 @@ class Ticker:
         wait = self._warm_up(WallClock(round(self.pacing.spin_us * 1e3))).until
         period, backlog = self.period_ns, 0 if self.pacing.overrun == "skip" else CATCH_UP
         statistics, now, gate = self.statistics, time.perf_counter_ns, self._program.gate
-        due = max(self.first_ns, now()) if self.first_ns else now() + min(period, 10_000_000)
+        due = self.first_ns or now() + min(period, 10_000_000)
+        missed = max(now() - due, 0) // period  # the moment has passed: those behind it are kept
+        due += missed * period
+        statistics.overruns += missed
         while not self.stop and statistics.count < limit:
             if self.between:
                 self._act()

@@ -69,7 +69,9 @@ class Rendezvous:
 
     def __init__(self, source: Source, period: float, warn: Callable[[str], None]) -> None:
         self._source, self._warn = source, warn
-        self._near_ns = round(1.5e9 * period)
+        # Left for the change to the flow, between one period and two: on a busy machine it was seen
+        # to take 9 ms. Nothing is sent meanwhile, and a child's watchdog is three periods at least.
+        self._near_ns = round(2e9 * period)
         self._what, self._since, self._told_at = "", 0.0, 0.0
         self._told_late = False
         self.reason, self.first_ns = "", 0
@@ -93,7 +95,7 @@ class Rendezvous:
             self._warn(f"start: {source.late}")
         if moment:
             left = moment - source.clock()
-            if left <= self._near_ns:  # between half a period and one and a half
+            if left <= self._near_ns:
                 source.begun()
                 self.first_ns = moment + _between(source.clock)
                 self.reason = ""

@@ -20,38 +20,62 @@ __all__ = ["TRANSFERS", "lines_of_python", "run"]
 _SKIPPED = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT}
 
 COMPONENTS = (
+    ("platform unitree (H1, G1, Go2)", "unicon_ros/hardware/unitree"),
     ("platform mujoco", "unicon_core/platforms/sim/mujoco"),
+    ("platform pnd (Adam)", "unicon_ros/hardware/pnd"),
+    ("DDS of both", "unicon_ros/hardware/dds"),
     ("platform ros", "unicon_ros/bridge/ros_platform.py"),
     ("policies, all formats", "unicon_core/policies"),
 )
-"""What is shared by all workflows, beside the paper's columns Sim, robot driver and NN."""
+"""What is shared by all workflows: the paper's columns H1 and G1, Sim, Adam and NN, and more."""
 
 H1 = "h1_stand"
+WALK = 8.0
+"""So long do those run that walk, [s]: a Go2 stands up in the first four."""
+
+
+HUNG = ("--posture=default", "--hang")
+"""A humanoid in a posture: nobody balances it, so that it hangs on its gantry."""
 
 TRANSFERS = (
     # the paper's workflows: H1, Sim, G1, Adam
-    Transfer("H1", "H1", H1, {"platform": "fake_robot"}),
-    Transfer("H1", "H1 in MuJoCo", H1, {"platform": "fake_robot"}, {"platform": "mujoco"}),
+    Transfer("H1", "H1", H1, {"platform": "unitree"}, {}, HUNG),
+    Transfer("H1", "H1 in MuJoCo", H1, {"platform": "unitree"}, {"platform": "mujoco"}),
+    Transfer("H1", "G1", H1, {"platform": "unitree"}, {"robot": "g1_29dof"}, HUNG),
+    Transfer(
+        "G1",
+        "Adam",
+        H1,
+        {"robot": "g1_29dof", "platform": "unitree"},
+        {"robot": "adam_lite", "platform": "pnd"},
+        HUNG,
+    ),
+    # and more
     Transfer("H1 in MuJoCo", "G1 in MuJoCo", H1, {}, {"robot": "g1_29dof"}),
     Transfer("G1 in MuJoCo", "Adam in MuJoCo", H1, {"robot": "g1_29dof"}, {"robot": "adam_lite"}),
-    # and more
     Transfer("G1 in MuJoCo", "T1 in MuJoCo", H1, {"robot": "g1_29dof"}, {"robot": "t1"}),
     Transfer("G1 in MuJoCo", "Go2 in MuJoCo", H1, {"robot": "g1_29dof"}, {"robot": "go2"}),
     Transfer(
-        "G1 in MuJoCo", "G1 as a robot", H1, {"robot": "g1_29dof"}, {"platform": "fake_robot"}
+        "G1 in MuJoCo",
+        "G1 behind ROS 2 topics",
+        H1,
+        {"robot": "g1_29dof"},
+        {"platform": "ros"},
+        ("--posture=default",),
     ),
     Transfer(
-        "G1 in MuJoCo", "G1 behind ROS 2 topics", H1, {"robot": "g1_29dof"}, {"platform": "ros"}
+        "G1 walks in MuJoCo",
+        "G1 walks",
+        "g1_walk",
+        {},
+        {"platform": "unitree"},
+        ("--posture=default", "--let-go=3"),
+        WALK,
     ),
-    Transfer(
-        "G1 walks in MuJoCo", "G1 walks as a robot", "g1_walk", {}, {"platform": "fake_robot"}
-    ),
-    Transfer(
-        "Go2 walks in MuJoCo", "Go2 walks as a robot", "go2_walk", {}, {"platform": "fake_robot"}
-    ),
+    Transfer("Go2 walks in MuJoCo", "Go2 walks", "go2_walk", {}, {"platform": "unitree"}, (), WALK),
 )
 """The paper's row H1 → Sim → G1 → Adam without its policies, which are not public, and more moves,
-two of them with a policy. `fake_robot` and a stand-in behind topics take the robots' places."""
+two of them with a policy. A robot is emulated: behind its vendor's protocol, in front of MuJoCo."""
 
 
 def lines_of_python(text: str) -> int:

@@ -1,7 +1,8 @@
 """Transfers: moves a workflow to another platform or robot by an edit of its file, and runs it.
 
 For `unicon bench sloc`. The edit is made in a copy of the file, the lines are counted in the
-difference of the two texts, and what is then run is a process of its own: `unicon run FILE`.
+difference of the two texts, and what is then run is a process of its own: `unicon run FILE`. Where
+the platform is a vendor's or `ros`, a robot is emulated behind that protocol by `unicon emulate`.
 """
 
 from __future__ import annotations
@@ -12,12 +13,14 @@ import os
 import re
 import subprocess
 import sys
+import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from threading import Thread
 from typing import Any
 
 from unicon_core.errors import UniconError
@@ -28,17 +31,26 @@ from unicon_ros.bench.domains import free_domain
 
 __all__ = ["Outcome", "Transfer", "difference", "edited", "lines_of", "transferred"]
 
-SECONDS = 2.0
-"""Of ticks of each run, [s]."""
-
 TIMEOUT = 120.0
-"""Longest run in [s]: a stand-in on a busy machine takes its time."""
+"""Longest run in [s]: an emulated robot on a busy machine takes its time."""
 
 AGAIN = 2
 """How often a run in real time is repeated where it failed: the machine may have stood still."""
 
+READY = 60.0
+"""How long an emulated robot may take to be there, [s]: it reads its model."""
+
 GONE = 5.0
-"""How long a stand-in may take to end, [s]."""
+"""How long it may take to end, [s]."""
+
+SIMULATED = ("mujoco", "fake", "fake_robot")
+"""Platforms that need nobody else."""
+
+NEEDED = {"mujoco": ["mujoco"], "ros": ["rclpy"], "unitree": ["cyclonedds"], "pnd": ["cyclonedds"]}
+"""What a platform imports."""
+
+PATIENCE = {"silence": 2.0, "connect": 30.0}
+"""Options of a vendor's platform, [s], for a machine that stands still now and then."""
 
 
 @dataclass(frozen=True)
@@ -51,6 +63,8 @@ class Transfer:
         workflow: name in config/workflows.
         before: what makes the source of that file: key to word.
         edit: what makes the target of the source; nothing where the file is run as it is.
+        robot: arguments of `unicon emulate`, where the target is to be run against one.
+        seconds: of ticks, [s].
     """
 
     source: str
@@ -58,6 +72,8 @@ class Transfer:
     workflow: str
     before: Mapping[str, str] = field(default_factory=dict)
     edit: Mapping[str, str] = field(default_factory=dict)
+    robot: tuple[str, ...] = ()
+    seconds: float = 2.0
 
 
 @dataclass(frozen=True)
@@ -126,19 +142,18 @@ def transferred(transfer: Transfer) -> Outcome:
         path.write_text(target, encoding="utf-8")
         values = load_document(path).values
         missing = _missing(values)
-        ran, told = (None, missing) if missing else _run(path, values)
+        ran, told = (None, missing) if missing else _run(path, values, transfer)
         for _ in range(AGAIN if values["platform"] != "mujoco" else 0):
             if ran is not False:
                 break
-            ran, told = _run(path, values)
+            ran, told = _run(path, values, transfer)
     return Outcome(changed, words, ran, told)
 
 
 def _missing(values: Mapping[str, Any]) -> str:
     """Return what this machine lacks for a workflow, "" where it has all."""
     platform, policies = values["platform"], values.get("policies")
-    wanted = {"mujoco": ["mujoco"], "ros": ["rclpy"]}.get(platform, [])
-    for module in (*wanted, *(["onnxruntime"] if policies else [])):
+    for module in (*NEEDED.get(platform, ()), *(["onnxruntime"] if policies else [])):
         if find_spec(module) is None:
             return f"{module} is not installed"
     model = load_robot(values["robot"]).models if platform == "mujoco" else ""
@@ -148,20 +163,27 @@ def _missing(values: Mapping[str, Any]) -> str:
     return ""
 
 
-def _run(path: Path, values: Mapping[str, Any]) -> tuple[bool, str]:
+def _run(path: Path, values: Mapping[str, Any], transfer: Transfer) -> tuple[bool, str]:
     """Run a workflow in a process of its own; return whether it did, and how it ended."""
     report = path.with_suffix(".json")
+    report.unlink(missing_ok=True)
     command = [sys.executable, "-m", "unicon_ros", "run", str(path), "--quiet", "--yes"]
-    command += ["--report", str(report), "--faults", "off", "--duration", f"{SECONDS:g}"]
+    command += ["--report", str(report), "--faults", "off", "--duration", f"{transfer.seconds:g}"]
     if values["platform"] == "mujoco":
         command += ["--speed", "max"]
     try:
-        with _robot(values["platform"], values["robot"]) as environment:
+        with _emulated(values["platform"], values["robot"], transfer.robot) as robot:
             done = subprocess.run(
-                command, capture_output=True, text=True, timeout=TIMEOUT, env=environment
+                [*command, *robot.sets],
+                capture_output=True,
+                text=True,
+                timeout=TIMEOUT,
+                env=robot.environment,
             )
     except subprocess.TimeoutExpired:
         return False, f"not over after {TIMEOUT:g} s"
+    except UniconError as error:
+        return False, str(error)
     if not report.is_file():
         lines = done.stderr.strip().splitlines() or [f"exit status {done.returncode}"]
         return False, lines[-1]
@@ -169,30 +191,75 @@ def _run(path: Path, values: Mapping[str, Any]) -> tuple[bool, str]:
     if said["faults"]:
         return False, said["faults"][0]
     fell = ", and fell" if said["fell"] else ""
-    told = f"{said['ticks']} ticks, {said['base_displacement_m'][0]:+.2f} m ahead{fell}"
+    moved = (robot.moved or said["base_displacement_m"])[0]
+    told = f"{said['ticks']} ticks, {moved:+.2f} m ahead{fell}"
     balances = bool(values.get("policies"))  # nobody does in a posture
     return done.returncode == 0 and not (fell and balances), told
 
 
+@dataclass
+class _Robot:
+    """The robot of a run.
+
+    Attributes:
+        environment: of the run.
+        sets: arguments by which the run finds it; they are of this machine, and no edit.
+        moved: how far its base has moved, [m], once it has ended; None: the run's report says.
+    """
+
+    environment: Mapping[str, str]
+    sets: tuple[str, ...] = ()
+    moved: list[float] | None = None
+
+
 @contextmanager
-def _robot(platform: str, robot: str) -> Iterator[dict[str, str]]:
-    """Let a robot stand behind topics where the platform is ROS; give the environment of both."""
-    if platform != "ros":
-        yield dict(os.environ)
+def _emulated(platform: str, name: str, arguments: tuple[str, ...]) -> Iterator[_Robot]:
+    """Let a robot be there behind the protocol of a platform.
+
+    Raises:
+        UniconError: it is not.
+    """
+    robot = _Robot(dict(os.environ))
+    if platform in SIMULATED:
+        yield robot
         return
-    environment = os.environ | {"ROS_DOMAIN_ID": str(free_domain())}
-    command = [sys.executable, "-m", "unicon_ros.bench.standins.robot", robot]
-    command += ["--posture", "default"]
-    standin = subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, env=environment
+    domain = free_domain()
+    command = [sys.executable, "-m", "unicon_ros", "emulate", name, *arguments]
+    if platform == "ros":
+        robot.environment = {**os.environ, "ROS_DOMAIN_ID": str(domain)}
+        command += ["--face", "ros", "--model", "fake"]
+    else:
+        command += ["--set", f"domain={domain}"]
+        options = {"address": "127.0.0.1", "domain": domain, **PATIENCE}
+        robot.sets = ("--set", f"platforms={json.dumps({platform: options})}")
+    process = subprocess.Popen(
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=robot.environment,
     )
+    assert process.stdout is not None
+    assert process.stderr is not None
+    lines: list[str] = []
+    watcher = Thread(target=lines.extend, args=(process.stdout,), daemon=True)  # as they come
+    watcher.start()
     try:
-        assert standin.stdout is not None
-        standin.stdout.readline()  # it is ready
-        yield environment
+        end = time.monotonic() + READY
+        while not lines:
+            if process.poll() is not None or time.monotonic() > end:
+                process.kill()
+                told = process.stderr.read().splitlines()[-1:] or ["it said nothing"]
+                raise UniconError(f"no robot: {told[0]}")
+            time.sleep(0.05)
+        yield robot
+        process.terminate()
+        watcher.join(GONE)
+        ended = [line for line in map(json.loads, lines) if line["kind"] == "ended"]
+        robot.moved = ended[0]["moved"] if ended and platform != "ros" else None
     finally:
-        standin.terminate()
-        with suppress(subprocess.TimeoutExpired):
-            standin.communicate(timeout=GONE)
-        standin.kill()
-        standin.communicate()
+        process.kill()
+        process.wait()
+        watcher.join(GONE)
+        process.stdout.close()
+        process.stderr.close()

@@ -1,4 +1,4 @@
-"""`unicon robots`, `policies`, `platforms`, `blocks`, `workflows`: what is known, with sources."""
+"""`unicon robots`, `policies`, `platforms`, `faces`, `blocks`, `workflows`: all that is known."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ def add(commands: Any) -> None:
         ("robots", _robots, "robots and their joints, gains, limits and sources"),
         ("policies", _policies, "policies and their contracts; `import X --out DIR` converts one"),
         ("platforms", _platforms, "platforms and their options"),
+        ("faces", _faces, "faces of emulated robots, by protocol, and their options"),
         ("blocks", _blocks, "blocks and their options"),
         ("workflows", _workflows, "workflows"),
     ):
@@ -70,6 +71,10 @@ def _policies(arguments: argparse.Namespace) -> int:
 
 def _platforms(arguments: argparse.Namespace) -> int:
     return _factories("platforms", arguments.name, PlatformError)
+
+
+def _faces(arguments: argparse.Namespace) -> int:
+    return _factories("faces", arguments.name, PlatformError)
 
 
 def _blocks(arguments: argparse.Namespace) -> int:

@@ -47,7 +47,7 @@ class WiredRobot:
         states: of the workflow.
         robot: its file.
         period: of a tick in [s].
-        wire: open, and aligned with the robot's joints.
+        wire: open, and aligned with the robot's joints; it is closed where this fails.
         silence: of the robot that is a fault, in [s].
         silent: nothing is sent, in `close` either.
     """
@@ -64,13 +64,21 @@ class WiredRobot:
         silence: float = SILENCE,
         silent: bool = False,
     ) -> None:
+        self._states, self._robot, self._period, self._wire = states, robot, period, wire
+        self._silence, self._silent = silence, silent
+        try:
+            self._build()
+        except BaseException:
+            wire.close()
+            raise
+
+    def _build(self) -> None:
+        silence, states, robot, wire = self._silence, self._states, self._robot, self._wire
         if not 0.0 < silence <= 10.0:
             raise PlatformError(
                 f"platform {self.facts.name!r}: silence is {silence} s; give more than 0, at most "
                 "10 s"
             )
-        self._states, self._robot, self._period, self._wire = states, robot, period, wire
-        self._silence, self._silent = silence, silent
         writes = tuple(name for name in self.facts.writes if name in states)
         self.facts = replace(self.facts, writes=writes)
         self._gravity: Callable[[], None] | None = None
@@ -87,7 +95,7 @@ class WiredRobot:
         self._silent_for = 0.0
         # Of a longer pause of ours no more counts as silence: who only answers was not asked, as
         # between opening and the first tick.
-        self._pause = 2.0 * period
+        self._pause = 2.0 * self._period
         self._warm_up = wire.warm_up if isinstance(wire, WarmsUp) else None
         self._closed = False
 

@@ -1,5 +1,7 @@
 """Remotes: the bytes in which robots tell their own remote, into sticks and buttons; for drivers.
 
+Those of Unitree are written, too, for emulated robots.
+
 Unitree: 40 bytes in LowState and in the UDP frames; uint16 at 2, bits 0 to 15 as `BUTTONS`; float32
 lx at 4, rx at 8, ry at 12, ly at 20; unitreerobotics/unitree_sdk2 example/g1/low_level/gamepad.hpp.
 Dobot Atom: 40 bytes; buttons in bytes 2 and 3, float32 lx at 4, rx at 8, ry at 12, ly at 16.
@@ -18,7 +20,7 @@ from typing import Any
 from unicon_core.blocks.controls.device import Controls
 from unicon_core.states.standard import BUTTONS
 
-__all__ = ["REMOTES", "dobot", "pnd", "unitree"]
+__all__ = ["REMOTES", "dobot", "pnd", "unitree", "unitree_pressed"]
 
 _UNITREE = struct.Struct("<2xH3f4xf16x")
 _DOBOT = struct.Struct("<2xBB4f20x")
@@ -45,6 +47,13 @@ def unitree(raw: Any, controls: Controls) -> None:
     for element in range(len(BUTTONS)):
         controls.buttons[element] = bits >> element & 1
     controls.alive[...] = 1
+
+
+def unitree_pressed(controls: Controls, raw: bytearray) -> None:
+    """Write the 40 bytes that `unitree` takes."""
+    lx, ly, rx, ry = map(float, controls.sticks)
+    bits = sum(1 << element for element, pressed in enumerate(controls.buttons) if pressed)
+    _UNITREE.pack_into(raw, 0, bits, lx, rx, ry, ly)
 
 
 def dobot(raw: Any, controls: Controls) -> None:

@@ -42,7 +42,7 @@ class AzureFace:
     def __init__(self, states: States, robot: Robot, address: str, plan: str) -> None:
         self._states, self._link, self._limits = states, Link.of(robot), Limits.of(robot)
         self.rate, self.dead_man = self._link.rate, self._link.lost
-        self._plan = plan
+        self._plan, self.where = plan, f"{address}:{self._link.port}"
         self._frame = np.zeros(1, self._link.state)
         self._frame["size"] = self._frame.nbytes
         self._views = [states[name] for name in COMMAND_STATES]
@@ -73,7 +73,8 @@ class AzureFace:
             if frame["checker"] != self._link.checker or frame["size"] != len(data):
                 continue
             self._udp.peer, self._heard = sender, time.monotonic()
-            newest = frame if frame["state"] == self._link.commanding else None
+            if frame["state"] == self._link.commanding:  # else it only asks
+                newest = frame
         if newest is None or not self.obeys:
             return False
         for i, (view, name) in enumerate(zip(self._views, COMMAND_STATES)):

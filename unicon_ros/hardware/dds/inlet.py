@@ -10,16 +10,9 @@ from collections.abc import Callable
 
 from unicon_core.errors import Fault
 from unicon_ros.hardware.dds.participant import Reader
-from unicon_ros.hardware.wire import Counts
+from unicon_ros.hardware.wire import Counts, newer
 
 __all__ = ["Inlet", "newer"]
-
-_HALF = 1 << 31
-
-
-def newer(number: int, last: int) -> bool:
-    """Tell whether a frame number of 32 bits, which may wrap, is behind the last one."""
-    return 0 < (number - last) % (2 * _HALF) < _HALF
 
 
 class Inlet:

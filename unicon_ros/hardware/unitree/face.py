@@ -1,7 +1,9 @@
 """Face of robots behind Unitree's DDS: LowState at 500 Hz, LowCmd, and the motion switcher.
 
-Not emulated, as it is not public: what the robot does when LowCmd stops, how long its controller
-takes to let go, and rpy, raw motor readings, voltages of cells and the like, which stay zero.
+What the robot does when LowCmd stops is not public: it goes on with its last command, unless option
+`dead_man` says otherwise, which is an assumption. Not emulated, for the same reason: how long its
+controller takes to let go, and rpy, raw motor readings, voltages of cells and the like, which stay
+zero.
 """
 
 from __future__ import annotations
@@ -14,11 +16,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from unicon_core.blocks.controls.remotes import unitree_pressed
+from unicon_core.bounds import within
 from unicon_core.errors import PlatformError
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_msgs_map import Encoder
+from unicon_ros.emulate.remote import Remote
 from unicon_ros.hardware.dds.end import DdsEnd
 from unicon_ros.hardware.dds.frames import Frames
 from unicon_ros.hardware.dds.maps import arrays_of
@@ -38,6 +43,8 @@ MODE = "normal"
 """Of its own controller, until it lets go."""
 TICK_MS = 2
 NOT_IMPLEMENTED = 3203
+LONGEST = 10.0
+"""Of `dead_man` in [s]."""
 TEMPERATURE, VOLTAGE = 35.0, 29.0
 """What it tells where its simulator knows none, in [°C] and [V]."""
 
@@ -50,6 +57,8 @@ def face(
     domain: int | None = None,
     mode: str = MODE,
     variant: int | None = None,
+    dead_man: float | None = None,
+    remote: str | None = None,
 ) -> UnitreeFace:
     """Build the robot's end.
 
@@ -58,16 +67,29 @@ def face(
         domain: of DDS, instead of the robot file's.
         mode: of its own controller at the start, "" where it has let go.
         variant: `mode_machine` that it tells, instead of the robot file's.
+        dead_man: it damps without a LowCmd for so long, in [s]. An assumption: what a real one
+            does is not public, and without this the last command goes on for ever.
+        remote: a game pad that is held as its wireless remote, such as /dev/input/event5, or a
+            pipe, or auto; see block `gamepad`.
 
     Raises:
-        UniconError: the robot file lacks a fact, or the network cannot be used.
+        UniconError: the robot file lacks a fact, an option is out of range, or the network cannot
+            be used.
     """
     facts = UnitreeFacts.of(robot)
     if variant is not None and not 0 <= variant <= 255:
         raise PlatformError(f"{LABEL}: variant is {variant}; give 0 to 255")
-    return UnitreeFace(
-        states, robot, facts, facts.domain if domain is None else domain, address, mode, variant
-    )
+    if dead_man is not None:
+        dead_man = within(dead_man, f"{LABEL}: dead_man", "s", LONGEST, 1.0 / facts.rate)
+    domain = facts.domain if domain is None else domain
+    made = UnitreeFace(states, robot, facts, domain, address, mode, variant, dead_man)
+    if remote is not None:
+        try:
+            made.held = Remote(remote, robot, made.remote, unitree_pressed)
+        except BaseException:
+            made.close()
+            raise
+    return made
 
 
 class UnitreeFace(DdsEnd):
@@ -75,15 +97,15 @@ class UnitreeFace(DdsEnd):
 
     Attributes:
         rate: of LowState in [Hz].
-        dead_man: infinity: what the robots do is not public.
+        dead_man: infinity unless given: what the robots do is not public.
         obeys: its own controller has let go.
+        where: topic and domain.
         mode: of that controller, "" where it has let go.
         counts: of commands.
         remote: the wireless remote's bytes, to be pressed.
+        held: what presses them, or None.
         asked: numbers of the requests that its services got, by service.
     """
-
-    dead_man = math.inf
 
     def __init__(
         self,
@@ -94,9 +116,12 @@ class UnitreeFace(DdsEnd):
         address: str | None,
         mode: str,
         variant: int | None,
+        dead_man: float | None,
     ) -> None:
         self.rate, self.mode, counts = facts.rate, mode, Counts()
+        self.dead_man = math.inf if dead_man is None else dead_man
         self.remote = bytearray(REMOTE)
+        self.held: Remote | None = None
         self.asked: dict[str, list[int]] = {}
         self._facts, self._states = facts, states
         n = robot.num_joints
@@ -140,6 +165,8 @@ class UnitreeFace(DdsEnd):
         """Send what the robot measures."""
         states, waist = self._states, self._facts.waist
         self._tick += TICK_MS
+        if self.held is not None:
+            self.held()
         if waist is not None:
             angle, rate = (-float(states[name][waist]) for name in ("joint_pos", "joint_vel"))
             turned({name: states[name] for name in IMU_STATES}, self._imu, angle, rate)
@@ -189,3 +216,9 @@ class UnitreeFace(DdsEnd):
             server.reply(asked, 0)
         else:
             server.reply(asked, NOT_IMPLEMENTED)
+
+    def close(self) -> None:
+        """Leave the domain."""
+        if self.held is not None:
+            self.held.close()
+        super().close()

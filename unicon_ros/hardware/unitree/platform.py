@@ -125,9 +125,5 @@ def make(
         release=real,
         silent=silent,
     )
-    try:
-        built = Unitree(states, robot, period, wire, peer=peer, silence=silence, silent=silent)
-    except BaseException:
-        wire.close()
-        raise
+    built = Unitree(states, robot, period, wire, peer=peer, silence=silence, silent=silent)
     return opened(built, connect)

@@ -22,6 +22,9 @@ SWITCHER = "motion_switcher"
 CHECK_MODE, RELEASE_MODE = 1001, 1003
 TIMEOUT = 5.0
 """For an answer, and for a service to be found, in [s]; as in the vendor's examples."""
+AGAIN = 2.0
+"""CheckMode, the first request of all, is repeated after so long, in [s]: a service that has found
+the writer of requests, and not the reader of responses, answers nobody."""
 TRIES = 5
 """Modes that are released in a row; who takes it again and again is told."""
 
@@ -114,9 +117,13 @@ class Release:
     def _asked(self, client: Client, number: int, doing: str) -> Generator[str, None, str]:
         """Ask a service and return what it answers."""
         client.ask(number)
-        end = time.monotonic() + TIMEOUT
+        begun = repeated = time.monotonic()
         while (answer := client.answer()) is None:
-            if time.monotonic() > end:
+            now = time.monotonic()
+            if number == CHECK_MODE and now - repeated > AGAIN:  # it does nothing: not as others
+                client.repeat()
+                repeated = now
+            if now - begun > TIMEOUT:
                 raise Fault(
                     f"{self._what}: service {client.service!r} does not answer request {number} "
                     f"within {TIMEOUT:g} s; start the robot anew"

@@ -91,6 +91,10 @@ class Client:
     def ask(self, number: int, parameter: str = "{}") -> None:
         """Send a request; what it is answered is told by `answer`."""
         self._asked = request(time.monotonic_ns(), number, parameter)
+        self.repeat()
+
+    def repeat(self) -> None:
+        """Send the last request once more; the first answer to either counts."""
         self._writer.write(packed(self._asked))
 
     def answer(self) -> tuple[int, str] | None:

@@ -169,7 +169,8 @@ class UnitreeWire(DdsEnd):
         if not self._frames.read(raw):
             return False
         values, waist = self._read, self._facts.waist
-        self._mounting.turn(values)
+        if self._mounting.turned:
+            self._mounting.turn(values, values)
         if waist is not None:
             turned(values, values, *(float(values[n][waist]) for n in ("joint_pos", "joint_vel")))
         if not self._facts.go and "motor_temperature" in values:
