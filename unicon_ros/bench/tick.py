@@ -10,6 +10,9 @@ as closures. All variants take turns in one run.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 from unicon_core.flow import Block, Node, Zip, compile_graph
 from unicon_core.flow.fuse import fuse
 from unicon_core.flow.linear import LinearMap
@@ -81,11 +84,11 @@ DONE = [True]
 """Results that end a zip, as the paper lets its user say them."""
 
 
-def closure_zip(*parts: Step) -> Step:
+def closure_zip(*parts: Callable[[], Any]) -> Callable[[], Any]:
     """Return a zip as a closure: it calls its children in turn, and ends with one that is done."""
 
-    def step() -> bool:
-        result = False
+    def step() -> Any:
+        result: Any = False
         for part in parts:
             result = part()
             if result in DONE:
