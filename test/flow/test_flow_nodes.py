@@ -21,6 +21,7 @@ from unicon_core.flow import (
     blocks_of,
     compile_graph,
 )
+from unicon_core.flow.compiler import GROUP
 from unicon_core.flow.stage import Stage
 
 
@@ -204,6 +205,29 @@ def test_trace_stamps_rise_and_are_zero_where_nothing_ran() -> None:
         start, tail, first, every, deferred = graph.stamps.tolist()
         assert (every > 0) == ran
         assert start <= first <= (every or first) <= tail <= deferred
+
+
+def test_groups_of_blocks_share_the_stamp_of_the_last() -> None:
+    blocks = [Block(f"b{i}", lambda: False) for i in range(GROUP + 3)]
+    graph = compile_graph(Zip(*blocks, Deferred(blocks[0]), Deferred(blocks[1])), trace=True)
+    assert [len(group) for group in graph.groups] == [GROUP, 3, 2]
+    assert [i for group in graph.groups for i in group] == list(range(GROUP + 5))
+    graph.step()
+    graph.deferred()
+    assert graph.stamps.all()
+    graph.watch(False)
+    for _ in range(2):
+        graph.step()
+        assert graph.stamps.nonzero()[0].tolist() == [1 + GROUP, 4 + GROUP]
+        graph.deferred()
+        stamps = graph.stamps[graph.stamps > 0]
+        assert len(stamps) == 3
+        assert (np.diff(stamps) >= 0).all()
+        graph.stamps[:] = 0
+    graph.watch(True)
+    graph.step()
+    graph.deferred()
+    assert graph.stamps.all()
 
 
 def test_without_trace_there_are_no_stamps() -> None:

@@ -15,10 +15,17 @@ from unicon_core.flow import Block, Chain, CompiledGraph, Loop, Node, Zip, compi
 TICKS = 25
 
 
-def run(world: World, graph: CompiledGraph | Interpreter, resets: frozenset[int]) -> list[Any]:
+def run(
+    world: World,
+    graph: CompiledGraph | Interpreter,
+    resets: frozenset[int],
+    detail: tuple[bool, ...] = (),
+) -> list[Any]:
     """Run ticks with a warm-up before each; return everything that can be observed."""
     seen = []
     for tick in range(TICKS):
+        if detail and isinstance(graph, CompiledGraph):
+            graph.watch(detail[tick % len(detail)])
         graph.warm_up()
         seen.append(("done", graph.step()))
         if tick in resets and tick % 2:
@@ -36,17 +43,18 @@ def run(world: World, graph: CompiledGraph | Interpreter, resets: frozenset[int]
 @given(
     trees,
     block_kinds,
-    st.booleans(),
+    st.sampled_from(["plain", "each", "groups", "turns"]),
     st.frozensets(st.integers(0, TICKS), max_size=2),
     st.sampled_from([(1, 0), (2, 1), (12, 6)]),
 )
 def test_compiled_graph_equals_interpreter(
-    tree: Any, kinds: Any, trace: bool, resets: frozenset[int], outline: tuple[int, int]
+    tree: Any, kinds: Any, stamps: str, resets: frozenset[int], outline: tuple[int, int]
 ) -> None:
     fast, slow = World(tree, kinds), World(tree, kinds)
     with patch.multiple(compiler, OUTLINE_DEPTH=outline[0], OUTLINE_RESETS=outline[1]):
-        compiled = compile_graph(fast.root, trace=trace)
-    assert run(fast, compiled, resets) == run(slow, Interpreter(slow.root), resets)
+        compiled = compile_graph(fast.root, trace=stamps != "plain")
+    detail = {"groups": (False,), "turns": (True, False, False)}.get(stamps, ())
+    assert run(fast, compiled, resets, detail) == run(slow, Interpreter(slow.root), resets)
 
 
 def test_two_hundred_levels_of_nesting_compile_and_run() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from pathlib import Path
 from typing import Any
@@ -9,9 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from unicon_core.flow import Block, Stage
+from unicon_core.flow import Block, Stage, Zip
 from unicon_core.runtime import Report, Runner, RunOptions, TickStatistics, percentiles
-from unicon_core.workflow import load_workflow
+from unicon_core.runtime.detail import EVERY, LEARN
+from unicon_core.workflow import Program, load_workflow
 
 pytestmark = pytest.mark.alone
 
@@ -63,6 +65,55 @@ def test_the_table_tells_them_only_where_ticks_were_late() -> None:
         "bridge overran its slack in 1 of 2 ticks",
         "policy overran the period in 1 of 2 ticks",
     ]
+
+
+def test_where_blocks_share_a_stamp_their_group_is_named() -> None:
+    kept = TickStatistics(NAMES, frozenset({3, 4}), 16, groups=[(0, 1), (2,), (3, 4)])
+
+    def add(begin: int, *ends: int) -> None:
+        stamps = np.array([begin, 0, *(end and begin + end for end in ends)]) * US
+        kept.add(begin * US, int(stamps.max()), stamps, detailed=False)
+
+    add(1000, 0, 120, 130, 0, 0)
+    add(2000, 0, 20, 30, 0, 150)
+    add(3000, 0, -950, 130, 0, 140)  # as it stood after the tick before: nobody ran
+    assert kept.overrun_blocks(100.0) == {
+        "recv … policy, 2 blocks": 1,
+        "bridge … recorder, 2 blocks": 1,
+        "send": 1,
+    }
+    assert kept.durations_us().tolist() == [130.0, 30.0, 130.0]
+    assert {row["calls"] for row in kept.block_us().values()} == {0}
+    stamps = np.array([4000, 4040, 4010, 4020, 4040, 4050, 4060]) * US
+    kept.add(4000 * US, 4060 * US, stamps)
+    assert kept.block_us()["policy"] == {"p50": 10.0, "p99": 10.0, "max": 10.0, "calls": 1}
+    spans = [e["name"] for e in json.loads(kept.trace("it", 2))["traceEvents"] if "ts" in e]
+    assert spans == ["tick", "send", "bridge … recorder, 2 blocks", "tick", *NAMES]
+
+
+@pytest.mark.parametrize(("blocks", "detail"), [(100, False), (4, True)])
+def test_stamps_that_take_longer_than_a_tenth_of_a_tick_are_written_now_and_then(
+    blocks: int, detail: bool
+) -> None:
+    """Four blocks of 0.2 ms bear them in each tick; a hundred of nothing in one of 64."""
+
+    def work() -> None:
+        if detail:
+            time.sleep(0.0002)
+
+    program = Program(
+        robot="go2",
+        platform="fake",
+        flow={"zip": ["hold", *(work for _ in range(blocks))]},
+        rate=50,
+    )
+    program.root = Zip(*(Block(f"b{i}", work) for i in range(blocks)))
+    runner = Runner(program, RunOptions(speed="max", duration=20.0))
+    runner.run()
+    ticks = runner.statistics
+    assert ticks.count == 1000
+    calls = {row["calls"] for row in ticks.block_us().values()}
+    assert calls == {1000 if detail else LEARN + (1000 - LEARN) // EVERY}
 
 
 def test_blocks_of_one_name_are_told_apart() -> None:

@@ -13,9 +13,10 @@ from hypothesis import strategies as st
 from policy_workflows import KINDS, write_workflow
 
 from unicon_core.errors import Fault
-from unicon_core.flow import Amends, Reads
+from unicon_core.flow import Amends, Reads, as_block
 from unicon_core.runtime import Runner, RunOptions, WallClock, WarmUp
 from unicon_core.workflow import load_workflow
+from unicon_core.workflow.warm_ups import LARGEST
 
 TICKS = 75
 
@@ -165,8 +166,26 @@ def test_pure_blocks_are_warmed_up_on_a_copy_and_their_faults_wait(tmp_path: Pat
     runner.close()
 
 
-def test_large_states_are_not_copied_for_a_warm_up(paths: dict[str, Path]) -> None:
-    workflow = load_workflow(paths["plain"], ["num_robots=200"])
-    warmed = [block.name for block in workflow.blocks if block.warm_up is not None]
-    assert warmed == ["policy", "policy"]
-    workflow.close()
+def test_large_states_keep_no_block_from_warming_up_but_those_that_use_them(
+    paths: dict[str, Path],
+) -> None:
+    def warmed(*sets: str) -> list[str]:
+        workflow = load_workflow(paths["plain"], sets)
+        workflow.close()
+        return [block.name for block in workflow.blocks if block.warm_up is not None]
+
+    usual = warmed()
+    assert len(usual) > 4
+    assert warmed("states={image: {shape: [1000, 1000]}}") == usual
+    program = load_workflow(paths["plain"], ["states={image: {shape: [1000, 1000]}}"])
+    program.states["image"][...] = 1.0
+    recv = as_block(program.hearing[0]).warm_up
+    assert recv is not None
+    recv()
+    cells = [each.cell_contents for each in recv.__closure__ or ()]
+    copied = sum(len(here) for parts in cells if isinstance(parts, list) for here, _ in parts)
+    assert 0 < copied < LARGEST
+    program.close()
+    of_many = warmed("num_robots=2000")
+    assert "policy" in of_many  # it has one of its own
+    assert len(of_many) < len(usual)

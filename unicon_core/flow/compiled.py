@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from types import CellType, FunctionType
 
@@ -34,6 +34,9 @@ class CompiledGraph:
         deferred_blocks: those of `blocks` that run in `deferred`.
         stamps: int64 ns, shape (2 + len(blocks),): start of `step`, start of `deferred`, then the
             end of each block; 0 where it did not run. Empty without `trace`.
+        detailed: each block has a stamp of its own.
+        groups: the numbers of the blocks that share a stamp where not, in their order: that of the
+            last one.
     """
 
     step: Callable[[], bool]
@@ -44,6 +47,19 @@ class CompiledGraph:
     blocks: tuple[Block, ...]
     deferred_blocks: frozenset[int]
     stamps: NDArray[np.int64]
+    groups: tuple[tuple[int, ...], ...]
+    _ways: Sequence[Callable[[], bool]]
+    detailed: bool = True
+
+    def watch(self, each: bool) -> None:
+        """Stamp each block from the next tick on, or `groups` of them alone, for next to nothing.
+
+        The other stamps are 0 then, that of the start too; the last one of a group that did not run
+        stays as it was.
+        """
+        self.detailed = each
+        self.step, self.deferred = self._ways[:2] if each else self._ways[2:]
+        self.stamps[:] = 0
 
     def memory(self) -> dict[str, int]:
         """Return the variables that live from tick to tick: where chains and switches are.

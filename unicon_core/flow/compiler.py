@@ -35,7 +35,7 @@ def compile_graph(root: Node, *, trace: bool = False) -> CompiledGraph:
 
     Args:
         root: the tree; shared blocks may stand in several places.
-        trace: write a time stamp after each block, about 60 ns a block.
+        trace: write a time stamp after each block, 40 to 100 ns each; see `CompiledGraph.watch`.
     """
     return _Compiler(trace).compile(root)
 
@@ -43,6 +43,9 @@ def compile_graph(root: Node, *, trace: bool = False) -> CompiledGraph:
 OUTLINE_DEPTH = 12
 """Every so many levels of nesting the code goes on in a function of its own: Python refuses more
 than 100 levels of indentation, and a level of nodes takes up to two."""
+
+GROUP = 32
+"""So many blocks at most share a time stamp where not each has its own."""
 
 OUTLINE_RESETS = 6
 """A subtree with more lines of reset than this gets a function for them, so that the source grows
@@ -60,35 +63,55 @@ class _Compiler:
     deferred_blocks: set[int] = field(default_factory=set)
     in_tail: bool = False
     depth: int = 0
+    stamped: set[int] | None = None
+    shared: list[tuple[int, ...]] = field(default_factory=list)
 
     def compile(self, root: Node) -> CompiledGraph:
         scope = self.scope
-        body = self.node(root, ["done = True"], conditional=False, idempotent=True)
+        bodies = [self.step(root)]
+        if self.trace:
+            self.groups()
+            bodies.append(self.step(root))
         warm_up = self.warm_up(root)
         fresh = self.reset(root)
         after = [f"{name} = 0" for name in scope.state if name.startswith(("due", "ending"))]
         late = self.late_resets(root)
         reset = [*fresh, *after, *late]
         stamps = np.zeros(2 + len(self.blocks) if self.trace else 0, dtype=np.int64)
-        begin: Lines = []
-        tail = self.tail
+        begin: dict[str, Lines] = {}
         if self.trace:
             zeros = memoryview(np.zeros_like(stamps).data)
             scope.names |= {"now": time.perf_counter_ns, "T": memoryview(stamps.data), "Z": zeros}
-            begin = ["T[:] = Z", "T[0] = now()"]  # 60 ns, once a tick, whatever the blocks
-            tail = ["T[1] = now()", *tail]
-        if "ending" in scope.state:
-            tail = [*tail, "if ending:", *indent([*reset, "return True"])]
-        scope.functions += [
-            ("step", [*begin, "done = False", *body, "return done"]),
-            ("deferred", [*tail, *late, "return False"]),
-            ("warm_up", warm_up),
-            ("reset", reset),
-        ]
-        source, functions = scope.build("step", "deferred", "warm_up", "reset")
-        step, deferred, warm, renew = functions
-        blocks, later = tuple(self.blocks), frozenset(self.deferred_blocks)
-        return CompiledGraph(step, deferred, warm, renew, source, blocks, later, stamps)
+            begin = {"step": ["T[:] = Z", "T[0] = now()"], "deferred": ["T[1] = now()"]}
+        ending = ["if ending:", *indent([*reset, "return True"])] if "ending" in scope.state else []
+        scope.functions += [("warm_up", warm_up), ("reset", reset)]
+        names = ["warm_up", "reset"]
+        for way, (body, tail) in zip(("", "_groups"), bodies):
+            step = ["done = False", *body, "return done"]
+            deferred = [*tail, *ending, *late, "return False"]
+            for name, lines in (("step", step), ("deferred", deferred)):
+                stamped = [] if way else begin.get(name, [])
+                scope.functions.append((name + way, [*stamped, *lines]))
+                names.append(name + way)
+        source, functions = scope.build(*names)
+        (warm, renew), ways = functions[:2], functions[2:]
+        later, groups = frozenset(self.deferred_blocks), tuple(self.shared)
+        return CompiledGraph(
+            ways[0], ways[1], warm, renew, source, tuple(self.blocks), later, stamps, groups, ways
+        )
+
+    def step(self, root: Node) -> tuple[Lines, Lines]:
+        """Return the lines of a tick, and those of what is put off in it."""
+        self.tail, self.depth = [], 0
+        body = self.node(root, ["done = True"], conditional=False, idempotent=True)
+        return body, self.tail
+
+    def groups(self) -> None:
+        """Let blocks share time stamps from now on: those of the last one of each group."""
+        for later in (False, True):
+            own = [i for i in range(len(self.blocks)) if (i in self.deferred_blocks) is later]
+            self.shared += [tuple(own[i : i + GROUP]) for i in range(0, len(own), GROUP)]
+        self.stamped = {group[-1] for group in self.shared}
 
     def call(self, block: Block) -> str:
         if not block.inline:
@@ -134,7 +157,10 @@ class _Compiler:
         return self.defer(node, conditional)
 
     def block(self, block: Block, on_done: Lines) -> Lines:
-        stamp = [f"T[{2 + self.column(block)}] = now()"] if self.trace else []
+        column = self.column(block)
+        stamp = []
+        if self.trace and (self.stamped is None or column in self.stamped):
+            stamp = [f"T[{2 + column}] = now()"]
         if block.endless:
             return [*self.call(block).splitlines(), *stamp]
         after = [*self.reset(block), *on_done]

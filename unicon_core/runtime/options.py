@@ -21,6 +21,7 @@ class RunOptions:
         duration: end after this time in [s] of ticks; None: until the flow is done.
         speed: `real` paces to the wall clock; `max` ticks as fast as it can (simulators).
         capacity: ticks whose time stamps are kept.
+        detail: each block of each tick gets a time stamp, also where they take longer than it.
         warn: takes warnings, one line each.
         status: called about once a second with facts for a status line, or None.
         operator: wait for `Runner.go` before a robot moves, where the workflow does not say that
@@ -30,6 +31,7 @@ class RunOptions:
     duration: float | None = None
     speed: Literal["real", "max"] = "real"
     capacity: int = 32_768
+    detail: bool = False
     warn: Callable[[str], None] = print
     status: Callable[[dict[str, Any]], None] | None = None
     operator: bool = False

@@ -68,6 +68,8 @@ class Runner:
         self.monitor = program.monitor
         status = None if self.options.status is None else self._status
         self._run = self._ticker = Ticker(program, program.root, self.options.capacity, status)
+        if self.options.detail:
+            self._run.detail.at = -1
         # Compiled now: between run and wind-down a robot would wait for its commands.
         self._ending_ticks = max(1, round(WIND_DOWN / program.period))
         root = program.wind_down
@@ -168,7 +170,7 @@ class Runner:
             UniconError: another thread ticks.
         """
         self._only_here("tick", "call_soon")
-        return self._ticker.step(due_ns)
+        return self._ticker.step(due_ns, time.perf_counter_ns())
 
     def _only_here(self, what: str, instead: str) -> None:
         if self._thread not in (None, threading.get_ident()):

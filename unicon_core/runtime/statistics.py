@@ -38,10 +38,15 @@ class TickStatistics:
         names: block labels, in the order of the trace columns.
         deferred: numbers of the blocks that run after `send`.
         capacity: how many ticks are kept; older ones are overwritten.
+        groups: numbers of the blocks that share a stamp in ticks without detail.
     """
 
     def __init__(
-        self, names: Sequence[str], deferred: frozenset[int], capacity: int = 32_768
+        self,
+        names: Sequence[str],
+        deferred: frozenset[int],
+        capacity: int = 32_768,
+        groups: Sequence[Sequence[int]] = (),
     ) -> None:
         self.names = tuple(names)
         self.labels = tuple(
@@ -49,15 +54,27 @@ class TickStatistics:
         )
         self.deferred = deferred
         self.rows = np.zeros((capacity, 4 + len(names)), dtype=np.int64)
+        self._flat, self._width = memoryview(self.rows.reshape(-1).data), 4 + len(names)
+        self._shared = np.zeros(capacity, np.bool_)
+        self._groups = {group[-1]: group for group in groups}
         self.count = 0
         self.overruns = 0
 
-    def add(self, due_ns: int, end_ns: int, stamps: NDArray[np.int64]) -> None:
-        """Keep one tick: when it was due, when it ended, and its time stamps."""
-        row = self.rows[self.count % len(self.rows)]
-        row[0] = due_ns
-        row[1] = end_ns
-        row[2:] = stamps
+    def add(self, due_ns: int, end_ns: int, stamps: memoryview, detailed: bool = True) -> None:
+        """Keep one tick.
+
+        Args:
+            due_ns: when it was due.
+            end_ns: when it ended.
+            stamps: as of `CompiledGraph`, int64.
+            detailed: each block has its own; else the groups' last ones have.
+        """
+        flat, width, number = self._flat, self._width, self.count % len(self.rows)
+        at = number * width
+        flat[at + 2 : at + width] = stamps
+        flat[at] = due_ns
+        flat[at + 1] = end_ns
+        self._shared[number] = not detailed
         self.count += 1
 
     def take_memory(self) -> None:
@@ -74,13 +91,29 @@ class TickStatistics:
             return self.rows[: self.count]
         return np.roll(self.rows, -(self.count % capacity), axis=0)
 
+    def _kept_shared(self) -> NDArray[np.bool_]:
+        """Return which of the rows kept have stamps of groups."""
+        shared = self._shared[: self.count]
+        return shared if self.count <= len(shared) else np.roll(shared, -(self.count % len(shared)))
+
+    def group_label(self, number: int) -> str:
+        """Return what stands for the blocks whose stamp is that of a block."""
+        group = self._groups.get(number, (number,))
+        first, last = (self.labels[i] for i in (group[0], group[-1]))
+        return first if first == last else f"{first} … {last}, {len(group)} blocks"
+
+    def _sent_ns(self) -> NDArray[np.int64]:
+        """Return when the last block ended that is not put off, of each kept tick."""
+        ends = [4 + i for i in range(len(self.names)) if i not in self.deferred]
+        sent: NDArray[np.int64] = self.kept()[:, ends].max(axis=1, initial=0)
+        return sent
+
     def durations_us(self) -> NDArray[np.float64]:
         """Return recv → send of each kept tick in [µs], shape (ticks,)."""
         rows = self.kept()
-        ends = [4 + i for i in range(len(self.names)) if i not in self.deferred]
-        if not rows.size or not ends:
+        if not rows.size or len(self.deferred) == len(self.names):
             return np.empty(0)
-        took = rows[:, ends].max(axis=1) - rows[:, 2]
+        took = self._sent_ns() - rows[:, 2]
         microseconds: NDArray[np.float64] = np.multiply(took, 1e-3, dtype=np.float64)
         return microseconds
 
@@ -94,11 +127,12 @@ class TickStatistics:
         return percentiles((rows[:, 2] - rows[:, 0]) * 1e-3)
 
     def block_us(self) -> dict[str, dict[str, float]]:
-        """Return label to p50, p99, max in [µs] and the number of calls among the kept ticks."""
+        """Return label to p50, p99, max in [µs] and the number of calls, of ticks with detail."""
         starts, ends = self._spans()
+        detailed = ~self._kept_shared()
         table: dict[str, dict[str, float]] = {}
         for i, label in enumerate(self.labels):
-            ran = ends[:, i] > 0
+            ran = (ends[:, i] > 0) & detailed
             table[label] = {
                 **percentiles((ends[ran, i] - starts[ran, i]) * 1e-3),
                 "calls": int(ran.sum()),
@@ -121,21 +155,28 @@ class TickStatistics:
         after = np.zeros(len(self.names), np.bool_)
         after[list(self.deferred)] = True
         counts: dict[str, int] = {}
+        shared = self._kept_shared()
         for i in np.flatnonzero(rows[:, 1] > next_due):
             sent = ends[i, ~after].max(initial=0)
             part = after if sent <= next_due[i] and after.any() else ~after
             if part.any():
-                label = self.labels[int(np.where(part, took[i], -1).argmax())]
+                slowest = int(np.where(part, took[i], -1).argmax())
+                label = self.group_label(slowest) if shared[i] else self.labels[slowest]
                 counts[label] = counts.get(label, 0) + 1
         return dict(sorted(counts.items(), key=lambda item: -item[1]))
 
     def _spans(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return start and end of each block, shape (ticks, blocks); end 0 where it did not run."""
+        """Return start and end of each block, shape (ticks, blocks); end 0 where it did not run.
+
+        Where blocks share a stamp, the last one stands for all of its group.
+        """
         rows = self.kept()
-        ends = rows[:, 4:]
+        ends = np.where(rows[:, 4:] < rows[:, 2:3], 0, rows[:, 4:])
         starts = np.empty_like(ends)
         for part, begin in ((False, 2), (True, 3)):
             last = rows[:, begin].copy()
+            if part:  # without detail nobody says when they begin
+                np.maximum(last, self._sent_ns(), out=last)
             for i in range(len(self.names)):
                 if (i in self.deferred) is part:
                     starts[:, i] = last
@@ -171,7 +212,7 @@ class TickStatistics:
             last: so many ticks at most; 0 for all.
         """
         starts, ends = (each[-last:] for each in self._spans())
-        rows = self.kept()[-last:]
+        rows, shared = self.kept()[-last:], self._kept_shared()[-last:]
         origin = int(rows[0, 2]) if len(rows) else 0
         events: list[dict[str, Any]] = [
             {"ph": "M", "pid": 1, "tid": 1, "name": "process_name", "args": {"name": process}},
@@ -188,5 +229,6 @@ class TickStatistics:
             events.append(span("tick", begin, end, args={"number": number, "late_us": late}))
             for i, name in enumerate(self.names):
                 if ends[tick, i]:
+                    name = self.group_label(i) if shared[tick] else name
                     events.append(span(name, int(starts[tick, i]), int(ends[tick, i])))
         return json.dumps({"traceEvents": events, "displayTimeUnit": "ns"})

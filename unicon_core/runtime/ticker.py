@@ -12,6 +12,7 @@ from unicon_core.errors import Hung
 from unicon_core.flow import Node, compile_graph
 from unicon_core.platforms.platform import CountsArrivals
 from unicon_core.runtime.arrivals import Arrivals
+from unicon_core.runtime.detail import Detail
 from unicon_core.runtime.pacing import CATCH_UP, WallClock, WarmUp
 from unicon_core.runtime.statistics import TickStatistics
 from unicon_core.workflow import Program
@@ -38,6 +39,7 @@ class Ticker:
             ticks are not paced.
         between: actions to be called between two ticks.
         arrivals: when the platform's data come, as far as it was measured.
+        detail: switches the time stamps of blocks.
         hang_ns: how late a tick may be; later ones are a fault.
         first_ns: when the first tick is due, on the same clock; 0 for at once. All others are due
             whole periods behind it, though it was late. One that data trigger comes with those
@@ -51,7 +53,11 @@ class Ticker:
         self.pacing, self.period_ns = program.pacing, round(program.period * 1e9)
         self.graph = compile_graph(root, trace=True)
         names = [block.name for block in self.graph.blocks]
-        self.statistics = TickStatistics(names, self.graph.deferred_blocks, capacity)
+        self.statistics = TickStatistics(
+            names, self.graph.deferred_blocks, capacity, self.graph.groups
+        )
+        self._stamps = memoryview(self.graph.stamps.data)
+        self.detail = Detail(self.graph, self.statistics)
         self.done = self.stop = False
         self.next_due_ns = self.first_ns = 0
         self.between: deque[Callable[[], object]] = deque()
@@ -59,19 +65,26 @@ class Ticker:
         self.hang_ns = self.pacing.hang_ns(self.period_ns, program.platform.facts.simulated)
         self._tick = program.states["tick"]
 
-    def step(self, due_ns: int) -> bool:
+    def step(self, due_ns: int, begin_ns: int) -> bool:
         """Run one tick: step, then the deferred blocks. True when the graph is done.
+
+        Args:
+            due_ns: when it is due.
+            begin_ns: now.
 
         Raises:
             Fault: a block tripped; the caller must close, which damps.
         """
-        graph = self.graph
+        graph, stamps = self.graph, self._stamps
+        if self.statistics.count == self.detail.at:
+            self.detail()
+        stamps[0] = begin_ns
         done = graph.step()
         try:
             return graph.deferred() or done
         finally:  # whatever is found behind `send`, the command of this tick has left
             self._tick += 1
-            self.statistics.add(due_ns, time.perf_counter_ns(), graph.stamps)
+            self.statistics.add(due_ns, time.perf_counter_ns(), stamps, graph.detailed)
 
     def run(self, limit: int, *, full_speed: bool = False) -> None:
         """Tick until the graph is done or asked to stop.
@@ -99,7 +112,7 @@ class Ticker:
                 self._act()
                 if self.stop:
                     break
-            if self.step(time.perf_counter_ns()):
+            if self.step(now := time.perf_counter_ns(), now):
                 self.done = True
                 break
             if self.statistics.count % status_every == 0:
@@ -120,11 +133,11 @@ class Ticker:
                     break
                 due = max(due, now())
             gate.until_ns = due + self.hang_ns
-            if wait(due) > gate.until_ns:
+            if (begin := wait(due)) > gate.until_ns:
                 self._missed(now() - due)
             self.next_due_ns = due + period
             try:
-                done = self.step(due)
+                done = self.step(due, begin)
             except BaseException:
                 statistics.overruns += max(-(-(now() - due - period) // period), 0)
                 raise
@@ -159,7 +172,9 @@ class Ticker:
     def _hung(self) -> str:
         """Return what is said of the present tick, which took too long: the slowest block."""
         stamps, names = self.graph.stamps, [block.name for block in self.graph.blocks]
-        ends = sorted((int(end), name) for end, name in zip(stamps[2:], names) if end)
+        if not self.graph.detailed:
+            names = [self.statistics.group_label(i) for i in range(len(names))]
+        ends = sorted((int(end), name) for end, name in zip(stamps[2:], names) if end > stamps[0])
         before, slowest, longest = int(stamps[0]), "a block that has not ended", 0
         for end, name in ends:
             if end - before > longest:
@@ -216,7 +231,7 @@ class Ticker:
                 hasty = 0
                 due = last = now()
             self.next_due_ns = (due if arrivals is not None else last) + period
-            if self.step(last):
+            if self.step(last, last):
                 self.done = True
                 break
             if came and arrivals is not None:

@@ -202,6 +202,7 @@ def _run(
         program = Program(document, hooks=hooks, part=arguments.part, silent=arguments.dry)
         guard.damp = program.damp_now
         options = RunOptions(
+            detail=bool(arguments.trace),
             duration=arguments.duration,
             speed=arguments.speed,
             warn=console.warn,
