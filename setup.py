@@ -63,7 +63,7 @@ EXTRAS["torch"] = ["torch"]
 EXTRAS["parquet"] = ["pyarrow"]
 # Nor what a vendor's protocol needs: a computer on a robot wants that of its robot alone.
 EXTRAS["hw-arx"] = ["python-can>=4.3"]
-for _robot in ("unitree", "pnd", "dobot", "inspire-dds"):  # they speak DDS
+for _robot in ("unitree", "pnd", "dobot", "inspire"):  # they speak DDS
     EXTRAS[f"hw-{_robot}"] = ["cyclonedds==11.0.1", "rosbags>=0.11"]
 
 
@@ -143,7 +143,6 @@ setup(
             "dobot = unicon_ros.hardware.dobot.platform:make",
             "fourier = unicon_ros.hardware.fourier.platform:make",
             "inspire = unicon_ros.hardware.inspire.platform:make",
-            "inspire_dds = unicon_ros.hardware.inspire_dds.platform:make",
             "pnd = unicon_ros.hardware.pnd.platform:make",
             "replay = unicon_ros.replay.platform:make",
             "rohand = unicon_ros.hardware.rohand.platform:make",
@@ -159,7 +158,8 @@ setup(
             "dobot_atom = unicon_ros.hardware.dobot.face:face",
             "fourier_fsa = unicon_ros.hardware.fourier.face:face",
             "inspire = unicon_ros.hardware.inspire.face:face",
-            "inspire_dfx = unicon_ros.hardware.inspire_dds.face:face",
+            "inspire_dfx = unicon_ros.hardware.inspire.dds.face:face",
+            "inspire_ftp = unicon_ros.hardware.inspire.dds.face:face",
             "pnd_adam = unicon_ros.hardware.pnd.face:face",
             "rohand = unicon_ros.hardware.rohand.face:face",
             "ros = unicon_ros.emulate.ros_face:face",

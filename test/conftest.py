@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 from peer import Peer
 from turns import turn
 
@@ -27,6 +28,8 @@ os.environ["ROS_LOG_DIR"] = LOG_DIR
 os.environ["UNICON_FAULTS"] = f"{LOG_DIR}/faults"  # not the user's
 for name in ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"):
     os.environ[name] = str(ROOT / "config" / "dds" / "fast_discovery.xml")
+settings.register_profile("busy", deadline=None)  # a busy machine takes its time for an example
+settings.load_profile("busy")
 os.environ.setdefault("UNICON_TURNS", LOG_DIR)  # workers have that of who starts them
 if os.environ.get("UNICON_TESTS") == "smoke":  # to read all others takes longer than to test
     collect_ignore = [

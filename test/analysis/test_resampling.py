@@ -11,7 +11,7 @@ from unicon_ros.analysis.resampling import resample
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(20, 60), st.floats(0.3, 6.0))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_a_value_is_the_mean_of_the_line_around_it(seed: int, count: int, factor: float) -> None:
     random = np.random.default_rng(seed)
     time = np.cumsum(random.uniform(0.5, 1.5, count))

@@ -53,12 +53,14 @@ def test_gr1t2s_wrists_stand_as_yaw_pitch_roll_and_stay_refused() -> None:
     assert robot.missing_facts() == ["joint_order"]
 
 
-def test_ftp_and_dfx_are_two_interfaces() -> None:
+def test_the_rh56_has_three_interfaces() -> None:
     for side, motors in (("left", range(6, 12)), ("right", range(6))):
-        ftp = load_robot(f"inspire_rh56_{side}").transport
+        modbus = load_robot(f"inspire_rh56_{side}")
+        ftp = load_robot(f"inspire_rh56_ftp_{side}").transport
         dfx = load_robot(f"inspire_rh56_dfx_{side}").transport
-        assert ftp["protocol"] == "inspire"
-        assert ftp["dds_command_topic"] == f"rt/inspire_hand/ctrl/{side[0]}"
+        assert modbus.transport["protocol"] == "inspire"
+        assert ftp["protocol"] == "inspire_ftp"
+        assert ftp["command_topic"] == f"rt/inspire_hand/ctrl/{side[0]}"
         assert dfx["protocol"] == "inspire_dfx"
         assert (dfx["command_topic"], dfx["state_topic"]) == ("rt/inspire/cmd", "rt/inspire/state")
         assert dfx["motors"] == list(motors)

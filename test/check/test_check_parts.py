@@ -98,7 +98,7 @@ def by_joint(given_contract: PolicyContract) -> dict[str, tuple[float, ...]]:
     }
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(st.permutations(LEGS))
 def test_a_permuted_contract_keeps_every_figure_with_its_joint(order: list[str]) -> None:
     after = permuted(contract(), order)
@@ -106,7 +106,7 @@ def test_a_permuted_contract_keeps_every_figure_with_its_joint(order: list[str])
     assert by_joint(after) == by_joint(contract())
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(st.permutations(LEGS))
 def test_a_renamed_contract_keeps_every_figure_on_its_place(order: list[str]) -> None:
     changed = renamed(contract(), order)

@@ -200,7 +200,7 @@ def test_bytes_of_remotes(pad: Pad) -> None:
 
 
 @pytest.mark.parametrize("name", sorted(REMOTES))
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(data=some.data())
 def test_whatever_a_remote_sends_is_within_its_range(name: str, data: some.DataObject) -> None:
     states = States(control_states())

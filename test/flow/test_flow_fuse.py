@@ -73,7 +73,7 @@ def make_block(states: States, given: dict[str, Any]) -> Block:
     return block
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=400)
 @given(st.lists(maps, min_size=1, max_size=9), st.sampled_from([None, 1, 3]))
 def test_fused_maps_leave_the_same_bytes(described: list[Any], num_robots: int | None) -> None:
     one, other = make_states(num_robots), make_states(num_robots)

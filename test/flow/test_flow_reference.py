@@ -32,7 +32,7 @@ def run(world: World, graph: CompiledGraph | Interpreter, resets: frozenset[int]
     return [*world.log, *seen]
 
 
-@settings(max_examples=500, deadline=None)
+@settings(max_examples=500)
 @given(
     trees,
     block_kinds,

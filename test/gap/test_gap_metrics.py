@@ -41,7 +41,7 @@ def smooth(seed: int, samples: int, elements: int) -> Floats:
 
 
 @given(st.integers(1, 6), st.integers(1, 3), st.integers(0, 2**32 - 1))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_mse_is_the_mean_of_squares(n: int, d: int, seed: int) -> None:
     random = np.random.default_rng(seed)
     real, sim = random.normal(size=(2, n, d)), random.normal(size=(2, n, d))
@@ -58,7 +58,7 @@ def test_mse_is_the_mean_of_squares(n: int, d: int, seed: int) -> None:
 @given(
     st.integers(2, 30), st.integers(2, 30), st.integers(0, 2**32 - 1), st.sampled_from([None, 0, 5])
 )
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_affine_is_pearson_and_least_squares(n: int, m: int, seed: int, max_lag: Any) -> None:
     random = np.random.default_rng(seed)
     real = 3.0 + random.normal(size=(n, 2))
@@ -115,7 +115,7 @@ def test_affine_of_what_stands_still_says_so() -> None:
 
 
 @given(st.integers(1, 6), st.integers(0, 2**32 - 1), st.booleans())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_assignment_is_the_cheapest_permutation(size: int, seed: int, ties: bool) -> None:
     costs = np.random.default_rng(seed).normal(size=(size, size))
     costs = np.round(costs) if ties else costs
@@ -144,7 +144,7 @@ def test_swapped_legs_are_found_and_nothing_else() -> None:
 
 
 @given(st.integers(1, 20), st.integers(1, 20), st.integers(1, 3), st.integers(0, 2**32 - 1))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_chamfer_is_the_distance_to_the_nearest(n: int, m: int, d: int, seed: int) -> None:
     random = np.random.default_rng(seed)
     real, sim = random.normal(size=(n, d)), 2 + random.normal(size=(m, d))
@@ -184,7 +184,7 @@ def test_spectral_distance_knows_no_phase() -> None:
 
 
 @given(st.integers(1, 8), st.integers(1, 8), st.integers(0, 2**32 - 1))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_wasserstein_is_the_difference_of_what_is_sorted(n: int, m: int, seed: int) -> None:
     random = np.random.default_rng(seed)
     real, sim = random.normal(size=(2, n, 2)), random.normal(size=(m, 2))

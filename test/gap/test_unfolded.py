@@ -43,7 +43,7 @@ def pairs(draw: st.DrawFn) -> tuple[Floats, Floats]:
 
 
 @given(pairs(), st.one_of(st.none(), st.integers(0, 50)), st.floats(0.05, 1.0))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_both_forms_equal_their_definitions(
     pair: tuple[Floats, Floats], max_shift: int | None, min_overlap: float
 ) -> None:
@@ -68,7 +68,7 @@ def test_both_forms_equal_their_definitions(
 
 
 @given(pairs())
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_swapped_trajectories_have_the_same_loss(pair: tuple[Floats, Floats]) -> None:
     real, sim = pair
     there, back = unfolded_mse(real, sim), unfolded_mse(sim, real)

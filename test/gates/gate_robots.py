@@ -115,6 +115,14 @@ class Prepared(Shared):
         return ""
 
 
+class Secretive(Prepared):
+    """One that does not tell who sends."""
+
+    def commanders(self) -> Mapping[str, int]:
+        """Return nothing."""
+        return {}
+
+
 class Reporting(WrongRobot):
     """One that reports a variant."""
 
@@ -160,6 +168,11 @@ def shared(states: States, robot: Robot, period: float) -> Shared:
 def prepared(states: States, robot: Robot, period: float, *, silent: bool = False) -> Prepared:
     """Build one that is taken over behind the gates."""
     return Prepared(states, robot, period, silent=silent)
+
+
+def secretive(states: States, robot: Robot, period: float, *, silent: bool = False) -> Secretive:
+    """Build one whose protocol does not tell who sends."""
+    return Secretive(states, robot, period, silent=silent)
 
 
 def _set(name: str, index: int, value: float) -> Callable[[WrongRobot, States], None]:

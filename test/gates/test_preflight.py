@@ -78,7 +78,16 @@ def test_a_robot_in_order_passes_and_is_sent_nothing(
     assert "times a second, longest gap" in rows(told, True)["rate"]
     assert "accelerometer 9.8" in rows(told, True)["imu"]
     assert "calf_joint 0.76 rad" in rows(told, True)["posture"]
-    assert "nothing was sent" in capsys.readouterr().out
+    assert "no joint was commanded" in capsys.readouterr().out
+
+
+def test_who_does_not_tell_of_others_is_not_said_to_be_alone(
+    preflight: Callable[..., Any],
+) -> None:
+    _, told = preflight("--set=platform=gate_robots:secretive")
+    assert "see that no other program does" in rows(told, None)["commanders"]
+    _, told = preflight("--set=platform=gate_robots:prepared")
+    assert "1 others send to rt/command" in rows(told, False)["commanders"]
 
 
 def test_the_size_of_the_first_command_is_told_joint_by_joint(

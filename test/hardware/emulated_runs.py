@@ -29,36 +29,36 @@ PATIENT = (
 """Safety of the workflows, patient with a robot that a busy machine holds up."""
 
 
-class Emulated:
-    """An emulated robot behind UDP, at a port of its own.
+class Served:
+    """An emulated robot in a process of its own, and the platform that drives it.
 
     Args:
         processes: starts it.
-        robot: its name.
+        robot: its name, or its file.
         more: further arguments of `unicon emulate`.
-        options: of the face.
+        platform: what drives it.
+        options: of the platform; those that depend on where it is served may come later.
     """
 
-    def __init__(
-        self, processes: Callable[..., Peer], robot: str, *more: str, **options: Any
-    ) -> None:
-        os.environ["PYTHONPATH"] = str(HERE)  # the face, and the platform
-        options = {"port": 0, "dead_man": 30.0, **options}
-        self._begin(processes, robot, "--face=udp_robot:face", *more, **options)
-        self.port = int(self.of("ready")[0]["where"].rpartition(":")[2])
+    safety = PATIENT
 
-    def _begin(
-        self, processes: Callable[..., Peer], robot: str, *more: str, **options: Any
+    def __init__(
+        self,
+        processes: Callable[..., Peer],
+        robot: str,
+        *more: str,
+        platform: str,
+        options: dict[str, Any],
     ) -> None:
-        """Start it, and wait until it is there."""
-        given = [f"--set={name}={value}" for name, value in options.items()]
-        self.peer = processes(*UNICON, "emulate", robot, *given, *more)
+        self.platform, self.options = platform, options
+        self.peer = processes(*UNICON, "emulate", robot, *more)
         self.peer.wait_for(
             lambda: bool(self.of("ready")) or self.peer.process.poll() is not None,
             "the robot",
             timeout=60.0,
         )
         assert self.of("ready"), self.peer.end()
+        self.where = str(self.of("ready")[0]["where"])
 
     def of(self, kind: str) -> list[dict[str, Any]]:
         """Return what it has said of a kind."""
@@ -76,12 +76,12 @@ class Emulated:
         assert status == 0, errors
         return math.hypot(*self.of("ended")[0]["moved"][:2])
 
-    def sets(self, platform: str = PLATFORM, patient: bool = True) -> list[str]:
+    def sets(self, platform: str = "", patient: bool = True) -> list[str]:
         """Return the arguments that let a workflow drive it, and leave the workflow as it is."""
-        options = f"{{port: {self.port}, silence: 5, connect: 30}}"
-        found = [f"--set=platform={platform}", f"--set=platforms={{'{PLATFORM}': {options}}}"]
+        options = json.dumps({self.platform: self.options})
+        found = [f"--set=platform={platform or self.platform}", f"--set=platforms={options}"]
         if patient:
-            found += ["--set=pacing.hang=20", f"--set=safety={PATIENT}"]
+            found += ["--set=pacing.hang=20", f"--set=safety={self.safety}"]
         return found
 
     def run(self, workflow: str, folder: Path, *more: str, **sets: Any) -> subprocess.Popen[str]:
@@ -99,7 +99,37 @@ class Emulated:
             )
 
 
-class EmulatedUnitree(Emulated):
+class Emulated(Served):
+    """An emulated robot behind UDP, at a port of its own.
+
+    Args:
+        processes: starts it.
+        robot: its name.
+        more: further arguments of `unicon emulate`.
+        options: of the face.
+    """
+
+    def __init__(
+        self, processes: Callable[..., Peer], robot: str, *more: str, **options: Any
+    ) -> None:
+        os.environ["PYTHONPATH"] = str(HERE)  # the face, and the platform
+        options = {"port": 0, "dead_man": 30.0, **options}
+        given = [f"--set={name}={value}" for name, value in options.items()]
+        patience = {"silence": 5, "connect": 30}
+        super().__init__(
+            processes,
+            robot,
+            "--face=udp_robot:face",
+            *given,
+            *more,
+            platform=PLATFORM,
+            options=patience,
+        )
+        self.port = int(self.where.rpartition(":")[2])
+        self.options["port"] = self.port
+
+
+class EmulatedUnitree(Served):
     """An emulated robot of Unitree, in a DDS domain of its own.
 
     Args:
@@ -112,17 +142,10 @@ class EmulatedUnitree(Emulated):
     def __init__(
         self, processes: Callable[..., Peer], robot: str, *more: str, **options: Any
     ) -> None:
-        self.domain = free_domain()
-        self._begin(processes, robot, *more, domain=self.domain, **options)
-
-    def sets(self, platform: str = "unitree", patient: bool = True) -> list[str]:
-        """Return the arguments that let a workflow drive it, and leave the workflow as it is."""
-        silence = ", silence: 5" if patient else ""
-        options = f"{{address: 127.0.0.1, domain: {self.domain}, connect: 30{silence}}}"
-        found = [f"--set=platform={platform}", f"--set=platforms.unitree={options}"]
-        if patient:
-            found += ["--set=pacing.hang=20", f"--set=safety={PATIENT}"]
-        return found
+        domain = free_domain()
+        given = [f"--set={name}={value}" for name, value in {**options, "domain": domain}.items()]
+        reached = {"address": "127.0.0.1", "domain": domain, "connect": 30}
+        super().__init__(processes, robot, *given, *more, platform="unitree", options=reached)
 
 
 def ended(run: subprocess.Popen[str], folder: Path, timeout: float = 120.0) -> dict[str, Any]:
@@ -136,3 +159,17 @@ def ended(run: subprocess.Popen[str], folder: Path, timeout: float = 120.0) -> d
     assert status == 0, said
     report: dict[str, Any] = json.loads((folder / "report.json").read_text())
     return report
+
+
+def looked(robot: Served, folder: Path, *more: str, workflow: str = "go2_stand") -> Any:
+    """Run preflight; return its exit status and what it wrote as JSON."""
+    path = folder / "told.json"
+    command = [*UNICON, "preflight", workflow, *robot.sets(), f"--json={path}", "--seconds=1.5"]
+    done = subprocess.run([*command, *more], capture_output=True, text=True, timeout=240)
+    assert path.exists(), done.stderr
+    return done.returncode, json.loads(path.read_text())
+
+
+def failed(told: dict[str, Any]) -> dict[str, str]:
+    """Return the rows that fail."""
+    return {row["name"]: row["told"] for row in told["rows"] if row["ok"] is False}

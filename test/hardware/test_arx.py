@@ -196,11 +196,11 @@ def test_wrong_facts_and_options_are_told(robot: Robot, monkeypatch: pytest.Monk
     with pytest.raises(PlatformError, match=r"write platforms: \{arx: \{unverified: true\}\}"):
         make(states, robot, 0.02)
     for key, value, why in (
-        ("motor_id", [1, 2, 4, 5, 6, 6], "names a motor twice"),
+        ("motor_id", [1, 2, 4, 5, 6, 6], "write a number of its own"),
         ("motor_id", [0] * 6, "write 6 numbers from 1 to 15"),
-        ("motor_type", ["XX_1"] * 6, "'XX_1' is not known"),
+        ("motor_type", ["XX_1"] * 6, "write texts that begin with EC_ or DM_"),
         ("torque_state", None, "write 6 numbers"),
-        ("interface", "", "is not a name such as can0"),
+        ("interface", "", "write a text"),
     ):
         with pytest.raises(RobotError, match=why):
             make(states, moved(robot, **{key: value}), 0.02)

@@ -37,8 +37,13 @@ flow:
     - hold: {{duration: 1.5}}
 safety: [finite, joint_limits]
 """
-CASES = {"adam_lite": "pnd", "dex3_left": "unitree_dex3", "inspire_rh56_left": "inspire_dds"}
-CASES |= {"inspire_rh56_dfx_right": "inspire_dds"}
+CASES = {
+    "adam_lite": ("pnd.platform", "pnd.face"),
+    "dex3_left": ("unitree_dex3.platform", "unitree_dex3.face"),
+    "inspire_rh56_ftp_left": ("inspire.platform", "inspire.dds.face"),
+    "inspire_rh56_dfx_right": ("inspire.platform", "inspire.dds.face"),
+}
+"""Robot to the modules of its driver and of its end."""
 
 
 class Served:
@@ -46,16 +51,15 @@ class Served:
 
     def __init__(self, name: str, folder: Path) -> None:
         self.robot, self.domain = load_robot(name), free_domain()
-        self.package = f"{PACKAGE}.{CASES[name]}"
-        command = [sys.executable, str(ROBOT), name, f"{self.package}.face", str(self.domain)]
+        platform, face = (f"{PACKAGE}.{module}" for module in CASES[name])
+        command = [sys.executable, str(ROBOT), name, face, str(self.domain)]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         assert self.process.stdout is not None
         assert "ready" in self.process.stdout.readline()
         there = {"adam_lite": "default"}.get(name, json.dumps(self.bent()))
         self.workflow = folder / "posture.yaml"
-        platform = f"{self.package}.platform:make"
-        text = WORKFLOW.format(robot=name, platform=platform, domain=self.domain, there=there)
-        self.workflow.write_text(text)
+        said = {"robot": name, "platform": f"{platform}:make"}
+        self.workflow.write_text(WORKFLOW.format(**said, domain=self.domain, there=there))
 
     def bent(self) -> dict[str, float]:
         names, middle = self.robot.joint_names, (self.robot.lower + self.robot.upper) / 2

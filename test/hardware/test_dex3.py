@@ -90,7 +90,7 @@ def test_commands_have_the_vendor_s_mode_bytes() -> None:
         assert read == (slot | 1 << 4 | 1 << 7, 0, 0, 0, 0, 0, 0)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(noise=st.binary(max_size=1500), at=st.integers(0, 400), value=st.binary(min_size=1))
 def test_garbage_never_raises_and_never_writes_what_is_not_finite(
     noise: bytes, at: int, value: bytes

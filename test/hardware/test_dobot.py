@@ -126,7 +126,7 @@ def test_the_two_layouts_refuse_each_other(layout: str) -> None:
     assert counts.refused == {"long" if layout == "ros2" else "short": 1}
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(noise=st.binary(max_size=900), at=st.integers(0, 800), value=st.binary(min_size=1))
 def test_garbage_never_raises_and_never_writes_what_is_not_finite(
     noise: bytes, at: int, value: bytes
@@ -242,7 +242,7 @@ def test_what_is_contradictory_must_be_said() -> None:
     with pytest.raises(RobotError, match=r"atom cannot be driven on platform 'dobot'"):
         refuse_incomplete(ATOM, "dobot")
     for key, value, words in (
-        ("waist_joint", "neck", "transport.waist_joint is neck; write one of"),
+        ("waist_joint", "neck", "transport.waist_joint is 'neck'; write one of"),
         ("lower_motors", [1, 0], "0 to 11, the only order known"),
         ("fsm_topic", None, "transport.fsm_topic is None"),
     ):

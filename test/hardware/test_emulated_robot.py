@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
-import subprocess
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -14,7 +12,7 @@ from typing import Any
 import numpy as np
 import psutil
 import pytest
-from emulated_runs import FIRST, ROOM, UNICON, Emulated, ended
+from emulated_runs import FIRST, ROOM, Emulated, ended, failed, looked
 from peer import Peer
 
 from unicon_core.platforms.child.platform import WATCHDOG
@@ -143,20 +141,6 @@ def test_a_driver_in_a_child_damps_when_the_run_dies_or_stands_still(
         run.kill()
         run.wait(10)
     assert robot.of("first")[0]["distance"] <= FIRST
-
-
-def looked(robot: Emulated, folder: Path, *more: str, workflow: str = "go2_stand") -> Any:
-    """Run preflight; return its exit status and what it wrote as JSON."""
-    path = folder / "told.json"
-    command = [*UNICON, "preflight", workflow, *robot.sets(), f"--json={path}", "--seconds=1.5"]
-    done = subprocess.run([*command, *more], capture_output=True, text=True, timeout=240)
-    assert path.exists(), done.stderr
-    return done.returncode, json.loads(path.read_text())
-
-
-def failed(told: dict[str, Any]) -> dict[str, str]:
-    """Return the rows that fail."""
-    return {row["name"]: row["told"] for row in told["rows"] if row["ok"] is False}
 
 
 @pytest.mark.slow

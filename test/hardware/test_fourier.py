@@ -95,7 +95,7 @@ def test_a_robot_whose_gains_have_no_unit_is_refused(robot: Robot) -> None:
     states = states_of(robot)
     for name, why in (
         ("n1", r"write transport\.stiffness_scale, transport\.damping_scale, transport\.timeout_"),
-        ("gr1t2", r"transport\.fsa is 1; only actuators of FSA version 2 are driven"),
+        ("gr1t2", r"transport\.fsa is 1; write 1 \(GR-1\) or 2"),
     ):
         with pytest.raises(RobotError, match=why):
             Actuators.of(load_robot(name))
@@ -103,8 +103,8 @@ def test_a_robot_whose_gains_have_no_unit_is_refused(robot: Robot) -> None:
         ("stiffness_scale", [0.5] * 22, "write 23 numbers"),
         ("damping_scale", [-1.0] * 23, "write 23 numbers"),
         ("timeout_mode", 1.5, "write a whole number"),
-        ("actuator_sign", [0.5] * 23, "is not 1 or -1"),
-        ("actuators", ["127.0.0.1"] * 23, "an address twice"),
+        ("actuator_sign", [0.5] * 23, "write 1 or -1 for each joint"),
+        ("actuators", ["127.0.0.1"] * 23, "write an address of its own"),
         ("actuators", ["here"] * 23, "here"),
         ("port_fast", 0, "from 1 to 65535"),
     ):
@@ -203,6 +203,29 @@ def test_gains_that_were_lost_come_again(pair: Pair) -> None:
         pair.wire.put()
         pair.step()
     np.testing.assert_allclose(pair.emulated.states["joint_stiffness"], 60.0)
+
+
+def test_one_joint_without_a_way_keeps_none_of_the_others_from_damping(
+    pair: Pair, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pair.step(5)
+    pair.prepared()
+    pair.states["joint_damping"][...] = 4.0
+
+    def gone(_: object) -> None:
+        raise Fault("cannot send to 127.84.1.71: No route to host")
+
+    monkeypatch.setattr(pair.wire._sockets[1], "send", gone)
+    with pytest.raises(Fault, match="No route"):
+        pair.wire.put()
+    pair.emulated.step()
+    others = [joint for joint in range(23) if joint != 1]
+    np.testing.assert_allclose(pair.emulated.states["joint_damping"][others], 4.0)
+    with pytest.raises(Fault, match="No route"):
+        pair.wire.close()
+    pair.emulated.step()
+    enabled = [actuator.enabled for actuator in pair.emulated.face._actuators]  # type: ignore[attr-defined]
+    assert [joint for joint in range(23) if enabled[joint]] == [1]
 
 
 def test_an_error_or_a_refusal_is_told_by_name(pair: Pair) -> None:

@@ -109,7 +109,7 @@ def test_their_client_with_our_faces() -> None:
             raw = [1000] * 6
         else:
             face = rohand_face(there, robot)
-            device = face.server.device  # type: ignore[union-attr]
+            device = face.where
             client = ModbusSerialClient(device, framer=FramerType.RTU, baudrate=115200)
             unit, target, angle, status = 2, 1155, 1165, (1085, 6)
             raw = registers_of(robot).raw(robot.lower)[0].tolist()

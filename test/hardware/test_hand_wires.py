@@ -5,10 +5,13 @@ from __future__ import annotations
 import os
 import select
 import socket
+import struct
+import sys
 import threading
 import time
 import tty
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -27,9 +30,9 @@ from unicon_core.workflow import Program
 from unicon_ros.hardware.inspire.face import face as inspire_face
 from unicon_ros.hardware.inspire.platform import Inspire
 from unicon_ros.hardware.inspire.platform import make as inspire
-from unicon_ros.hardware.modbus.frames import Frame, Refused, Rtu, Tcp, read_request
+from unicon_ros.hardware.modbus.frames import Frame, Refused, Rtu, Tcp, read_request, write_request
 from unicon_ros.hardware.modbus.link import Link, open_serial
-from unicon_ros.hardware.modbus.served import HandFace, PtyServer
+from unicon_ros.hardware.modbus.served import HandFace, PtyServer, _Served
 from unicon_ros.hardware.rohand.face import face as rohand_face
 from unicon_ros.hardware.rohand.platform import make as rohand
 
@@ -51,7 +54,7 @@ class Hand:
         server = self.face.server
         options: dict[str, Any] = {}
         if isinstance(server, PtyServer):
-            options["device"] = server.device
+            options["device"] = server.where
         else:
             options |= {"address": "127.0.0.1", "port": server.port}
         factory = rohand if kind == "rohand" else inspire
@@ -97,7 +100,9 @@ def test_positions_come_and_targets_go(hand: Hand) -> None:
         ticked(platform, lambda: bool(np.allclose(here["joint_pos"], goal, atol=step)))
         ticked(platform, lambda: not here["joint_vel"].any())
         here["joint_pos_target"][...] = robot.upper + 5.0  # clamped, never wrapped
+        assert platform.info()["clamped"] == 0
         platform.send()
+        assert platform.info()["clamped"] == 1
         until(lambda: np.allclose(there["joint_pos_target"], robot.upper, atol=step))
         platform.close()
         platform.close()
@@ -319,6 +324,54 @@ def test_a_stranger_at_the_face_is_left(tcp: tuple[Hand, Pumped]) -> None:
     platform.close()
 
 
+def test_who_takes_nothing_holds_no_exchange_up() -> None:
+    """A peer that was stopped: what is sent to it piles up, and a write would wait for ever."""
+    ours, theirs = socket.socketpair()
+    link = Link(ours.fileno(), Tcp(), ours.close)
+    began = time.monotonic()
+    with pytest.raises(TimeoutError, match="takes nothing"):  # noqa: PT012
+        while time.monotonic() < began + 20.0:
+            with suppress(Refused):
+                link.exchange(1, read_request(0, 1), timeout=0.0)
+    link.close()
+    theirs.close()
+
+
+def test_a_link_that_is_closed_again_lets_go_of_nothing_else() -> None:
+    master, slave, device = pty_pair()
+    link = open_serial(device, 115200)
+    link.close()
+    others = [os.open(os.devnull, os.O_RDONLY) for _ in range(3)]  # one takes its number
+    link.close()
+    for file in (*others, master, slave):
+        os.close(file)
+
+
+def test_a_client_that_reads_nothing_holds_no_hand_up() -> None:
+    """What is answered to it piles up, and a write would wait for ever: it is let go of."""
+    ours, theirs = socket.socketpair()
+    ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
+    served = _Served(ours.fileno(), Tcp())
+    ask = Tcp().pack(Frame(1, 1, read_request(0, 100)))
+    for _ in range(200):
+        theirs.send(ask)
+        if not served.serve(lambda _: bytes(202)):
+            break
+    else:
+        raise AssertionError("it was answered for ever")
+    ours.close()
+    theirs.close()
+
+
+def test_one_finger_alone_is_heard(tcp: tuple[Hand, Pumped]) -> None:
+    hand, _ = tcp
+    face = hand.face
+    start = face._registers.target + 2
+    answer = face._answer(Frame(0, face._registers.unit, write_request(start, np.array([500]))))
+    assert answer == struct.pack(">BHH", 16, start, 1)
+    assert face._heard
+
+
 # -- wrong options ---------------------------------------------------------------------------------
 
 
@@ -326,10 +379,11 @@ def test_a_stranger_at_the_face_is_left(tcp: tuple[Hand, Pumped]) -> None:
     ("make", "options", "told"),
     [
         (inspire, {"address": "127.0.0.1", "device": "/dev/null"}, "give one of them"),
-        (inspire, {"port": 0}, "port is 0; give 1 to 65535"),
-        (inspire, {"port": 70000}, "port is 70000; give 1 to 65535"),
+        (inspire, {"port": 0}, "port is 0; give one from 1 to 65535"),
+        (inspire, {"port": 70000}, "port is 70000; give one from 1 to 65535"),
         (inspire, {"device": "/dev/null"}, "is not a serial line"),
         (inspire, {"device": "/dev/there_is_none"}, "No such file or directory"),
+        (inspire, {"domain": 1}, "domain is an option of hands over DDS, and robot inspire_rh56_l"),
         (rohand, {}, "give its serial line: platforms: {rohand: {device: /dev/ttyUSB0}}"),
     ],
 )
@@ -338,6 +392,15 @@ def test_a_wrong_option_is_told(make: Any, options: dict[str, Any], told: str) -
     with pytest.raises(PlatformError) as raised:
         make(hand_states(robot), robot, PERIOD, **options)
     assert told in str(raised.value)
+
+
+def test_modbus_needs_no_package(tcp: tuple[Hand, Pumped], monkeypatch: pytest.MonkeyPatch) -> None:
+    for package in ("cyclonedds", "rosbags", "pymodbus", "serial"):
+        monkeypatch.setitem(sys.modules, package, None)
+    hand, _ = tcp
+    platform = hand.open()
+    assert {"motor_error", "motor_status"} <= set(platform.facts.writes)
+    platform.close()
 
 
 def test_nobody_at_the_port_is_told() -> None:
@@ -367,7 +430,7 @@ def test_a_hand_that_says_nothing_is_told_with_what_was_refused() -> None:
 def test_another_version_of_the_protocol_is_refused() -> None:
     robot = load_robot("rohand")
     face = rohand_face(hand_states(robot), robot, version=0x0203)
-    device = face.server.device  # type: ignore[union-attr]
+    device = face.where
     with pumped(face), pytest.raises(PlatformError, match=r"version 2\.3 of its protocol"):
         rohand(hand_states(robot), robot, PERIOD, device=device)
 

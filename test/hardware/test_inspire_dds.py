@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -13,23 +14,21 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-pytest.importorskip(
-    "cyclonedds", reason="needs cyclonedds: pip install 'unicon_ros[hw-inspire-dds]'"
-)
+pytest.importorskip("cyclonedds", reason="needs cyclonedds: pip install 'unicon_ros[hw-inspire]'")
 
 from dds_ends import DOMAIN, LOOPBACK, Ends, golden_frame, states_of, until
 
-from unicon_core.errors import Fault, PlatformError, RobotError
+from unicon_core.errors import Fault, MissingDependencyError, PlatformError, RobotError
 from unicon_core.robots import load_robot
-from unicon_ros.hardware.inspire_dds.both import Both
-from unicon_ros.hardware.inspire_dds.codec import HandFacts
-from unicon_ros.hardware.inspire_dds.face import face
-from unicon_ros.hardware.inspire_dds.platform import make
-from unicon_ros.hardware.inspire_dds.wire import InspireDdsWire
+from unicon_ros.hardware.inspire.dds.both import Both
+from unicon_ros.hardware.inspire.dds.codec import HandFacts
+from unicon_ros.hardware.inspire.dds.face import face
+from unicon_ros.hardware.inspire.dds.wire import InspireDdsWire
+from unicon_ros.hardware.inspire.platform import Inspire, make
 from unicon_ros.hardware.wire import Counts
 
 FTP, DFX, DFX_RIGHT = map(
-    load_robot, ("inspire_rh56_left", "inspire_rh56_dfx_left", "inspire_rh56_dfx_right")
+    load_robot, ("inspire_rh56_ftp_left", "inspire_rh56_dfx_left", "inspire_rh56_dfx_right")
 )
 
 
@@ -107,7 +106,7 @@ def test_angles_run_from_open_to_closed(robot: Any) -> None:
     np.testing.assert_allclose(facts.to_wire(middle)[0], scale / 2, rtol=1e-6)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(noise=st.binary(max_size=700), at=st.integers(0, 600), value=st.binary(min_size=1))
 @pytest.mark.parametrize("robot", [FTP, DFX], ids=["ftp", "dfx"])
 def test_garbage_never_raises_and_never_writes_what_is_not_finite(
@@ -253,9 +252,17 @@ def test_the_platform_knows_silence_and_sends_nothing_silently(hand: Ends) -> No
         thread.join()
 
 
-def test_wrong_facts_and_options_are_named() -> None:
+def test_check_knows_what_each_interface_tells() -> None:
+    examine = Inspire.facts.examine
+    assert examine is not None
+    for robot, told in ((FTP, {"motor_error", "motor_temperature"}), (DFX, set())):
+        writes = set(examine(states_of(robot), robot, 0.01).facts.writes)
+        assert writes == {"joint_pos", "joint_vel", "stamp_ns"} | told
+
+
+def test_wrong_facts_and_options_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     for key, value, words in (
-        ("protocol", "modbus", "write one of inspire, inspire_dfx"),
+        ("protocol", "modbus", "write one of inspire_ftp, inspire_dfx"),
         ("raw_lower", None, "transport.raw_lower is None"),
         ("motors", [6] * 6, "6 different slots of 0 to 11"),
         ("state_topic", 3, "transport.state_topic is 3; write a text"),
@@ -264,3 +271,9 @@ def test_wrong_facts_and_options_are_named() -> None:
             HandFacts.of(replace(DFX, transport={**DFX.transport, key: value}))
     with pytest.raises(PlatformError, match="no frame that it understands from rt/inspire/state"):
         make(states_of(DFX), DFX, 0.02, address=LOOPBACK, domain=DOMAIN, connect=0.05)
+    for option in ({"port": 6000}, {"device": "/dev/ttyUSB0"}):
+        with pytest.raises(PlatformError, match=r"option of hands over Modbus.*speaks inspire_ftp"):
+            make(states_of(FTP), FTP, 0.02, **option)
+    monkeypatch.setitem(sys.modules, "cyclonedds", None)
+    with pytest.raises(MissingDependencyError, match=r"needs cyclonedds: .*\[hw-inspire\]"):
+        make(states_of(FTP), FTP, 0.02)

@@ -73,7 +73,7 @@ def test_what_the_vendors_encoder_wraps_is_clamped(assets: Path, name: str) -> N
     assert list(ours["motors"]["kp"][:3]) == [65532, 65535, 0]
     assert list(theirs["motors"]["kd"][:3]) == [65520, 14464, 65520]
     assert list(ours["motors"]["kd"][:3]) == [65520, 65535, 0]
-    assert out.clamped == 6
+    assert out.clamped == 1
     assert ours.buffer[-4 - 4 - 40 :] != theirs.buffer[-4 - 4 - 40 :]  # the checksum alone differs
     assert ours.buffer[-48:-4] == theirs.buffer[-48:-4]
 
@@ -109,7 +109,7 @@ def test_states_are_those_that_the_vendors_library_decodes(assets: Path, name: s
 
 
 @pytest.mark.parametrize("name", ["a1", "go1"])
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(motors=st.lists(COLUMNS, min_size=12, max_size=12))
 def test_any_command_is_that_of_the_slow_twin(name: str, motors: list[tuple[float, ...]]) -> None:
     out = command(name)
@@ -121,7 +121,7 @@ def test_any_command_is_that_of_the_slow_twin(name: str, motors: list[tuple[floa
     assert out.write(*rows(*motors)) == first  # nothing of the one before is left
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(datagram=st.binary(min_size=807, max_size=807), flip=st.integers(0, 8 * 803 - 1))
 def test_any_flipped_bit_is_found(datagram: bytes, flip: int) -> None:
     frame = Frame(LAYOUTS[LENGTHS["go1"]].state)

@@ -39,7 +39,7 @@ def reader_of(name: str) -> tuple[StateReader, States, Counts]:
 
 
 @pytest.mark.parametrize("name", ["a1", "go1"])
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(
     motors=st.lists(MOTOR, min_size=20, max_size=20),
     imu=st.lists(PLAIN, min_size=10, max_size=10),
@@ -74,8 +74,20 @@ def test_any_state_is_read_as_the_slow_twin_wrote_it(
         assert states["battery_charge"] == f32(soc / 100.0)
 
 
+def test_modes_are_those_of_the_newest_good_datagram() -> None:
+    """`prepare` looks at them: what was refused must not say that motors are ready, or are not."""
+    reader, _, _ = reader_of("a1")
+    servo = [(10, 0.0, 0.0, 0, 0)] * 20
+    assert reader.good(slow_state("a1", servo, (1.0, *[0.0] * 9), 1))
+    reader.tell(bytearray(40))
+    damaged = bytearray(slow_state("a1", [(0, 0.0, 0.0, 0, 0)] * 20, (1.0, *[0.0] * 9), 2))
+    damaged[-1] ^= 1
+    assert not reader.good(bytes(damaged))
+    assert set(reader.modes) == {10}
+
+
 @pytest.mark.parametrize("name", ["a1", "go1"])
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(data=st.data())
 def test_any_bytes_under_a_right_checksum_are_taken_or_refused(name: str, data: Any) -> None:
     reader, states, counts = reader_of(name)
@@ -100,7 +112,7 @@ def test_a_face_takes_or_refuses_any_bytes_under_a_right_checksum(name: str) -> 
     board = face(states, robot, port=port)
     us = Udp(("127.0.0.1", 0), ("127.0.0.1", port), "us")
 
-    @settings(max_examples=20, deadline=None)
+    @settings(max_examples=20)
     @given(data=st.data())
     def hostile(data: Any) -> None:
         head = HEADS[name]
@@ -124,7 +136,7 @@ def test_a_face_takes_or_refuses_any_bytes_under_a_right_checksum(name: str) -> 
         board.close()
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(values=st.lists(FLOAT, min_size=3, max_size=3))
 def test_a_clamped_figure_is_the_nearest_that_the_wire_has(values: list[float]) -> None:
     """Whatever is asked for, nothing on the wire has another sign, or is beyond its range."""

@@ -43,13 +43,13 @@ def test_a_wrong_option_is_told(name: str, options: dict[str, Any], message: str
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"motors": [0, 1, 2]}, "write 12 slots in sequence"),
-        ({"motors": list(range(9, 21))}, "all below 20"),
+        ({"motors": [0, 1, 2]}, "write 12 different slots of 0 to 19"),
+        ({"motors": [*range(11), 12]}, "write 12 slots in sequence, all below 20"),
         ({"level_flag": 256}, "level_flag is 256"),
         ({"pos_stop": None}, "pos_stop is None"),
         ({"damping_mode": "x"}, "damping_mode is 'x'"),
         ({"generations": {}}, r"generations is \{\}"),
-        ({"generations": {"x": 3}}, r"generations is \{'x': 3\}; write"),
+        ({"generations": {"x": 3}}, r"generations is \{'x': 3\}; write \{NAME"),
         ({"generations": {"x": {"command_bytes": [1]}}}, r"has \[1\] and None bytes"),
         (
             {"generations": {"x": {"local_port": 1, "command_bytes": 1}}},

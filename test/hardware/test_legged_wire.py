@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import socket
 import threading
 import time
@@ -19,6 +20,7 @@ from unicon_core.states import States, StateSpec
 from unicon_core.states.standard import BUTTONS, control_states
 from unicon_ros.hardware.udp import Udp
 from unicon_ros.hardware.unitree_legged.platform import UnitreeLegged, make
+from unicon_ros.hardware.unitree_legged.repeater import Repeater
 
 UPRIGHT = (1.0, 0.0, 0.0, 0.0, 0.1, 0.2, 0.3, 0.0, 0.0, 9.81)
 PERIOD = 0.002
@@ -305,6 +307,19 @@ def test_a_tick_that_does_not_come_is_damped_for_good(peers: Callable[..., Peer]
         assert not motors[:, 9:13].any()  # torque and stiffness
 
 
+def test_a_process_that_was_stopped_sends_nothing_stiff_when_it_goes_on() -> None:
+    """Its tick may come before the thread that damps: who is late is seen by both."""
+    sent: list[bytes] = []
+    repeater = Repeater(sent.append, 500.0, 0.02, b"idle", b"limp")  # the thread does not run yet
+    assert not repeater.late  # nobody has to renew the idle command
+    repeater.put(b"stiff")
+    assert not repeater.late
+    time.sleep(0.03)
+    assert repeater.late
+    repeater.put(b"limp too")
+    assert repeater.late  # for good
+
+
 def test_close_damps_and_a_second_run_finds_the_port(peers: Callable[..., Peer]) -> None:
     peer = peers("a1")
     platform = peer.opened()
@@ -359,3 +374,40 @@ def test_a_silent_driver_asks_only_where_it_may(peers: Callable[..., Peer]) -> N
     platform.send()
     platform.close()
     assert set(polling.commands()) <= {slow_command("go1", [])}
+
+
+@pytest.mark.parametrize(("torque", "count"), [(2.0, 0), (20.0, 1)])
+def test_motors_that_hold_while_nothing_is_asked_of_them_obey_somebody_else(
+    peers: Callable[..., Peer], torque: float, count: int
+) -> None:
+    peer = peers()
+    platform = peer.opened()
+    motors = [(10, 0.1, 0.0, -round(256 * torque) * (i == 3), 30) for i in range(12)]
+    end = time.monotonic() + 5.0
+    while list(platform.commanders().values()) != [count]:
+        assert time.monotonic() < end
+        peer.tick += 2
+        peer.udp.send(peer.frame(peer.tick, motors=motors))
+        platform.wait(0.05)
+        platform.recv()
+    assert all(where.startswith("127.0.0.1:") for where in platform.commanders())
+    platform.send()  # from now on they may obey us
+    platform.wire._held = -math.inf  # long ago
+    peer.tick += 2
+    peer.udp.send(peer.frame(peer.tick, motors=motors))
+    platform.wait(0.5)
+    platform.recv()
+    assert list(platform.commanders().values()) == [0]
+
+
+def test_all_datagrams_of_a_look_are_counted(peers: Callable[..., Peer]) -> None:
+    peer = peers()
+    platform = peer.opened()
+    count = platform.arrivals()
+    for _ in range(5):
+        peer.good()
+    peer.udp.send(b"too short")
+    time.sleep(0.05)
+    platform.recv()
+    assert platform.arrivals() == count + 5
+    assert sum(platform.info()["refused"].values()) == 1

@@ -143,7 +143,7 @@ def test_rohand_is_hundredths_of_a_degree() -> None:
     degrees = np.array([20.0, 120.5, 130.25, 140.0, 150.0, 45.0])
     raw, clamped = registers.raw(np.radians(degrees).astype(np.float32))
     assert raw.tolist() == [2000, 12050, 13025, 14000, 15000, 4500]
-    assert clamped == 0
+    assert not clamped
     np.testing.assert_allclose(registers.angles(raw), np.radians(degrees), atol=1e-6)
 
 
@@ -158,7 +158,7 @@ def test_angles_are_clamped_and_come_back(name: str, of: object, angles: list[fl
     held = np.clip(wanted, robot.lower, robot.upper)
     np.testing.assert_allclose(registers.angles(raw), held, atol=1.01 * step)
     beyond = (wanted < robot.lower - 2 * step) | (wanted > robot.upper + 2 * step)
-    assert clamped >= np.count_nonzero(beyond)
+    assert clamped or not beyond.any()
 
 
 @pytest.mark.parametrize("raw", [0x7FFF, 0x8000, 0xFFFF - 200, 1200])

@@ -112,7 +112,7 @@ def test_commands_are_those_of_the_vendor_s_layout(assets: Path) -> None:
         assert [float(heard[name][slot]) for name in TARGETS] == numbers
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(noise=st.binary(max_size=900), at=st.integers(0, 850), value=st.binary(min_size=1))
 @pytest.mark.parametrize("battery", [True, False])
 def test_garbage_never_raises_and_never_writes_what_is_not_finite(

@@ -25,7 +25,7 @@ pytest.importorskip("cyclonedds", reason="needs cyclonedds: pip install 'unicon_
 pytest.importorskip("mujoco")
 
 MOMENTS = int(os.environ.get("UNICON_KILLS", "20")) // 5
-"""Of each case, of which each robot has three; the issue that asked for it wants 100 of each."""
+"""Of each case, of which each robot has three."""
 
 pytestmark = [pytest.mark.slow, pytest.mark.alone, pytest.mark.timeout(200 + 60 * MOMENTS)]
 

@@ -20,7 +20,7 @@ import pytest
 
 pytest.importorskip("cyclonedds", reason="needs cyclonedds: pip install 'unicon_ros[hw-unitree]'")
 
-from unitree_helpers import states_of, until
+from unitree_helpers import reader_of, states_of, until
 
 from unicon_core.robots import load_robot
 from unicon_core.states import States, standard_states
@@ -136,8 +136,8 @@ def test_the_sdk_as_robot_and_we_agree_on_every_message(
     facts = UnitreeFacts.of(robot)
     wire = UnitreeWire(states, robot, facts, domain, "lo", release=False)
     try:
-        until(lambda: peer.heard("ready") and wire._writer is not None and wire._writer.matched)
-        until(lambda: wire._reader.sources)
+        until(lambda: peer.heard("ready") and wire.matched)
+        until(lambda: reader_of(wire).sources)
         wire._mode[...] = 5  # what the robot would have told by now
         equal = 0
         for i in range(COUNT):
@@ -171,7 +171,7 @@ def test_the_sdk_as_controller_and_our_robot_agree_on_every_message(
             [0, None],
             [0, {"form": "0", "name": ""}],
         ]
-        until(lambda: made._writer.matched and made._reader.sources)
+        until(lambda: made.matched and reader_of(made).sources)
         equal = 0
         wanted = states_of(robot)
         for i in range(COUNT):
@@ -181,7 +181,7 @@ def test_the_sdk_as_controller_and_our_robot_agree_on_every_message(
             made.remote[:] = bytes((i + k) % 256 for k in range(40))
             made._tick[...] = (i - 1) % 2**32  # two are added
             made.tell()
-            until(made.hear, lambda: made._reader.wait(1.0))
+            until(made.hear, lambda: reader_of(made).wait(1.0))
             commanded(wanted, i, n)
             equal += all(np.array_equal(states[key], wanted[key]) for key in COMMAND_STATES)
         assert equal == COUNT

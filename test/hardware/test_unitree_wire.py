@@ -17,7 +17,17 @@ import pytest
 
 pytest.importorskip("cyclonedds", reason="needs cyclonedds: pip install 'unicon_ros[hw-unitree]'")
 
-from unitree_helpers import DOMAIN, LOOPBACK, Pair, states_of, until
+from unitree_helpers import (
+    DOMAIN,
+    LOOPBACK,
+    PATIENCE,
+    Pair,
+    encode_of,
+    reader_of,
+    states_of,
+    until,
+    writer_of,
+)
 
 from unicon_core.blocks.controls.device import Controls
 from unicon_core.blocks.controls.gamepad import EVENT
@@ -27,7 +37,7 @@ from unicon_core.platforms.platform import Prepares, ReportsVariant, SeesCommand
 from unicon_core.robots import load_robot
 from unicon_core.states import States, standard_states
 from unicon_core.states.spec import StateSpec
-from unicon_core.states.standard import BUTTONS, COMMAND_STATES, control_states
+from unicon_core.states.standard import BUTTONS, COMMAND_STATES, CONTROL_STATES, control_states
 from unicon_msgs_map.codec.checksum import unitree_crc
 from unicon_msgs_map.layout.messages import shared_messages
 from unicon_msgs_map.layout.paths import Reference, parse_path
@@ -38,7 +48,7 @@ from unicon_ros.hardware.dds.participant import Participant
 from unicon_ros.hardware.dds.types import OCTETS, dds_type
 from unicon_ros.hardware.unitree import release, wire
 from unicon_ros.hardware.unitree.face import face
-from unicon_ros.hardware.unitree.platform import make
+from unicon_ros.hardware.unitree.platform import Unitree, make
 
 TELLS = ("joint_pos", "joint_vel", "joint_effort", "base_quat", "base_ang_vel", "base_lin_acc")
 TELLS += ("motor_temperature",)
@@ -70,7 +80,7 @@ def summed(pair: Pair, raw: bytes) -> bytes:
 
 def sent(pair: Pair, raw: bytes) -> int:
     """Let the robot's own writer send something else, and take it."""
-    pair.face._writer.write(raw)
+    writer_of(pair.face).write(raw)
     assert pair.wire.wait(5.0)
     return pair.wire.take()
 
@@ -109,7 +119,7 @@ def test_errors_and_the_hotter_temperature_of_each_motor_are_told() -> None:
         assert pair.ours["motor_error"].tolist() == [0, 0, 0, -2, *[0] * 25]
         np.testing.assert_array_equal(pair.ours["motor_temperature"], np.arange(29.0))
         pair.face._tick += 2
-        raw = bytearray(pair.face._encode())
+        raw = bytearray(encode_of(pair.face)())
         struct.pack_into("<h", raw, 4 + 70 + 20, 77)  # the second one of motor 0
         assert sent(pair, summed(pair, bytes(raw))) == 1
         assert pair.ours["motor_temperature"][0] == 77.0
@@ -134,7 +144,7 @@ def test_wrong_frames_are_counted_and_left(go2: Pair) -> None:
     go2.face._tick[...] = 123456789
     go2.told()
     before = go2.ours["joint_pos"].copy()
-    good = go2.face._encode()
+    good = encode_of(go2.face)()
     assert sent(go2, good) == 0
     assert go2.wire.counts.refused["old tick"] == 1  # the same number again
     newer = bytearray(good)
@@ -182,7 +192,7 @@ def test_a_bad_frame_does_not_hide_the_good_one_before_it(go2: Pair) -> None:
     go2.theirs["joint_pos"][...] = 0.5
     go2.face.tell()
     go2.face._tick += 2
-    bad = bytearray(go2.face._encode())
+    bad = bytearray(encode_of(go2.face)())
     struct.pack_into("<f", bad, 4 + 80, np.nan)
     assert sent(go2, summed(go2, bytes(bad))) + go2.wire.take() >= 0
     until(lambda: go2.wire.counts.refused["impossible values"] == 1, go2.wire.take)
@@ -192,13 +202,13 @@ def test_a_bad_frame_does_not_hide_the_good_one_before_it(go2: Pair) -> None:
 def test_senders_are_known_by_the_same_number_everywhere(go2: Pair) -> None:
     others = [Participant(DOMAIN, LOOPBACK, f"robot {i}") for i in range(6)]
     try:
-        message, frame = shared_messages().struct("unitree_go/msg/LowState"), go2.face._encode()
+        message, frame = shared_messages().struct("unitree_go/msg/LowState"), encode_of(go2.face)()
         for number, other in enumerate(others, 2):
             writer = other.writer("rt/lowstate", message)
-            until(lambda: len(go2.wire._reader.sources) == number)  # noqa: B023
+            until(lambda: len(reader_of(go2.wire).sources) == number)  # noqa: B023
             writer.write(frame)
-            _, info = until(go2.wire._reader.take)[-1]
-            assert info.publication_handle in go2.wire._reader.sources
+            _, info = until(reader_of(go2.wire).take)[-1]
+            assert info.publication_handle in reader_of(go2.wire).sources
     finally:
         for other in others:
             other.close()
@@ -235,8 +245,8 @@ def test_a_change_of_the_variant_is_a_fault() -> None:
 
 
 def test_the_robot_leaves_bad_commands(pair: Pair) -> None:
-    good = pair.wire._encode()
-    pair.wire._writer.write(good[:-1] + bytes((good[-1] ^ 1,)))
+    good = encode_of(pair.wire)()
+    writer_of(pair.wire).write(good[:-1] + bytes((good[-1] ^ 1,)))
     refused = pair.face.counts.refused
     until(lambda: refused["wrong CRC"], pair.face.hear)
     pair.face._modes[0] = 7
@@ -390,7 +400,7 @@ def test_the_platform_knows_silence_and_damps_at_its_end() -> None:
         assert "motor_error" not in platform.facts.writes
         assert "battery_charge" in platform.facts.writes
         assert platform.variant() == {"protocol": "unitree_go"}
-        until(lambda: platform._wire._writer.matched)  # type: ignore[attr-defined]
+        until(lambda: platform._wire.matched)  # type: ignore[attr-defined]
         ours["joint_pos_target"][...] = robot.default_joint_pos
         ours["joint_stiffness"][...] = 30.0
         for _ in range(20):
@@ -448,12 +458,12 @@ def test_a_peer_without_checksums_and_numbers_is_heard_as_such() -> None:
     theirs, ours = states_of(robot), states_of(robot)
     made = face(theirs, robot, domain=DOMAIN, mode="")
     theirs["battery_charge"][...] = 0.0
-    bare = made._encode()[:-4] + bytes(4)
+    bare = encode_of(made)()[:-4] + bytes(4)
     ended = Event()
 
     def tick() -> None:
         while not ended.wait(0.002):
-            made._writer.write(bare)
+            writer_of(made).write(bare)
 
     thread = Thread(target=tick)
     thread.start()
@@ -594,3 +604,55 @@ def test_cyclonedds_lays_our_types_out_as_the_vendor_does(assets: Any, name: str
     package, message = name.split("_")
     made = dds_type(shared_messages().struct(f"unitree_{package}/msg/{names[message]}"))
     assert made.deserialize(raw).serialize(use_version_2=False) == raw
+
+
+def test_what_is_read_ahead_reaches_the_states_with_take_alone(pair: Pair) -> None:
+    before = pair.ours.buffer.copy()
+    pair.theirs["joint_pos"][...] += 0.25
+    pair.face.tell()
+    assert pair.wire.wait(PATIENCE)
+    good = pair.wire.counts.good
+    pair.wire.warm_up()
+    assert pair.wire.counts.good == good + 1
+    assert not pair.wire._inlets[0]._reader.take()
+    np.testing.assert_array_equal(pair.ours.buffer, before)
+    assert pair.wire.wait(0.0)  # it is there for who waits, too
+    assert pair.wire.take() == 1
+    np.testing.assert_allclose(pair.ours["joint_pos"], pair.theirs["joint_pos"], atol=1e-6)
+    assert not pair.wire.wait(0.0)
+    assert pair.wire.take() == 0
+
+
+def test_a_fault_that_is_read_ahead_is_told_by_take() -> None:
+    pair = Pair(load_robot("g1_29dof"))
+    try:
+        assert pair.told() == 1
+        pair.face._variant[...] = 4
+        pair.face.tell()
+        assert pair.wire.wait(PATIENCE)
+        pair.wire.warm_up()
+        pair.wire.warm_up()
+        assert pair.wire.wait(0.0)
+        with pytest.raises(Fault, match="mode_machine is 4, and was 5"):
+            pair.wire.take()
+        assert pair.wire.take() == 0
+    finally:
+        pair.close()
+
+
+def test_a_warm_up_sends_the_robot_nothing(pair: Pair) -> None:
+    pair.wire.put()
+    until(pair.face.hear)
+    for _ in range(10):
+        pair.wire.warm_up()
+    time.sleep(0.05)
+    assert not pair.face.hear()
+
+
+def test_its_remote_takes_the_place_of_a_gamepad() -> None:
+    robot = load_robot("go2")
+    states = States(standard_states(robot.joint_names) | control_states())
+    for peer in ("robot", "unitree_mujoco"):
+        examined = Unitree.facts.examine(states, robot, 0.02, peer=peer)  # type: ignore[misc]
+        assert {*CONTROL_STATES} <= {*examined.facts.writes}
+    assert {*CONTROL_STATES} <= {*Unitree.facts.writes}

@@ -115,8 +115,10 @@ def test_who_never_hears_the_robot_is_told_and_closed(robot: Robot, states: Stat
     assert wire.sent == []
     with pytest.raises(PlatformError, match="connect is nan"):
         opened(Wired(states, robot, 0.02, Scripted(states, [])), connect=float("nan"))
+    wire = Scripted(states, [])
     with pytest.raises(PlatformError, match="silence is 0"):
         Wired(states, robot, 0.02, wire, silence=0.0)
+    assert wire.closed
 
 
 def test_a_connection_that_fails_before_the_run_is_an_error_and_no_fault(

@@ -6,6 +6,7 @@ import json
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import numpy as np
 import pytest
 from hand_peers import hand_states, until
 
-from unicon_core.errors import Fault, MissingDependencyError, PlatformError
+from unicon_core.errors import Fault, MissingDependencyError, PlatformError, RobotError
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import Program
@@ -57,9 +58,11 @@ def test_calls_come_in_order_with_what_the_robot_file_says(module: Any) -> None:
     np.testing.assert_allclose([row[4] for row in told], goal, atol=1e-6)
     platform.recv()
     np.testing.assert_allclose(states["joint_pos"], goal, atol=1e-6)
-    states["joint_pos_target"][...] = 99.0  # clamped
+    assert platform.info()["clamped"] == 0
+    states["joint_pos_target"][...] = 99.0
     states["joint_stiffness"][3] = 0.0
     platform.send()
+    assert platform.info()["clamped"] == 1
     told = module.CALLS[-1][2]
     np.testing.assert_allclose([row[4] for row in told], ROBOT.upper, atol=1e-6)
     assert [row[6] for row in told] == [3] * 3 + [0] + [3] * 8
@@ -162,3 +165,10 @@ def test_it_runs_beside_a_body_in_a_process_of_its_own(
     ]
     assert {call[0] for call in told[4:-1]} == {"send_command"}
     assert told[-1] == ["close_device"]
+
+
+@pytest.mark.parametrize("key", ["baudrate", "kp", "max_torque", "mode", "module"])
+def test_a_fact_that_lacks_is_told(module: Any, key: str) -> None:
+    robot = replace(ROBOT, transport={k: v for k, v in ROBOT.transport.items() if k != key})
+    with pytest.raises(RobotError, match=f"transport.{key} is None; write"):
+        make(hand_states(robot), robot, 0.01, device="/dev/ttyUSB0")

@@ -12,6 +12,8 @@ from unicon_core.robots import Robot
 from unicon_core.states import States, standard_states
 from unicon_core.states.standard import hardware_states
 from unicon_ros.bench.domains import free_domain
+from unicon_ros.hardware.dds.end import DdsEnd
+from unicon_ros.hardware.dds.participant import Reader, Writer
 from unicon_ros.hardware.unitree.face import UnitreeFace, face
 from unicon_ros.hardware.unitree.facts import UnitreeFacts
 from unicon_ros.hardware.unitree.wire import UnitreeWire
@@ -37,6 +39,21 @@ def until(condition: Callable[[], Any], step: Callable[[], Any] = lambda: None) 
     return found
 
 
+def reader_of(end: DdsEnd) -> Reader:
+    """Return the reader of the first topic that it listens to."""
+    return end._inlets[0]._reader
+
+
+def writer_of(end: DdsEnd) -> Writer:
+    """Return the writer of the first topic that it speaks on."""
+    return end._outlets[0][0]
+
+
+def encode_of(end: DdsEnd) -> Callable[[], bytes]:
+    """Return what makes its messages."""
+    return end._outlets[0][1]
+
+
 class Pair:
     """A robot's face and our wire on one domain."""
 
@@ -51,7 +68,7 @@ class Pair:
         facts = UnitreeFacts.of(robot)
         self.wire = UnitreeWire(self.ours, robot, facts, DOMAIN, LOOPBACK, release=release)
         until(self.wire.take, self.face.tell)
-        until(lambda: self.wire._writer is not None and self.wire._writer.matched)
+        until(lambda: self.wire.matched)
 
     def told(self) -> int:
         """Let the robot tell once, and take it."""

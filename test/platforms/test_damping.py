@@ -27,7 +27,7 @@ def filled(data: st.DataObject, states: States) -> None:
         view[...] = np.resize(data.draw(st.lists(ANY, min_size=1, max_size=7)), view.shape)
 
 
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 @given(data=st.data(), name=st.sampled_from(robot_names()), said=st.booleans())
 def test_it_is_finite_and_within_the_limits_whatever_was_before(
     data: st.DataObject, name: str, said: bool

@@ -73,6 +73,11 @@ def test_a_turned_sensor_tells_the_same_of_the_base(mount: Any, base: Any, rate:
     turned = rotation(mounting.quat(told))  # a quaternion and its negative are the same turn
     np.testing.assert_allclose(turned, rotation(base_quat), atol=1e-9)
     np.testing.assert_allclose(mounting.vector(told_rate), base_rate, atol=1e-9)
+    readings = {"base_quat": told, "base_ang_vel": told_rate, "base_lin_acc": 2.0 * told_rate}
+    mounting.turn(readings, readings)
+    np.testing.assert_allclose(rotation(readings["base_quat"]), rotation(base_quat), atol=1e-9)
+    np.testing.assert_allclose(readings["base_ang_vel"], base_rate, atol=1e-9)
+    np.testing.assert_allclose(readings["base_lin_acc"], 2.0 * base_rate, atol=1e-9)
 
 
 def test_the_servo_is_the_equation_within_the_limits() -> None:

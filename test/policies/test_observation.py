@@ -84,7 +84,7 @@ def contracts(draw: Any) -> PolicyContract:
     num_robots=st.sampled_from([None, 1, 3]),
     seed=st.integers(0, 2**16),
 )
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 def test_fused_observation_equals_concatenation(
     contract: PolicyContract, joints: list[str], num_robots: int | None, seed: int
 ) -> None:

@@ -71,7 +71,7 @@ def bits(value: Any) -> Any:
     return type(value), value
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(VALUES)
 def test_a_value_is_the_same_to_the_bit_after_json(value: Any) -> None:
     text = json.dumps(to_json(copied(value)))

@@ -32,6 +32,8 @@ JOINTS = {
     "h1_2": 27,
     "inspire_rh56_dfx_left": 6,
     "inspire_rh56_dfx_right": 6,
+    "inspire_rh56_ftp_left": 6,
+    "inspire_rh56_ftp_right": 6,
     "inspire_rh56_left": 6,
     "inspire_rh56_right": 6,
     "n1": 23,

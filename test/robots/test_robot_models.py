@@ -12,6 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from unicon_core.models.find import pick_model
+from unicon_core.models.load import load_model
+from unicon_core.platforms.kit.scene import Scene
 from unicon_core.resources import assets_root
 from unicon_core.robots import load_robot
 
@@ -47,6 +50,7 @@ MODELS = (
     "xhand1_right/xhand_right.urdf",
 )
 
+FILES = Path(__file__).resolve().parents[2] / "config" / "robots"
 URDFS = tuple(model for model in MODELS if model.endswith(".urdf"))
 MJCFS = tuple(model for model in MODELS if model.endswith(".xml"))
 
@@ -96,6 +100,25 @@ def test_no_model_at_hand_is_left_out() -> None:
     folder = root / "models"
     found = {str(path.relative_to(folder)) for path in folder.glob("*/*.*")}
     assert {path for path in found if path.endswith((".urdf", ".xml"))} <= set(MODELS)
+
+
+ROBOTS = sorted(path.stem for path in FILES.glob("*.yaml"))
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.filterwarnings("ignore::UserWarning")  # of meshes that are absent
+def test_a_robot_whose_model_is_at_hand_names_it_and_it_can_be_simulated(name: str) -> None:
+    root = assets_root()
+    if root is None:
+        pytest.skip("the assets folder is not at hand: set UNICON_ASSETS")
+    robot, there = load_robot(name), root / "models" / name
+    if not robot.models:
+        assert not there.exists(), f"name it: models: {{mjcf or urdf: assets:models/{name}/…}}"
+        pytest.skip(f"no model of {name} is at hand")
+    pytest.importorskip("mujoco", reason="mujoco is not installed: pip install 'unicon_ros[sim]'")
+    loaded = load_model(pick_model(robot), robot)
+    assert (loaded.base is not None) == robot.walks
+    assert np.isfinite(Scene(initial_pose="rest").joint_pos(robot)).all()
 
 
 @pytest.fixture(params=MODELS)

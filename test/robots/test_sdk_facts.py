@@ -45,6 +45,8 @@ FACTS: dict[str, list[tuple[str, dict[str, Any]]]] = {
         ("inspire_rh56_left", {"address": "192.168.11.210", "port": 6000, "device_id": 1}),
         ("inspire_rh56_left", {"register_angle_set": 1486, "register_angle_actual": 1546}),
         ("inspire_rh56_right", {"baudrate": 115200, "raw_lower": 1000, "raw_upper": 0}),
+        ("inspire_rh56_ftp_left", {"command_topic": "rt/inspire_hand/ctrl/l", "domain": 0}),
+        ("inspire_rh56_ftp_right", {"state_topic": "rt/inspire_hand/state/r", "raw_lower": 1000}),
     ],
     "roh_firmware protocol/OHandModBusRTUProtocol_EN.md": [
         ("rohand", {"node_id": 2, "baudrate": 115200, "parity": "none"}),
@@ -113,7 +115,7 @@ def test_transport_is_what_the_sdk_says(robot: str, facts: dict[str, Any], sourc
 
 
 def test_both_sides_of_a_hand_differ_in_nothing_but_the_side() -> None:
-    for pair in ("dex3", "xhand1", "inspire_rh56", "inspire_rh56_dfx"):
+    for pair in ("dex3", "xhand1", "inspire_rh56", "inspire_rh56_ftp", "inspire_rh56_dfx"):
         left, right = (dict(load_robot(f"{pair}_{side}").transport) for side in ("left", "right"))
         assert set(left) == set(right), pair
         for key in set(left) - {"side", "motors", "address"}:

@@ -26,7 +26,7 @@ def paths(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=8)
 @given(
     warm_up=st.lists(st.integers(0, 3), min_size=TICKS, max_size=TICKS),
     resets=st.frozensets(st.integers(1, TICKS - 1), max_size=2),

@@ -199,7 +199,7 @@ def test_a_saved_file_is_read_without_the_program(tmp_path: Path) -> None:
     assert told["states"]["q"]["names"] == ["a", "b", "c"]
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(layouts, st.integers(0, 2**32 - 1))
 def test_save_and_load_carry_every_byte(
     tmp_path_factory: pytest.TempPathFactory, layout: Layout, seed: int

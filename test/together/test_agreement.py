@@ -78,7 +78,7 @@ def heard(robot: Robot, robots: list[Robot], now: int, on_the_way: dict[str, int
     return words
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.integers(0, 1 << 32), st.sampled_from(("ab", "abc", "abcd")), st.booleans())
 def test_all_begin_at_one_moment_a_second_behind_the_last_that_is_ready(seed, names, alone):
     dice = random.Random(seed)
@@ -94,7 +94,7 @@ def test_all_begin_at_one_moment_a_second_behind_the_last_that_is_ready(seed, na
         assert not robot.side.lacking
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.integers(0, 1 << 32), st.sampled_from(("ab", "abc")), st.booleans())
 def test_who_stalls_misses_the_moment_and_nobody_begins_at_another(seed, names, alone):
     dice = random.Random(seed)
@@ -110,7 +110,7 @@ def test_who_stalls_misses_the_moment_and_nobody_begins_at_another(seed, names, 
         assert all(robot.side.moment_ns for robot in robots)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.integers(0, 1 << 32), st.sampled_from(("ab", "abc")), st.booleans())
 def test_who_dies_is_waited_for_and_then_a_fault_or_left_behind(seed, names, alone):
     dice = random.Random(seed)

@@ -526,10 +526,14 @@ ROWS = [
         ("ChildPlatform._look", "if hung:", "if False:"),
         ("ChildPlatform._newest", "silent_ns > self._silence * 1e9", "False"),
         ("ChildPlatform._wait", "time.monotonic() >= end", "False"),
-        ("ChildPlatform._ended", "process.kill()", "pass"),
-        ("ChildPlatform._ended", "process.stdin.close()", "pass"),
         ("", "SILENCE = {True: 1.0, False: 0.02}", "SILENCE = {True: 1.0, False: 2.0}"),
         ("", "WATCHDOG = {True: 2.0, False: 0.1}", "WATCHDOG = {True: 2.0, False: 10.0}"),
+    ),
+    *_rows(
+        "platforms/child/pipe.py",
+        CHILD,
+        ("Pipe.close", "process.kill()", "pass"),
+        ("Pipe.close", "process.stdin.close()", "pass"),
     ),
     *_rows(
         "platforms/child/process.py",

@@ -189,7 +189,11 @@ def _around(program: Program, result: PreflightResult) -> None:
     ):
         alone = Alone(platform.commanders)
         others = alone()
-        result.add(alone.name, not others, others or alone.about)
+        if platform.commanders():
+            result.add(alone.name, not others, others or alone.about)
+        else:
+            told = "this protocol does not tell who else sends; see that no other program does"
+            result.add(alone.name, None, told)
     free = shutil.disk_usage(os.getcwd()).free
     told = f"{free / 1e9:.1f} GB free in this folder"
     if free < FREE_BYTES:

@@ -71,7 +71,7 @@ class PreflightResult:
         """Return the table."""
         head = (
             f"{self.workflow} on {self.robot} (platform {self.platform}): received for "
-            f"{self.seconds:.1f} s, nothing was sent"
+            f"{self.seconds:.1f} s, no joint was commanded"
         )
         lines = aligned([(row.word, row.name, row.told) for row in self.rows], underlined=False)
         failed = sum(row.ok is False for row in self.rows)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["flat", "places", "stacked"]
+from unicon_core.states.layout import Layout
+
+__all__ = ["flat", "places", "spans", "stacked"]
 
 
 def stacked(views: Sequence[NDArray[Any]]) -> NDArray[Any] | None:
@@ -40,6 +42,19 @@ def flat(views: Sequence[NDArray[Any]]) -> list[NDArray[Any]]:
         return flats
     size = (sum(view.size for view in flats),)
     return [np.lib.stride_tricks.as_strided(flats[0], size, writeable=False)]
+
+
+def spans(layout: Layout, names: Container[str]) -> list[slice]:
+    """Return where states stand in the buffer, in bytes; as one where they stand back to back."""
+    found: list[slice] = []
+    for slot in sorted(
+        (slot.offset, slot.nbytes) for name, slot in layout.slots.items() if name in names
+    ):
+        if found and found[-1].stop == slot[0]:
+            found[-1] = slice(found[-1].start, sum(slot))
+        else:
+            found.append(slice(slot[0], sum(slot)))
+    return found
 
 
 def places(view: NDArray[Any], packed: NDArray[Any]) -> NDArray[np.intp] | None:

@@ -33,14 +33,7 @@ from unicon_core.workflow.build import (
     sections_of,
     specs_of,
 )
-from unicon_core.workflow.command_bounds import (
-    COMMAND,
-    CommandBound,
-    CommandBounds,
-    bounded_flow,
-    command_bounds,
-    reads_command,
-)
+from unicon_core.workflow.command_bounds import CommandBound, bound_commands
 from unicon_core.workflow.division import check_places, of_part, publishers
 from unicon_core.workflow.document import WorkflowDocument, document_of, load_document
 from unicon_core.workflow.gate import Gate
@@ -48,7 +41,7 @@ from unicon_core.workflow.live_twin import build_twin, twin_of
 from unicon_core.workflow.members import load_robot_of
 from unicon_core.workflow.parts import read_parts, read_store
 from unicon_core.workflow.platforms import build_platform
-from unicon_core.workflow.policies import controllers_reading, load_policies
+from unicon_core.workflow.policies import load_policies
 from unicon_core.workflow.safety_set import completed, left_out
 from unicon_core.workflow.settings import pacing_of, safety_of, start_of
 from unicon_core.workflow.silent import refuse_parts, withheld
@@ -236,7 +229,7 @@ class Program:
                 self.blocks += blocks
                 self.outside += blocks
                 stages[stage] += blocks
-        self._bound_commands()
+        self.command_bounds = bound_commands(self)
         recv = Block("recv", platform.recv, writes=platform.facts.writes)
         warm_up = platform.warm_up if isinstance(platform, WarmsUp) else None
         recv.warm_up = warm_ups.refresh(warm_up)
@@ -320,24 +313,6 @@ class Program:
         entry = as_block(Entry(self.states, self.gate.sent, ticks))
         entry.stage = Stage.SAFETY
         return {Stage.SAFETY: [entry, *self.stages[Stage.SAFETY]]}
-
-    def _bound_commands(self) -> None:
-        """Put bounds before the flow, and behind whatever gives commands in it."""
-        stages = self.stages
-        early = reads_command(stages[Stage.COMMAND])
-        if not early and not reads_command([*stages[Stage.FLOW], *stages[Stage.SAFETY]]):
-            return
-        readers = controllers_reading(COMMAND, self.blocks, self.policies)
-        self.command_bounds = command_bounds(readers, self.robot)
-        command, tick = self.states[COMMAND], self.states["tick"]
-
-        def bounds() -> Block:
-            found, period = self.command_bounds, self.period
-            return as_block(CommandBounds(command, found, tick, period, self.tell))
-
-        stages[Stage.INPUT].append(bounds())
-        for stage in (Stage.FLOW, *((Stage.COMMAND,) if early else ())):
-            stages[stage] = [bounded_flow(node, bounds) for node in stages[stage]]
 
     @property
     def has_platform(self) -> bool:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,8 @@ __all__ = ["RosFace", "face"]
 
 WATCHDOG = 0.5
 """Its own dead man, [s]."""
+FASTEST = 1000.0
+"""Of its states, [Hz]."""
 MOST = 8
 """Messages that are looked at in a tick."""
 
@@ -43,8 +46,8 @@ def face(
         MissingDependencyError: rclpy or its messages are not installed.
         PlatformError: the rate is wrong.
     """
-    if not rate > 0.0:
-        raise PlatformError(f"face 'ros': rate is {rate} Hz; give more than 0")
+    if not 0.0 < rate <= FASTEST:
+        raise PlatformError(f"face 'ros': rate is {rate} Hz; give more than 0, at most {FASTEST:g}")
     return RosFace(states, robot, rate, imu_seconds)
 
 
@@ -104,11 +107,12 @@ class RosFace:
 
     def _commanded(self, message: Any) -> None:
         self._looks += 1
-        if not set(message.name) <= set(self._names) or len(message.name) != len(message.position):
+        wanted = self._by_name(message.name, message.position)
+        if not wanted:
             return
         states = self._states
-        for name, position in zip(message.name, message.position):
-            states["joint_pos_target"][self._names.index(name)] = position
+        for joint, position in wanted.items():
+            states["joint_pos_target"][joint] = position
         states["joint_vel_target"][...] = states["joint_effort_ff"][...] = 0.0
         states["joint_stiffness"][...] = self._stiffness
         states["joint_damping"][...] = self._damping
@@ -116,8 +120,14 @@ class RosFace:
 
     def _gained(self, message: Any) -> None:
         self._looks += 1
-        if len(message.effort) == len(self._names):
-            self._stiffness = np.array(message.effort, np.float32)
+        for joint, gain in self._by_name(message.name, message.effort).items():
+            if 0.0 <= gain < math.inf:
+                self._stiffness[joint] = gain
+
+    def _by_name(self, names: Sequence[str], values: Sequence[float]) -> dict[int, float]:
+        """Return the value of each joint that is named; nothing where one is wrong."""
+        known = set(names) <= set(self._names) and len(set(names)) == len(names) == len(values)
+        return {self._names.index(n): v for n, v in zip(names, values)} if known else {}
 
     def close(self) -> None:
         """Let go of the node."""

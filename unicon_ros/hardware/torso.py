@@ -14,9 +14,9 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-__all__ = ["IMU_STATES", "turned"]
+from unicon_core.platforms.kit.base import IMU_STATES
 
-IMU_STATES = ("base_quat", "base_ang_vel", "base_lin_acc")
+__all__ = ["IMU_STATES", "turned"]
 
 
 def turned(

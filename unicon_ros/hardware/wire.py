@@ -14,7 +14,14 @@ from __future__ import annotations
 from collections import Counter
 from typing import Protocol, runtime_checkable
 
-__all__ = ["Commanded", "Counts", "Prepared", "Wire"]
+__all__ = ["Commanded", "Counts", "Prepared", "Wire", "newer"]
+
+_HALF = 1 << 31
+
+
+def newer(number: int, last: int) -> bool:
+    """Tell whether a frame number of 32 bits, which may wrap, is behind the last one."""
+    return 0 < (number - last) % (2 * _HALF) < _HALF
 
 
 class Counts:

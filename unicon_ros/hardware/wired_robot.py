@@ -19,6 +19,8 @@ from dataclasses import replace
 from functools import partial
 from typing import Any, TypeVar
 
+import numpy as np
+
 from unicon_core.blocks.projected_gravity import projected_gravity
 from unicon_core.errors import Fault, PlatformError
 from unicon_core.platforms.kit.command import FiniteCheck
@@ -45,7 +47,7 @@ class WiredRobot:
         states: of the workflow.
         robot: its file.
         period: of a tick in [s].
-        wire: open, and aligned with the robot's joints.
+        wire: open, and aligned with the robot's joints; it is closed where this fails.
         silence: of the robot that is a fault, in [s].
         silent: nothing is sent, in `close` either.
     """
@@ -62,18 +64,29 @@ class WiredRobot:
         silence: float = SILENCE,
         silent: bool = False,
     ) -> None:
+        self._states, self._robot, self._period, self._wire = states, robot, period, wire
+        self._silence, self._silent = silence, silent
+        try:
+            self._build()
+        except BaseException:
+            wire.close()
+            raise
+
+    def _build(self) -> None:
+        silence, states, robot, wire = self._silence, self._states, self._robot, self._wire
         if not 0.0 < silence <= 10.0:
             raise PlatformError(
                 f"platform {self.facts.name!r}: silence is {silence} s; give more than 0, at most "
                 "10 s"
             )
-        self._states, self._robot, self._period, self._wire = states, robot, period, wire
-        self._silence, self._silent = silence, silent
         writes = tuple(name for name in self.facts.writes if name in states)
         self.facts = replace(self.facts, writes=writes)
         self._gravity: Callable[[], None] | None = None
+        self._scratch: Callable[[], object] = int  # does nothing
         if {"base_quat", "projected_gravity"} <= set(writes):
             self._gravity = projected_gravity(states["base_quat"], states["projected_gravity"])
+            level = (1.0, 0.0, 0.0, 0.0)
+            self._scratch = projected_gravity(np.array(level), np.zeros(3))
         commands = {name: states[name] for name in COMMAND_STATES}
         self._finite = FiniteCheck(commands, robot.joint_names)
         self._sent = LastSent(states)
@@ -82,7 +95,7 @@ class WiredRobot:
         self._silent_for = 0.0
         # Of a longer pause of ours no more counts as silence: who only answers was not asked, as
         # between opening and the first tick.
-        self._pause = 2.0 * period
+        self._pause = 2.0 * self._period
         self._warm_up = wire.warm_up if isinstance(wire, WarmsUp) else None
         self._closed = False
 
@@ -148,8 +161,9 @@ class WiredRobot:
         return None
 
     def warm_up(self) -> None:
-        """Do what `send` does up to the sending, to warm up."""
+        """Do what `recv` and `send` do, but change no state and send nothing, to warm up."""
         self._finite()
+        self._scratch()
         if self._warm_up is not None:
             self._warm_up()
 

@@ -14,15 +14,9 @@ damps and ends within `watchdog` of the last command, at once where the parent h
 
 from __future__ import annotations
 
-import json
 import os
-import pickle
-import select
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -30,13 +24,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core import errors
-from unicon_core.errors import Fault, PlatformError, UniconError
+from unicon_core.errors import Fault, PlatformError
+from unicon_core.platforms.child.pipe import Pipe
 from unicon_core.platforms.kit.command import FiniteCheck
 from unicon_core.platforms.platform import Facts
-from unicon_core.resources import same_modules
 from unicon_core.robots import Robot
-from unicon_core.signals import SIGNALS, signal_name
+from unicon_core.signals import SIGNALS
 from unicon_core.states import States
 from unicon_core.states.backends.shm import Segment, ShmReader, ShmWriter, remove_dead
 from unicon_core.states.groups import COMMAND, MEASURED, subset
@@ -102,7 +95,7 @@ class ChildPlatform:
         self._watchdog = max(
             WATCHDOG[facts.simulated] if watchdog is None else watchdog, 3.0 * period
         )
-        self._due, self._rest = 0, b""
+        self._due = 0
         self._reported: Mapping[str, Any] = {}
         self._closed = self._hung = self._done = False
         self._told = True  # its end, in an error: nothing is to be told twice
@@ -111,21 +104,22 @@ class ChildPlatform:
         commands = subset(states.layout, facts.reads)
         self._segment = Segment.create(name, {COMMAND: commands})
         self._reader: ShmReader | None = None
+        self._pipe: Pipe | None = None
         try:
             self._commands = ShmWriter(self._segment, COMMAND, states)
-            self._start(
-                {
-                    "factory": _place(factory),
-                    "layout": states.layout.to_json(),
-                    "robot": robot,
-                    "period": period,
-                    "arguments": dict(arguments),
-                    "parent": name,
-                    "segment": self._child_segment,
-                    "watchdog": self._watchdog,
-                }
-            )
-            told = self._answer(START)
+            given = {
+                "factory": _place(factory),
+                "layout": states.layout.to_json(),
+                "robot": robot,
+                "period": period,
+                "arguments": dict(arguments),
+                "parent": name,
+                "segment": self._child_segment,
+                "watchdog": self._watchdog,
+            }
+            self._pipe = Pipe(f"platform {facts.name!r}", given)
+            self.process = self._pipe.process
+            told = self._pipe.answer(START, SIGNALS.check)
             self.facts = told["facts"]
             self._info: Mapping[str, Any] = told["info"]
             self._reader = ShmReader(self._child_segment, MEASURED, states)
@@ -192,14 +186,16 @@ class ChildPlatform:
         Raises:
             Fault: it has died, tells of a fault, or hangs.
         """
+        pipe = self._pipe
+        assert pipe is not None
         gone = self.process.poll() is not None
-        told = self._words()
+        told = pipe.words()
         self._done = self._done or "done" in told
         if self._done:
             return True
         if gone or told:
             self._told = True
-            raise Fault(told.get("fault") or self._end())
+            raise Fault(told.get("fault") or pipe.end)
         if hung:
             self._told = self._hung = True
             raise Fault(
@@ -207,14 +203,6 @@ class ChildPlatform:
                 f"answered for {self._silence:g} s: it hangs or was stopped (platform.silence)"
             )
         return False
-
-    def _end(self) -> str:
-        """Return how the child has ended, in words."""
-        status = self.process.returncode or 0
-        how = (
-            f"was killed by {signal_name(-status)}" if status < 0 else f"ended with status {status}"
-        )
-        return f"platform {self.facts.name!r}: its process {self.process.pid} {how}"
 
     def send(self) -> bool | None:
         """Publish the command states.
@@ -239,7 +227,8 @@ class ChildPlatform:
 
     def _pause(self) -> None:
         self._settle()
-        self._tell("pause")
+        assert self._pipe is not None
+        self._pipe.tell("pause")
 
     def _settle(self) -> None:
         """Wait for the answer to the last command, which comes before the next wish there too."""
@@ -257,82 +246,7 @@ class ChildPlatform:
         """Return what the child's platform told when it was built, and the process."""
         return {**self._info, "process": self.process.pid}
 
-    # -- the process ------------------------------------------------------------------------------
-
-    def _start(self, payload: Mapping[str, Any]) -> None:
-        try:
-            given = pickle.dumps(payload)
-        except (AttributeError, TypeError, pickle.PicklingError) as error:
-            raise PlatformError(
-                f"platform {self.facts.name!r} cannot run in a child: {error}; leave out child"
-            ) from error
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "unicon_core.platforms.child.process"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            bufsize=0,
-            env=same_modules(),
-            start_new_session=True,  # Ctrl-C and Ctrl-Z are the parent's: it damps in order
-        )
-        assert self.process.stdin is not None
-        with suppress(BrokenPipeError):  # its first words tell why
-            self.process.stdin.write(len(given).to_bytes(8, "little") + given)
-
-    def _answer(self, patience: float) -> dict[str, Any]:
-        """Return what the child answers.
-
-        Raises:
-            UniconError: the error that it tells of.
-        """
-        end = time.monotonic() + patience
-        told = self._words()
-        while not told:
-            if time.monotonic() > end or self.process.poll() is not None:
-                told = self._words()
-                break
-            if self._reader is None:
-                SIGNALS.check()  # while it starts
-            assert self.process.stdout is not None
-            select.select([self.process.stdout], [], [], 0.1)
-            told = self._words()
-        if not told:
-            gone = self.process.poll() is not None
-            how = "ended at once" if gone else f"did not answer within {patience:g} s"
-            raise PlatformError(
-                f"platform {self.facts.name!r}: its process {how}; see what it wrote above, or "
-                "leave out child"
-            )
-        if "error" in told:
-            kind = getattr(errors, told["kind"], PlatformError)
-            raise (kind if issubclass(kind, UniconError) else PlatformError)(told["error"])
-        if "fault" in told:
-            raise Fault(told["fault"])
-        return told
-
-    def _words(self) -> dict[str, Any]:
-        """Return what the child has written since the last look, {} for nothing whole."""
-        assert self.process.stdout is not None
-        while select.select([self.process.stdout], [], [], 0.0)[0]:
-            read = os.read(self.process.stdout.fileno(), 1 << 16)
-            if not read:
-                break
-            self._rest += read
-        size = int.from_bytes(self._rest[:8], "little")
-        if len(self._rest) < 8 + size or not size:
-            return {}
-        words, self._rest = self._rest[8 : 8 + size], self._rest[8 + size :]
-        try:
-            told = pickle.loads(words)  # of our own child, through our own pipe
-        except Exception:  # in which its platform may have written
-            told = None
-        if isinstance(told, dict):
-            return told
-        return {"fault": f"platform {self.facts.name!r}: its process wrote garbage into its pipe"}
-
-    def _tell(self, what: str, *given: object) -> None:
-        assert self.process.stdin is not None
-        with suppress(BrokenPipeError):  # `recv` tells of a child that has died
-            self.process.stdin.write(json.dumps([what, *given]).encode() + b"\n")
+    # -- its end, and what it is asked ------------------------------------------------------------
 
     def _ask(self, what: str, *given: object) -> Any:
         """Return what a method of the child's platform returns, or raise what it raises.
@@ -341,9 +255,10 @@ class ChildPlatform:
             UniconError: of the method, or the child does not answer.
             Fault: of the method, or the child has ended.
         """
-        self._tell(what, *given)
+        assert self._pipe is not None
+        self._pipe.tell(what, *given)
         self._told = True  # by what is raised here
-        told = self._answer(DAMPING)
+        told = self._pipe.answer(DAMPING)
         if "value" not in told:  # its last words
             raise Fault(f"platform {self.facts.name!r} has gone while it was asked for its {what}")
         self._told = False
@@ -359,38 +274,21 @@ class ChildPlatform:
         if self._closed:
             return
         self._closed = True
-        process: subprocess.Popen[bytes] | None = getattr(self, "process", None)
-        words = {} if process is None else self._ended(process)
+        pipe, words = self._pipe, {}
+        if pipe is not None:
+            words = pipe.close(HUNG if self._hung else DAMPING)
         if self._reader is not None:
             self._reader.close()
         self._segment.close()
         remove_dead(self._child_segment)
-        if self._reader is None or self._hung:
+        if pipe is None or self._reader is None or self._hung:
             return
         if "fault" in words and not self._told:
             raise Fault(words["fault"])
         if "closing" in words:
             raise PlatformError(f"platform {self.facts.name!r}: {words['closing']}")
         if "closed" not in words and not self._told:
-            raise Fault(f"{self._end()} and has not closed")
-
-    def _ended(self, process: subprocess.Popen[bytes]) -> dict[str, Any]:
-        """Wait for the end of the child, kill it where it hangs; return its last words."""
-        assert process.stdin is not None
-        assert process.stdout is not None
-        words: dict[str, Any] = {}
-        with suppress(OSError):
-            process.stdin.close()  # which asks it to close
-        try:
-            process.wait(HUNG if self._hung else DAMPING)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-            words["closing"] = "it did not end, and was killed"
-        while told := self._words():
-            words |= told
-        process.stdout.close()
-        return words
+            raise Fault(f"{pipe.end} and has not closed")
 
 
 def _place(factory: Callable[..., Any]) -> str:

@@ -10,9 +10,20 @@ from numpy.typing import NDArray
 
 from unicon_core.robots import Robot
 
-__all__ = ["BaseStates", "Float", "Mounting", "WorldPose", "quat_of_rpy", "rotation", "rpy_of_quat"]
+__all__ = [
+    "IMU_STATES",
+    "BaseStates",
+    "Float",
+    "Mounting",
+    "WorldPose",
+    "quat_of_rpy",
+    "rotation",
+    "rpy_of_quat",
+]
 
 Float = NDArray[np.float64]
+IMU_STATES = ("base_quat", "base_ang_vel", "base_lin_acc")
+"""What an IMU tells: orientation, angular velocity, specific force."""
 
 
 class WorldPose(NamedTuple):
@@ -72,8 +83,7 @@ class Mounting:
     """How a sensor sits on the base: turns its readings into the base frame.
 
         mounting = Mounting.of(robot)                       # robot.imu of the robot file
-        states.base_ang_vel[...] = mounting.vector(gyro)
-        states.base_quat[...] = mounting.quat(orientation)
+        mounting.turn(readings, {name: states[name] for name in IMU_STATES})
 
     An accelerometer keeps its place: only its axes are turned, its lever arm stays in the reading.
 
@@ -104,6 +114,17 @@ class Mounting:
     def quat(self, reading: NDArray[Any]) -> NDArray[Any]:
         """Return the orientation base to world of one sensor to world, wxyz, shape (4,)."""
         return self._right @ reading if self.turned else reading
+
+    def turn(self, readings: Mapping[str, NDArray[Any]], into: Mapping[str, NDArray[Any]]) -> None:
+        """Write the readings of an IMU, by name as of `IMU_STATES`, as one on the base has them.
+
+        Args:
+            readings: of the sensor; they may be the arrays that are written.
+            into: takes the base's.
+        """
+        into["base_quat"][...] = self.quat(readings["base_quat"])
+        for name in ("base_ang_vel", "base_lin_acc"):
+            into[name][...] = self.vector(readings[name])
 
 
 class BaseStates:

@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.errors import RobotError
 from unicon_core.robots import Robot
 from unicon_ros.hardware.facts import TransportFacts
 
@@ -115,24 +114,17 @@ class Motors:
         facts = TransportFacts(robot)
         numbers = tuple(int(number) for number in facts.numbers("motor_id", 1, 15))
         if len(set(numbers)) < len(numbers):
-            raise RobotError(f"robot {robot.name}: transport.motor_id names a motor twice")
-        kinds = facts.texts("motor_type")
-        for kind in kinds:
-            if kind.partition("_")[0] not in LAYOUTS:
-                raise RobotError(
-                    f"robot {robot.name}: transport.motor_type {kind!r} is not known; write one "
-                    "that begins with EC_ or DM_"
-                )
-        layouts = tuple(LAYOUTS[kind.partition("_")[0]] for kind in kinds)
+            raise facts.wrong("motor_id", "a number of its own for each motor")
+        kinds = [kind.partition("_")[0] for kind in facts.texts("motor_type")]
+        if not LAYOUTS.keys() >= {*kinds}:
+            raise facts.wrong("motor_type", f"texts that begin with {'_ or '.join(LAYOUTS)}_")
+        layouts = tuple(LAYOUTS[kind] for kind in kinds)
         lower, upper, _ = zip(*map(_bounds, layouts))
-        channel = robot.transport.get("interface")
-        if not isinstance(channel, str) or not channel:
-            raise RobotError(f"robot {robot.name}: transport.interface is not a name such as can0")
         return cls(
             robot.joint_names,
             numbers,
             layouts,
-            channel,
+            facts.text("interface"),
             facts.numbers("torque_command", 1e-6, 1e6),
             facts.numbers("torque_state", 1e-6, 1e6),
             np.array(lower).T,

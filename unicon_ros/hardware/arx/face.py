@@ -27,6 +27,7 @@ class ArxFace:
     def __init__(self, states: States, robot: Robot, bus: Any) -> None:
         self._states, self._motors, self._bus = states, Motors.of(robot), bus
         self.rate = TransportFacts(robot).number("rate_hz", 1.0, 1000.0)
+        self.where = bus.channel_info
         self._can = import_can()
         self._joints = {number: joint for joint, number in enumerate(self._motors.numbers)}
         self._enabled = {joint: lay is not DM for joint, lay in enumerate(self._motors.layouts)}

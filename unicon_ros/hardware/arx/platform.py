@@ -69,11 +69,6 @@ def make(
             "is doubtful, even in the vendor's SDK; write platforms: {arx: {unverified: true}} to "
             "drive them all the same, with the arm clear of people"
         )
-    bus = open_bus(channel or motors.channel, interface)
-    try:
-        wire = ArxWire(states, motors, bus, TransportFacts(robot).number("rate_hz", 1.0, 1000.0))
-        built = Arx(states, robot, period, wire, silence=silence)
-    except BaseException:
-        bus.shutdown()
-        raise
-    return opened(built, connect)
+    rate = TransportFacts(robot).number("rate_hz", 1.0, 1000.0)
+    wire = ArxWire(states, motors, open_bus(channel or motors.channel, interface), rate)
+    return opened(Arx(states, robot, period, wire, silence=silence), connect)

@@ -80,9 +80,4 @@ def make(
         for key, given in (("torque_limit_rate", torque_limit_rate), ("filter_rate", filter_rate))
     ]
     wire = AzureWire(states, robot, ipv4(address, "azureloong"), *shares)
-    try:
-        built = AzureLoong(states, robot, period, wire, silence=silence, silent=silent)
-    except BaseException:
-        wire.close()
-        raise
-    return opened(built, connect)
+    return opened(AzureLoong(states, robot, period, wire, silence=silence, silent=silent), connect)

@@ -13,7 +13,7 @@ import time
 import numpy as np
 
 from unicon_core.errors import Fault
-from unicon_core.platforms.kit.base import Mounting, quat_of_rpy
+from unicon_core.platforms.kit.base import IMU_STATES, Mounting, quat_of_rpy
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES
@@ -57,7 +57,7 @@ class AzureWire:
         torque_limit_rate: float,
         filter_rate: float,
     ) -> None:
-        self._link, self._limits, self._states = Link.of(robot), Limits.of(robot), states
+        self._link, self._limits = Link.of(robot), Limits.of(robot)
         self.counts, self.where = Counts(), f"{address}:{self._link.port}"
         self._mounting = Mounting.of(robot)
         self._rows = np.zeros_like(self._limits.lower)
@@ -78,7 +78,10 @@ class AzureWire:
         self._floats = part(self._link.state, "rpy", "temperature")
         self._heard = bytearray(self._link.state.itemsize)
         heard = np.frombuffer(self._heard, self._link.state)[0:1]
-        self._told = {name: heard[name][0] for name in ("rpy", "gyro", "acc", "key")}
+        self._rpy, self._key = heard["rpy"][0], heard["key"][0]
+        readings = np.zeros(4), heard["gyro"][0], heard["acc"][0]
+        self._imu = dict(zip(IMU_STATES, readings, strict=True))
+        self._base = {name: states[name] for name in IMU_STATES}
         self._copied = [
             (states[state], heard[field][0]) for state, field in COPIED.items() if state in states
         ]
@@ -137,11 +140,9 @@ class AzureWire:
         self._heard[:] = frame
         for view, field in self._copied:
             view[...] = field
-        states, told, mounting = self._states, self._told, self._mounting
-        states["base_quat"][...] = mounting.quat(quat_of_rpy(told["rpy"]))
-        states["base_ang_vel"][...] = mounting.vector(told["gyro"])
-        states["base_lin_acc"][...] = mounting.vector(told["acc"])
-        self._plan = int(told["key"][1])
+        self._imu["base_quat"][...] = quat_of_rpy(self._rpy)
+        self._mounting.turn(self._imu, self._base)
+        self._plan = int(self._key[1])
         if self._commanding and self._plan != self._link.keys["commands"]:
             raise Fault(
                 f"azureloong has left plan jntSdk: {self._where_it_is}; somebody has its remote"

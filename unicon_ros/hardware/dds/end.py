@@ -43,15 +43,25 @@ class DdsEnd:
         participant: of the robot's domain; it is closed with this.
         where: topic and domain, for messages.
         counts: of what comes in; another one where frames were made with it before.
+        ahead: `warm_up` reads what is there already, so that what is read into must be arrays of
+            the wire's own until `take` is called.
 
     Attributes:
         counts: of what came in.
         where: topic and domain.
     """
 
-    def __init__(self, participant: Participant, where: str, counts: Counts | None = None) -> None:
+    def __init__(
+        self,
+        participant: Participant,
+        where: str,
+        counts: Counts | None = None,
+        *,
+        ahead: bool = False,
+    ) -> None:
         self.participant, self.where = participant, where
         self.counts = Counts() if counts is None else counts
+        self._ahead = ahead
         self._inlets: list[Inlet] = []
         self._outlets: list[tuple[Writer, Callable[[], bytes]]] = []
         self._commands: list[str] = []
@@ -112,9 +122,12 @@ class DdsEnd:
             writer.write(raw + bytes(-len(raw) % 4))
 
     def warm_up(self) -> None:
-        """Do what `put` does up to the sending."""
-        for _, encode in self._outlets:
-            encode()
+        """Read ahead, and do what `put` does, but send nothing to the robot."""
+        if self._ahead:
+            for inlet in self._inlets:
+                inlet.read_ahead()
+        for writer, encode in self._outlets:
+            writer.warm_up(encode())
 
     @property
     def matched(self) -> bool:

@@ -86,10 +86,6 @@ class Frames:
                 return False
         return True
 
-    def warm_up(self) -> None:
-        """Compute the checksum of the last message again."""
-        self._crc()
-
     def read(self, raw: bytes) -> bool:
         """Read a good message into the arrays; where it is refused nothing is written."""
         if self._decoder.decode(raw):

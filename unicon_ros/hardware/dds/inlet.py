@@ -8,17 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from unicon_core.errors import Fault
 from unicon_ros.hardware.dds.participant import Reader
-from unicon_ros.hardware.wire import Counts
+from unicon_ros.hardware.wire import Counts, newer
 
 __all__ = ["Inlet", "newer"]
-
-_HALF = 1 << 31
-
-
-def newer(number: int, last: int) -> bool:
-    """Tell whether a frame number of 32 bits, which may wrap, is behind the last one."""
-    return 0 < (number - last) % (2 * _HALF) < _HALF
 
 
 class Inlet:
@@ -49,13 +43,30 @@ class Inlet:
         self._counts, self._where, self._forget = counts, where, forget
         self._anyone = anyone
         self._source: int | None = None
+        self._ahead = 0
+        self._fault: Fault | None = None
 
     def wait(self, timeout: float) -> bool:
         """Return True once something is there, False after `timeout` in [s]."""
-        return self._reader.wait(timeout)
+        return bool(self._ahead) or self._fault is not None or self._reader.wait(timeout)
+
+    def read_ahead(self) -> None:
+        """Do now what `take` would do; it tells of it, of a fault too, when it is called."""
+        if self._fault is None:
+            try:
+                self._ahead += self._take()
+            except Fault as fault:
+                self._fault = fault
 
     def take(self) -> int:
         """Read the newest good message; return how many good ones have come."""
+        fault, ahead = self._fault, self._ahead
+        self._fault, self._ahead = None, 0
+        if fault is not None:
+            raise fault
+        return ahead + self._take()
+
+    def _take(self) -> int:
         good: list[bytes] = []
         for raw, info in self._reader.take():
             if not info.valid_data:

@@ -11,6 +11,7 @@ The calls that pass bytes are private ones of the package, so that it is asked f
 from __future__ import annotations
 
 import ipaddress
+import socket
 from contextlib import suppress
 from importlib import metadata
 from threading import Lock
@@ -93,6 +94,7 @@ class Participant:
         self.domain, self._what = domain, what
         self._entities: list[Any] = []
         self._others: Any = None
+        self._echo: socket.socket | None = None
         self._open = False
         _enter(domain, address, what)
         self._open = True
@@ -142,8 +144,12 @@ class Participant:
         from cyclonedds.pub import DataWriter
 
         qos = Qos(Policy.Reliability.Reliable(max_blocking_time=0), Policy.History.KeepLast(1))
-        made = self._made(DataWriter, self._topic(topic, message, name), qos)
-        return Writer(made, f"{self._what}: {topic}")
+        made, idle = (
+            self._made(DataWriter, self._topic(each, message, name), qos)
+            for each in (topic, f"unicon/{topic}")
+        )
+        self._echo = self._echo or _echo()
+        return Writer(made, idle, self._echo, f"{self._what}: {topic}")
 
     def _topic(self, topic: str, message: Struct, name: str) -> Any:
         from cyclonedds.topic import Topic
@@ -177,6 +183,8 @@ class Participant:
         self._entities.clear()
         with suppress(AttributeError):  # it could not be made
             self._participant.__del__()
+        if self._echo is not None:
+            self._echo.close()
         _leave(self.domain)
 
 
@@ -218,12 +226,20 @@ class Reader:
 
 
 class Writer:
-    """Writes raw messages to a topic; made by `Participant`."""
+    """Writes raw messages to a topic; made by `Participant`.
 
-    def __init__(self, writer: Any, what: str) -> None:
+    Args:
+        writer: of the topic.
+        idle: of another one, which nobody reads.
+        echo: sends datagrams to itself.
+        what: in front of messages.
+    """
+
+    def __init__(self, writer: Any, idle: Any, echo: socket.socket, what: str) -> None:
         from cyclonedds._clayer import ddspy_write
 
         self._writer, self._ref, self._write, self._what = writer, writer._ref, ddspy_write, what
+        self._idle, self._echo = idle._ref, echo
 
     def write(self, raw: bytes) -> None:
         """Send a message, encapsulation header and body, of a multiple of 4 bytes.
@@ -235,10 +251,30 @@ class Writer:
         if code < 0:
             raise Fault(f"{self._what} cannot be sent: CycloneDDS error {code}")
 
+    def warm_up(self, raw: bytes) -> None:
+        """Bring the code that sends a message into the caches, and send none.
+
+        It is written where nobody reads, and goes to this process itself: measured at 500 Hz, cold
+        79 µs, behind the first of both 47, behind both 31.
+        """
+        self._write(self._idle, raw)
+        with suppress(OSError):
+            self._echo.send(raw)
+            self._echo.recv(1)
+
     @property
     def matched(self) -> bool:
         """Whether somebody reads the topic."""
         return bool(self._writer.get_matched_subscriptions())
+
+
+def _echo() -> socket.socket:
+    """Return a socket that sends datagrams to itself."""
+    echo = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    echo.setblocking(False)
+    echo.bind(("127.0.0.1", 0))
+    echo.connect(echo.getsockname())
+    return echo
 
 
 def _enter(domain: int, address: str | None, what: str) -> None:

@@ -21,6 +21,7 @@ from unicon_msgs_map import Encoder
 from unicon_msgs_map.layout.messages import Struct, shared_messages
 from unicon_ros.hardware.dds.frames import Frames
 from unicon_ros.hardware.dds.maps import COMMANDS, IMU, MEASURED, motors, publish, subscribe
+from unicon_ros.hardware.dds.participant import LARGEST_DOMAIN
 from unicon_ros.hardware.facts import TransportFacts
 from unicon_ros.hardware.wire import Counts
 
@@ -33,7 +34,6 @@ FSM, SWITCH = "dobot_atom/msg/SetFsmId", "dobot_atom/msg/SwitchUpperControl"
 REMOTE = 40
 """Bytes of the remote."""
 LOWER, UPPER = 12, 17
-LARGEST_DOMAIN = 230
 PERCENT = 100.0
 Arrays = Mapping[str, NDArray[Any]]
 

@@ -83,6 +83,4 @@ def make(
             "robot's own state machine in which joint commands act; it is not public, ask Dobot"
         )
     wire = DobotWire(states, robot, domain, address, layout=layout, fsm_id=fsm_id, silent=silent)
-    with wire.closing():
-        built = Dobot(states, robot, period, wire, silence=silence, silent=silent)
-    return opened(built, connect)
+    return opened(Dobot(states, robot, period, wire, silence=silence, silent=silent), connect)

@@ -1,1 +1,1 @@
-"""Fourier's FSA actuators, one address each: what is sent to them, and what they answer."""
+"""Fourier's FSA actuators, one address each: what is sent to them, and their answers."""

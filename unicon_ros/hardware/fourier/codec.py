@@ -8,15 +8,14 @@ actuator's own, and the robot file says what they are.
 
 from __future__ import annotations
 
-import ipaddress
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.errors import RobotError
 from unicon_core.robots import Robot
 from unicon_ros.hardware.facts import TransportFacts
+from unicon_ros.hardware.fourier.addresses import Addressed, complete
 
 __all__ = [
     "ACKNOWLEDGED",
@@ -55,29 +54,20 @@ TIMED_OUT = 7, 0x01
 """Of `errors`: the word and the bit which say that no command came in time."""
 
 UNITS = ("stiffness_scale", "damping_scale", "timeout_mode")
+WHY = "what its actuators' gains are in N·m/rad, nor what they do when commands stop"
 
 
 @dataclass(frozen=True)
-class Actuators:
+class Actuators(Addressed):
     """What the robot file says of the actuators; arrays of shape (n,).
 
     Attributes:
-        names: of the joints.
-        addresses: of the actuators.
-        port: for codes.
-        rate: at which they may be asked, [Hz].
-        degrees: of an actuator for one radian of the joint, with its sign.
         kp: of an actuator for 1 N·m/rad of the joint.
         kd: of an actuator for 1 N·m·s/rad of the joint.
         current: for 1 N·m of the joint in [A], with its sign; None where nobody knows.
         timeout_mode: which mode an actuator enters that gets no commands.
     """
 
-    names: tuple[str, ...]
-    addresses: tuple[str, ...]
-    port: int
-    rate: float
-    degrees: NDArray[np.float64]
     kp: NDArray[np.float64]
     kd: NDArray[np.float64]
     current: NDArray[np.float64] | None
@@ -95,42 +85,15 @@ class Actuators:
         Raises:
             RobotError: a fact is missing or wrong.
         """
-        facts, transport = TransportFacts(robot), robot.transport
-        if transport.get("fsa") != 2:
-            raise RobotError(
-                f"robot {robot.name}: transport.fsa is {transport.get('fsa')}; only actuators of "
-                "FSA version 2 are driven (N1)"
-            )
-        missing = [key for key in UNITS if transport.get(key) is None]
-        if missing:
-            raise RobotError(
-                f"robot {robot.name}: its vendor does not say what its actuators' gains are in "
-                "N·m/rad, nor what they do when commands stop; measure it, and write "
-                f"{', '.join(f'transport.{key}' for key in missing)} into {robot.path.name} with "
-                "its source"
-            )
-        addresses = facts.texts("actuators")
-        if network:
-            start = network.rpartition(".")[0]
-            addresses = tuple(f"{start}.{a.rpartition('.')[2]}" for a in addresses)
-        try:
-            addresses = tuple(str(ipaddress.IPv4Address(a)) for a in addresses)
-        except ValueError as error:
-            raise RobotError(f"robot {robot.name}: transport.actuators: {error}") from error
-        if len(set(addresses)) < len(addresses):
-            raise RobotError(f"robot {robot.name}: transport.actuators names an address twice")
-        signs = facts.numbers("actuator_sign", -1.0, 1.0)
-        if not (np.abs(signs) == 1.0).all():
-            raise RobotError(f"robot {robot.name}: transport.actuator_sign is not 1 or -1 for each")
-        known = transport.get("current_scale") is not None
+        facts = TransportFacts(robot)
+        complete(robot, 2, UNITS, WHY)
+        common = cls.facts(robot, network)
+        known = robot.transport.get("current_scale") is not None
+        signs = np.sign(common["degrees"])
         return cls(
-            robot.joint_names,
-            addresses,
-            facts.integer("port_fast", 1, 65535),
-            facts.number("rate_hz", 1.0, 1000.0),
-            np.rad2deg(signs),
-            facts.numbers("stiffness_scale", 1e-9, 1e9),
-            facts.numbers("damping_scale", 1e-9, 1e9),
-            signs * facts.numbers("current_scale", 1e-9, 1e9) if known else None,
-            facts.integer("timeout_mode", 0, 255),
+            **common,
+            kp=facts.numbers("stiffness_scale", 1e-9, 1e9),
+            kd=facts.numbers("damping_scale", 1e-9, 1e9),
+            current=signs * facts.numbers("current_scale", 1e-9, 1e9) if known else None,
+            timeout_mode=facts.integer("timeout_mode", 0, 255),
         )

@@ -28,6 +28,8 @@ from unicon_ros.hardware.fourier.codec import (
     TIMED_OUT,
     Actuators,
 )
+from unicon_ros.hardware.fourier.fsa1_codec import Servos
+from unicon_ros.hardware.fourier.fsa1_face import Fsa1Face
 from unicon_ros.hardware.udp import Udp
 
 __all__ = ["FourierFace", "face"]
@@ -80,6 +82,9 @@ class FourierFace:
     def __init__(self, states: States, actuators: Actuators) -> None:
         self._states, self._facts = states, actuators
         self.rate = 500.0
+        self.where = (
+            f"{actuators.addresses[0]}:{actuators.port} and {len(actuators.names) - 1} more"
+        )
         self._actuators = [Actuator() for _ in actuators.names]
         self._sockets: list[Udp] = []
         try:
@@ -174,7 +179,7 @@ class FourierFace:
             socket.close()
 
 
-def face(states: States, robot: Robot, *, address: str = "127.0.0.1") -> FourierFace:
+def face(states: States, robot: Robot, *, address: str = "127.0.0.1") -> FourierFace | Fsa1Face:
     """Return the robot's end of its protocol.
 
     Args:
@@ -187,4 +192,7 @@ def face(states: States, robot: Robot, *, address: str = "127.0.0.1") -> Fourier
         PlatformError: the address is wrong, or taken.
         RobotError: the robot file lacks a fact.
     """
-    return FourierFace(states, Actuators.of(robot, ipv4(address, "fourier")))
+    network = ipv4(address, "fourier")
+    if robot.transport.get("fsa") == 1:
+        return Fsa1Face(states, Servos.of(robot, network))
+    return FourierFace(states, Actuators.of(robot, network))

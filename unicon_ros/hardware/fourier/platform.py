@@ -1,4 +1,6 @@
-"""Platform `fourier`: robots of Fourier's FSA v2 actuators, each at an address of its own (N1).
+"""Platform `fourier`: robots of Fourier's FSA actuators, each at an address of its own.
+
+The robot file says the version: v2 (N1), or v1 (GR-1), which has no dead man and no PD mode.
 
 Their IMU is a serial device whose frames the vendor does not document: no state of the base.
 """
@@ -6,11 +8,14 @@ Their IMU is a serial device whose frames the vendor does not document: no state
 from __future__ import annotations
 
 from unicon_core.bounds import within
+from unicon_core.errors import PlatformError
 from unicon_core.platforms.platform import Facts
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_ros.hardware.facts import ipv4
 from unicon_ros.hardware.fourier.codec import Actuators
+from unicon_ros.hardware.fourier.fsa1_codec import Servos
+from unicon_ros.hardware.fourier.fsa1_wire import Fsa1Wire
 from unicon_ros.hardware.fourier.wire import FourierWire
 from unicon_ros.hardware.wired_robot import WiredRobot, opened
 
@@ -47,7 +52,7 @@ def make(
     address: str = "",
     connect: float = 5.0,
     silence: float = SILENCE,
-    dead_man: float = DEAD_MAN,
+    dead_man: float | None = None,
     silent: bool = False,
 ) -> Fourier:
     """Open the robot.
@@ -60,7 +65,8 @@ def make(
             127.0.0.1; the last number of each stays.
         connect: how long to wait until all have answered, [s].
         silence: of any actuator that is a fault, [s].
-        dead_man: after so long without a command each actuator lets go by itself, [s].
+        dead_man: after so long without a command each actuator of FSA v2 lets go by itself, [s];
+            0.2 unless said. Those of FSA v1 cannot.
         silent: nothing is sent but questions.
 
     Raises:
@@ -69,11 +75,16 @@ def make(
         WorkflowError: `dead_man` is out of range.
     """
     network = ipv4(address, "fourier") if address else ""
-    dead_man = within(dead_man, "dead_man", "s", 5.0, max(0.01, period))
-    wire = FourierWire(states, Actuators.of(robot, network), dead_man)
-    try:
-        built = Fourier(states, robot, period, wire, silence=silence, silent=silent)
-    except BaseException:
-        wire.close()
-        raise
-    return opened(built, connect)
+    wire: FourierWire | Fsa1Wire
+    if robot.transport.get("fsa") == 1:
+        if dead_man is not None:
+            raise PlatformError(
+                "platform 'fourier': dead_man is given, and actuators of FSA v1 have none; leave "
+                "it out, and write platform: {child: fourier}"
+            )
+        wire = Fsa1Wire(states, Servos.of(robot, network))
+    else:
+        limit = DEAD_MAN if dead_man is None else dead_man
+        limit = within(limit, "dead_man", "s", 5.0, max(0.01, period))
+        wire = FourierWire(states, Actuators.of(robot, network), limit)
+    return opened(Fourier(states, robot, period, wire, silence=silence, silent=silent), connect)

@@ -1,27 +1,26 @@
-"""FourierWire: a socket to each of Fourier's FSA actuators; for their platform.
-
-One tick asks, the next one takes. A frame is complete when every joint has answered; who has not
-stands in `where`, and so in the fault of a robot that is silent.
-"""
+"""FourierWire: the datagrams of Fourier's FSA v2 actuators; for their platform."""
 
 from __future__ import annotations
 
-import select
-import time
+import struct
+from functools import partial
 
 import numpy as np
 
 from unicon_core.errors import Fault
 from unicon_core.states import States
-from unicon_core.states.standard import HARDWARE_STATES
-from unicon_ros.hardware.answers import Answers
+from unicon_ros.hardware.fourier.actuator_wire import LARGEST, ActuatorWire
 from unicon_ros.hardware.fourier.codec import (
     ACKNOWLEDGED,
+    ACKNOWLEDGED_GAINS,
+    ARM_DEAD_MAN,
+    CLEAR_DEAD_MAN,
     COMMAND,
     COMMAND_TYPE,
-    DISABLE,
+    ENABLE,
     GAINS,
     GAINS_TYPE,
+    PD_MODE,
     STATE,
     STATE_TYPE,
     TEMPERATURE,
@@ -30,18 +29,42 @@ from unicon_ros.hardware.fourier.codec import (
     Actuators,
 )
 from unicon_ros.hardware.fourier.enabling import Enabling
-from unicon_ros.hardware.udp import Udp
-from unicon_ros.hardware.wire import Counts
 
 __all__ = ["FourierWire"]
 
-LARGEST = 1e6
-"""[deg], and of gains and currents: nothing beyond it is meant, and its float stays finite."""
 KIND_OF_ENCODER = 1, 0x03
 """Of `errors`: a word whose lowest two bits are no error."""
 
 
-class FourierWire:
+def acknowledged(code: int, payload: bytes, count: int) -> bytes:
+    """Return a setting whose answer has its count."""
+    return struct.pack(">BI", code, count) + payload
+
+
+def steps(dead_man: float, mode: int) -> list[tuple[str, partial[bytes]]]:
+    """Return how actuators are enabled.
+
+    Gains are zero before an actuator is enabled, so that it does not jump; the dead man is armed
+    last, since the first command follows at once.
+
+    Args:
+        dead_man: after so long without a command an actuator leaves for `mode`, [s].
+        mode: of operation.
+    """
+    limit = round(1e3 * dead_man)
+    wanted = [
+        # Of an earlier run: it would count on while nothing is commanded.
+        ("disarm the dead man", ARM_DEAD_MAN, struct.pack(">IIIII", 0, limit, mode, 0, 0)),
+        ("clear a time-out", CLEAR_DEAD_MAN, struct.pack(">I", 0)),
+        ("no gains", ACKNOWLEDGED_GAINS, struct.pack(">ff", 0.0, 0.0)),
+        ("PD mode", PD_MODE, b""),
+        ("enable", ENABLE, b""),
+        ("arm the dead man", ARM_DEAD_MAN, struct.pack(">IIIII", 1, limit, mode, 0, 0)),
+    ]
+    return [(f"{w!r} (code {code:#x})", partial(acknowledged, code, p)) for w, code, p in wanted]
+
+
+class FourierWire(ActuatorWire):
     """See the module.
 
     Args:
@@ -51,52 +74,19 @@ class FourierWire:
     """
 
     def __init__(self, states: States, actuators: Actuators, dead_man: float) -> None:
-        self._states, self._actuators, n = states, actuators, len(actuators.names)
-        self.counts = Counts()
-        self._labels = tuple(map("{} ({})".format, actuators.names, actuators.addresses))
-        self._enabling = Enabling(self._labels, self._tell, dead_man, actuators.timeout_mode)
+        super().__init__(states, actuators)
+        self._actuators, n = actuators, len(actuators.names)
+        wanted = steps(dead_man, actuators.timeout_mode)
+        self._enabling = Enabling(self._labels, wanted, self._tell)
         self._answers = bytearray(n * STATE_TYPE.itemsize)
         self._frames = np.frombuffer(self._answers, STATE_TYPE)
-        self._answered, self._new = Answers(self._labels), np.zeros(n, bool)
+        self._new = np.zeros(n, bool)
         self._errors = np.zeros((n, 8), np.uint32)
         self._commands = np.zeros(n, COMMAND_TYPE)
         self._commands["code"] = COMMAND
         self._gains = np.zeros(n, GAINS_TYPE)
         self._gains["code"] = GAINS
         self._sent_gains = np.full((2, n), np.nan, np.float32)
-        self._asked, self._turn, self._strangers = 0.0, 0, 0
-        hardware = {name: states[name] for name in HARDWARE_STATES if name in states}
-        self._hot, self._error = hardware.get("motor_temperature"), hardware.get("motor_error")
-        self._sockets: list[Udp] = []
-        try:
-            for label, address in zip(self._labels, actuators.addresses):
-                what = f"fourier: actuator {label}"
-                self._sockets.append(Udp(("0.0.0.0", 0), (address, actuators.port), what))
-        except BaseException:
-            self._let_go()
-            raise
-
-    @property
-    def where(self) -> str:
-        """The actuators that have not answered since all did last."""
-        return str(self._answered)
-
-    def _tell(self, joint: int, data: bytes | memoryview) -> None:
-        self._sockets[joint].send(data)
-
-    def take(self) -> int:
-        """See `Wire`."""
-        for joint, socket in enumerate(self._sockets):
-            for data in socket.received():
-                self._sort(joint, data)
-        strangers = sum(socket.strangers for socket in self._sockets)
-        self.counts.refused["of a stranger"] += strangers - self._strangers
-        self._strangers = strangers
-        self._measured()
-        self._ask()
-        complete = self._answered.complete()
-        self.counts.good += complete
-        return int(complete)
 
     def _sort(self, joint: int, data: bytes) -> None:
         code, size = data[0] if data else 0, len(data)
@@ -112,8 +102,8 @@ class FourierWire:
                 self._hot[joint] = celsius.max()
         elif size == ACKNOWLEDGED.itemsize and 0x51 <= code <= 0x66:
             answer = np.frombuffer(data, ACKNOWLEDGED)[0]
-            count, result = int(answer["count"]), int(answer["result"])
-            self._enabling.answered(joint, code, count, result)
+            result = int(answer["result"])  # 0 is taken for success
+            self._enabling.answered(joint, int(answer["count"]), str(result) if result else "")
         else:
             self.counts.refuse("not understood", f"code {code:#x}, {size} bytes")
 
@@ -144,26 +134,16 @@ class FourierWire:
         self._answered.heard |= good
 
     def _ask(self) -> None:
-        now = time.monotonic()
-        if now - self._asked < 0.9 / self._actuators.rate:
-            return
-        self._asked = now
         query = bytes([STATE])
         for socket in self._sockets:
             socket.send(query)
-        self._turn = (self._turn + 1) % len(self._sockets)
         self._sockets[self._turn].send(bytes([TEMPERATURE]))
 
     def prepare(self) -> str:
         """See `Prepared`: gains 0, PD mode, enabled, with the actuators' own dead man."""
-        joints = np.flatnonzero(self._errors.any(axis=1))
-        if len(joints) and not self._enabling.began:
-            words = " ".join(f"{word:#x}" for word in self._errors[joints[0]])
-            return (
-                f"actuator {self._labels[joints[0]]} tells an error: {words}; see the "
-                "vendor's list, and switch the robot off and on"
-            )
-        return self._enabling()
+        joints = np.flatnonzero(self._errors.any(axis=1)).tolist()
+        errors = {joint: " ".join(f"{word:#x}" for word in self._errors[joint]) for joint in joints}
+        return self._prepared(errors, self._enabling)
 
     def put(self) -> None:
         """See `Wire`.
@@ -178,7 +158,6 @@ class FourierWire:
             wanted = states[state] * actuators.degrees
             commands[field] = sent = np.clip(wanted, -LARGEST, LARGEST)
             beyond |= not np.array_equal(wanted, sent)
-        self.counts.clamped += beyond
         torque = states["joint_effort_ff"]
         if actuators.current is not None:
             commands["current"] = np.clip(torque * actuators.current, -LARGEST, LARGEST)
@@ -190,33 +169,25 @@ class FourierWire:
                 "(transport.current_scale)"
             )
         gains = self._gains
-        gains["kp"] = np.clip(states["joint_stiffness"] * actuators.kp, 0.0, LARGEST)
-        gains["kd"] = np.clip(states["joint_damping"] * actuators.kd, 0.0, LARGEST)
+        for field, wanted in (
+            ("kp", states["joint_stiffness"] * actuators.kp),
+            ("kd", states["joint_damping"] * actuators.kd),
+        ):
+            gains[field] = sent = np.clip(wanted, 0.0, LARGEST)
+            beyond |= not np.array_equal(wanted, sent)
+        self.counts.clamped += beyond
         both = np.array((gains["kp"], gains["kd"]), np.float32)
         changed = (both != self._sent_gains).any(axis=0)
         # Datagrams get lost and these are not repeated each tick: one joint's are, in turn.
         changed[self._turn] = True
         self._sent_gains = both
         size, data = GAINS_TYPE.itemsize, gains.view(np.uint8).data
-        for joint in np.flatnonzero(changed).tolist():
-            self._tell(joint, data[joint * size : (joint + 1) * size])
+        due, sockets = np.flatnonzero(changed).tolist(), self._sockets
+        datagrams = [(sockets[joint], data[joint * size : (joint + 1) * size]) for joint in due]
         size, data = COMMAND_TYPE.itemsize, commands.view(np.uint8).data
-        for joint in range(len(self._sockets)):
-            self._tell(joint, data[joint * size : (joint + 1) * size])
-
-    def wait(self, timeout: float) -> bool:
-        """See `Wire`."""
-        return bool(select.select(self._sockets, [], [], timeout)[0])
+        datagrams += [(one, data[i * size : (i + 1) * size]) for i, one in enumerate(sockets)]
+        self._tell_all(datagrams)
 
     def close(self) -> None:
         """See `Wire`: what we have enabled is off behind the damping."""
-        try:
-            if self._enabling.began:
-                for joint in range(len(self._sockets)):
-                    self._tell(joint, bytes([DISABLE]))
-        finally:
-            self._let_go()
-
-    def _let_go(self) -> None:
-        for socket in self._sockets:
-            socket.close()
+        self._close(self._enabling.began)

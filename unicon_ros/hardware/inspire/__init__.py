@@ -1,1 +1,1 @@
-"""Inspire RH56 hands (FTP) over Modbus TCP or RTU: platform `inspire` and its face."""
+"""Inspire RH56 hands, over Modbus or behind DDS services: platform `inspire` and its faces."""

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from unicon_core.robots import Robot
-from unicon_ros.hardware.modbus.reached import fact
+from unicon_ros.hardware.facts import TransportFacts
 from unicon_ros.hardware.modbus.registers import HandRegisters, Told
 
 __all__ = ["registers_of"]
@@ -17,23 +19,25 @@ def registers_of(robot: Robot) -> HandRegisters:
     Raises:
         RobotError: the robot file does not say them.
     """
-    open_, closed = float(fact(robot, "raw_lower")), float(fact(robot, "raw_upper"))
+    facts = TransportFacts(robot)
+    register = partial(facts.integer, least=0, most=0xFFFF)
+    open_, closed = (facts.number(key, -32768, 32767) for key in ("raw_lower", "raw_upper"))
     lower, upper = robot.lower.astype(np.float64), robot.upper.astype(np.float64)
     per_rad = (closed - open_) / (upper - lower)
     ends = np.array([[min(open_, closed)], [max(open_, closed)]]).astype(np.int64)
     lowest, highest = np.repeat(ends, robot.num_joints, axis=1)
     return HandRegisters(
-        unit=fact(robot, "device_id"),
-        target=fact(robot, "register_angle_set"),
-        angle=fact(robot, "register_angle_actual"),
+        unit=facts.integer("device_id", 0, 0xFF),
+        target=register("register_angle_set"),
+        angle=register("register_angle_actual"),
         at_zero=open_ - per_rad * lower,
         per_rad=per_rad,
         lowest=lowest,
         highest=highest,
         slow={
-            "motor_error": Told(fact(robot, "register_error"), bytes=True),
-            "motor_status": Told(fact(robot, "register_status"), bytes=True),
-            "motor_temperature": Told(fact(robot, "register_temperature"), bytes=True),
+            "motor_error": Told(register("register_error"), bytes=True),
+            "motor_status": Told(register("register_status"), bytes=True),
+            "motor_temperature": Told(register("register_temperature"), bytes=True),
         },
-        clear=(fact(robot, "register_clear_error"), 1),
+        clear=(register("register_clear_error"), 1),
     )

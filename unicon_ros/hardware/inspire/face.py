@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from unicon_core.robots import Robot
 from unicon_core.states import States
+from unicon_ros.hardware.facts import TransportFacts
 from unicon_ros.hardware.inspire.codec import registers_of
 from unicon_ros.hardware.modbus.served import HandFace, PtyServer, TcpServer
 
@@ -17,8 +18,9 @@ def face(
 
     Args:
         port: to listen at on loopback, 0 for any; None for the robot file's.
-        serial: it is reached over a pty, `face.server.device`.
+        serial: it is reached over a pty, `face.where`.
     """
-    told = robot.transport["port"] if port is None else port
-    server = PtyServer() if serial else TcpServer(int(told))
+    if port is None:
+        port = TransportFacts(robot).integer("port", 1, 65535)
+    server = PtyServer() if serial else TcpServer(port)
     return HandFace(states, registers_of(robot), server)

@@ -1,42 +1,76 @@
-"""Platform `inspire`: an Inspire RH56 hand over Modbus TCP or a serial line.
+"""Platform `inspire`: an Inspire RH56 hand, over whatever its robot file's protocol is.
 
     platform: {body: unitree, hands: inspire}
     platforms: {right_hand: {address: 192.168.11.211}}      # the robot file has the maker's address
 
-The hand closes its own position loop: stiffness and damping are not sent. It holds its last target
-for as long as it has power; there is nothing that would let go by itself.
+Protocol `inspire` is Modbus over TCP or a serial line; `inspire_ftp` and `inspire_dfx` are the DDS
+services in front of the two generations, and need the extra `hw-inspire`. The hand closes its own
+position loop: stiffness and damping are not sent. It holds its last target for as long as it has
+power; there is nothing that would let go by itself.
 """
 
 from __future__ import annotations
 
-from unicon_core.platforms.platform import Facts
+from dataclasses import replace
+from typing import Any
+
+from unicon_core.errors import PlatformError
+from unicon_core.platforms.platform import Binding, Facts
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_ros.hardware.inspire.codec import registers_of
+from unicon_ros.hardware.inspire.dds.wire import InspireDdsWire
 from unicon_ros.hardware.modbus.hand import HandWire
 from unicon_ros.hardware.modbus.reached import reached
+from unicon_ros.hardware.wire import Wire
 from unicon_ros.hardware.wired_robot import WiredRobot, opened
 
 __all__ = ["Inspire", "make"]
 
-NAME = "inspire"
+NAME, MODBUS = "inspire", "inspire"
+SILENCE = 0.2
+"""In [s]: 20 answers, or states, at 100 Hz."""
+TOLD = {
+    MODBUS: ("motor_error", "motor_status", "motor_temperature"),
+    "inspire_ftp": ("motor_error", "motor_temperature"),
+    "inspire_dfx": (),
+}
+"""Protocol to what is told besides joints."""
+
+
+def _facts(robot: Robot) -> Facts:
+    """Return what it writes of a robot."""
+    lacking = {*TOLD[MODBUS]} - {*TOLD[robot.transport["protocol"]]}
+    facts = Inspire.facts
+    return replace(facts, writes=tuple(name for name in facts.writes if name not in lacking))
+
+
+def _examined(states: States, robot: Robot, period: float, **options: Any) -> Binding:
+    return Binding(_facts(robot))
 
 
 class Inspire(WiredRobot):
-    """The hand as a platform; `joint_vel` is the difference of two measured angles."""
+    """One hand; build it with `make`. `joint_vel` is the difference of measured angles."""
 
     facts = Facts(
         NAME,
-        writes=(
-            "joint_pos",
-            "joint_vel",
-            "motor_error",
-            "motor_status",
-            "motor_temperature",
-            "stamp_ns",
-        ),
-        protocols=(NAME,),
+        writes=("joint_pos", "joint_vel", *TOLD[MODBUS], "stamp_ns"),
+        protocols=tuple(TOLD),
+        examine=_examined,
     )
+
+    def __init__(
+        self,
+        states: States,
+        robot: Robot,
+        period: float,
+        wire: Wire,
+        *,
+        silence: float,
+        silent: bool,
+    ) -> None:
+        self.facts = _facts(robot)
+        super().__init__(states, robot, period, wire, silence=silence, silent=silent)
 
 
 def make(
@@ -47,24 +81,43 @@ def make(
     address: str | None = None,
     port: int | None = None,
     device: str | None = None,
-    connect: float = 2.0,
-    silence: float = 0.2,
+    domain: int | None = None,
+    connect: float = 5.0,
+    silence: float = SILENCE,
     silent: bool = False,
 ) -> Inspire:
-    """Build the platform.
+    """Build the platform and wait for the hand.
 
     Args:
-        address: of Modbus TCP; None for the robot file's.
-        port: of Modbus TCP; None for the robot file's.
-        device: a serial line such as /dev/ttyUSB0, in place of TCP.
-        connect: how long to wait for the first answer, [s].
-        silence: of the hand that is a fault, [s].
-        silent: it is only read.
+        period: of a tick in [s].
+        address: of the hand over Modbus TCP, in place of the robot file's; over DDS that of this
+            machine's network interface to the robot, or its name, which else CycloneDDS chooses.
+        port: of Modbus TCP, in place of the robot file's.
+        device: a serial line such as /dev/ttyUSB0, in place of Modbus TCP.
+        domain: of DDS, in place of the robot file's.
+        connect: how long to wait for the hand's first word in [s].
+        silence: of the hand that is a fault, in [s].
+        silent: it is only listened to.
 
     Raises:
-        PlatformError: an option is wrong, or the hand does not answer.
-        RobotError: the robot file does not say a register.
+        MissingDependencyError: cyclonedds is not installed, and the hand is behind DDS.
+        RobotError: the robot file lacks a fact.
+        PlatformError: an option is wrong or of another protocol, or the hand does not tell.
     """
-    where, link = reached(robot, NAME, address, port, device)
-    wire = HandWire(states, registers_of(robot), link, where, silent=silent)
+    protocol = robot.transport["protocol"]
+    modbus = protocol == MODBUS
+    foreign = {"domain": domain} if modbus else {"port": port, "device": device}
+    for option, given in foreign.items():
+        if given is not None:
+            raise PlatformError(
+                f"platform {NAME!r}: {option} is an option of hands over "
+                f"{'DDS' if modbus else 'Modbus'}, and robot {robot.name} speaks {protocol}; leave "
+                "it out, or choose another robot file"
+            )
+    wire: Wire
+    if modbus:
+        where, link = reached(robot, NAME, address, port, device)
+        wire = HandWire(states, registers_of(robot), link, where, silent=silent)
+    else:
+        wire = InspireDdsWire(states, robot, domain, address, silent=silent)
     return opened(Inspire(states, robot, period, wire, silence=silence, silent=silent), connect)

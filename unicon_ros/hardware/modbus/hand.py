@@ -26,6 +26,7 @@ from unicon_ros.hardware.modbus.frames import (
 )
 from unicon_ros.hardware.modbus.link import Link
 from unicon_ros.hardware.modbus.registers import HandRegisters
+from unicon_ros.hardware.speed import Speed
 from unicon_ros.hardware.wire import Counts
 
 __all__ = ["HandWire"]
@@ -34,8 +35,8 @@ RATE = 100.0
 """Exchanges a second: the vendors' examples ask so often."""
 SLOW = 10
 """Every so many exchanges one of the slow blocks is read: temperatures and errors change slowly."""
-OVER_NS = 30_000_000
-"""Velocity is the difference of two angles so far apart, [ns]: a step of 1.7 mrad is 0.06 rad/s."""
+OVER = 0.03
+"""Velocity is the difference of two angles so far apart, [s]: a step of 1.7 mrad is 0.06 rad/s."""
 AGAIN = 0.1
 """Between two attempts to connect anew, [s]."""
 END = 1.0
@@ -71,7 +72,7 @@ class HandWire:
         silent: bool = False,
         first: Callable[[Link], None] | None = None,
     ) -> None:
-        self.counts, self.where, self.clamped = Counts(), where, 0
+        self.counts, self.where = Counts(), where
         self._registers, self._open, self._silent = registers, open_link, silent
         self._every = 1.0 / rate
         self._pos, self._target = states["joint_pos"], states["joint_pos_target"]
@@ -84,7 +85,7 @@ class HandWire:
         self._came = self._exchanges = 0
         self._newest: tuple[int, NDArray[np.float64]] | None = None
         self._told: dict[str, NDArray[np.int64]] = {}
-        self._past: deque[tuple[int, NDArray[np.float64]]] = deque()
+        self._speed = Speed(OVER)
         self._wanted: NDArray[np.uint16] | None = None
         self._ending = threading.Event()
         self._clear = "" if silent or registers.clear is None else "not asked"
@@ -117,12 +118,7 @@ class HandWire:
         if newest is None:
             return 0
         stamp, angles = newest
-        past = self._past
-        past.append(newest)
-        while len(past) > 2 and stamp - past[1][0] >= OVER_NS:
-            past.popleft()
-        before, then = past[0]
-        self._vel[...] = (angles - then) / ((stamp - before) * 1e-9) if stamp > before else 0.0
+        self._vel[...] = self._speed(stamp, angles)
         self._pos[...] = angles
         for name, values in told.items():
             # Errors of before the start are cleared by `prepare`, behind the gates.
@@ -134,7 +130,7 @@ class HandWire:
     def put(self) -> None:
         """Leave the targets for the next exchange."""
         raw, clamped = self._registers.raw(self._target)
-        self.clamped += clamped
+        self.counts.clamped += clamped
         with self._lock:
             if self._clear == "not asked":  # nobody prepares it: errors count from now on
                 self._clear = ""

@@ -10,6 +10,8 @@ import termios
 import time
 import tty
 from collections.abc import Callable
+from contextlib import suppress
+from functools import partial
 
 from unicon_core.errors import PlatformError
 from unicon_ros.hardware.modbus.frames import Frame, Framing, Refused, Rtu, Tcp
@@ -26,11 +28,12 @@ class Link:
     Args:
         file: its descriptor.
         framing: of its bytes.
-        close: lets go of it.
+        close: lets go of it; called once.
     """
 
     def __init__(self, file: int, framing: Framing, close: Callable[[], object]) -> None:
-        self._file, self._framing, self.close = file, framing, close
+        self._file, self._framing, self._close = file, framing, close
+        os.set_blocking(file, False)
         self._number = 0
         self._data = bytearray()
 
@@ -39,13 +42,13 @@ class Link:
 
         Raises:
             Refused: no answer in time, or another or a damaged one.
-            OSError: the connection is gone.
+            OSError: the connection is gone, or the other side takes nothing.
         """
         self._number = (self._number + 1) & 0xFFFF
         serial = isinstance(self._framing, Rtu)
         end = time.monotonic() + timeout
         self._drain()
-        os.write(self._file, self._framing.pack(Frame(self._number, unit, pdu)))
+        self._send(self._framing.pack(Frame(self._number, unit, pdu)), end)
         while True:
             frame = self._next()
             # One with an older number answers a request that was given up.
@@ -60,11 +63,29 @@ class Link:
             if frame is None:
                 self._receive()
 
+    def close(self) -> None:
+        """Let go, once: the number of a closed file may be another one's by now."""
+        close, self._close = self._close, lambda: None
+        close()
+
+    def _send(self, data: bytes, end: float) -> None:
+        while data:
+            with suppress(BlockingIOError):
+                data = data[os.write(self._file, data) :]
+                continue
+            left = end - time.monotonic()
+            if left <= 0.0 or not select.select([], [self._file], [], left)[1]:
+                # Half a request may have left: only a new connection begins at one.
+                raise TimeoutError("the other side takes nothing")
+
     def _readable(self, timeout: float) -> bool:
         return bool(select.select([self._file], [], [], timeout)[0])
 
     def _receive(self) -> None:
-        data = os.read(self._file, 4096)
+        try:
+            data = os.read(self._file, 4096)
+        except BlockingIOError:
+            return
         if not data:
             raise ConnectionResetError("closed by the other side")
         self._data += data
@@ -94,7 +115,6 @@ def open_tcp(address: str, port: int, timeout: float = 1.0) -> Link:
         OSError: nobody listens there.
     """
     connection = socket.create_connection((address, port), timeout)
-    connection.setblocking(True)
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     return Link(connection.fileno(), Tcp(), connection.close)
 
@@ -109,7 +129,8 @@ def open_serial(device: str, baudrate: int) -> Link:
     speed = getattr(termios, f"B{baudrate}", None)
     if speed is None:
         raise PlatformError(f"serial line {device}: no baud rate {baudrate}; usual is 115200")
-    file = os.open(device, os.O_RDWR | os.O_NOCTTY)
+    # Else it waits for a modem's carrier, which a hand has not.
+    file = os.open(device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         tty.setraw(file)
@@ -124,4 +145,11 @@ def open_serial(device: str, baudrate: int) -> Link:
     except OSError:
         os.close(file)
         raise
-    return Link(file, Rtu(), lambda: os.close(file))
+    return Link(file, Rtu(), partial(_close_serial, file))
+
+
+def _close_serial(file: int) -> None:
+    """Close a line; what nobody took is forgotten, for which it would wait."""
+    with suppress(termios.error):
+        termios.tcflush(file, termios.TCOFLUSH)
+    os.close(file)

@@ -74,11 +74,11 @@ class HandRegisters:
     slow: Mapping[str, Told] = field(default_factory=dict)
     clear: tuple[int, int] | None = None
 
-    def raw(self, angles: Float) -> tuple[NDArray[np.uint16], int]:
-        """Return the registers of angles [rad], shape (n,), and how many had to be clamped."""
+    def raw(self, angles: Float) -> tuple[NDArray[np.uint16], bool]:
+        """Return the registers of angles [rad], shape (n,), and whether one was clamped."""
         wanted = np.rint(self.at_zero + self.per_rad * angles)
         held = np.clip(wanted, self.lowest, self.highest)
-        clamped = int(np.count_nonzero(np.abs(held - wanted) > 1.0))
+        clamped = bool((np.abs(held - wanted) > 1.0).any())
         return held.astype(np.int16).view(np.uint16), clamped
 
     def angles(self, registers: NDArray[np.uint16]) -> NDArray[np.float64]:

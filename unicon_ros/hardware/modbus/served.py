@@ -42,6 +42,7 @@ class _Served:
 
     def __init__(self, file: int, framing: Framing) -> None:
         self.file, self._framing, self._data = file, framing, bytearray()
+        os.set_blocking(file, False)
 
     def serve(self, answer: Answer) -> bool:
         """Answer what has come; False once the client has gone."""
@@ -62,12 +63,21 @@ class _Served:
                 del self._data[:size]
                 told = answer(frame)
                 if told is not None:
-                    os.write(self.file, self._framing.pack(frame._replace(pdu=told)))
+                    self._tell(self._framing.pack(frame._replace(pdu=told)))
         except Refused:  # as the vendor's: no answer
             self._data.clear()
         except OSError:
-            return False
+            return isinstance(self._framing, Rtu)
         return True
+
+    def _tell(self, data: bytes) -> None:
+        """Send an answer.
+
+        Raises:
+            OSError: the client takes nothing any more; nobody waits for it.
+        """
+        if os.write(self.file, data) < len(data):
+            raise BlockingIOError
 
 
 class TcpServer:
@@ -75,12 +85,16 @@ class TcpServer:
 
     Args:
         port: 0 for any.
+
+    Attributes:
+        where: address and port.
     """
 
     def __init__(self, port: int = 0, address: str = "127.0.0.1") -> None:
         self._listening = socket.create_server((address, port))
         self._listening.setblocking(False)
         self.port = int(self._listening.getsockname()[1])
+        self.where = f"{address}:{self.port}"
         self._clients: list[tuple[socket.socket, _Served]] = []
 
     def serve(self, answer: Answer) -> None:
@@ -106,13 +120,13 @@ class PtyServer:
     """A serial line to nobody.
 
     Attributes:
-        device: to be opened by the driver.
+        where: the device, to be opened by the driver.
     """
 
     def __init__(self) -> None:
         self._master, self._slave = os.openpty()
         tty.setraw(self._slave)
-        self.device = os.ttyname(self._slave)
+        self.where = os.ttyname(self._slave)
         self._served = _Served(self._master, Rtu())
 
     def serve(self, answer: Answer) -> None:
@@ -135,6 +149,7 @@ class HandFace:
         extra: further registers and what they hold.
 
     Attributes:
+        where: address and port, or the serial line's device.
         memory: all registers.
         known: which of them there are.
         cleared: how often errors were cleared.
@@ -153,6 +168,7 @@ class HandFace:
         extra: dict[int, int] | None = None,
     ) -> None:
         self._states, self._registers, self.server = states, registers, server
+        self.where = server.where
         self.memory = np.zeros(0x10000, np.uint16)
         self.known = np.zeros(0x10000, np.bool_)
         self._joints = len(registers.at_zero)
@@ -214,7 +230,8 @@ class HandFace:
         if len(data) != 2 * count:
             return refusal(function, 3)
         self.memory[start : start + count] = np.frombuffer(data, ">u2")
-        self._heard |= start == self._registers.target
+        target = self._registers.target
+        self._heard |= start < target + self._joints and target < start + count
         if self._registers.clear and start == self._registers.clear[0]:
             self.cleared += 1
             if "motor_error" in self._states:

@@ -19,10 +19,10 @@ from unicon_core.robots import Robot
 from unicon_msgs_map import Decoder, Encoder
 from unicon_msgs_map.layout.messages import Struct, shared_messages
 from unicon_ros.hardware.dds.frames import Frames
-from unicon_ros.hardware.dds.inlet import newer
 from unicon_ros.hardware.dds.maps import COMMANDS, IMU, MEASURED, motors, publish, subscribe
+from unicon_ros.hardware.dds.participant import LARGEST_DOMAIN
 from unicon_ros.hardware.facts import TransportFacts
-from unicon_ros.hardware.wire import Counts
+from unicon_ros.hardware.wire import Counts, newer
 
 __all__ = ["COMMAND", "REMOTE", "STATES", "STATE_NAME", "Arrays", "LowStates", "PndFacts"]
 
@@ -32,7 +32,6 @@ STATES = {True: "pnd_adam/msg/LowState", False: "pnd_adam/msg/PlainLowState"}
 STATE_NAME = "pnd_adam.msg.dds_.LowState_"
 REMOTE = 19
 """Numbers of the remote."""
-LARGEST_DOMAIN = 230
 VOLTAGE, STATUS = 48.0, "=normal"
 """Of an emulated battery; what a real one says is not public."""
 Arrays = Mapping[str, NDArray[Any]]

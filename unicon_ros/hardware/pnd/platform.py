@@ -66,6 +66,4 @@ def make(
         PlatformError: the network cannot be used, or no frame came in time.
     """
     wire = PndWire(states, robot, domain, address, silent=silent)
-    with wire.closing():
-        built = Pnd(states, robot, period, wire, silence=silence, silent=silent)
-    return opened(built, connect)
+    return opened(Pnd(states, robot, period, wire, silence=silence, silent=silent), connect)

@@ -6,7 +6,7 @@ import numpy as np
 
 from unicon_core.blocks.controls.device import Controls
 from unicon_core.blocks.controls.remotes import pnd
-from unicon_core.platforms.kit.base import Mounting
+from unicon_core.platforms.kit.base import IMU_STATES, Mounting
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_ros.hardware.dds.end import DdsEnd
@@ -56,7 +56,7 @@ class PndWire(DdsEnd):
         own = {"remote": self._remote, "tick": np.zeros((), np.uint32)}
         arrays = arrays_of(states) | own
         self._controls = Controls(states) if "sticks" in states else None
-        self._mounting, self._states = Mounting.of(robot), states
+        self._mounting, self._imu = Mounting.of(robot), {name: states[name] for name in IMU_STATES}
         self._kinds = {
             battery: LowStates(facts, arrays, counts, battery=battery) for battery in STATES
         }
@@ -89,9 +89,6 @@ class PndWire(DdsEnd):
 
     def _measured(self) -> None:
         if self._mounting.turned:
-            states, mounting = self._states, self._mounting
-            states["base_quat"][...] = mounting.quat(states["base_quat"])
-            for name in ("base_ang_vel", "base_lin_acc"):
-                states[name][...] = mounting.vector(states[name])
+            self._mounting.turn(self._imu, self._imu)
         if self._controls is not None:
             pnd(self._remote, self._controls)

@@ -7,14 +7,15 @@ sections 4.1 to 4.3.
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import numpy as np
 
-from unicon_core.errors import PlatformError, RobotError
+from unicon_core.errors import PlatformError
 from unicon_core.robots import Robot
+from unicon_ros.hardware.facts import TransportFacts
 from unicon_ros.hardware.modbus.frames import read_answer, read_request
 from unicon_ros.hardware.modbus.link import Link
-from unicon_ros.hardware.modbus.reached import fact
 from unicon_ros.hardware.modbus.registers import HandRegisters, Told
 
 __all__ = ["check_protocol", "registers_of"]
@@ -26,22 +27,18 @@ def registers_of(robot: Robot) -> HandRegisters:
     Raises:
         RobotError: the robot file does not say them.
     """
-    scale = robot.transport.get("angle_scale")
-    if not isinstance(scale, float) or not 0.0 < scale <= 1.0:
-        raise RobotError(
-            f"robot {robot.name}: transport.angle_scale is {scale!r}; give degrees of a step in "
-            f"{robot.path}, such as 0.01"
-        )
-    per_rad = math.degrees(1.0) / scale
+    facts = TransportFacts(robot)
+    register = partial(facts.integer, least=0, most=0xFFFF)
+    per_rad = math.degrees(1.0) / facts.number("angle_scale", 1e-3, 1.0)
     return HandRegisters(
-        unit=fact(robot, "node_id"),
-        target=fact(robot, "register_angle_target"),
-        angle=fact(robot, "register_angle"),
+        unit=facts.integer("node_id", 0, 0xFF),
+        target=register("register_angle_target"),
+        angle=register("register_angle"),
         at_zero=np.zeros(robot.num_joints),
         per_rad=np.full(robot.num_joints, per_rad),
         lowest=np.ceil(robot.lower.astype(np.float64) * per_rad).astype(np.int64),
         highest=np.floor(robot.upper.astype(np.float64) * per_rad).astype(np.int64),
-        slow={"motor_status": Told(fact(robot, "register_status"))},
+        slow={"motor_status": Told(register("register_status"))},
     )
 
 
@@ -53,8 +50,10 @@ def check_protocol(link: Link, robot: Robot) -> None:
         Refused: it does not answer.
         OSError: the line is gone.
     """
-    register, expected = fact(robot, "register_protocol"), fact(robot, "protocol_major")
-    answer = link.exchange(fact(robot, "node_id"), read_request(register, 1), timeout=0.5)
+    facts = TransportFacts(robot)
+    expected, unit = (facts.integer(key, 0, 0xFF) for key in ("protocol_major", "node_id"))
+    request = read_request(facts.integer("register_protocol", 0, 0xFFFF), 1)
+    answer = link.exchange(unit, request, timeout=0.5)
     version = int(read_answer(answer, 1)[0])
     if version >> 8 != expected:
         raise PlatformError(

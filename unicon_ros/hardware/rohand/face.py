@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from unicon_core.robots import Robot
 from unicon_core.states import States
-from unicon_ros.hardware.modbus.reached import fact
+from unicon_ros.hardware.facts import TransportFacts
 from unicon_ros.hardware.modbus.served import HandFace, PtyServer
 from unicon_ros.hardware.rohand.codec import registers_of
 
@@ -12,10 +12,10 @@ __all__ = ["face"]
 
 
 def face(states: States, robot: Robot, *, version: int = 0x0100) -> HandFace:
-    """Return the face of a hand on a pty, `face.server.device`.
+    """Return the face of a hand on a pty, `face.where`.
 
     Args:
         version: of its protocol, the major one in the high byte.
     """
-    extra = {fact(robot, "register_protocol"): version}
+    extra = {TransportFacts(robot).integer("register_protocol", 0, 0xFFFF): version}
     return HandFace(states, registers_of(robot), PtyServer(), extra)

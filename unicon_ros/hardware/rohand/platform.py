@@ -38,7 +38,7 @@ def make(
     period: float,
     *,
     device: str | None = None,
-    connect: float = 2.0,
+    connect: float = 5.0,
     silence: float = 0.2,
     silent: bool = False,
 ) -> Rohand:

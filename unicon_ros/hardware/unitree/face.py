@@ -24,7 +24,9 @@ from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_msgs_map import Encoder
 from unicon_ros.emulate.remote import Remote
+from unicon_ros.hardware.dds.end import DdsEnd
 from unicon_ros.hardware.dds.frames import Frames
+from unicon_ros.hardware.dds.maps import arrays_of
 from unicon_ros.hardware.dds.participant import Participant
 from unicon_ros.hardware.torso import IMU_STATES, turned
 from unicon_ros.hardware.unitree.facts import UnitreeFacts
@@ -90,13 +92,14 @@ def face(
     return made
 
 
-class UnitreeFace:
+class UnitreeFace(DdsEnd):
     """What driver and vendor's SDK see of an emulated robot.
 
     Attributes:
         rate: of LowState in [Hz].
         dead_man: infinity unless given: what the robots do is not public.
         obeys: its own controller has let go.
+        where: topic and domain.
         mode: of that controller, "" where it has let go.
         counts: of commands.
         remote: the wireless remote's bytes, to be pressed.
@@ -115,7 +118,7 @@ class UnitreeFace:
         variant: int | None,
         dead_man: float | None,
     ) -> None:
-        self.rate, self.mode, self.counts = facts.rate, mode, Counts()
+        self.rate, self.mode, counts = facts.rate, mode, Counts()
         self.dead_man = math.inf if dead_man is None else dead_man
         self.remote = bytearray(REMOTE)
         self.held: Remote | None = None
@@ -124,38 +127,34 @@ class UnitreeFace:
         n = robot.num_joints
         defaults: dict[str, NDArray[Any]] = {
             "motor_temperature": np.full(n, TEMPERATURE, np.float32),
-            "motor_error": np.zeros(n, np.int32),
+            "motor_error": np.zeros(n, np.uint32),
             "battery_charge": np.ones((), np.float32),
             "battery_voltage": np.full((), VOLTAGE, np.float32),
             "foot_force": np.zeros(4, np.float32),
         }
         own = own_arrays(robot) | {"remote": np.frombuffer(self.remote, np.uint8)}
-        arrays = defaults | {name: states[name] for name in states} | own
+        arrays = defaults | arrays_of(states) | own
         self._imu = {name: np.array(states[name]) for name in IMU_STATES}
         if facts.waist is not None:
             arrays |= self._imu
         self._tick, self._pairs = own["tick"], own["temperatures"].reshape(-1, 2)
-        self._heat, self._error = arrays["motor_temperature"], arrays["motor_error"]
-        self._errors = own["errors"]
+        self._heat = arrays["motor_temperature"]
         own["mode_machine"][...] = (facts.mode_machine or 0) if variant is None else variant
-        self._encode = Encoder.build(state_out(facts, arrays), arrays).encode
+        encode = Encoder.build(state_out(facts, arrays), arrays).encode
         heard = {name: np.zeros(n, np.float32) for name in COMMAND_STATES} | own_arrays(robot)
         self._heard: Mapping[str, NDArray[Any]] = heard
         self._variant = own["mode_machine"]
         self._modes = np.zeros(n, np.uint8)
         for run in facts.driven:
             self._modes[slice(*run.joints)] = run.mode
-        self._frames = Frames(command_in(facts), heard, self.counts)
-        self._participant = Participant(domain, address, LABEL)
-        try:
-            make = self._participant
-            self._writer = make.writer(facts.state_topic, facts.message("LowState"))
-            self._reader = make.reader(facts.command_topic, facts.message("LowCmd"))
+        self._frames = Frames(command_in(facts), heard, counts)
+        where = f"{facts.command_topic} of DDS domain {domain}"
+        super().__init__(Participant(domain, address, LABEL), where, counts)
+        with self.closing():
+            self.speak(facts.state_topic, facts.message("LowState"), encode)
+            self.listen(facts.command_topic, facts.message("LowCmd"), self, anyone=True)
             services = [SWITCHER, *([facts.release[0][0]] if facts.release[0] else [])]
-            self._servers = {name: Server(make, name) for name in services}
-        except BaseException:
-            self._participant.close()
-            raise
+            self._servers = {name: Server(self.participant, name) for name in services}
 
     @property
     def obeys(self) -> bool:
@@ -172,19 +171,25 @@ class UnitreeFace:
             angle, rate = (-float(states[name][waist]) for name in ("joint_pos", "joint_vel"))
             turned({name: states[name] for name in IMU_STATES}, self._imu, angle, rate)
         self._pairs[...] = self._heat[:, None]
-        self._errors[...] = self._error
-        self._writer.write(self._encode())
+        self.put()
 
     def hear(self) -> bool:
         """Answer requests, and bring the newest good command into the command states."""
         for service, server in self._servers.items():
             for asked in server.asked():
                 self._answer(service, server, asked)
-        came = False
-        for raw, info in self._reader.take():
-            if info.valid_data and self._frames.good(raw) and self._frames.read(raw):
-                came |= self._accepted()
-        return came
+        return bool(self.take())
+
+    def good(self, raw: bytes) -> bool:
+        """Tell whether a command acts; count what does not."""
+        return self._frames.good(raw) and self._frames.read(raw) and self._accepted()
+
+    def read(self, raw: bytes) -> bool:
+        """Bring a command that acts into the command states."""
+        read = self._frames.read(raw)
+        for name in COMMAND_STATES if read else ():
+            self._states[name][...] = self._heard[name]
+        return read
 
     def _accepted(self) -> bool:
         heard = self._heard
@@ -197,9 +202,6 @@ class UnitreeFace:
         if not self.obeys:
             self.counts.refuse("its own controller commands", f"mode {self.mode}")
             return False
-        self.counts.good += 1
-        for name in COMMAND_STATES:
-            self._states[name][...] = heard[name]
         return True
 
     def _answer(self, service: str, server: Server, asked: Any) -> None:
@@ -216,7 +218,7 @@ class UnitreeFace:
             server.reply(asked, NOT_IMPLEMENTED)
 
     def close(self) -> None:
-        """Leave the domain."""
+        """Let go of the remote, and leave the domain."""
         if self.held is not None:
             self.held.close()
-        self._participant.close()
+        super().close()

@@ -6,15 +6,15 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from unicon_core.errors import RobotError
 from unicon_core.robots import Robot
 from unicon_msgs_map.layout.messages import Array, Struct, shared_messages
+from unicon_ros.hardware.dds.participant import LARGEST_DOMAIN
+from unicon_ros.hardware.facts import TransportFacts
 
 __all__ = ["PROTOCOLS", "Run", "UnitreeFacts"]
 
 PROTOCOLS = ("unitree_go", "unitree_hg")
 OCTET = 255
-DOMAIN = 0
 
 
 @dataclass(frozen=True)
@@ -89,121 +89,85 @@ class UnitreeFacts:
         Raises:
             RobotError: one lacks, or is not what it must be.
         """
-        read = _Reading(robot)
-        protocol = read.transport.get("protocol")
-        if protocol not in PROTOCOLS:
-            raise read.wrong("protocol", f"one of {', '.join(PROTOCOLS)}")
+        said, facts = robot.transport, TransportFacts(robot)
+        protocol = facts.one_of("protocol", PROTOCOLS)
         go = protocol == "unitree_go"
         array = shared_messages().struct(f"{protocol}/msg/LowCmd").fields["motor_cmd"]
         assert isinstance(array, Array)
         assert array.length is not None
         constants: dict[str, Any] = {}
         if go:
-            head = read.transport.get("head")
-            if not isinstance(head, list) or len(head) != 2 or not all(map(_octet, head)):
-                raise read.wrong("head", "two bytes")
-            constants = {"head": head, "level_flag": read.octet("level_flag")}
+            head = list(facts.integers("head", 2, 0, OCTET))
+            constants = {"head": head, "level_flag": facts.integer("level_flag", 0, OCTET)}
         else:
-            constants = {"mode_pr": read.octet("mode_pr")}
-        runs = tuple(read.runs(array.length, go))
+            constants = {"mode_pr": facts.integer("mode_pr", 0, OCTET)}
+        runs = tuple(_runs(robot, facts, array.length, go))
         for run in runs:
             idle = run.joint < 0
             for k in range(*run.slots):
                 constants[f"motor_cmd[{k}].mode"] = run.mode
                 if idle and go:
-                    constants[f"motor_cmd[{k}].q"] = read.number("pos_stop")
-                    constants[f"motor_cmd[{k}].dq"] = read.number("vel_stop")
-        waist = read.transport.get("waist_joint")
-        if waist is not None and waist not in robot.joint_names:
-            raise read.wrong("waist_joint", "one of the joints")
+                    constants[f"motor_cmd[{k}].q"] = facts.number("pos_stop", 1.0, 1e10)
+                    constants[f"motor_cmd[{k}].dq"] = facts.number("vel_stop", 1.0, 1e10)
+        waist = None
+        if said.get("waist_joint") is not None:
+            waist = robot.joint_names.index(facts.one_of("waist_joint", robot.joint_names))
+        known = said.get("mode_machine") is not None
         return cls(
             protocol,
-            read.whole("domain", DOMAIN),
-            read.text("state_topic"),
-            read.text("command_topic"),
-            read.number("rate_hz"),
+            facts.integer("domain", 0, LARGEST_DOMAIN),
+            facts.text("state_topic"),
+            facts.text("command_topic"),
+            facts.number("rate_hz", 1.0, 10_000.0),
             runs,
             constants,
-            None if waist is None else robot.joint_names.index(waist),
-            read.transport.get("battery") is True,
-            read.release(),
-            None if read.transport.get("mode_machine") is None else read.octet("mode_machine"),
+            waist,
+            said.get("battery") is True,
+            _release(said, facts),
+            facts.integer("mode_machine", 0, OCTET) if known else None,
         )
 
 
-def _octet(value: object) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= OCTET
+def _release(
+    transport: Mapping[str, Any], facts: TransportFacts
+) -> tuple[tuple[str, int] | None, float]:
+    """Return how the robot's own controller is asked to let go."""
+    said = transport.get("release")
+    if not isinstance(said, dict) or not isinstance(said.get("wait"), (int, float)):
+        raise facts.wrong("release", "{wait: seconds}, with before: [service, number] if any")
+    before = said.get("before")
+    if before is None:
+        return None, float(said["wait"])
+    if not isinstance(before, list) or [*map(type, before)] != [str, int]:
+        raise facts.wrong("release", "before: [service, number], such as [sport, 1005]")
+    return (before[0], before[1]), float(said["wait"])
 
 
-class _Reading:
-    """Reads single facts, with an error that names file and key."""
-
-    def __init__(self, robot: Robot) -> None:
-        self.robot, self.transport = robot, robot.transport
-
-    def wrong(self, key: str, wanted: str) -> RobotError:
-        value = self.transport.get(key)
-        return RobotError(f"{self.robot.path}: transport.{key} is {value!r}; give {wanted}")
-
-    def text(self, key: str) -> str:
-        value = self.transport.get(key)
-        if not isinstance(value, str) or not value:
-            raise self.wrong(key, "the topic's name")
-        return value
-
-    def number(self, key: str) -> float:
-        value = self.transport.get(key)
-        if isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise self.wrong(key, "a number")
-        return float(value)
-
-    def whole(self, key: str, default: int) -> int:
-        value = self.transport.get(key, default)
-        if isinstance(value, bool) or not isinstance(value, int):
-            raise self.wrong(key, "a whole number")
-        return value
-
-    def octet(self, key: str) -> int:
-        value = self.transport.get(key)
-        if not _octet(value):
-            raise self.wrong(key, f"0 to {OCTET}")
-        return int(value)  # type: ignore[arg-type]
-
-    def release(self) -> tuple[tuple[str, int] | None, float]:
-        """How the robot's own controller is asked to let go."""
-        said = self.transport.get("release")
-        if not isinstance(said, dict) or not isinstance(said.get("wait"), (int, float)):
-            raise self.wrong("release", "{wait: seconds}, with before: [service, number] if any")
-        before = said.get("before")
-        if before is None:
-            return None, float(said["wait"])
-        if not isinstance(before, list) or [*map(type, before)] != [str, int]:
-            raise self.wrong("release", "before: [service, number], such as [sport, 1005]")
-        return (before[0], before[1]), float(said["wait"])
-
-    def runs(self, slots: int, go: bool) -> Iterator[Run]:
-        """Return all slots of LowCmd as runs, in their order."""
-        joints = self.robot.num_joints
-        motors = self.transport.get("motors") or list(range(joints))
-        fits = isinstance(motors, list) and len(motors) == joints == len(set(motors))
-        if not fits or not all(isinstance(m, int) and 0 <= m < slots for m in motors):
-            raise self.wrong("motors", f"{joints} different slots of 0 to {slots - 1}")
-        said = self.transport.get("motor_mode")
-        modes: list[Any] = said if isinstance(said, list) else [said] * joints
-        if len(modes) != joints or not all(map(_octet, modes)):
-            raise self.wrong("motor_mode", f"a byte, or {joints} of them")
-        unused = self.transport.get("unused_slots") or {}
-        if not isinstance(unused, dict) or not all(map(_octet, unused.values())):
-            raise self.wrong("unused_slots", "slot: mode")
-        idle = int(said) if go and _octet(said) else 0  # type: ignore[arg-type]
-        joint_of = {motor: joint for joint, motor in enumerate(motors)}
-        joint = [joint_of.get(slot, -1) for slot in range(slots)]
-        mode: list[int] = [
-            modes[j] if j >= 0 else unused.get(slot, idle) for slot, j in enumerate(joint)
-        ]
-        start = 0
-        for slot in range(1, slots + 1):
-            follower = joint[start] + slot - start if joint[start] >= 0 else -1
-            if slot == slots or (joint[slot], mode[slot]) != (follower, mode[start]):
-                yield Run((start, slot), joint[start], mode[start])
-                start = slot
+def _runs(robot: Robot, facts: TransportFacts, slots: int, go: bool) -> Iterator[Run]:
+    """Return all slots of LowCmd as runs, in their order."""
+    joints, transport = robot.num_joints, robot.transport
+    motors = tuple(range(joints))
+    if transport.get("motors") or joints > slots:
+        motors = facts.slots("motors", slots)
+    if isinstance(transport.get("motor_mode"), list):
+        modes = facts.integers("motor_mode", joints, 0, OCTET)
+        idle = 0
+    else:
+        modes = (facts.integer("motor_mode", 0, OCTET),) * joints
+        idle = modes[0] if go else 0
+    unused = transport.get("unused_slots") or {}
+    if not isinstance(unused, dict):
+        raise facts.wrong("unused_slots", "{slot: mode, …}")
+    if unused:
+        unused = facts.mapping("unused_slots", tuple(unused), 0, OCTET)
+    joint_of = {motor: joint for joint, motor in enumerate(motors)}
+    joint = [joint_of.get(slot, -1) for slot in range(slots)]
+    mode: list[int] = [
+        modes[j] if j >= 0 else unused.get(slot, idle) for slot, j in enumerate(joint)
+    ]
+    start = 0
+    for slot in range(1, slots + 1):
+        follower = joint[start] + slot - start if joint[start] >= 0 else -1
+        if slot == slots or (joint[slot], mode[slot]) != (follower, mode[start]):
+            yield Run((start, slot), joint[start], mode[start])
+            start = slot

@@ -1,8 +1,8 @@
 """The message maps of LowState and LowCmd, made of a robot file; for both ends of the wire.
 
 The names on our side are states, and a few arrays that driver and emulator have of their own:
-`tick`, `mode_machine`, `mode_pr`, `modes` and `errors` (of motors), `temperatures` (two of each
-motor) and `remote` (40 bytes).
+`tick`, `mode_machine`, `mode_pr`, `modes` (of motors), `temperatures` (two of each motor) and
+`remote` (40 bytes).
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ def _state(facts: UnitreeFacts, known: Container[str], percent: float) -> dict[s
             fields["bms_state.soc"] = {"state": "battery_charge", "scale": percent}
             fields["power_v"] = "battery_voltage"
     else:
-        motors["motorstate"] = "errors"
+        motors["motorstate"] = "motor_error"
         fields["mode_machine"] = "mode_machine"
     for run in facts.driven:
         for key, state in motors.items():

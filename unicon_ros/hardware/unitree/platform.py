@@ -17,23 +17,22 @@ from unicon_core.errors import PlatformError
 from unicon_core.platforms.platform import Binding, Facts
 from unicon_core.robots import Robot
 from unicon_core.states import States
-from unicon_core.states.standard import HARDWARE_STATES, JOINT_STATES
-from unicon_ros.hardware.torso import IMU_STATES
+from unicon_core.states.standard import CONTROL_STATES, HARDWARE_STATES
 from unicon_ros.hardware.unitree.facts import PROTOCOLS, UnitreeFacts
-from unicon_ros.hardware.unitree.wire import LABEL, UnitreeWire
+from unicon_ros.hardware.unitree.wire import FOOT_FORCE, LABEL, TOLD, UnitreeWire
 from unicon_ros.hardware.wired_robot import SILENCE, WiredRobot, opened
 
 __all__ = ["Unitree", "make"]
 
 SIMULATOR = "unitree_mujoco"
-REMOTE = ("wireless_remote", "foot_force")
+REMOTE = ("wireless_remote", FOOT_FORCE)
 """States that it writes where a workflow declares them: 40 bytes; four forces, without a unit."""
 
 
 def _facts(robot: Robot, states: States, peer: str) -> Facts:
     """Return what it writes of a robot."""
     facts = UnitreeFacts.of(robot)
-    lacking = {"motor_error"} if facts.go else {"foot_force"}
+    lacking = {"motor_error"} if facts.go else {FOOT_FORCE}
     if not facts.battery:
         lacking |= {"battery_charge", "battery_voltage"}
     if peer == SIMULATOR:  # it sends zeros, of a battery too
@@ -52,7 +51,7 @@ class Unitree(WiredRobot):
 
     facts = Facts(
         "unitree",
-        writes=(*JOINT_STATES, *IMU_STATES, "projected_gravity", "stamp_ns", *HARDWARE_STATES),
+        writes=(*TOLD, "projected_gravity", "stamp_ns", *CONTROL_STATES),
         protocols=PROTOCOLS,
         examine=_examined,
     )
@@ -126,9 +125,5 @@ def make(
         release=real,
         silent=silent,
     )
-    try:
-        built = Unitree(states, robot, period, wire, peer=peer, silence=silence, silent=silent)
-    except BaseException:
-        wire.close()
-        raise
+    built = Unitree(states, robot, period, wire, peer=peer, silence=silence, silent=silent)
     return opened(built, connect)

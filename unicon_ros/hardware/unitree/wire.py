@@ -14,10 +14,13 @@ from unicon_core.errors import Fault
 from unicon_core.platforms.kit.base import Mounting
 from unicon_core.robots import Robot
 from unicon_core.states import States
-from unicon_core.states.standard import HARDWARE_STATES
+from unicon_core.states.stacked import spans
+from unicon_core.states.standard import HARDWARE_STATES, JOINT_STATES
 from unicon_msgs_map import Decoder, Encoder
+from unicon_ros.hardware.dds.end import DdsEnd
 from unicon_ros.hardware.dds.frames import Frames
-from unicon_ros.hardware.dds.inlet import Inlet, newer
+from unicon_ros.hardware.dds.inlet import newer
+from unicon_ros.hardware.dds.maps import arrays_of
 from unicon_ros.hardware.dds.participant import Participant
 from unicon_ros.hardware.torso import IMU_STATES, turned
 from unicon_ros.hardware.unitree.facts import UnitreeFacts
@@ -25,9 +28,11 @@ from unicon_ros.hardware.unitree.maps import command_out, head_in, state_in
 from unicon_ros.hardware.unitree.release import Release
 from unicon_ros.hardware.wire import Counts
 
-__all__ = ["LABEL", "UnitreeWire", "own_arrays"]
+__all__ = ["FOOT_FORCE", "LABEL", "TOLD", "UnitreeWire", "own_arrays"]
 
 LABEL = "platform 'unitree'"
+TOLD, FOOT_FORCE = (*JOINT_STATES, *IMU_STATES, *HARDWARE_STATES), "foot_force"
+"""States that LowState tells, those that are there."""
 REMOTE = 40
 """Bytes of the wireless remote."""
 
@@ -41,11 +46,10 @@ def own_arrays(robot: Robot) -> dict[str, NDArray[Any]]:
         "mode_pr": np.zeros((), np.uint8),
         "modes": np.zeros(n, np.uint8),
         "temperatures": np.zeros(2 * n, np.int16),
-        "errors": np.zeros(n, np.uint32),
     }
 
 
-class UnitreeWire:
+class UnitreeWire(DdsEnd):
     """The connection to a robot, or to what looks like one.
 
     Args:
@@ -59,8 +63,6 @@ class UnitreeWire:
         silent: nothing is sent.
 
     Attributes:
-        counts: of what came in.
-        where: topic and domain.
         remote: the wireless remote's bytes, as they came last.
         variant: what the robot tells of itself, {} before its first frame.
 
@@ -80,56 +82,43 @@ class UnitreeWire:
         release: bool = True,
         silent: bool = False,
     ) -> None:
-        self.counts = Counts()
-        self.where = f"{facts.state_topic} of DDS domain {domain}"
+        counts = Counts()
         self.remote = bytearray(REMOTE)
         self.variant: Mapping[str, Any] = {}
-        self._facts, self._states, self._checked = facts, states, checked
+        self._facts, self._checked, self._last = facts, checked, -1
         own = own_arrays(robot) | {"remote": np.frombuffer(self.remote, np.uint8)}
-        arrays: dict[str, NDArray[Any]] = {name: states[name] for name in states} | own
         self._tick, self._mode = own["tick"], own["mode_machine"]
-        self._imu: dict[str, NDArray[Any]] = {}
+        told = {name for name in (*TOLD, FOOT_FORCE) if name in states}
+        told -= set() if checked else set(HARDWARE_STATES)
+        staged = States(states.layout)  # what is read waits here for the tick
+        self._read = {name: array for name, array in arrays_of(staged).items() if name in told}
+        into, out_of = (memoryview(each.buffer.data) for each in (states, staged))
+        self._tell = [(into[span], out_of[span]) for span in spans(states.layout, told)]
+        arrays = self._read | own
         self._mounting = Mounting.of(robot)
-        if facts.waist is not None or self._mounting.turned:
-            self._imu = {name: np.array(states[name]) for name in IMU_STATES}
-            arrays |= self._imu
-        self._hottest: NDArray[Any] | None = None
-        self._errors: tuple[NDArray[Any], ...] = ()
-        if not facts.go and "motor_error" in states:  # an int32, which is not 0 either
-            self._errors = states["motor_error"], own["errors"].view(np.int32)
-        if not facts.go and "motor_temperature" in states:
-            self._hottest = states["motor_temperature"]
-            self._pairs = own["temperatures"][0::2], own["temperatures"][1::2]
-        told = arrays.keys() - {"tick", "mode_machine"}  # the head's
-        if not checked:
-            told -= set(HARDWARE_STATES)
-        read = state_in(facts, told)
-        self._frames = Frames(read, arrays, self.counts, checked=checked, orientation="base_quat")
+        self._pairs = own["temperatures"][0::2], own["temperatures"][1::2]
+        # Number and variant are the head's.
+        read = state_in(facts, arrays.keys() - {"tick", "mode_machine"})
+        self._frames = Frames(read, arrays, counts, checked=checked, orientation="base_quat")
         self._head = Decoder.build(head_in(facts), arrays)
-        self._bytes = own["remote"]
-        self._remote: NDArray[Any] | None = None
         if "wireless_remote" in states:
-            self._remote = states["wireless_remote"]
+            self._tell.append((memoryview(states["wireless_remote"].data), memoryview(self.remote)))
         self._controls = Controls(states) if "sticks" in states else None
-        self._encode = Encoder.build(command_out(facts), arrays).encode
-        self._last = -1
-        self.participant = Participant(domain, address, LABEL)
-        try:
-            self._reader = self.participant.reader(facts.state_topic, facts.message("LowState"))
-            self._inlet = Inlet(
-                self._reader, self._good, self._frames.read, self.counts, self.where, self._forget
-            )
-            self.participant.watch()
-            self._writer = None
-            self._release: Release | None = None
+        self._release: Release | None = None
+        super().__init__(
+            Participant(domain, address, LABEL),
+            f"{facts.state_topic} of DDS domain {domain}",
+            counts,
+            ahead=True,
+        )
+        with self.closing():
+            self.listen(facts.state_topic, facts.message("LowState"), self, forget=self._forget)
+            self.watch(facts.command_topic)
             if not silent:
-                command = facts.message("LowCmd")
-                self._writer = self.participant.writer(facts.command_topic, command)
+                encode = Encoder.build(command_out(facts), arrays_of(states) | own).encode
+                self.speak(facts.command_topic, facts.message("LowCmd"), encode)
                 if release:
                     self._release = Release(self.participant, *facts.release, LABEL)
-        except BaseException:
-            self.participant.close()
-            raise
 
     def take(self) -> int:
         """Bring the newest good frame into the states; return how many good ones have come.
@@ -137,19 +126,22 @@ class UnitreeWire:
         Raises:
             Fault: the robot's variant is another one than it was.
         """
-        number = self._inlet.take()
+        number = super().take()
         if number:
-            self._measured()
+            for state, value in self._tell:
+                state[:] = value
+            if self._controls is not None:
+                held(self.remote, self._controls)
         return number
 
     def _forget(self) -> None:
         self._last = -1
 
-    def _good(self, raw: bytes) -> bool:
+    def good(self, raw: bytes) -> bool:
+        """Tell whether a frame may be read, by its form, number and variant."""
         return self._frames.good(raw) and self._new(raw)
 
     def _new(self, raw: bytes) -> bool:
-        """Look at the number and the variant of a frame."""
         if not self._head.decode(raw):
             self.counts.refuse("impossible values", self._head.last_error)
             return False
@@ -172,55 +164,19 @@ class UnitreeWire:
             self.variant = {"protocol": self._facts.protocol}
         return True
 
-    def _measured(self) -> None:
-        """Bring what the robot tells in another form into the states."""
-        states, facts = self._states, self._facts
-        if self._imu:
-            imu, mounting = self._imu, self._mounting
-            if mounting.turned:
-                imu["base_quat"][...] = mounting.quat(imu["base_quat"])
-                for name in ("base_ang_vel", "base_lin_acc"):
-                    imu[name][...] = mounting.vector(imu[name])
-            angle = rate = 0.0
-            if facts.waist is not None:
-                angle, rate = (float(states[n][facts.waist]) for n in ("joint_pos", "joint_vel"))
-            turned(imu, {name: states[name] for name in IMU_STATES}, angle, rate)
-        if self._hottest is not None:
-            np.maximum(*self._pairs, out=self._hottest)
-        if self._errors:
-            self._errors[0][...] = self._errors[1]
-        if self._remote is not None:
-            self._remote[...] = self._bytes
-        if self._controls is not None:
-            held(self.remote, self._controls)
-
-    def put(self) -> None:
-        """Send the command states.
-
-        Raises:
-            Fault: CycloneDDS refuses it.
-        """
-        assert self._writer is not None
-        self._writer.write(self._encode())
-
-    def warm_up(self) -> None:
-        """Do what `put` does up to the sending, and sum up the last frame once more."""
-        self._frames.warm_up()
-        self._encode()
+    def read(self, raw: bytes) -> bool:
+        """Read a good frame, and bring what it tells in another form into that of the states."""
+        if not self._frames.read(raw):
+            return False
+        values, waist = self._read, self._facts.waist
+        if self._mounting.turned:
+            self._mounting.turn(values, values)
+        if waist is not None:
+            turned(values, values, *(float(values[n][waist]) for n in ("joint_pos", "joint_vel")))
+        if not self._facts.go and "motor_temperature" in values:
+            np.maximum(*self._pairs, out=values["motor_temperature"])
+        return True
 
     def prepare(self) -> str:
         """Let the robot's own controller let go; return what is waited for, "" at the end."""
         return "" if self._release is None else self._release()
-
-    def commanders(self) -> dict[str, int]:
-        """Return the topic of commands, with the number of others that write there."""
-        topic = self._facts.command_topic
-        return {topic: self.participant.others(topic)}
-
-    def wait(self, timeout: float) -> bool:
-        """Return True once a frame is there, False after `timeout` in [s]."""
-        return self._reader.wait(timeout)
-
-    def close(self) -> None:
-        """Leave the domain."""
-        self.participant.close()

@@ -19,6 +19,7 @@ from unicon_msgs_map import Encoder
 from unicon_msgs_map.layout.messages import Struct, shared_messages
 from unicon_ros.hardware.dds.frames import Frames
 from unicon_ros.hardware.dds.maps import COMMANDS, MEASURED, motors, publish, subscribe
+from unicon_ros.hardware.dds.participant import LARGEST_DOMAIN
 from unicon_ros.hardware.facts import TransportFacts
 from unicon_ros.hardware.wire import Counts
 
@@ -28,7 +29,6 @@ COMMAND, STATE = "unitree_hg/msg/HandCmd", "unitree_hg/msg/HandState"
 MOTORS, SENSORS = 7, 9
 """Lengths of the sequences (same example: MOTOR_MAX, SENSOR_MAX)."""
 TIMEOUT = 1 << 7
-LARGEST_DOMAIN = 230
 Arrays = Mapping[str, NDArray[Any]]
 
 

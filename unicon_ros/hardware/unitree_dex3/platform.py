@@ -60,6 +60,4 @@ def make(
         PlatformError: the network cannot be used, or no frame came in time.
     """
     wire = Dex3Wire(states, robot, domain, address, silent=silent)
-    with wire.closing():
-        built = Dex3(states, robot, period, wire, silence=silence, silent=silent)
-    return opened(built, connect)
+    return opened(Dex3(states, robot, period, wire, silence=silence, silent=silent), connect)

@@ -201,7 +201,7 @@ class CommandFrame(Frame):
         encrypted: with the other checksum.
 
     Attributes:
-        clamped: figures so far that the wire could not hold.
+        clamped: commands so far with a figure that the wire could not hold.
     """
 
     def __init__(
@@ -253,7 +253,7 @@ class CommandFrame(Frame):
         asked[0], asked[1], asked[2] = effort, stiffness, damping
         np.maximum(asked, self._least, out=held)
         np.minimum(held, self._most, out=held)
-        self.clamped += int(np.count_nonzero(held != asked))
+        self.clamped += bool((held != asked).any())
         held *= self._scale  # by powers of two: exact
         numbers[...] = held
         moves[0], moves[1] = pos, vel

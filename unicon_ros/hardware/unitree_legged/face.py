@@ -71,6 +71,7 @@ class LeggedFace:
         rate: of its frames in [Hz].
         dead_man: infinity.
         obeys: commands act.
+        where: address and port.
         good: good commands so far.
         refused: others so far.
         remote: the 40 bytes of the wireless remote that it tells.
@@ -83,6 +84,7 @@ class LeggedFace:
     ) -> None:
         self.rate, self.obeys, self._encrypted, self._link = link.rate, obeys, encrypted, link
         self.good = self.refused = 0
+        self.where = f"{link.address}:{link.port}"
         self.remote = bytearray(40)
         self._states, self._told = states, 0
         self._in, self._out = Frame(link.layout.command), Frame(link.layout.state)
@@ -97,7 +99,7 @@ class LeggedFace:
             self._out["bms"]["soc"] = round(100 * FULL)
             self._out["bms"]["cells"][:CELLS] = 120
         self._udp = Udp((link.address, link.port), (link.address, 9), f"robot {robot.name}")
-        self._owes = False
+        self._owed: dict[tuple[str, int], None] = {}
 
     def hear(self) -> bool:
         """Bring the newest good command into the command states; True where one came."""
@@ -107,7 +109,7 @@ class LeggedFace:
                 self.refused += 1
                 continue
             self.good += 1
-            self._udp.peer, self._owes = sender, True
+            self._owed[sender] = None
             heard = True
             self._obey()
         return heard and self.obeys
@@ -143,11 +145,10 @@ class LeggedFace:
         damping[brakes] = BRAKE
 
     def tell(self) -> None:
-        """Answer, where a command has come."""
+        """Answer everybody of whom a command has come."""
         self._told += 1
-        if not self._owes:
+        if not self._owed:
             return
-        self._owes = False
         states, frame, motors = self._states, self._out, self._motors
         motors["q"], motors["dq"] = states["joint_pos"], states["joint_vel"]
         motors["q_raw"], motors["dq_raw"] = states["joint_pos"], states["joint_vel"]
@@ -167,7 +168,10 @@ class LeggedFace:
         frame["remote"][...] = np.frombuffer(self.remote, np.uint8)
         frame["tick"][...] = round(self._told * 1000.0 / self.rate) & 0xFFFFFFFF  # [ms]
         frame.seal(self._encrypted)
-        self._udp.send(frame.buffer)
+        for peer in self._owed:
+            self._udp.peer = peer
+            self._udp.send(frame.buffer)
+        self._owed.clear()
 
     def close(self) -> None:
         """Close the socket."""

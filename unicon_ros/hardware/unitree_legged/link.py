@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import ipaddress
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from unicon_core.errors import PlatformError, RobotError, alternatives
 from unicon_core.robots import Robot
+from unicon_ros.hardware.facts import TransportFacts, ipv4, port_number
 from unicon_ros.hardware.unitree_legged.codec import LAYOUTS, SLOTS, Layout
 
 __all__ = ["NAME", "Link", "link_of"]
@@ -73,46 +72,51 @@ def link_of(
         PlatformError: an option is wrong, or the generation has to be said.
         RobotError: the file lacks a fact, or it is wrong.
     """
-    said = _Transport(robot)
-    chosen, facts = _generation(robot, generation)
-    lengths = [facts.get(key) for key in ("command_bytes", "state_bytes")]
+    facts, transport = TransportFacts(robot), robot.transport
+    chosen, spoken = _generation(robot, facts, generation)
+    lengths = [spoken.get(key) for key in ("command_bytes", "state_bytes")]
     layout = next((layout for known, layout in LAYOUTS.items() if lengths == [*known]), None)
     if layout is None:
-        raise said.wrong(
-            f"generations.{chosen}",
-            f"has {lengths[0]} and {lengths[1]} bytes",
-            f"known: {', '.join(f'{command} and {state}' for command, state in LAYOUTS)}",
+        known = ", ".join(f"{command} and {state}" for command, state in LAYOUTS)
+        raise RobotError(
+            f"robot {robot.name}: transport.generations.{chosen} has {lengths[0]} and "
+            f"{lengths[1]} bytes; known: {known} ({robot.path})"
         )
-    where = said.text("address") if address is None else address
-    try:
-        ipaddress.IPv4Address(where if isinstance(where, str) else "")
-    except ValueError:
-        raise PlatformError(
-            f"platform {NAME!r}: address is {where!r}; give an IPv4 address such as 127.0.0.1"
-        ) from None
+    motors = facts.slots("motors", SLOTS)
+    if [*motors] != [*range(motors[0], motors[0] + len(motors))]:
+        raise facts.wrong("motors", f"{len(motors)} slots in sequence, all below {SLOTS},")
+    preparation = "bring it into its low-level mode as its maker says"
+    if "preparation" in transport:
+        preparation = facts.text("preparation")
     return Link(
         chosen,
         layout,
-        where,
-        _port("port", said.whole("port", 65535) if port is None else port),
-        _port("local_port", facts.get("local_port") if local_port is None else local_port),
-        said.motors(),
-        said.whole("level_flag", 255),
-        said.whole("motor_mode", 255),
-        said.whole("damping_mode", 255),
-        said.number("pos_stop"),
-        said.number("vel_stop"),
-        said.number("rate_hz"),
-        said.text("preparation", "bring it into its low-level mode as its maker says"),
+        ipv4(facts.text("address") if address is None else address, NAME),
+        facts.integer("port", 1, 65535) if port is None else port_number(port, NAME),
+        port_number(
+            spoken.get("local_port") if local_port is None else local_port, NAME, "local_port"
+        ),
+        slice(motors[0], motors[-1] + 1),
+        facts.integer("level_flag", 0, 255),
+        facts.integer("motor_mode", 0, 255),
+        facts.integer("damping_mode", 0, 255),
+        facts.number("pos_stop", 1.0, 1e10),
+        facts.number("vel_stop", 1.0, 1e10),
+        facts.number("rate_hz", 1.0, 10_000.0),
+        preparation,
     )
 
 
-def _generation(robot: Robot, chosen: str | None) -> tuple[str, Mapping[str, Any]]:
+def _generation(
+    robot: Robot, facts: TransportFacts, chosen: str | None
+) -> tuple[str, Mapping[str, Any]]:
     known = robot.transport.get("generations")
-    mapping = isinstance(known, Mapping) and all(isinstance(f, Mapping) for f in known.values())
+    mapping = isinstance(known, Mapping) and all(
+        isinstance(said, Mapping) for said in known.values()
+    )
     if not known or not mapping:
-        raise _Transport(robot).wrong("generations", f"is {known!r}", "write {NAME: {…}, …}")
-    spoken = [name for name, facts in known.items() if "command_bytes" in facts]
+        raise facts.wrong("generations", "{NAME: {…}, …}")
+    spoken = [name for name, said in known.items() if "command_bytes" in said]
     if chosen is None and len(known) == 1:
         chosen = next(iter(known))
     if chosen is None:
@@ -134,48 +138,3 @@ def _generation(robot: Robot, chosen: str | None) -> tuple[str, Mapping[str, Any
             f"spoken are {', '.join(spoken)}"
         )
     return chosen, known[chosen]
-
-
-def _port(key: str, value: Any) -> int:
-    if type(value) is not int or not 0 < value < 65536:
-        raise PlatformError(f"platform {NAME!r}: {key} is {value!r}; give one from 1 to 65535")
-    return value
-
-
-class _Transport:
-    """Reads the section, with messages that name file and key."""
-
-    def __init__(self, robot: Robot) -> None:
-        self._robot, self._values = robot, robot.transport
-
-    def wrong(self, key: str, what: str, remedy: str) -> RobotError:
-        return RobotError(
-            f"robot {self._robot.name}: transport.{key} {what}; {remedy} ({self._robot.path})"
-        )
-
-    def whole(self, key: str, most: int) -> int:
-        value = self._values.get(key)
-        if type(value) is not int or not 0 <= value <= most:
-            raise self.wrong(key, f"is {value!r}", f"write a whole number from 0 to {most}")
-        return value
-
-    def number(self, key: str) -> float:
-        value = self._values.get(key)
-        if isinstance(value, (int, float)) and 0 < value < math.inf and value is not True:
-            return float(value)
-        raise self.wrong(key, f"is {value!r}", "write a number above 0")
-
-    def text(self, key: str, default: str | None = None) -> str:
-        value = self._values.get(key, default)
-        if not isinstance(value, str):
-            raise self.wrong(key, f"is {value!r}", "write a text")
-        return value
-
-    def motors(self) -> slice:
-        motors, count = self._values.get("motors"), self._robot.num_joints
-        first = motors[0] if motors else 0
-        if motors != list(range(first, first + count)) or first + count > SLOTS:
-            raise self.wrong(
-                "motors", f"is {motors}", f"write {count} slots in sequence, all below {SLOTS}"
-            )
-        return slice(first, first + count)

@@ -96,11 +96,10 @@ class UnitreeLegged(WiredRobot):
         self.facts = replace(self.facts, writes=_told(states, link))
 
     def info(self) -> Mapping[str, Any]:
-        """Return the generation too, and what was clamped or came from others."""
+        """Return the generation too, and how many came from others."""
         return {
             **super().info(),
             "generation": self._generation,
-            "clamped": self.wire.clamped,
             "strangers": self.wire.strangers,
         }
 
@@ -163,9 +162,5 @@ def make(
             f"stiffness, damping and torque: platforms: {{{NAME}: {{poll: true}}}}"
         )
     wire = LeggedWire(states, robot, link, watchdog, encrypted=encrypted, check_mode=check_mode)
-    try:
-        platform = UnitreeLegged(states, robot, period, wire, link, silence=silence, silent=silent)
-    except BaseException:
-        wire.close()
-        raise
-    return opened(platform, connect)
+    built = UnitreeLegged(states, robot, period, wire, link, silence=silence, silent=silent)
+    return opened(built, connect)

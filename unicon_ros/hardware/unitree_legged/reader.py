@@ -6,12 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import StateError
-from unicon_core.platforms.kit.base import Mounting
+from unicon_core.platforms.kit.base import IMU_STATES, Mounting
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_ros.hardware.unitree_legged.codec import CELL_VOLT, LAYOUTS, TORQUE, Frame
 from unicon_ros.hardware.unitree_legged.link import NAME, Link
-from unicon_ros.hardware.wire import Counts
+from unicon_ros.hardware.wire import Counts, newer
 
 __all__ = ["FOOT_FORCE", "StateReader"]
 
@@ -20,7 +20,8 @@ FOOT_FORCE = "foot_force"
 theirs, in the order of the robot's legs."""
 
 _NM = np.float32(1.0 / TORQUE)
-_IMU = {"base_quat": "quat", "base_ang_vel": "gyro", "base_lin_acc": "acc"}
+_IMU = ("quat", "gyro", "acc")
+"""Fields of a datagram, in the order of `IMU_STATES`."""
 _COMMAND_BYTES = {state: command for command, state in LAYOUTS}
 
 
@@ -35,7 +36,7 @@ class StateReader:
         encrypted: the checksum of a Go1 that is not an EDU is right too.
 
     Attributes:
-        modes: of the robot's motors, shape (n,).
+        modes: of the robot's motors in the datagram that was told last, shape (n,).
 
     Raises:
         StateError: `foot_force` is not of four.
@@ -48,16 +49,16 @@ class StateReader:
         motors, count = frame["motors"][link.motors], robot.num_joints
         self._link, self._counts, self._encrypted = link, counts, encrypted
         self._level, self._tick, self._remote = frame["level"], frame["tick"], frame["remote"]
-        self.modes = motors["mode"]
+        self._modes, self.modes = motors["mode"], np.zeros(count, np.uint8)
         self._newest: int | None = None
         # What must be finite, side by side: one check for all.
         self._floats = np.zeros(2 * count + 10, np.float32)
         pos, vel, *imu = np.split(self._floats, np.cumsum((count, count, 4, 3)))
-        fields = (motors["q"], motors["dq"], *(frame[field] for field in _IMU.values()))
+        fields = (motors["q"], motors["dq"], *(frame[field] for field in _IMU))
         self._reads = list(zip((pos, vel, *imu), fields))
         self._labels = [
             *(f"{of} of {joint}" for of in ("position", "velocity") for joint in robot.joint_names),
-            *(f"{field}[{i}]" for field in _IMU.values() for i in range(frame[field].size)),
+            *(f"{field}[{i}]" for field in _IMU for i in range(frame[field].size)),
         ]
         if FOOT_FORCE in states and states[FOOT_FORCE].shape != (4,):
             raise StateError(
@@ -72,9 +73,8 @@ class StateReader:
         }
         self._copies = [(states[name], source) for name, source in told.items() if name in states]
         self._effort, self._torque = states["joint_effort"], motors["tau"]
-        mounting = Mounting.of(robot)
-        turns = (mounting.quat, mounting.vector, mounting.vector)
-        self._turned = list(zip((states[name] for name in _IMU), turns, imu))
+        self._mounting, self._imu = Mounting.of(robot), dict(zip(IMU_STATES, imu, strict=True))
+        self._base = {name: states[name] for name in IMU_STATES}
         self._errors = [states[name] for name in ("motor_error",) if name in states]
         self._errors_of = b""
         self._battery: list[NDArray[np.float32]] = []
@@ -100,10 +100,8 @@ class StateReader:
             refuse("wrong head", f"{datagram[:3].hex()}, of level {level:#x}")
             return False
         tick, newest = int(self._tick), self._newest
-        # Serial numbers of 32 bits: in 49 days the milliseconds begin anew.
-        ahead = 1 if newest is None else (tick - newest) & 0xFFFFFFFF
-        if not 0 < ahead < 1 << 31:
-            why = "tick that stands still" if ahead == 0 else "older than the one before"
+        if newest is not None and not newer(tick, newest):  # in 49 days they begin anew
+            why = "tick that stands still" if tick == newest else "older than the one before"
             refuse(why, f"tick {tick} behind {newest}")
             return False
         for part, field in self._reads:
@@ -120,10 +118,10 @@ class StateReader:
         """Bring the datagram that was good into the states, and its remote's 40 bytes."""
         for view, source in self._copies:
             view[...] = source
-        for view, turn, part in self._turned:
-            view[...] = turn(part)
+        self._mounting.turn(self._imu, self._base)
         np.multiply(self._torque, _NM, out=self._effort)
         remote[:] = self._remote.data
+        self.modes[...] = self._modes
         modes = self.modes.tobytes()
         if modes != self._errors_of:
             self._errors_of, link = modes, self._link

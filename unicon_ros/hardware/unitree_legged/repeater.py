@@ -25,9 +25,6 @@ class Repeater(threading.Thread):
         watchdog: so long after the last `put` it sends `damping` instead, [s].
         idle: what is sent before the first `put`; nobody has to renew it.
         damping: see `watchdog`.
-
-    Attributes:
-        late: no command came in time, and the robot has been damped since, for good.
     """
 
     def __init__(
@@ -43,7 +40,15 @@ class Repeater(threading.Thread):
         self._frame, self._damping = idle, damping
         self._put = 0.0
         self._ended = threading.Event()
-        self.late = False
+        self._late = False
+
+    @property
+    def late(self) -> bool:
+        """Whether a command did not come in time: the robot is damped from then on, for good."""
+        # The tick looks too: in a process that was stopped it may go on before this thread does.
+        put = self._put
+        self._late |= put > 0.0 and time.monotonic() - put > self._watchdog
+        return self._late
 
     def put(self, frame: bytes) -> None:
         """Send a datagram now, and again until the next one.
@@ -59,15 +64,13 @@ class Repeater(threading.Thread):
         """Send until closed."""
         interval, due = self._interval, time.monotonic()
         while not self._ended.wait(max(0.0, due - time.monotonic())):
-            now, put = time.monotonic(), self._put
-            if put and now - put > self._watchdog:
-                self.late = True
+            now, put, late = time.monotonic(), self._put, self.late
             # Half an interval of grace: a tick at this rate sends by itself.
-            if now < put + 1.5 * interval and not self.late:
+            if now < put + 1.5 * interval and not late:
                 due = put + 1.5 * interval
                 continue
             with suppress(Fault):  # the tick is told the same by its own sending
-                self._send(self._damping if self.late else self._frame)
+                self._send(self._damping if late else self._frame)
             due = max(due + interval, now)
 
     def close(self) -> None:

@@ -7,6 +7,9 @@ position, velocity, gains or torque.
 
 from __future__ import annotations
 
+import math
+import time
+
 import numpy as np
 
 from unicon_core.blocks.controls.device import Controls
@@ -23,6 +26,11 @@ from unicon_ros.hardware.unitree_legged.repeater import Repeater
 from unicon_ros.hardware.wire import Counts
 
 __all__ = ["LeggedWire"]
+
+HELD = 3.0
+"""A motor that tells as much obeys somebody else, while our commands ask for nothing, [N·m]."""
+LATELY = 2.0
+"""For so long it counts, [s]: of two who send as often, one may be heard last for a while."""
 
 
 class LeggedWire:
@@ -75,6 +83,7 @@ class LeggedWire:
         idle, zero = bytes(self._out.buffer), self._nothing
         limp = self._out.write(zero, zero, zero, zero, np.nan_to_num(robot.joint_damping))
         self._watchdog, self._told_late = watchdog, False
+        self._effort, self._asks, self._held = states["joint_effort"], True, -math.inf
         local, peer = ("0.0.0.0", link.local_port), (link.address, link.port)
         self._udp = Udp(local, peer, f"platform {NAME!r}")
         try:
@@ -90,16 +99,20 @@ class LeggedWire:
     def take(self) -> int:
         """Bring the newest good datagram into the states; return 1 where one has come, else 0.
 
-        Those before it are not looked at: at 50 Hz there are ten in a tick, and each check takes
-        15 µs.
+        Those before it are counted with it, and not looked at: at 50 Hz there are ten in a tick,
+        and each check takes 15 µs.
         """
-        for datagram in reversed(self._udp.received()):
-            if self._reader.good(datagram):
+        datagrams = self._udp.received()
+        while datagrams:
+            if self._reader.good(datagrams[-1]):
                 self._reader.tell(self.remote)
                 if self._controls is not None:
                     held(self.remote, self._controls)
-                self.counts.good += 1
+                if self._asks and np.abs(self._effort).max() >= HELD:
+                    self._held = time.monotonic()
+                self.counts.good += len(datagrams)
                 return 1
+            datagrams.pop()
         return 0
 
     def put(self) -> None:
@@ -109,11 +122,13 @@ class LeggedWire:
             Fault: it cannot be sent, or the one before was too long ago: the robot is limp by now,
                 and a stiff command would let it jump. From then on only limp ones leave.
         """
+        self._asks = False
         pos, vel, effort, stiffness, damping = self._commands
         late = self._repeater.late
         if late:
             effort = stiffness = self._nothing
         self._repeater.put(self._out.write(pos, vel, effort, stiffness, damping))
+        self.counts.clamped = self._out.clamped
         if late and not self._told_late:
             self._told_late = True
             raise Fault(
@@ -134,6 +149,14 @@ class LeggedWire:
             f"{servo:#04x}; {self._link.preparation}"
         )
 
+    def commanders(self) -> dict[str, int]:
+        """Return where the robot takes commands, and 1 where somebody else seems to command it.
+
+        Others cannot be seen on the wire; but until the first command ours ask for no torque, and
+        motors that tell some have it of another program, or of the robot's own controller.
+        """
+        return {self.where: int(time.monotonic() - self._held < LATELY)}
+
     def wait(self, timeout: float) -> bool:
         """Return True once a datagram is there, False after `timeout` in [s]."""
         return self._udp.wait(timeout)
@@ -142,11 +165,6 @@ class LeggedWire:
         """End the thread and close the socket."""
         self._repeater.close()
         self._udp.close()
-
-    @property
-    def clamped(self) -> int:
-        """Figures so far that the datagram could not hold."""
-        return self._out.clamped
 
     @property
     def strangers(self) -> int:

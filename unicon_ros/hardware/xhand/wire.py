@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import importlib
 import time
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 from unicon_core.errors import Fault, MissingDependencyError, PlatformError
 from unicon_core.robots import Robot
 from unicon_core.states import States
+from unicon_ros.hardware.facts import TransportFacts
 from unicon_ros.hardware.wire import Counts
 
 __all__ = ["XhandWire"]
@@ -41,10 +41,12 @@ class XhandWire:
     Raises:
         MissingDependencyError: the module is not installed.
         PlatformError: it cannot be opened, or which hand is meant is not clear.
+        RobotError: the robot file lacks a fact.
     """
 
     def __init__(self, states: States, robot: Robot, serial: str, hand_id: int | None) -> None:
-        name = str(robot.transport["module"])
+        facts = TransportFacts(robot)
+        name = facts.text("module")
         try:
             module = importlib.import_module(f"{name}.xhand_control")
         except ImportError as error:
@@ -52,7 +54,9 @@ class XhandWire:
                 "platform 'xhand'", name, "install the wheel that RobotEra delivers with the hand"
             ) from error
         self.counts = Counts()
-        self._facts: Mapping[str, Any] = robot.transport
+        self._baudrate = facts.integer("baudrate", 1, 10_000_000)
+        self._mode = facts.integer("mode", 0, 0xFFFF)
+        self._gains = [facts.integer(key, 0, 0xFFFF) for key in ("kp", "ki", "kd", "max_torque")]
         self._count = robot.num_joints
         self._lower, self._upper = robot.lower.astype(float), robot.upper.astype(float)
         self._target, self._stiffness = states["joint_pos_target"], states["joint_stiffness"]
@@ -72,7 +76,7 @@ class XhandWire:
 
     def _open(self, serial: str) -> str:
         if serial:
-            where, answer = serial, self._device.open_serial(serial, int(self._facts["baudrate"]))
+            where, answer = serial, self._device.open_serial(serial, self._baudrate)
         else:
             found = list(self._device.enumerate_devices("EtherCAT"))
             if not found:
@@ -100,12 +104,10 @@ class XhandWire:
         raise PlatformError(f"platform 'xhand': {told} at {self.where}; {asked}")
 
     def _filled(self, command: Any) -> Any:
-        facts = self._facts
         for joint in range(self._count):
             each = command.finger_command[joint]
             each.id = joint
-            each.kp, each.ki, each.kd = int(facts["kp"]), int(facts["ki"]), int(facts["kd"])
-            each.tor_max = int(facts["max_torque"])
+            each.kp, each.ki, each.kd, each.tor_max = self._gains
         return command
 
     def take(self) -> int:
@@ -150,13 +152,14 @@ class XhandWire:
         Raises:
             Fault: the module does not take them.
         """
-        held = np.clip(self._target.astype(float), self._lower, self._upper)
-        mode = int(self._facts["mode"])
+        wanted = self._target.astype(float)
+        held = np.clip(wanted, self._lower, self._upper)
+        self.counts.clamped += not np.array_equal(held, wanted)
         on = self._stiffness > 0.0
         for joint in range(self._count):
             each = self._command.finger_command[joint]
             each.position = float(held[joint])
-            each.mode = mode if on[joint] else POWERLESS
+            each.mode = self._mode if on[joint] else POWERLESS
         error = self._device.send_command(self._id, self._command)
         if error.error_code:
             raise Fault(

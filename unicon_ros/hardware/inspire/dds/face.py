@@ -16,13 +16,13 @@ from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_ros.hardware.dds.end import DdsEnd
 from unicon_ros.hardware.dds.participant import Participant
-from unicon_ros.hardware.inspire_dds.codec import ANGLES, HandFacts
-from unicon_ros.hardware.inspire_dds.wire import EXTRA
+from unicon_ros.hardware.inspire.dds.codec import ANGLES, HandFacts
+from unicon_ros.hardware.inspire.dds.wire import EXTRA
 from unicon_ros.hardware.wire import Counts
 
 __all__ = ["InspireDdsFace", "face"]
 
-LABEL = "emulated inspire_dds"
+LABEL = "emulated inspire"
 AS_IT_IS = -1
 """In an angle of the FTP: leave the finger as it is."""
 TEMPERATURE = 35.0

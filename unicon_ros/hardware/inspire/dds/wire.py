@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections import deque
 from typing import Any
 
 import numpy as np
@@ -13,14 +12,15 @@ from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_ros.hardware.dds.end import DdsEnd
 from unicon_ros.hardware.dds.participant import Participant
-from unicon_ros.hardware.inspire_dds.both import Both
-from unicon_ros.hardware.inspire_dds.codec import DFX, HandFacts
+from unicon_ros.hardware.inspire.dds.both import Both
+from unicon_ros.hardware.inspire.dds.codec import DFX, HandFacts
+from unicon_ros.hardware.speed import Speed
 from unicon_ros.hardware.wire import Counts
 
 __all__ = ["EXTRA", "LABEL", "InspireDdsWire"]
 
-LABEL, EXTRA = "platform 'inspire_dds'", "hw-inspire-dds"
-WINDOW = 0.05
+LABEL, EXTRA = "platform 'inspire'", "hw-inspire"
+OVER = 0.05
 """Over which the speed is taken, [s]: a step of 1/1000 within 10 ms would be up to 0.17 rad/s."""
 
 
@@ -57,7 +57,7 @@ class InspireDdsWire(DdsEnd):
         self._both: Both | None = None
         self._targets: NDArray[Any] = np.zeros(kind.count, kind.dtype)
         self._states, self._silent = states, silent
-        self._past: deque[tuple[float, NDArray[np.float64]]] = deque()
+        self._speed = Speed(OVER)
         arrays = {name: states[name] for name in states} | {"told": self._told}
         frames = facts.state_in(arrays, counts)
         self._key = domain, facts.command_topic
@@ -79,20 +79,11 @@ class InspireDdsWire(DdsEnd):
         number = super().take()
         if number:
             angles = self._facts.to_angles(self._told[self._facts.slots])
-            self._states["joint_vel"][...] = self._speed(angles)
+            self._states["joint_vel"][...] = self._speed(time.monotonic_ns(), angles)
             self._states["joint_pos"][...] = angles
             if self._both is not None:
                 self._both.found(self._told)
         return number
-
-    def _speed(self, angles: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the mean speed over the last while in [rad/s]."""
-        now, past = time.monotonic(), self._past
-        past.append((now, angles))
-        while len(past) > 2 and past[1][0] < now - WINDOW:
-            past.popleft()
-        before, then = past[0]
-        return (angles - then) / max(now - before, 1e-3)
 
     def put(self) -> None:
         """Send the target positions; what is beyond open or closed is clamped.

@@ -1,6 +1,6 @@
 """What the two DDS interfaces of an RH56 carry, made of a robot file; for both ends of the wire.
 
-FTP (protocol `inspire`): a message for each hand, six angles of 0 (closed) to 1000 (open), and
+FTP (protocol `inspire_ftp`): a message for each hand, six angles of 0 (closed) to 1000 (open), and
 `mode`, whose bit 0 says that angles count (NaCl-1374/inspire_hand_ws inspire_hand_sdk/hand_idl,
 inspire_sdkpy/inspire_sdk.py). DFX (`inspire_dfx`): Unitree's MotorCmds and MotorStates with both
 hands, `q` of 0 (closed) to 1 (open) (unitreerobotics/xr_teleoperate
@@ -21,13 +21,13 @@ from unicon_msgs_map import Encoder
 from unicon_msgs_map.layout.messages import Struct, shared_messages
 from unicon_ros.hardware.dds.frames import Frames
 from unicon_ros.hardware.dds.maps import publish, subscribe
+from unicon_ros.hardware.dds.participant import LARGEST_DOMAIN
 from unicon_ros.hardware.facts import TransportFacts
 from unicon_ros.hardware.wire import Counts
 
 __all__ = ["DFX", "FTP", "KINDS", "Arrays", "HandFacts", "Kind"]
 
 Arrays = Mapping[str, NDArray[Any]]
-LARGEST_DOMAIN = 230
 ANGLES = 1
 """Bit of `mode` of the FTP: `angle_set` counts."""
 
@@ -42,7 +42,6 @@ class Kind:
         names: of both in DDS, "" where they follow from the type.
         dtype: of what is sent for an angle.
         count: angles in a message.
-        prefix: of the topics' keys in the robot file.
         command_fields: of the command to arrays, `targets` and `mode` among them.
         state_fields: of the state to arrays, `told` and states of the hand.
         constants: what else stands in a state.
@@ -54,7 +53,6 @@ class Kind:
     names: tuple[str, str]
     dtype: type
     count: int
-    prefix: str
     command_fields: Mapping[str, Any]
     state_fields: Mapping[str, str]
     constants: Mapping[str, Any]
@@ -67,7 +65,6 @@ FTP = Kind(
     ("inspire.inspire_hand_ctrl", "inspire.inspire_hand_state"),
     np.int16,
     6,
-    "dds_",
     {"angle_set[0:6]": "targets", "mode": "mode"},
     {
         "angle_act[0:6]": "told",
@@ -83,13 +80,12 @@ DFX = Kind(
     ("", ""),
     np.float32,
     12,
-    "",
     {"cmds[0:12].q": "targets"},
     {"states[0:12].q": "told"},
     {},
     ({"cmds": 12}, {"states": 12}),
 )
-KINDS = {"inspire": FTP, "inspire_dfx": DFX}
+KINDS = {"inspire_ftp": FTP, "inspire_dfx": DFX}
 """By `transport.protocol`."""
 
 
@@ -138,8 +134,8 @@ class HandFacts:
         return cls(
             kind,
             facts.integer("domain", 0, LARGEST_DOMAIN),
-            facts.text(f"{kind.prefix}state_topic"),
-            facts.text(f"{kind.prefix}command_topic"),
+            facts.text("state_topic"),
+            facts.text("command_topic"),
             facts.number("rate_hz", 1.0, 10_000.0),
             np.array(slots, np.intp),
             open_,

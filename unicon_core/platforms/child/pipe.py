@@ -1,0 +1,150 @@
+"""Pipe: the process of a platform in a child, and what parent and child say through its pipe.
+
+What is said in a tick goes through shared memory instead; see `ChildPlatform`.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import pickle
+import select
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from typing import Any
+
+from unicon_core import errors
+from unicon_core.errors import Fault, PlatformError, UniconError
+from unicon_core.resources import same_modules
+from unicon_core.signals import signal_name
+
+__all__ = ["Pipe"]
+
+
+class Pipe:
+    """The parent's end.
+
+    Args:
+        what: the platform, for messages.
+        given: what the child reads first, which can be pickled.
+
+    Attributes:
+        process: the child.
+
+    Raises:
+        PlatformError: something given cannot be pickled.
+    """
+
+    def __init__(self, what: str, given: Mapping[str, Any]) -> None:
+        self._what, self._rest = what, b""
+        try:
+            packed = pickle.dumps(given)
+        except (AttributeError, TypeError, pickle.PicklingError) as error:
+            raise PlatformError(
+                f"{what} cannot run in a child: {error}; leave out child"
+            ) from error
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "unicon_core.platforms.child.process"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            bufsize=0,
+            env=same_modules(),
+            start_new_session=True,  # Ctrl-C and Ctrl-Z are the parent's: it damps in order
+        )
+        assert self.process.stdin is not None
+        with suppress(BrokenPipeError):  # its first words tell why
+            self.process.stdin.write(len(packed).to_bytes(8, "little") + packed)
+
+    def tell(self, what: str, *given: object) -> None:
+        """Say a wish."""
+        assert self.process.stdin is not None
+        with suppress(BrokenPipeError):  # `recv` tells of a child that has died
+            self.process.stdin.write(json.dumps([what, *given]).encode() + b"\n")
+
+    def words(self) -> dict[str, Any]:
+        """Return what the child has written since the last look, {} for nothing whole."""
+        assert self.process.stdout is not None
+        while select.select([self.process.stdout], [], [], 0.0)[0]:
+            read = os.read(self.process.stdout.fileno(), 1 << 16)
+            if not read:
+                break
+            self._rest += read
+        size = int.from_bytes(self._rest[:8], "little")
+        if len(self._rest) < 8 + size or not size:
+            return {}
+        words, self._rest = self._rest[8 : 8 + size], self._rest[8 + size :]
+        try:
+            told = pickle.loads(words)  # of our own child, through our own pipe
+        except Exception:  # in which its platform may have written
+            told = None
+        if isinstance(told, dict):
+            return told
+        return {"fault": f"{self._what}: its process wrote garbage into its pipe"}
+
+    def answer(self, patience: float, look: Callable[[], object] = bool) -> dict[str, Any]:
+        """Return what the child answers.
+
+        Args:
+            patience: how long to wait in [s].
+            look: called meanwhile.
+
+        Raises:
+            UniconError: the error that it tells of.
+            Fault: the fault that it tells of.
+        """
+        end = time.monotonic() + patience
+        told = self.words()
+        while not told:
+            if time.monotonic() > end or self.process.poll() is not None:
+                told = self.words()
+                break
+            look()
+            assert self.process.stdout is not None
+            select.select([self.process.stdout], [], [], 0.1)
+            told = self.words()
+        if not told:
+            gone = self.process.poll() is not None
+            how = "ended at once" if gone else f"did not answer within {patience:g} s"
+            raise PlatformError(
+                f"{self._what}: its process {how}; see what it wrote above, or leave out child"
+            )
+        if "error" in told:
+            kind = getattr(errors, told["kind"], PlatformError)
+            raise (kind if issubclass(kind, UniconError) else PlatformError)(told["error"])
+        if "fault" in told:
+            raise Fault(told["fault"])
+        return told
+
+    @property
+    def end(self) -> str:
+        """How the child has ended, in words."""
+        status = self.process.returncode or 0
+        how = (
+            f"was killed by {signal_name(-status)}" if status < 0 else f"ended with status {status}"
+        )
+        return f"{self._what}: its process {self.process.pid} {how}"
+
+    def close(self, patience: float) -> dict[str, Any]:
+        """Let the child end, kill it where it hangs; return its last words.
+
+        Args:
+            patience: how long it may take in [s].
+        """
+        process, words = self.process, dict[str, Any]()
+        assert process.stdin is not None
+        assert process.stdout is not None
+        with suppress(OSError):
+            process.stdin.close()  # which asks it to close
+        try:
+            process.wait(patience)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+            words["closing"] = "it did not end, and was killed"
+        while told := self.words():
+            words |= told
+        process.stdout.close()
+        return words

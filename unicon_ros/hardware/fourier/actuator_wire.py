@@ -1,0 +1,142 @@
+"""ActuatorWire: a socket to each of Fourier's FSA actuators, which answer; for both versions.
+
+One tick asks, the next one takes. A frame is complete when every joint has answered; who has not
+stands in `where`, and so in the fault of a robot that is silent.
+"""
+
+from __future__ import annotations
+
+import select
+import time
+from collections.abc import Iterable
+
+from unicon_core.errors import Fault
+from unicon_core.states import States
+from unicon_core.states.standard import HARDWARE_STATES
+from unicon_ros.hardware.answers import Answers
+from unicon_ros.hardware.fourier.addresses import Addressed
+from unicon_ros.hardware.fourier.codec import DISABLE
+from unicon_ros.hardware.fourier.enabling import Enabling
+from unicon_ros.hardware.udp import Udp
+from unicon_ros.hardware.wire import Counts
+
+__all__ = ["LARGEST", "ActuatorWire"]
+
+LARGEST = 1e6
+"""[deg], and of gains and currents: nothing beyond it is meant, and its float stays finite."""
+
+
+class ActuatorWire:
+    """What the wires of both versions share; each sorts its answers and asks its questions.
+
+    Args:
+        states: of the workflow.
+        actuators: of the robot.
+    """
+
+    def __init__(self, states: States, actuators: Addressed) -> None:
+        self._states, self._rate = states, actuators.rate
+        self.counts = Counts()
+        self._labels = tuple(map("{} ({})".format, actuators.names, actuators.addresses))
+        self._answered = Answers(self._labels)
+        self._asked, self._turn, self._strangers = 0.0, 0, 0
+        hardware = {name: states[name] for name in HARDWARE_STATES if name in states}
+        self._hot, self._error = hardware.get("motor_temperature"), hardware.get("motor_error")
+        self._opened: list[Udp] = []
+        self._sockets = self._open(self._labels, actuators.addresses, actuators.port)
+
+    def _open(self, labels: tuple[str, ...], addresses: tuple[str, ...], port: int) -> list[Udp]:
+        """Return a socket to each address; where one fails, all of the wire are closed."""
+        try:
+            sockets = []
+            for label, address in zip(labels, addresses):
+                what = f"fourier: actuator {label}"
+                sockets.append(Udp(("0.0.0.0", 0), (address, port), what))
+                self._opened.append(sockets[-1])
+            return sockets
+        except BaseException:
+            self._let_go()
+            raise
+
+    @property
+    def where(self) -> str:
+        """The actuators that have not answered since all did last."""
+        return str(self._answered)
+
+    def _tell(self, joint: int, data: bytes | memoryview) -> None:
+        self._sockets[joint].send(data)
+
+    def take(self) -> int:
+        """See `Wire`."""
+        for joint, socket in enumerate(self._sockets):
+            for data in socket.received():
+                self._sort(joint, data)
+        strangers = sum(socket.strangers for socket in self._opened)
+        self.counts.refused["of a stranger"] += strangers - self._strangers
+        self._strangers = strangers
+        self._measured()
+        now = time.monotonic()
+        if now - self._asked >= 0.9 / self._rate:
+            self._asked, self._turn = now, (self._turn + 1) % len(self._sockets)
+            self._ask()
+        complete = self._complete()
+        self.counts.good += complete
+        return int(complete)
+
+    def _complete(self) -> bool:
+        return self._answered.complete()
+
+    def _sort(self, joint: int, data: bytes) -> None:
+        """Keep an answer, or count it as refused."""
+        raise NotImplementedError
+
+    def _measured(self) -> None:
+        """Bring what was kept into the states, where it is finite."""
+        raise NotImplementedError
+
+    def _ask(self) -> None:
+        """Send the questions that are due; those that are asked in turn to joint `_turn`."""
+        raise NotImplementedError
+
+    def _prepared(self, errors: dict[int, str], enabling: Enabling) -> str:
+        """Go on with the enabling, unless an actuator told an error before it began."""
+        if errors and not enabling.began:
+            joint, words = next(iter(errors.items()))
+            return (
+                f"actuator {self._labels[joint]} tells an error: {words}; see the vendor's list, "
+                "and switch the robot off and on"
+            )
+        return enabling()
+
+    def wait(self, timeout: float) -> bool:
+        """See `Wire`."""
+        return bool(select.select(self._sockets, [], [], timeout)[0])
+
+    def _tell_all(self, datagrams: Iterable[tuple[Udp, bytes | memoryview]]) -> None:
+        """Send datagrams, each with its socket.
+
+        Raises:
+            Fault: one could not be sent; all others were, since who damps or lets go has to reach
+                the joints that still have a way.
+        """
+        fault: Fault | None = None
+        for socket, data in datagrams:
+            try:
+                socket.send(data)
+            except Fault as one:
+                fault = fault or one
+        if fault is not None:
+            raise fault
+
+    def _close(self, enabled: bool, times: int = 1) -> None:
+        """Let go; switch all actuators off before, so many times, if we have enabled them."""
+        try:
+            if enabled and self._opened:
+                off = bytes([DISABLE])
+                self._tell_all((socket, off) for socket in self._sockets * times)
+        finally:
+            self._let_go()
+
+    def _let_go(self) -> None:
+        while self._opened:
+            self._opened.pop().close()

@@ -1,0 +1,173 @@
+"""Fourier's FSA v1 actuators and their encoders as they look on the wire; for the emulator."""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from unicon_core.states import States
+from unicon_core.states.standard import HARDWARE_STATES
+from unicon_ros.hardware.fourier.codec import DISABLE
+from unicon_ros.hardware.fourier.fsa1_codec import (
+    ENABLE,
+    ERROR,
+    POSITION,
+    POSITION_MODE,
+    SERVO_OFF,
+    SERVO_ON,
+    STATE,
+    Servos,
+    number,
+    understood,
+)
+from unicon_ros.hardware.udp import Udp
+
+__all__ = ["Fsa1Face"]
+
+WARM = 40.0
+"""What actuators tell where the simulator has no temperature, [°C]."""
+MODES = {0x04: POSITION_MODE, 0x05: 3, 0x06: 6, 0x07: 4}
+"""Code to mode of operation."""
+GAINS = ("control_position_kp_imm", "control_velocity_kp_imm")
+
+
+class Fsa1Face:
+    """See `Face`; `face` of `fourier.face` builds it.
+
+    An actuator counts from where its joint is when this is built, as if it were switched on then.
+
+    Args:
+        states: of the emulator.
+        servos: of the robot file.
+
+    Raises:
+        PlatformError: an address is taken.
+    """
+
+    def __init__(self, states: States, servos: Servos) -> None:
+        self._states, self._servos, n = states, servos, len(servos.names)
+        self.rate, self.dead_man = 500.0, math.inf
+        self.enabled, self.mode = np.zeros(n, bool), np.zeros(n, int)
+        self.gains = np.zeros((2, n))
+        self._begun = states["joint_pos"] * servos.degrees
+        self._begun[len(servos.encoders) :] = 0.0
+        self._asked: list[tuple[Udp, int, int]] = []
+        self._sockets: list[Udp] = []
+        try:
+            self._fast = self._listening(servos.addresses, servos.port)
+            self._controls = self._listening(servos.addresses, servos.control_port)
+            self._encoders = self._listening(servos.encoders, servos.control_port)
+        except BaseException:
+            self.close()
+            raise
+
+    def _listening(self, addresses: tuple[str, ...], port: int) -> list[Udp]:
+        first = len(self._sockets)
+        for address in addresses:
+            self._sockets.append(Udp((address, port), ("", 0), "emulated fourier"))
+        return self._sockets[first:]
+
+    @property
+    def obeys(self) -> bool:
+        """Whether all actuators are enabled in position mode."""
+        return bool((self.enabled & (self.mode == POSITION_MODE)).all())
+
+    def hear(self) -> bool:
+        """See `Face`."""
+        heard, states = False, self._states
+        for joint, socket in enumerate(self._controls):
+            for data, sender in socket.datagrams():
+                socket.peer = sender
+                self._set(joint, understood(data) or {}, socket.send)
+        for encoder, socket in enumerate(self._encoders):
+            for data, sender in socket.datagrams():
+                socket.peer = sender
+                if (understood(data) or {}).get("reqTarget") == "/measured":
+                    socket.send(self._angle(encoder))
+        for joint, socket in enumerate(self._fast):
+            for data, sender in socket.datagrams():
+                socket.peer = sender
+                heard |= self._heard(joint, data, socket)
+            on = self.enabled[joint] and self.mode[joint] == POSITION_MODE
+            stiffness, damping = self._servos.joint_gains(joint, *self.gains[:, joint].tolist())
+            states["joint_stiffness"][joint] = on * stiffness
+            if on:
+                states["joint_damping"][joint] = damping
+        return heard
+
+    def _set(self, joint: int, asked: dict[str, Any], reply: Callable[[bytes], None]) -> None:
+        """Carry out a setting, or answer a question, of JSON."""
+        target, status, told = asked.get("reqTarget"), "OK", {}
+        if asked.get("method") == "GET" and target == "/get_ntc_temperature":
+            hot = self._hardware("motor_temperature", joint, WARM)
+            told = {"mos_temperature": hot, "armature_temperature": hot}
+        elif asked.get("method") != "SET":
+            status = "ERROR"
+        elif target == "/control_word" and asked.get("control_word") in (SERVO_ON, SERVO_OFF):
+            self.enabled[joint] = asked["control_word"] == SERVO_ON
+        elif target == "/mode_of_operation" and type(asked.get("mode_of_operation")) is int:
+            self.mode[joint] = asked["mode_of_operation"]
+        elif target == "/pid_param_imm" and None not in (
+            values := [*map(number, map(asked.get, GAINS))]
+        ):
+            self.gains[:, joint] = values
+        else:
+            status = "ERROR"
+        reply(json.dumps({"status": status, **told}).encode())
+
+    def _hardware(self, name: str, joint: int, unless: float) -> float:
+        known = name in HARDWARE_STATES and name in self._states
+        return float(self._states[name][joint]) if known else unless
+
+    def _angle(self, encoder: int) -> bytes:
+        servos, pos = self._servos, float(self._states["joint_pos"][encoder])
+        turned = pos * servos.degrees[encoder] / servos.encoder_degrees[encoder]
+        angle = (float(turned) + servos.encoder_zero[encoder]) % 360.0
+        return json.dumps({"status": "OK", "angle": angle}).encode()
+
+    def _heard(self, joint: int, data: bytes, socket: Udp) -> bool:
+        """Carry out a code; True where it was a command that acts."""
+        code, size = data[0] if data else 0, len(data)
+        if code in (STATE, ERROR) and size == 1:
+            self._asked.append((socket, joint, code))
+        elif code in (ENABLE, DISABLE) and size == 1:
+            self.enabled[joint] = code == ENABLE
+        elif code in MODES and size == 1:
+            self.mode[joint] = MODES[code]
+        elif code == POSITION and size == 13:
+            if not (self.enabled[joint] and self.mode[joint] == POSITION_MODE):
+                return False
+            pos, _, current = struct.unpack_from(">fff", data, 1)
+            servos, states = self._servos, self._states
+            pos += self._begun[joint]
+            if not math.isfinite(pos + current):
+                return False
+            states["joint_pos_target"][joint] = pos / servos.degrees[joint]
+            states["joint_effort_ff"][joint] = current * servos.torque[joint]
+            return True
+        return False
+
+    def tell(self) -> None:
+        """See `Face`: the answers to what was asked."""
+        states, servos = self._states, self._servos
+        for socket, joint, code in self._asked:
+            if code == ERROR:
+                error = int(self._hardware("motor_error", joint, 0))
+                socket.send(struct.pack(">Bi", code, error))
+                continue
+            degrees = servos.degrees[joint]
+            pos = states["joint_pos"][joint] * degrees - self._begun[joint]
+            current = states["joint_effort"][joint] / servos.torque[joint]
+            vel = states["joint_vel"][joint] * degrees
+            socket.send(struct.pack(">Bfff", code, pos, vel, current))
+        self._asked.clear()
+
+    def close(self) -> None:
+        """See `Face`."""
+        for socket in self._sockets:
+            socket.close()

@@ -1,1 +1,0 @@
-"""Inspire's RH56 hands behind DDS services: the FTP and the DFX, which are two interfaces."""
