@@ -63,7 +63,7 @@ EXTRAS["torch"] = ["torch"]
 EXTRAS["parquet"] = ["pyarrow"]
 # Nor what a vendor's protocol needs: a computer on a robot wants that of its robot alone.
 EXTRAS["hw-arx"] = ["python-can>=4.3"]
-for _robot in ("unitree", "pnd", "dobot", "inspire"):  # they speak DDS
+for _robot in ("unitree", "pnd", "dobot", "inspire", "booster"):  # they speak DDS
     EXTRAS[f"hw-{_robot}"] = ["cyclonedds==11.0.1", "rosbags>=0.11"]
 
 
@@ -140,6 +140,7 @@ setup(
         "unicon.platforms": [
             "arx = unicon_ros.hardware.arx.platform:make",
             "azureloong = unicon_ros.hardware.azureloong.platform:make",
+            "booster = unicon_ros.hardware.booster.platform:make",
             "dobot = unicon_ros.hardware.dobot.platform:make",
             "fourier = unicon_ros.hardware.fourier.platform:make",
             "inspire = unicon_ros.hardware.inspire.platform:make",
@@ -155,6 +156,7 @@ setup(
         "unicon.faces": [
             "arx = unicon_ros.hardware.arx.face:face",
             "azureloong = unicon_ros.hardware.azureloong.face:face",
+            "booster = unicon_ros.hardware.booster.face:face",
             "dobot_atom = unicon_ros.hardware.dobot.face:face",
             "fourier_fsa = unicon_ros.hardware.fourier.face:face",
             "inspire = unicon_ros.hardware.inspire.face:face",

@@ -54,6 +54,20 @@ def test_a_transfer_that_fails_is_told_with_its_reason(monkeypatch: pytest.Monke
     assert "unknown robot 'nobody'" in outcome.told
 
 
+def test_a_robot_that_does_not_begin_is_told_with_its_reason() -> None:
+    with (
+        pytest.raises(UniconError, match=r"no robot: .*nobody"),
+        transfers._emulated("unitree", "go2", ("--face", "nobody")),
+    ):
+        pass
+
+
+def test_a_robot_stands_behind_topics() -> None:
+    pytest.importorskip("rclpy")
+    with transfers._emulated("ros", "go2", ()) as robot:
+        assert int(robot.environment["ROS_DOMAIN_ID"]) > 0
+
+
 def test_what_this_machine_lacks_is_told_and_not_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(transfers, "assets_root", lambda: None)
     outcome = transferred(Transfer("a", "b", sloc.H1, {}, {"robot": "t1"}))

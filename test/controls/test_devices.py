@@ -197,6 +197,13 @@ def test_bytes_of_remotes(pad: Pad) -> None:
     REMOTES["pnd"][1](pnd, pad.controls)
     assert pad.pressed() == {"A", "R1", "L2"}
     assert pad.controls.sticks.tolist() == pytest.approx([1.0, -0.5, 0.0, 0.0], abs=1e-3)
+    held = [1, 0, 0, 0, 0, 1, 0, 0, 1, 0, 1, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0]  # A, RB, left stick
+    booster = struct.pack("<I4f22B", 0x603, 0.5, -1.0, 0.0, 0.25, *held, 9)
+    REMOTES["booster"][1](booster, pad.controls)
+    assert pad.pressed() == {"A", "R1", "select", "up", "left"}
+    assert pad.controls.sticks.tolist() == [0.5, 1.0, 0.0, -0.25]
+    REMOTES["booster"][1](struct.pack("<I4f22B", 0x606, 0.5, 0, 0, 0, *held, 9), pad.controls)
+    assert (pad.pressed(), pad.controls.alive) == (set(), 0)
 
 
 @pytest.mark.parametrize("name", sorted(REMOTES))

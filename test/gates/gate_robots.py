@@ -112,6 +112,7 @@ class Prepared(Shared):
 
     def prepare(self) -> str:
         """Take the robot over."""
+        SENT.append("prepared")
         return ""
 
 

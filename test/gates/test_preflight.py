@@ -14,6 +14,7 @@ from typing import Any
 import gate_robots
 import pytest
 
+from unicon_core.robots import load_robot
 from unicon_core.runtime.ticker import Ticker
 from unicon_ros.cli.main import main
 
@@ -190,6 +191,28 @@ def test_each_joint_moves_a_little_and_its_own_encoder_follows(
         assert each["wrong"] == ""
     assert gate_robots.SENT[-1] == "damping"
     assert gate_robots.SENT.count("damping") <= 2
+
+
+@pytest.mark.usefixtures("quickly")
+def test_a_robot_is_asked_to_let_go_before_a_joint_is_moved(
+    preflight: Callable[..., Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    limp = "FR_calf_joint"
+    text = load_robot("go2").path.read_text("utf-8").replace("name: go2\n", "name: limp\n")
+    lines = text.splitlines()
+    (line,) = (k for k, line in enumerate(lines) if limp in line)
+    lines[line] = lines[line].replace("stiffness: 60.0", "stiffness: 0.0")
+    robot = tmp_path / "limp.yaml"
+    robot.write_text("\n".join(lines), "utf-8")
+    status, told = preflight(
+        "--wiggle", "--yes", "--set=platform=gate_robots:secretive", robot=str(robot)
+    )
+    assert status == 0
+    assert gate_robots.SENT[:2] == ["prepared", "command"]
+    assert gate_robots.SENT.count("prepared") == 1
+    assert moved(told)[limp]["follower"] == moved(told)[limp]["wrong"] == ""
+    assert "not moved: the robot file gives it no stiffness" in capsys.readouterr().out
+    assert len([each for each in moved(told).values() if each["follower"]]) == 11
 
 
 @pytest.mark.usefixtures("quickly")

@@ -162,6 +162,14 @@ def test_frames_become_states(bare: Bare) -> None:
     assert sent[-12:] == (7.0,) * 6 + (0.0,) * 6  # fingers keep what the robot wants of them
 
 
+def test_a_finger_without_a_number_keeps_its_target(bare: Bare) -> None:
+    """What the robot says of its fingers goes back to it in each command."""
+    assert bare.say(state(4.0, finger_target_left=7.0, finger_target_right=3.0)) == 1
+    assert bare.say(state(5.0, finger_target_left=np.nan, finger_target_right=np.inf)) == 1
+    bare.wire.put()
+    assert bare.commanded()[-12:] == (7.0,) * 6 + (3.0,) * 6
+
+
 def test_what_the_driver_would_clamp_is_clamped_and_counted(bare: Bare, robot: Robot) -> None:
     bare.say(state(1.0))
     values = [np.arange(31), np.zeros(31), np.full(31, -500.0), np.full(31, 1500), np.full(31, -1)]
@@ -286,6 +294,7 @@ def test_the_face_hears_its_remote_and_good_commands_alone(robot: Robot) -> None
             emulated.step()
             assert emulated.heard == 0
         client.sendto(good, ("127.0.0.1", port))
+        client.sendto(command(state=0), ("127.0.0.1", port))  # who asks takes no command back
         time.sleep(0.01)
         emulated.step()
         assert emulated.heard == 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -19,11 +20,11 @@ from dds_ends import DOMAIN, LOOPBACK, Ends, golden_frame, states_of, until
 from unicon_core.errors import Fault, PlatformError, RobotError
 from unicon_core.robots import load_robot
 from unicon_core.states.standard import COMMAND_STATES
-from unicon_core.workflow.hardware import refuse_incomplete
+from unicon_core.workflow.hardware import declared_facts, refuse_incomplete
 from unicon_ros.hardware.dds import maps
 from unicon_ros.hardware.unitree_dex3.codec import Dex3Facts, own_arrays
 from unicon_ros.hardware.unitree_dex3.face import face
-from unicon_ros.hardware.unitree_dex3.platform import make
+from unicon_ros.hardware.unitree_dex3.platform import Dex3, make
 from unicon_ros.hardware.unitree_dex3.wire import Dex3Wire
 from unicon_ros.hardware.wire import Counts
 
@@ -219,3 +220,8 @@ def test_wrong_options_and_facts_are_named() -> None:
         robot = replace(HAND, transport={**HAND.transport, key: value})
         with pytest.raises(RobotError, match=words):
             Dex3Facts.of(robot)
+
+
+def test_workflows_and_children_find_what_make_is() -> None:
+    assert declared_facts(make, "x") is Dex3.facts
+    assert getattr(sys.modules[make.__module__], make.__qualname__) is make

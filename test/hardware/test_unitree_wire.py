@@ -483,6 +483,32 @@ def test_a_peer_without_checksums_and_numbers_is_heard_as_such() -> None:
         made.close()
 
 
+def test_a_simulator_that_leaves_its_mode_machine_at_zero_does_not_tell_a_variant() -> None:
+    robot = load_robot("g1_29dof")
+    made = face(states_of(robot), robot, domain=DOMAIN, mode="", variant=0)
+    ended = Event()
+
+    def tick() -> None:
+        while not ended.wait(0.002):
+            made.tell()
+
+    thread = Thread(target=tick)
+    thread.start()
+    try:
+        options: dict[str, Any] = {"address": LOOPBACK, "domain": DOMAIN}
+        for peer, told in (
+            ("robot", {"protocol": "unitree_hg", "mode_machine": 0}),
+            ("unitree_mujoco", {"protocol": "unitree_hg"}),
+        ):
+            platform = make(states_of(robot), robot, 0.02, peer=peer, **options)
+            assert platform.variant() == told
+            platform.close()
+    finally:
+        ended.set()
+        thread.join()
+        made.close()
+
+
 def test_wrong_options_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     robot = load_robot("go2")
 

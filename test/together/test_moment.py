@@ -66,6 +66,26 @@ def test_a_clock_that_is_set_back_while_it_is_waited_is_a_fault(
         clock.ask(True)
 
 
+def test_a_moment_that_is_missed_while_it_is_waited_for_is_late(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """By a clock that is set ahead, or a process that was stopped: the others have begun."""
+    for alone in (False, True):
+        clock = WallClock(moment_of("2026-11-22T12:00:00Z"), alone)
+        monkeypatch.setattr(WallClock, "clock", staticmethod(lambda: NOON - S))
+        assert clock.ask(True) == NOON
+        monkeypatch.setattr(WallClock, "clock", staticmethod(lambda: NOON + S // 10))
+        assert clock.ask(True) == NOON  # a late tick is still the one
+        assert not clock.late
+        monkeypatch.setattr(WallClock, "clock", staticmethod(lambda: NOON + 100 * S))
+        if alone:
+            assert clock.ask(True) == NOON + 100 * S
+            assert "passed 100.00 s ago: the clock was set, or this process" in clock.late
+        else:
+            with pytest.raises(Fault, match=r"not started, it is late: .* passed 100\.00 s ago"):
+                clock.ask(True)
+
+
 TWO = {"robots": ["left", "right"], "me": "left"}
 OVER = {"robots": {"left": "tcp://a:1", "right": "tcp://b:1"}, "me": "left"}
 

@@ -422,15 +422,6 @@ ROWS = [
     *_rows(
         "runtime/runner.py",
         ENDS,
-        ("Runner._begun", "True"),
-        (
-            "Runner._begun",
-            "return self._approached()",
-            "return True",
-        ),
-        ("Runner._begun", "Waiting(program.gates, ", "Waiting([], "),
-        ("Runner._begun", "self.asks, warn", "False, warn"),
-        ("Runner._approached", "True"),
         ("Runner._wind_down", REMOVED),
         ("Runner._wind_down", 'self.program.states["velocity_command"][...] = 0.0', "pass"),
         ("Runner._wind_down", "self._ending_ticks, full_speed", "1 << 62, full_speed"),
@@ -443,7 +434,16 @@ ROWS = [
         ("Runner.run", "for act in self.at_fault:", "for act in []:"),
         ("Runner._ticked", "if ticker.stop:", "if False:"),
     ),
-    *_rows("runtime/beforehand.py", ENDS, ("waiting_tree", "Zip(*program.hearing, ", "Zip(")),
+    *_rows(
+        "runtime/beforehand.py",
+        ENDS,
+        ("Beforehand.__call__", "True"),
+        ("Beforehand.__call__", "return self._approached()", "return True"),
+        ("Beforehand.__call__", "Waiting(program.gates, ", "Waiting([], "),
+        ("Beforehand.__call__", "asks, warn", "False, warn"),
+        ("Beforehand._approached", "True"),
+        ("waiting_tree", "Zip(*program.hearing, ", "Zip("),
+    ),
     *_rows(
         "runtime/beforehand.py",
         GATES,

@@ -1,7 +1,9 @@
 """`wiggle`: one small slow move of each joint, which proves order and signs against the encoders.
 
 Each joint goes by 0.05 rad and back within 1 s, away from its nearer limit, while all others are
-held where they were; gains are low, and the workflow's safety blocks look at every command.
+held where they were; gains are low, and the workflow's safety blocks look at every command. A joint
+to which the robot file gives no stiffness is not moved. As in a run the gates are asked, and then
+the robot's own controller is asked to let go.
 
 Of every joint j the measured way d_j is compared with the commanded way c of the joint that is
 moved: share_j = Σ c·d_j / Σ c². Its own joint has a share near 1, all others near 0. A drift while
@@ -20,10 +22,13 @@ from unicon_core.bounds import within
 from unicon_core.errors import Fault
 from unicon_core.flow import Zip, as_block
 from unicon_core.flow.stage import Stage
+from unicon_core.runtime.beforehand import prepared, waiting_tree
 from unicon_core.runtime.ticker import Ticker
+from unicon_core.runtime.waiting import Waiting
 from unicon_core.signals import SIGNALS
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_core.workflow import Program
+from unicon_core.workflow.gate import NEVER_NS
 
 __all__ = ["ANGLE", "LARGEST", "SMALLEST", "Moved", "verdicts", "wiggle"]
 
@@ -54,7 +59,8 @@ class Moved:
 
     Attributes:
         joint: that was commanded.
-        follower: the joint whose encoder followed most.
+        follower: the joint whose encoder followed most; "" of one that was not moved, since the
+            robot file gives it no stiffness.
         share: of the commanded way that it went; below 0 the other way.
     """
 
@@ -64,7 +70,9 @@ class Moved:
 
     @property
     def wrong(self) -> str:
-        """What is wrong, with the remedy; "" where the joint itself followed."""
+        """What is wrong, with the remedy; "" where the joint itself followed, or was not moved."""
+        if not self.follower:
+            return ""
         if not abs(self.share) >= FOLLOWED:  # true for NaN too
             return f"no joint followed {self.joint}; see whether its motor is on, and free to move"
         if self.follower != self.joint:
@@ -98,6 +106,7 @@ class _Moves:
         self._lower = np.nan_to_num(robot.lower, nan=-np.inf)
         self._upper = np.nan_to_num(robot.upper, nan=np.inf)
         self._names, self._angle, self._tick = robot.joint_names, angle, 0
+        self._turns = np.flatnonzero(stiffness).tolist()
         self._period = period
         self._last = 0.0
         self.moved: list[Moved] = []
@@ -107,16 +116,17 @@ class _Moves:
         if self._tick == 0:
             self._held[...] = np.clip(self._measured, self._lower, self._upper)
         self._watch()
-        joint, k = divmod(self._tick - self._settle, self._move + self._pause)
+        turn, k = divmod(self._tick - self._settle, self._move + self._pause)
+        joint = self._turns[turn] if 0 <= turn < len(self._turns) else -1
         grown = min((self._tick + 1) / self._settle, 1.0)
         target[...] = self._held
         velocity[...] = effort[...] = 0.0
         if k == self._move and joint >= 0:
             self._judge(joint)
         if joint >= 0 and k < self._move:
-            turn = 2.0 * math.pi / self._move
-            way = self._angle * (0.5 - 0.5 * math.cos(turn * k))
-            speed = self._angle * 0.5 * turn / self._period * math.sin(turn * k)
+            angle = 2.0 * math.pi / self._move
+            way = self._angle * (0.5 - 0.5 * math.cos(angle * k))
+            speed = self._angle * 0.5 * angle / self._period * math.sin(angle * k)
             target[joint] += self._side(joint) * way
             velocity[joint] = self._side(joint) * speed  # or damping would hold it back
             # What is measured now answers to the command of the tick before.
@@ -125,7 +135,11 @@ class _Moves:
         stiffness[...] = self._stiffness * np.float32(grown)
         damping[...] = self._damping
         self._tick += 1
-        return len(self.moved) == len(self._names)
+        return len(self.moved) == len(self._turns)
+
+    def left_out(self) -> list[Moved]:
+        """Return those that are not moved."""
+        return [Moved(n, "", 0.0) for k, n in enumerate(self._names) if k not in self._turns]
 
     def _watch(self) -> None:
         """End it where a joint goes away: of exchanged encoders each holds at the other's place."""
@@ -159,10 +173,11 @@ def wiggle(program: Program, angle: float = ANGLE) -> list[Moved]:
         angle: of a move in [rad].
 
     Returns:
-        What each move showed; fewer than joints where a signal ended it.
+        What each move showed, and behind them the joints that are not moved; less where a signal
+        ended it.
 
     Raises:
-        Fault: a safety block, or the platform.
+        Fault: a safety block, the platform, or a gate or controller that does not let it begin.
         WorkflowError: the angle is not plausible.
     """
     angle = within(angle, "angle", "rad", LARGEST, SMALLEST, above=False)
@@ -175,18 +190,25 @@ def wiggle(program: Program, angle: float = ANGLE) -> list[Moved]:
         *stages[Stage.SAFETY],
         *stages[Stage.SEND],
     )
-    ticker = Ticker(program, root, 1, None)
+    tickers = [Ticker(program, root, 1, None)]
+    waiting = Waiting(program.gates, False, program.warn, prepared(program))
+    if not program.platform.facts.simulated:
+        tickers.insert(0, Ticker(program, waiting_tree(program, as_block(waiting)), 1, None))
+        tickers[0].hang_ns = NEVER_NS
 
     def stop() -> None:
-        ticker.stop = True
+        for ticker in tickers:
+            ticker.stop = True
 
     with SIGNALS, SIGNALS.guard(stop, program.damp_now):
         try:
-            if not SIGNALS.asked:
+            for ticker in tickers if not SIGNALS.asked else ():
                 ticker.run(1 << 62)
+                if ticker is not tickers[-1] and waiting.reason and not ticker.stop:
+                    raise Fault(f"the platform has gone while it was waited for {waiting.reason}")
         finally:
             program.close()
-    return moves.moved
+    return [*moves.moved, *moves.left_out()] if tickers[-1].done else moves.moved
 
 
 def verdicts(moved: list[Moved], angle: float) -> list[tuple[str, str, str, str, str]]:
@@ -197,7 +219,13 @@ def verdicts(moved: list[Moved], angle: float) -> list[tuple[str, str, str, str,
             each.follower,
             f"{1e3 * each.share * angle:+.1f} of {1e3 * angle:.0f} mrad",
             f"{each.share:+.2f}",
-            each.wrong or ("as commanded" if each.share >= WEAKLY else "as commanded, weakly"),
+            each.wrong or _right(each),
         )
         for each in moved
     ]
+
+
+def _right(moved: Moved) -> str:
+    if not moved.follower:
+        return "not moved: the robot file gives it no stiffness"
+    return "as commanded" if moved.share >= WEAKLY else "as commanded, weakly"

@@ -9,21 +9,18 @@ from collections.abc import Callable
 from contextlib import suppress
 
 from unicon_core.errors import Fault, Hung, UniconError
-from unicon_core.flow import Node, as_block
+from unicon_core.flow import Node
 from unicon_core.flow.compiled import CompiledGraph
 from unicon_core.platforms.platform import Resettable
-from unicon_core.runtime.beforehand import approach_tree, prepared, waiting_tree
+from unicon_core.runtime.beforehand import Beforehand
 from unicon_core.runtime.damp import Damp
 from unicon_core.runtime.options import RunOptions, refuse_pace
 from unicon_core.runtime.pacing import prepare_process, process_age_s
 from unicon_core.runtime.phases import WIND_DOWN, Phase
 from unicon_core.runtime.report import Report, reason_of
 from unicon_core.runtime.ticker import Ticker
-from unicon_core.runtime.waiting import Waiting
 from unicon_core.signals import SIGNALS, Interrupted, signal_name
-from unicon_core.together.rendezvous import Rendezvous, rendezvous_of
 from unicon_core.workflow import Program
-from unicon_core.workflow.gate import NEVER_NS
 
 __all__ = ["Runner"]
 
@@ -77,8 +74,7 @@ class Runner:
         self._ending = None if root is None else Ticker(program, root, self._ending_ticks, None)
         self.operator = self.options.operator
         self._damp = Damp(program) if program.has_platform else None
-        self._waiting: Waiting | None = None
-        self._rendezvous: Rendezvous | None = None
+        self._before = Beforehand(program, self.options, self._ticked)
         self.graph, self.statistics = self._run.graph, self._run.statistics
         self.pacing, self.period_ns = program.pacing, self._run.period_ns
         self.faults: list[str] = []
@@ -111,11 +107,7 @@ class Runner:
     @property
     def waits_for(self) -> str:
         """What is waited for before the flow; "" where nothing is."""
-        waiting = self._waiting if self.phase is Phase.WAIT else None
-        if waiting is not None and waiting.reason:
-            return waiting.reason
-        before = self.phase in (Phase.WAIT, Phase.APPROACH)
-        return self._rendezvous.reason if before and self._rendezvous is not None else ""
+        return self._before.reason(self.phase)
 
     @property
     def asks(self) -> bool:
@@ -126,8 +118,7 @@ class Runner:
 
     def go(self) -> bool:
         """Say that the robot may move; it counts where the operator alone is waited for."""
-        waiting = self._waiting if self.phase is Phase.WAIT else None
-        return waiting is not None and waiting.go()
+        return self.phase is Phase.WAIT and self._before.go()
 
     @property
     def done(self) -> bool:
@@ -197,7 +188,7 @@ class Runner:
             state = "has ended" if self._closed else "is running"
             raise UniconError(f"Runner.run: this run {state}; build the workflow anew")
         try:
-            self._rendezvous = rendezvous_of(self.program, self.options.speed, self.options.warn)
+            self._before.meet()
         except BaseException:
             self._close()
             raise
@@ -214,7 +205,8 @@ class Runner:
                     if self.options.speed == "real":
                         self.statistics.take_memory()
                     self._started_ns = time.perf_counter_ns()
-                    if self._begun():
+                    if self._before(self.asks):
+                        self._run.first_ns = self._before.first_ns
                         self.phase = Phase.RUN
                         self._started_ns, self._age_s = time.perf_counter_ns(), process_age_s()
                         self._run.run(self._limit(), full_speed=self.options.speed == "max")
@@ -303,8 +295,7 @@ class Runner:
                 self.program.close()
             except Exception as error:
                 self.faults.append(f"closing: {reason_of(error)}")
-            if self._rendezvous is not None:
-                self._rendezvous.close()
+            self._before.close()
 
     def report(self) -> Report:
         """Return the report of the run so far."""
@@ -315,8 +306,7 @@ class Runner:
         if self._age_s is not None and 0 < statistics.count <= self.options.capacity:
             first = int(statistics.kept()[0, 2])
             report.startup_s = round(self._age_s + (first - self._started_ns) * 1e-9, 3)
-            if self._rendezvous is not None:
-                report.extra["start"] = self._rendezvous.facts(first)
+            report.extra |= self._before.facts(first)
         report.faults = list(self.faults)
         report.traceback = self.traceback
         return report
@@ -327,56 +317,15 @@ class Runner:
             duration = self.program.duration
         return 1 << 62 if duration is None else round(duration / self.program.period)
 
-    def _begun(self) -> bool:
-        """Wait for gates and operator, then approach where the flow begins; wait for others there.
-
-        False where the run was asked to end before its flow.
-        """
-        program = self.program
-        if program.platform.facts.simulated or not program.has_platform:
-            return self._met()
-        warn = self.options.warn
-        waiting = self._waiting = Waiting(program.gates, self.asks, warn, prepared(program))
-        # The others learn that this one is there, and is not ready.
-        here = [] if self._rendezvous is None else [as_block(self._rendezvous.here, name="here")]
-        if not self._ticked(waiting_tree(program, as_block(waiting), *here), NEVER_NS):
-            return False
-        if waiting.reason:
-            name = program.platform.facts.name
-            raise Fault(f"platform {name!r} has gone while it was waited for {waiting.reason}")
-        return self._approached()
-
-    def _approached(self) -> bool:
-        if not self.program.start.fade_in:
-            return self._met()
-        tree = approach_tree(self.program, self._rendezvous)
-        self.phase = Phase.APPROACH
-        return self._ticked(tree) and self._due()
-
-    def _met(self) -> bool:
-        """Wait for others where nothing is sent: in a simulator, or without approach."""
-        if self._rendezvous is None:
-            return True
-        tree = waiting_tree(self.program, as_block(self._rendezvous.met, name="together"))
-        return self._ticked(tree, NEVER_NS) and self._due()
-
-    def _due(self) -> bool:
-        """Take over when the flow's first tick is due; it is behind all others' waiting."""
-        if self._rendezvous is not None:
-            self._run.first_ns = self._rendezvous.first_ns
-            if not self._run.first_ns:
-                name = self.program.platform.facts.name
-                raise Fault(f"platform {name!r} has gone while others were waited for")
-        return True
-
-    def _ticked(self, tree: Node, hang_ns: int | None = None) -> bool:
+    def _ticked(self, phase: Phase, tree: Node, hang_ns: int | None = None) -> bool:
         """Tick another tree before the run until it is done; False where the run is to end.
 
         Args:
+            phase: that this is.
             tree: of a tick.
             hang_ns: how late ticks may be, where that is not as in the run.
         """
-        run = self._run
+        self.phase, run = phase, self._run
         ticker = self._ticker = Ticker(self.program, tree, FEW, None)
         if hang_ns is not None:
             ticker.hang_ns = hang_ns

@@ -251,7 +251,14 @@ def _writer(party: Party, states: States) -> Writer:
         return ZmqWriter(party.robots[party.me], STATE, GROUP, states, bind=True)
     from unicon_core.states.backends.shm import Segment, ShmWriter
 
-    segment = Segment.create(segment_name(party, party.me), {STATE: GROUP})
+    try:
+        segment = Segment.create(segment_name(party, party.me), {STATE: GROUP})
+    except StateError as error:
+        raise StateError(
+            f"start: together: this one cannot be robot {party.me!r} of group {party.group!r}: "
+            f"{str(error).partition(';')[0]}; end that run, or give another one of robots: --set "
+            "start.together.me=NAME"
+        ) from error
     return ShmWriter(segment, STATE, states)
 
 

@@ -27,6 +27,9 @@ SHORTEST = 1.0
 LEAST = 0.2
 """How far ahead the next whole `every` has to be in [s]; the one behind it is taken else."""
 
+MISSED_NS = 200_000_000
+"""Who has waited and looks so long behind the moment has missed it, [ns]: ticks look before it."""
+
 
 @dataclass(frozen=True)
 class Moment:
@@ -89,7 +92,8 @@ class WallClock:
         """Return the moment in [ns], 0 where this robot is not ready.
 
         Raises:
-            Fault: it has passed, or the clock was set meanwhile.
+            Fault: it has passed, or the clock was set to long before it. One that is set while it
+                is waited for counts from then on.
         """
         if not ready:
             return 0
@@ -97,17 +101,25 @@ class WallClock:
         if not self._next:
             self._next = self._moment.next_ns(now)
             if self._next < now:
-                self.late = (
-                    f"it is late: {self._moment.words} passed {(now - self._next) * 1e-9:.2f} s "
-                    "before gates, go and approach were over"
-                )
-                if not self._alone:
-                    raise Fault(f"not started, {self.late}")
-                self._next = now
+                self._missed(now, "before gates, go and approach were over")
+        elif now - self._next > MISSED_NS:
+            self._missed(now, "ago: the clock was set, or this process stood still")
         if self._next - now > FARTHEST * 1e9:
             raise Fault(f"not started: the clock of this machine was set to {_told(now)}")
         self.reason = f"the moment {_told(self._next)}"
         return self._next
+
+    def _missed(self, now: int, why: str) -> None:
+        """Begin now, if that is wanted of who is late.
+
+        Raises:
+            Fault: it is not.
+        """
+        passed = (now - self._next) * 1e-9
+        self.late = f"it is late: {self._moment.words} passed {passed:.2f} s {why}"
+        if not self._alone:
+            raise Fault(f"not started, {self.late}")
+        self._next = now
 
     def begun(self) -> None:
         """Nobody has to be told."""

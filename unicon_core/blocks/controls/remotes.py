@@ -8,6 +8,9 @@ Dobot Atom: 40 bytes; buttons in bytes 2 and 3, float32 lx at 4, rx at 8, ry at 
 PND Adam: 19 float32; lx, ly, rx, ry of ±32767, dead zone 5000, lt, rt, then at 8 A B X Y LB RB
 select start; pndbotics/pnd_rl_gym deploy/deploy_real/common/remote_controller.py. Of the cross at 6
 and 7 the signs are not known: it is left.
+Booster T1: 42 bytes, body of RemoteControllerState; uint32 event, 0x606 when the device is gone;
+float32 lx, ly, rx, ry, of which ly and ry are negative in front; 21 bytes of buttons and cross;
+BoosterRobotics/booster_robotics_sdk_ros2 booster_ros2_interface/msg/RemoteControllerState.msg.
 """
 
 from __future__ import annotations
@@ -20,11 +23,19 @@ from typing import Any
 from unicon_core.blocks.controls.device import Controls
 from unicon_core.states.standard import BUTTONS
 
-__all__ = ["REMOTES", "dobot", "pnd", "unitree", "unitree_pressed"]
+__all__ = ["REMOTES", "booster", "dobot", "pnd", "unitree", "unitree_pressed"]
 
 _UNITREE = struct.Struct("<2xH3f4xf16x")
 _DOBOT = struct.Struct("<2xBB4f20x")
 _PND = struct.Struct("<19f")
+_BOOSTER = struct.Struct("<I4f21Bx")
+_BOOSTER_BUTTONS = ("A", "B", "X", "Y", "L1", "R1", "L2", "R2", "", "", "select", "start")
+"""The two in between are the sticks, pressed; the cross follows."""
+_BOOSTER_CROSS = (
+    *("", "up", "down", "left", "right"),
+    *("up left", "down left", "up right", "down right"),
+)
+_BOOSTER_GONE = 0x606
 _DOBOT_2 = ("RB", "LB", "start", "select", "RT", "LT")
 """Bits 0 to 5 of byte 2."""
 _DOBOT_3 = ("A", "B", "X", "Y", "up", "right", "down", "left")
@@ -79,9 +90,24 @@ def pnd(raw: Any, controls: Controls) -> None:
     controls.alive[...] = 1
 
 
+def booster(raw: Any, controls: Controls) -> None:
+    """Take the 42 bytes of a Booster robot."""
+    event, lx, ly, rx, ry, *pressed = _BOOSTER.unpack(raw)
+    if event == _BOOSTER_GONE:
+        controls.let_go()
+        return
+    _set_sticks(controls, lx, -ly, rx, -ry)
+    controls.buttons[...] = 0
+    for names, value in zip(_BOOSTER_BUTTONS + _BOOSTER_CROSS, pressed, strict=True):
+        for name in names.split() if value else ():
+            controls.buttons[BUTTONS.index(name)] = 1
+    controls.alive[...] = 1
+
+
 REMOTES: dict[str, tuple[int, Callable[[Any, Controls], None]]] = {
     "unitree": (40, unitree),
     "dobot": (40, dobot),
     "pnd": (76, pnd),
+    "booster": (42, booster),
 }
 """`transport.remote` of a robot file to the number of bytes, and what takes them."""

@@ -112,9 +112,10 @@ class Motors:
             RobotError: a fact is missing or wrong.
         """
         facts = TransportFacts(robot)
-        numbers = tuple(int(number) for number in facts.numbers("motor_id", 1, 15))
-        if len(set(numbers)) < len(numbers):
-            raise facts.wrong("motor_id", "a number of its own for each motor")
+        told = facts.numbers("motor_id", 1, 15)
+        numbers = tuple(int(number) for number in told)
+        if (told % 1.0).any() or len(set(numbers)) < len(numbers):
+            raise facts.wrong("motor_id", "a whole number of its own for each motor")
         kinds = [kind.partition("_")[0] for kind in facts.texts("motor_type")]
         if not LAYOUTS.keys() >= {*kinds}:
             raise facts.wrong("motor_type", f"texts that begin with {'_ or '.join(LAYOUTS)}_")
@@ -177,15 +178,15 @@ def reply_of(number: int, data: bytes) -> Reply | None:
     if len(data) != 8:
         return None
     if number == 0:
-        layout, motor, at, temperature, error = DM, data[0] & 0x0F, 3, None, 0
+        layout, motor, temperature, error = DM, data[0] & 0x0F, None, 0
     elif data[0] >> 5 == REPLY:
-        layout, motor, at, error = EC, number, 3, data[0] & 0x1F
+        layout, motor, error = EC, number, data[0] & 0x1F
         temperature = 0.5 * (data[6] - 50)
     else:
         return None
     pos = data[1] << 8 | data[2]
-    vel = data[at] << 4 | data[at + 1] >> 4
-    torque = (data[at + 1] & 0x0F) << 8 | data[at + 2]
+    vel = data[3] << 4 | data[4] >> 4
+    torque = (data[4] & 0x0F) << 8 | data[5]
     return Reply(
         motor,
         pos * 2.0 * POSITION / 65535.0 - POSITION,

@@ -9,7 +9,7 @@ from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES, HARDWARE_STATES
 from unicon_ros.hardware.arx.codec import DM, ENABLE, Motors, Reply, answer, command_of
-from unicon_ros.hardware.arx.wire import import_can, open_bus
+from unicon_ros.hardware.arx.wire import MOST, import_can, open_bus
 from unicon_ros.hardware.facts import TransportFacts
 
 __all__ = ["ArxFace", "face"]
@@ -41,7 +41,10 @@ class ArxFace:
     def hear(self) -> bool:
         """See `Face`; a command without gains and torque only asks."""
         heard = False
-        while (frame := self._bus.recv(0.0)) is not None:
+        for _ in range(MOST):
+            frame = self._bus.recv(0.0)
+            if frame is None:
+                break
             joint = self._joints.get(frame.arbitration_id)
             if joint is None or frame.is_extended_id or len(frame.data) != 8:
                 continue

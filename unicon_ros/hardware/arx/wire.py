@@ -19,10 +19,11 @@ from unicon_ros.hardware.answers import Answers
 from unicon_ros.hardware.arx.codec import DM, ENABLE, Motors, Packing, reply_of
 from unicon_ros.hardware.wire import Counts
 
-__all__ = ["ArxWire", "import_can", "open_bus"]
+__all__ = ["MOST", "ArxWire", "import_can", "open_bus"]
 
-MOST = 64
-"""Frames that are looked at in a tick: a flood must not hold it up."""
+MOST = 256
+"""Frames that are looked at in a tick: a flood must not hold it up. More than a bus of 1 Mbit/s
+carries in 20 ms (180 of 111 bits), so that answers do not pile up behind others' frames."""
 RECENT = 1.0
 """A stranger's command counts for so long, [s]."""
 TORQUE = COMMAND_STATES.index("joint_effort_ff")
@@ -157,17 +158,21 @@ class ArxWire:
         """Give each motor a frame.
 
         Raises:
-            Fault: the bus does not take it: unplugged, off, or nobody acknowledges.
+            Fault: the bus does not take one: unplugged, off, or nobody acknowledges. All others are
+                tried: who damps has to reach the motors that can be reached.
         """
+        fault: Fault | None = None
         for number, data in zip(self._motors.numbers, frames):
             message = self._can.Message(arbitration_id=number, data=data, is_extended_id=False)
             try:
                 self._bus.send(message)
             except (self._can.CanError, OSError) as error:
-                raise Fault(
+                fault = fault or Fault(
                     f"arx: CAN bus {self._bus.channel_info} does not take a frame for motor "
                     f"{number}: {error}; is the arm switched on, and the adapter plugged in?"
-                ) from error
+                )
+        if fault is not None:
+            raise fault
 
     def wait(self, timeout: float) -> bool:
         """See `Wire`."""

@@ -73,7 +73,8 @@ class AzureFace:
             if frame["checker"] != self._link.checker or frame["size"] != len(data):
                 continue
             self._udp.peer, self._heard = sender, time.monotonic()
-            newest = frame if frame["state"] == self._link.commanding else None
+            if frame["state"] == self._link.commanding:  # else it only asks
+                newest = frame
         if newest is None or not self.obeys:
             return False
         for i, (view, name) in enumerate(zip(self._views, COMMAND_STATES)):

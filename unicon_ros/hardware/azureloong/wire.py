@@ -85,10 +85,10 @@ class AzureWire:
         self._copied = [
             (states[state], heard[field][0]) for state, field in COPIED.items() if state in states
         ]
-        self._copied += [
+        self._fingers = [
             (self._frame[f"finger_{side}"][0], heard[f"finger_target_{side}"][0])
             for side in ("left", "right")
-        ]  # we have no say in fingers: they keep their targets
+        ]
         self._stamp_at = part(self._link.state, "timestamp", "key").start
         self._name_at = part(self._link.state, "plan", "state")
         self._udp = Udp(("0.0.0.0", 0), (address, self._link.port), f"azureloong at {address}")
@@ -140,6 +140,8 @@ class AzureWire:
         self._heard[:] = frame
         for view, field in self._copied:
             view[...] = field
+        for view, field in self._fingers:  # we have no say in them: they keep their targets
+            np.copyto(view, field, where=np.isfinite(field))
         self._imu["base_quat"][...] = quat_of_rpy(self._rpy)
         self._mounting.turn(self._imu, self._base)
         self._plan = int(self._key[1])

@@ -10,9 +10,9 @@ from collections.abc import Callable
 
 from unicon_core.errors import Fault
 from unicon_ros.hardware.dds.participant import Reader
-from unicon_ros.hardware.wire import Counts, newer
+from unicon_ros.hardware.wire import Counts
 
-__all__ = ["Inlet", "newer"]
+__all__ = ["Inlet"]
 
 
 class Inlet:

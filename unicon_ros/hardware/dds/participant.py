@@ -10,15 +10,14 @@ The calls that pass bytes are private ones of the package, so that it is asked f
 
 from __future__ import annotations
 
-import ipaddress
 import socket
 from contextlib import suppress
 from importlib import metadata
-from threading import Lock
 from typing import Any
 
 from unicon_core.errors import Fault, MissingDependencyError, PlatformError
 from unicon_msgs_map.layout.messages import Struct
+from unicon_ros.hardware.dds.domains import enter, leave
 from unicon_ros.hardware.dds.types import dds_type
 
 __all__ = ["LARGEST_DOMAIN", "VERSION", "Participant", "Reader", "Writer"]
@@ -32,22 +31,6 @@ DEPTH = 8
 garbage beside the robot does not hide its good frames."""
 _ANY = 0x7F
 """Mask of samples in any state."""
-
-_CONFIG = (
-    '<CycloneDDS><Domain Id="any"><General><Interfaces><NetworkInterface {word}="{value}" '
-    'priority="default" multicast="default"/></Interfaces></General>{more}</Domain></CycloneDDS>'
-)
-# Linux calls loopback incapable of multicast, and cyclonedds 0.10.2, which vendors' SDKs use,
-# believes it: then both find each other only by the ports of low participant numbers.
-_ON_LOOPBACK = (
-    "<Discovery><ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>60"
-    '</MaxAutoParticipantIndex><Peers><Peer address="127.0.0.1"/></Peers></Discovery>'
-)
-
-_lock = Lock()
-_domains: dict[int, tuple[str | None, Any, int]] = {}
-"""Domain id to interface, the domain (None where the environment configures it), and users: a
-process has one configuration for each domain."""
 
 
 def _load(what: str, extra: str) -> None:
@@ -79,6 +62,7 @@ class Participant:
             choice to CYCLONEDDS_URI, and without it to CycloneDDS.
         what: in front of messages.
         extra: of the package, which installs cyclonedds.
+        announced: older releases of Fast DDS have to see it (`Announcer`); wants an address.
 
     Raises:
         MissingDependencyError: cyclonedds is not installed.
@@ -86,7 +70,13 @@ class Participant:
     """
 
     def __init__(
-        self, domain: int, address: str | None, what: str, extra: str = "hw-unitree"
+        self,
+        domain: int,
+        address: str | None,
+        what: str,
+        extra: str = "hw-unitree",
+        *,
+        announced: bool = False,
     ) -> None:
         _load(what, extra)
         if type(domain) is not int or not 0 <= domain <= LARGEST_DOMAIN:
@@ -96,7 +86,7 @@ class Participant:
         self._others: Any = None
         self._echo: socket.socket | None = None
         self._open = False
-        _enter(domain, address, what)
+        enter(domain, address, what, announced=announced)
         self._open = True
         from cyclonedds.core import DDSException
         from cyclonedds.domain import DomainParticipant
@@ -185,7 +175,7 @@ class Participant:
             self._participant.__del__()
         if self._echo is not None:
             self._echo.close()
-        _leave(self.domain)
+        leave(self.domain)
 
 
 class Reader:
@@ -275,60 +265,3 @@ def _echo() -> socket.socket:
     echo.bind(("127.0.0.1", 0))
     echo.connect(echo.getsockname())
     return echo
-
-
-def _enter(domain: int, address: str | None, what: str) -> None:
-    """Configure a domain, once a process.
-
-    Raises:
-        PlatformError: it is configured otherwise already, or cannot be.
-    """
-    from cyclonedds.core import DDSException
-    from cyclonedds.domain import Domain
-
-    with _lock:
-        if domain in _domains:
-            other, made, users = _domains[domain]
-            if other != address:
-                raise PlatformError(
-                    f"{what}: domain {domain} is open on {other or 'the interface by default'} in "
-                    f"this process, and not on {address or 'that by default'}; give both the same "
-                    "address, or another domain"
-                )
-            _domains[domain] = (address, made, users + 1)
-            return
-        made = None
-        if address is not None:
-            try:
-                made = Domain(domain, _config(address, what))
-            except DDSException as error:
-                raise PlatformError(
-                    f"{what}: cannot use address {address!r} for DDS domain {domain}; give name "
-                    f"or address of this machine's network interface to the robot (ip addr)"
-                ) from error
-        _domains[domain] = (address, made, 1)
-
-
-def _config(address: str, what: str) -> str:
-    word, loopback = "address", False
-    try:
-        loopback = ipaddress.ip_address(address).is_loopback
-    except ValueError:
-        word, loopback = "name", address == "lo"
-        if not address.isascii() or not address.replace("-", "").replace("_", "").isalnum():
-            raise PlatformError(
-                f"{what}: address {address!r} is neither an address nor the name of a network "
-                "interface; write 192.168.123.51 or eth0"
-            ) from None
-    return _CONFIG.format(word=word, value=address, more=_ON_LOOPBACK if loopback else "")
-
-
-def _leave(domain: int) -> None:
-    with _lock:
-        address, made, users = _domains[domain]
-        if users > 1:
-            _domains[domain] = (address, made, users - 1)
-            return
-        del _domains[domain]
-        if made is not None:
-            made.__del__()

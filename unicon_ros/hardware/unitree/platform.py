@@ -70,10 +70,17 @@ class Unitree(WiredRobot):
         self.facts = _facts(robot, states, peer)
         super().__init__(states, robot, period, wire, silence=silence, silent=silent)
         self._unitree = wire
+        self._simulated = peer == SIMULATOR
 
     def variant(self) -> Mapping[str, Any]:
-        """Return what the robot tells of itself: its protocol, and G1 and H1-2 `mode_machine`."""
-        return self._unitree.variant
+        """Return what the robot tells of itself: its protocol, and G1 and H1-2 `mode_machine`.
+
+        unitree_mujoco leaves the latter at 0, whatever it simulates.
+        """
+        told = self._unitree.variant
+        if self._simulated:
+            return {name: value for name, value in told.items() if name != "mode_machine"}
+        return told
 
     @property
     def remote(self) -> bytearray:

@@ -14,31 +14,16 @@ from typing import Any
 import numpy as np
 
 from unicon_msgs_map.layout.messages import shared_messages
+from unicon_ros.hardware.dds.objects import packed, unpacked
 from unicon_ros.hardware.dds.participant import Participant
 
-__all__ = ["Client", "Server", "packed", "unpacked"]
+__all__ = ["Client", "Server"]
 
 REQUEST, RESPONSE = "unitree_api/msg/Request", "unitree_api/msg/Response"
 
 
 def _topic(service: str, way: str) -> str:
     return f"rt/api/{service}/{way}"
-
-
-def packed(message: Any) -> bytes:
-    """Return a message as bytes, zeros behind it up to a multiple of 4."""
-    raw = bytes(shared_messages().store.serialize_cdr(message, message.__msgtype__))
-    return raw.ljust(len(raw) + -len(raw) % 4, b"\0")
-
-
-def unpacked(raw: bytes, name: str) -> Any | None:
-    """Return bytes as a message; None where they are none."""
-    messages = shared_messages()
-    messages.struct(name)  # registers it
-    try:
-        return messages.store.deserialize_cdr(raw, name)
-    except Exception:  # whatever rosbags makes of garbage
-        return None
 
 
 def _types() -> Any:

@@ -19,14 +19,13 @@ from unicon_core.states.standard import HARDWARE_STATES, JOINT_STATES
 from unicon_msgs_map import Decoder, Encoder
 from unicon_ros.hardware.dds.end import DdsEnd
 from unicon_ros.hardware.dds.frames import Frames
-from unicon_ros.hardware.dds.inlet import newer
 from unicon_ros.hardware.dds.maps import arrays_of
 from unicon_ros.hardware.dds.participant import Participant
 from unicon_ros.hardware.torso import IMU_STATES, turned
 from unicon_ros.hardware.unitree.facts import UnitreeFacts
 from unicon_ros.hardware.unitree.maps import command_out, head_in, state_in
 from unicon_ros.hardware.unitree.release import Release
-from unicon_ros.hardware.wire import Counts
+from unicon_ros.hardware.wire import Counts, newer
 
 __all__ = ["FOOT_FORCE", "LABEL", "TOLD", "UnitreeWire", "own_arrays"]
 

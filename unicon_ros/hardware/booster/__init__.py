@@ -1,0 +1,1 @@
+"""Booster's T1 over DDS."""

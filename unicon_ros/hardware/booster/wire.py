@@ -1,0 +1,174 @@
+"""BoosterWire: LowState in, LowCmd out, over DDS; ankles by torques."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.blocks.controls.device import Controls
+from unicon_core.errors import Fault
+from unicon_core.platforms.kit.base import Mounting, quat_of_rpy
+from unicon_core.robots import Robot
+from unicon_core.states import States
+from unicon_core.states.standard import COMMAND_STATES
+from unicon_ros.hardware.booster.codec import COMMAND, STATE, BoosterFacts, command_arrays
+from unicon_ros.hardware.booster.service import Client
+from unicon_ros.hardware.booster.side import Side
+from unicon_ros.hardware.booster.takeover import Takeover
+from unicon_ros.hardware.dds.end import DdsEnd
+from unicon_ros.hardware.dds.maps import arrays_of
+from unicon_ros.hardware.dds.participant import Participant
+from unicon_ros.hardware.wire import Counts
+
+__all__ = ["EXTRA", "LABEL", "BoosterWire"]
+
+LABEL, EXTRA = "platform 'booster'", "hw-booster"
+LAST = 5
+"""Times that the last words are sent, 2 ms apart."""
+
+
+class BoosterWire(DdsEnd):
+    """The connection to a robot.
+
+    LowState has no number: a robot that repeats itself is not told from one that does not move.
+
+    Args:
+        states: what is measured goes into these, commands come from these.
+        robot: its file.
+        domain: of DDS; None for the robot file's.
+        address: of this machine's network interface, or its name.
+        silent: nothing is sent.
+
+    Raises:
+        UniconError: it cannot be opened.
+    """
+
+    def __init__(
+        self,
+        states: States,
+        robot: Robot,
+        domain: int | None,
+        address: str | None,
+        *,
+        silent: bool = False,
+    ) -> None:
+        facts, counts = BoosterFacts.of(robot), Counts()
+        domain = facts.domain if domain is None else domain
+        self._states, self._robot, self._facts = states, robot, facts
+        self._rpy = np.zeros(3, np.float32)
+        self._mounting = Mounting.of(robot)
+        self._given = {name: states[name] for name in COMMAND_STATES}
+        self._sent = command_arrays(robot.num_joints)
+        self._effort = robot.effort_limit[facts.servo].astype(np.float32)
+        self._held: dict[str, NDArray[Any]] | None = None
+        self._client: Client | None = None
+        self._takeover: Takeover | None = None
+        self._put = False
+        participant = Participant(domain, address, LABEL, EXTRA, announced=True)
+        where = f"{facts.topics['state']} of DDS domain {domain}"
+        super().__init__(participant, where, counts)
+        with self.closing():
+            frames = facts.state_in(arrays_of(states) | {"rpy": self._rpy}, counts)
+            self.listen(facts.topics["state"], facts.message(STATE), frames)
+            controls = Controls(states) if "sticks" in states else None
+            self._side = Side(participant, facts, arrays_of(states), controls)
+            self.watch(facts.topics["command"])
+            if not silent:
+                encode = facts.command_out(self._sent)
+                self.speak(facts.topics["command"], facts.message(COMMAND), encode)
+                self._client = Client(participant, facts.topics["rpc"])
+                self._takeover = Takeover(
+                    self._client, facts, lambda: self.matched, self._hold, LABEL
+                )
+
+    def take(self) -> int:
+        """Bring the newest good frame into the states; return how many good ones have come.
+
+        Raises:
+            Fault: the robot has left custom mode.
+        """
+        number = super().take()
+        if number:
+            self._measured()
+        mode = self._side.take()
+        if self._takeover is not None and self._takeover.done and mode == "another":
+            raise Fault(
+                f"{LABEL}: the robot has left custom mode (it is in {self._side.mode}): the remote "
+                "or another program has taken it"
+            )
+        return number
+
+    def _measured(self) -> None:
+        states, mounting = self._states, self._mounting
+        states["base_quat"][...] = mounting.quat(quat_of_rpy(self._rpy))
+        if mounting.turned:
+            for name in ("base_ang_vel", "base_lin_acc"):
+                states[name][...] = mounting.vector(states[name])
+
+    def put(self) -> None:
+        """Send the command states; the ankles' stiffness becomes a torque.
+
+        tau = clip(kp (target - q) + tau_ff, ±effort), with kp 0 and the measured q for the motor,
+        which adds the damping (BoosterRobotics/booster_gym deploy/deploy.py: _publish_cmd).
+
+        Raises:
+            Fault: CycloneDDS refuses it.
+        """
+        self._put = True
+        self._send(self._given)
+
+    def warm_up(self) -> None:
+        """Do what `put` does up to the sending."""
+        self._made(self._given)
+        super().warm_up()
+
+    def _send(self, commands: dict[str, NDArray[Any]]) -> None:
+        self._made(commands)
+        super().put()
+
+    def _made(self, commands: dict[str, NDArray[Any]]) -> None:
+        sent, servo = self._sent, self._facts.servo
+        for name, values in commands.items():
+            sent[name][...] = values
+        measured = self._states["joint_pos"][servo]
+        torque = sent["joint_stiffness"][servo] * (sent["joint_pos_target"][servo] - measured)
+        torque += sent["joint_effort_ff"][servo]
+        limited = np.clip(torque, -self._effort, self._effort)
+        self.counts.clamped += bool((limited != torque).any())
+        sent["joint_pos_target"][servo] = measured
+        sent["joint_effort_ff"][servo] = limited
+        sent["joint_stiffness"][servo] = 0.0
+
+    def prepare(self) -> str:
+        """Bring the robot into custom mode; return what is waited for, "" at the end."""
+        return "" if self._takeover is None else self._takeover()
+
+    def _hold(self) -> None:
+        """Send a command that holds the posture of the first call."""
+        if self._held is None:
+            self._held = command_arrays(self._robot.num_joints)
+            self._held["joint_pos_target"][...] = self._states["joint_pos"]
+            self._held["joint_stiffness"][...] = self._robot.joint_stiffness
+            self._held["joint_damping"][...] = self._robot.joint_damping
+        self._send(self._held)
+
+    def close(self) -> None:
+        """Leave the robot in its own damping mode, where it was taken, and the domain."""
+        try:
+            if self._takeover is not None and self._takeover.held and self._client is not None:
+                self._let_go(self._client)
+        finally:
+            self._takeover = None
+            super().close()
+
+    def _let_go(self, client: Client) -> None:
+        if not self._put and self._held is not None:  # else the damping command has been sent
+            self._held["joint_stiffness"][...] = 0.0
+            for _ in range(LAST):
+                self._send(self._held)
+                time.sleep(0.002)
+        client.ask(self._facts.requests["change_mode"], mode=self._facts.modes["damping"])
+        time.sleep(0.002 * LAST)  # for it to leave this machine
