@@ -144,7 +144,7 @@ class EmulatedUnitree(Served):
     ) -> None:
         domain = free_domain()
         given = [f"--set={name}={value}" for name, value in {**options, "domain": domain}.items()]
-        reached = {"address": "127.0.0.1", "domain": domain, "connect": 30}
+        reached = {"address": "127.0.0.1", "domain": domain, "silence": 5, "connect": 30}
         super().__init__(processes, robot, *given, *more, platform="unitree", options=reached)
 
 

@@ -218,7 +218,7 @@ class UnitreeFace(DdsEnd):
             server.reply(asked, NOT_IMPLEMENTED)
 
     def close(self) -> None:
-        """Leave the domain."""
+        """Let go of the remote, and leave the domain."""
         if self.held is not None:
             self.held.close()
         super().close()
