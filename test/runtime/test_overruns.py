@@ -130,7 +130,7 @@ WORKFLOW = """\
 robot: go2
 platform: fake
 rate: 100
-flow: {hold: {duration: 0.3}}
+flow: {hold: {duration: 0.6}}
 """
 
 
@@ -141,7 +141,7 @@ def test_a_slow_observer_of_a_run_is_in_the_report(tmp_path: Path) -> None:
 
     def sleepy() -> None:
         calls.append(1)
-        if len(calls) % 5 == 0:
+        if len(calls) % 3 == 0:
             time.sleep(0.03)
 
     def hook(workflow: Any) -> dict[Stage, list[Block]]:
