@@ -126,10 +126,11 @@ class BoosterWire(DdsEnd):
         super().warm_up()
 
     def _send(self, commands: dict[str, NDArray[Any]]) -> None:
-        self._made(commands)
+        self.counts.clamped += self._made(commands)
         super().put()
 
-    def _made(self, commands: dict[str, NDArray[Any]]) -> None:
+    def _made(self, commands: dict[str, NDArray[Any]]) -> bool:
+        """Bring commands into what is sent; True where a torque was limited."""
         sent, servo = self._sent, self._facts.servo
         for name, values in commands.items():
             sent[name][...] = values
@@ -137,10 +138,10 @@ class BoosterWire(DdsEnd):
         torque = sent["joint_stiffness"][servo] * (sent["joint_pos_target"][servo] - measured)
         torque += sent["joint_effort_ff"][servo]
         limited = np.clip(torque, -self._effort, self._effort)
-        self.counts.clamped += bool((limited != torque).any())
         sent["joint_pos_target"][servo] = measured
         sent["joint_effort_ff"][servo] = limited
         sent["joint_stiffness"][servo] = 0.0
+        return bool((limited != torque).any())
 
     def prepare(self) -> str:
         """Bring the robot into custom mode; return what is waited for, "" at the end."""
