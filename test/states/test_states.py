@@ -25,7 +25,13 @@ specs = st.builds(
 )
 layouts = st.builds(
     Layout,
-    st.dictionaries(st.from_regex(r"[a-z][a-z0-9_]{0,6}", fullmatch=True), specs, max_size=8),
+    st.dictionaries(
+        st.from_regex(r"[a-z][a-z0-9_]{0,6}", fullmatch=True).filter(
+            lambda n: n not in dir(States)
+        ),
+        specs,
+        max_size=8,
+    ),
     st.none() | st.integers(1, 4),
 )
 
