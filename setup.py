@@ -42,6 +42,7 @@ EXTRAS = {
         "pytest",
         "pytest-timeout",
         "pytest-xdist>=3.7",
+        "pytest-rerunfailures>=16.7",
         "hypothesis",
         "jsonschema",
         "mcap-ros2-support",

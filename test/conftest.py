@@ -11,11 +11,13 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 from peer import Peer
+from stolen import Stolen
 from turns import turn
 
 from unicon_ros.bench.domains import free_domain
 
 ROOT = Path(__file__).resolve().parent.parent
+stolen = Stolen()
 LOG_DIR = tempfile.mkdtemp(prefix="unicon_ros_log_")
 
 
@@ -47,6 +49,7 @@ def pytest_unconfigure(config: pytest.Config) -> None:
 @pytest.hookimpl(hookwrapper=True, tryfirst=True)  # before the test's time begins to count
 def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
     """Let a test marked `alone` run while no other worker runs one."""
+    stolen.begin()
     if not hasattr(item.config, "workerinput"):  # there is one process only
         yield
         return
@@ -55,7 +58,15 @@ def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Keep only the tests marked `smoke` where UNICON_TESTS=smoke asks for a quick look."""
+    """Keep only the tests marked `smoke` where UNICON_TESTS=smoke asks for a quick look.
+
+    Repeat what fails while the host took the machine away, and what is `alone`, since it measures
+    time: three failures in a row are none of the machine's.
+    """
+    if config.pluginmanager.hasplugin("rerunfailures"):
+        for item in items:
+            alone = item.get_closest_marker("alone") is not None
+            item.add_marker(pytest.mark.flaky(reruns=2, condition=alone or stolen))
     if os.environ.get("UNICON_TESTS") != "smoke":
         return
     kept = [item for item in items if item.get_closest_marker("smoke")]
