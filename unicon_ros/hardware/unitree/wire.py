@@ -15,7 +15,7 @@ from unicon_core.platforms.kit.base import Mounting
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.states.stacked import spans
-from unicon_core.states.standard import HARDWARE_STATES, JOINT_STATES
+from unicon_core.states.standard import CONTROL_STATES, HARDWARE_STATES, JOINT_STATES
 from unicon_msgs_map import Decoder, Encoder
 from unicon_ros.hardware.dds.end import DdsEnd
 from unicon_ros.hardware.dds.frames import Frames
@@ -92,7 +92,10 @@ class UnitreeWire(DdsEnd):
         staged = States(states.layout)  # what is read waits here for the tick
         self._read = {name: array for name, array in arrays_of(staged).items() if name in told}
         into, out_of = (memoryview(each.buffer.data) for each in (states, staged))
-        self._tell = [(into[span], out_of[span]) for span in spans(states.layout, told)]
+        remote = CONTROL_STATES if "sticks" in states else ()
+        self._controls = Controls(staged) if remote else None
+        self._held = b""
+        self._tell = [(into[span], out_of[span]) for span in spans(states.layout, {*told, *remote})]
         arrays = self._read | own
         self._mounting = Mounting.of(robot)
         self._pairs = own["temperatures"][0::2], own["temperatures"][1::2]
@@ -102,7 +105,6 @@ class UnitreeWire(DdsEnd):
         self._head = Decoder.build(head_in(facts), arrays)
         if "wireless_remote" in states:
             self._tell.append((memoryview(states["wireless_remote"].data), memoryview(self.remote)))
-        self._controls = Controls(states) if "sticks" in states else None
         self._release: Release | None = None
         super().__init__(
             Participant(domain, address, LABEL),
@@ -129,8 +131,6 @@ class UnitreeWire(DdsEnd):
         if number:
             for state, value in self._tell:
                 state[:] = value
-            if self._controls is not None:
-                held(self.remote, self._controls)
         return number
 
     def _forget(self) -> None:
@@ -174,6 +174,9 @@ class UnitreeWire(DdsEnd):
             turned(values, values, *(float(values[n][waist]) for n in ("joint_pos", "joint_vel")))
         if not self._facts.go and "motor_temperature" in values:
             np.maximum(*self._pairs, out=values["motor_temperature"])
+        if self._controls is not None and self.remote != self._held:
+            held(self.remote, self._controls)
+            self._held = bytes(self.remote)
         return True
 
     def prepare(self) -> str:
