@@ -218,11 +218,10 @@ def test_groups_of_blocks_share_the_stamp_of_the_last() -> None:
     graph.watch(False)
     for _ in range(2):
         graph.step()
-        assert graph.stamps.nonzero()[0].tolist() == [1 + GROUP, 4 + GROUP]
         graph.deferred()
-        stamps = graph.stamps[graph.stamps > 0]
-        assert len(stamps) == 3
-        assert (np.diff(stamps) >= 0).all()
+        stamps = graph.stamps[[1 + GROUP, 4 + GROUP]]
+        assert graph.stamps.nonzero()[0].tolist() == [1 + GROUP, 4 + GROUP]
+        assert stamps[0] <= stamps[1]  # the last group ends with the tick, and has none
         graph.stamps[:] = 0
     graph.watch(True)
     graph.step()

@@ -107,11 +107,14 @@ class _Compiler:
         return body, self.tail
 
     def groups(self) -> None:
-        """Let blocks share time stamps from now on: those of the last one of each group."""
+        """Let blocks share time stamps from now on: those of the last one of each group.
+
+        The last group of all has none: it ends when the tick does, which its caller knows.
+        """
         for later in (False, True):
             own = [i for i in range(len(self.blocks)) if (i in self.deferred_blocks) is later]
             self.shared += [tuple(own[i : i + GROUP]) for i in range(0, len(own), GROUP)]
-        self.stamped = {group[-1] for group in self.shared}
+        self.stamped = {group[-1] for group in self.shared[:-1]}
 
     def call(self, block: Block) -> str:
         if not block.inline:
