@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
+from scenes import in_scene
 
 from unicon_core.robots import Robot, load_robot
 from unicon_core.states import States, standard_states
+
+if TYPE_CHECKING:
+    from unicon_core.platforms.sim.mujoco import MujocoPlatform
 
 pytest.importorskip("mujoco", reason="mujoco is not installed: pip install 'unicon_ros[sim]'")
 
@@ -138,3 +142,28 @@ def states_of() -> Callable[..., States]:
         return States(standard_states(robot.joint_names), num_robots)
 
     return build
+
+
+@pytest.fixture
+def build(
+    toy_robot: Callable[..., Robot],
+    toy_model: Callable[..., Path],
+    states_of: Callable[..., States],
+) -> Callable[..., tuple[MujocoPlatform, States]]:
+    """Builds the robot in MuJoCo, in a scene, with the states that it reads and writes."""
+
+    def make_it(
+        period: float = 0.01,
+        num_robots: int | None = None,
+        model: dict[str, Any] | None = None,
+        **options: Any,
+    ) -> tuple[MujocoPlatform, States]:
+        from unicon_core.platforms.sim.mujoco import make
+
+        robot = toy_robot()
+        states = states_of(robot, num_robots)
+        return in_scene(
+            make, states, robot, period, model=toy_model(**(model or {})), **options
+        ), states
+
+    return make_it

@@ -3,40 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
-from scenes import in_scene
 
 from unicon_core.platforms.sim.mujoco import MujocoPlatform, make
-from unicon_core.robots import Robot, load_robot
+from unicon_core.robots import load_robot
 from unicon_core.states import States, standard_states
 
 Build = Callable[..., tuple[MujocoPlatform, States]]
-
-
-@pytest.fixture
-def build(
-    toy_robot: Callable[..., Robot],
-    toy_model: Callable[..., Path],
-    states_of: Callable[..., States],
-) -> Build:
-    def make_it(
-        period: float = 0.01,
-        num_robots: int | None = None,
-        model: dict[str, Any] | None = None,
-        **options: Any,
-    ) -> tuple[MujocoPlatform, States]:
-        robot = toy_robot()
-        states = states_of(robot, num_robots)
-        return in_scene(
-            make, states, robot, period, model=toy_model(**(model or {})), **options
-        ), states
-
-    return make_it
 
 
 def rotation(quat: Any) -> Any:

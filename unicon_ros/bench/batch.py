@@ -1,6 +1,7 @@
 """`unicon bench batch`: cost of a tick per robot, many robots in one graph beside one robot.
 
-Physics is left out (the `fake` platform): what is measured is the tick.
+Without physics (the `fake` platform) it is the tick that is measured; with them, in MuJoCo, several
+robots are simulated at once, as many as there are cores.
 """
 
 from __future__ import annotations
@@ -8,10 +9,12 @@ from __future__ import annotations
 import tempfile
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from unicon_core.platforms.sim.mujoco.batch import shares
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import load_workflow
@@ -21,8 +24,11 @@ from unicon_ros.bench.samples import Samples
 
 __all__ = ["run"]
 
-SIZES = (1, 4, 16, 64, 256)
 TICKS = 200
+PHYSICS_TICKS = 100
+
+SIZES = (1, 4, 16, 64, 256)
+PHYSICS_SIZES = (1, 4, 16, 64)
 
 _WORKFLOW = """\
 robot: go2
@@ -34,6 +40,13 @@ commands:
 flow: {policy: walk}
 safety: [finite, joint_limits]
 """
+
+_PHYSICS: dict[str, Any] = {
+    "platform": "mujoco",
+    "scene": {"initial_pose": "policy:walk"},
+    "policies": {"walk": "go2_velocity"},
+}
+"""In place of the above; our own policy walks, where a random one would fall."""
 
 
 def run(rounds: int | None = None) -> Bench:
@@ -49,26 +62,36 @@ def run(rounds: int | None = None) -> Bench:
         random_policy(Path(folder) / "policy", load_robot("go2"))
         path = Path(folder) / "batch.yaml"
         path.write_text(_WORKFLOW.replace("POLICY", "./policy"), encoding="utf-8")
-        runners = {}
-        for size in SIZES:
-            program = load_workflow(path, {"num_robots": size})
-            runners[size] = Runner(program, RunOptions(speed="max"))
+        runners: dict[str, tuple[Runner, int, int]] = {}
+        for kind, sizes, ticks, changed in (
+            ("per robot", SIZES, TICKS, {}),
+            ("with physics, per robot", PHYSICS_SIZES, PHYSICS_TICKS, _PHYSICS),
+        ):
+            for size in sizes:
+                program = load_workflow(path, changed | {"num_robots": size})
+                runner = Runner(program, RunOptions(speed="max"))
+                runners[f"{kind}, N = {size}"] = runner, size, ticks
         for _ in range(rounds):
-            for size, runner in runners.items():
-                times.add(f"per robot, N = {size}", _ticks(runner) / size)
-        for runner in runners.values():
+            for name, (runner, size, ticks) in runners.items():
+                times.add(name, _ticks(runner, ticks) / size)
+        for runner, _, _ in runners.values():
             runner.close()
-    for size in SIZES:
-        bench.case(f"per robot, N = {size}", times.of(f"per robot, N = {size}"))
-    bench.ratio("batch64", times.ratio("per robot, N = 64", "per robot, N = 1"), 0.35)
+    for name in runners:
+        bench.case(name, times.of(name))
+    for name, kind, bar in (
+        ("batch64", "per robot", 0.35),
+        ("batch64_physics", "with physics, per robot", 0.6),
+    ):
+        bench.ratio(name, times.ratio(f"{kind}, N = 64", f"{kind}, N = 1"), bar)
+    bench.facts["threads"] = len(shares(64))
     return bench
 
 
-def _ticks(runner: Runner) -> NDArray[np.float64]:
+def _ticks(runner: Runner, ticks: int) -> NDArray[np.float64]:
     """Return the time of each tick in [µs]."""
     now = time.perf_counter_ns
-    times = np.zeros(TICKS)
-    for i in range(TICKS):
+    times = np.zeros(ticks)
+    for i in range(ticks):
         begin = now()
         runner.tick(begin)
         times[i] = (now() - begin) * 1e-3

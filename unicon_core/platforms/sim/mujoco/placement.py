@@ -44,7 +44,7 @@ class Placement:
             if self._base is not None:
                 self._put_base(data, self._base, measured)
             data.qacc_warmstart[:] = 0.0  # what comes follows from the measured state alone
-            self._mujoco.mj_forward(self._loaded.model, data)
+            robot.forward()
 
     def _put_base(self, data: Any, base: int, measured: Mapping[str, NDArray[Any]]) -> None:
         mujoco, model = self._mujoco, self._loaded.model
@@ -83,4 +83,4 @@ class Placement:
             robot.command[...] = kept["command"]
             if robot.delay is not None:
                 robot.delay.restore(kept["delay"])
-            self._mujoco.mj_step1(self._loaded.model, robot.data)
+            self._mujoco.mj_step1(robot.model, robot.data)

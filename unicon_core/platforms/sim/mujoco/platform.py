@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from copy import copy
 from dataclasses import replace
 from functools import cached_property
 from typing import Any
@@ -14,12 +15,14 @@ from numpy.typing import NDArray
 from unicon_core.models.load import load_model
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.platforms.kit.clock import steps_in
+from unicon_core.platforms.kit.command import Command
 from unicon_core.platforms.kit.joint_delay import delay_of, strength_of
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.platforms.kit.start import initial_positions
 from unicon_core.platforms.platform import SIMULATED, Facts
+from unicon_core.platforms.sim.mujoco.batch import Batch, shares
 from unicon_core.platforms.sim.mujoco.placement import Placement
-from unicon_core.platforms.sim.mujoco.servo import Servo
+from unicon_core.platforms.sim.mujoco.shared_servo import SharedServo
 from unicon_core.platforms.sim.mujoco.simulated_robot import SimulatedRobot
 from unicon_core.platforms.sim.mujoco.viewer import Viewer
 from unicon_core.robots import Robot
@@ -62,7 +65,7 @@ class MujocoPlatform:
     """One or more robots in MuJoCo; build it with `make`.
 
     Attributes:
-        model: the `MjModel`.
+        model: the `MjModel`; of a batch, that of the robots of its first thread.
         model_path: the file that it was read from.
         robots: the simulated robots, one unless the states have a batch axis.
         decimation: physics steps in a tick.
@@ -93,30 +96,42 @@ class MujocoPlatform:
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         self._physics = physics = joint_physics(robot, scene.joints)
         _tell_joints(mujoco, loaded, physics)
-        self._servo = Servo(mujoco, model, loaded.joints, robot.effort_limit, strength_of(physics))
         delay = delay_of(physics, float(model.opt.timestep))
-        count = states.num_robots
-        self.robots = [
-            SimulatedRobot(
-                mujoco,
-                loaded,
-                robot.joint_names,
-                self._servo,
-                self.decimation,
+        count, self._batch = states.num_robots, None
+        command = Command(states, robot.joint_names)
+        ranks = shares(count or 1)
+        self._models = [model, *(copy(model) for _ in ranks[1:])]
+        self.robots: list[SimulatedRobot] = []
+        servos = [
+            SharedServo(mujoco, own, loaded.joints, robot.effort_limit, strength_of(physics))
+            for own in self._models
+        ]
+        for own, servo, share in zip(self._models, servos, ranks):
+            for k in share:
                 # `[k, ...]` keeps a scalar state a view
-                {
+                views = {
                     name: states[name] if count is None else states[name][k, ...]
                     for name in (*self.facts.writes, *self.facts.reads)
-                },
-                qpos,
-                k,
-                delay,
-            )
-            for k in range(count or 1)
-        ]
+                }
+                one = SimulatedRobot(
+                    mujoco,
+                    replace(loaded, model=own),
+                    robot.joint_names,
+                    servo,
+                    self.decimation,
+                    views,
+                    qpos,
+                    command,
+                    None if count is None else k,
+                    delay,
+                )
+                self.robots.append(one)
+        self._servo = servos[0]
         if len(self.robots) == 1:  # one call less in every tick
             self.recv = self.robots[0].read  # type: ignore[method-assign]
             self.send = self.robots[0].step  # type: ignore[method-assign]
+        else:
+            self._batch = Batch(command, self.robots, self.decimation, ranks, servos)
 
     @cached_property
     def _placement(self) -> Placement:
@@ -139,9 +154,13 @@ class MujocoPlatform:
         Raises:
             Fault: a command is not finite, or the physics blew up.
         """
-        for robot in self.robots:
-            robot.step()
+        assert self._batch is not None
+        self._batch()
         return None
+
+    def warm_up(self) -> None:
+        """Rehearse `recv` and a physics step of the (first) robot; nothing that is seen changes."""
+        self.robots[0].rehearse()
 
     def reset(self) -> None:
         """Put every robot back where it began, at time 0."""
@@ -167,11 +186,17 @@ class MujocoPlatform:
 
     def close(self) -> None:
         """Let go; a simulation has no motors to damp."""
+        if self._batch is not None:
+            self._batch.close()
 
     @contextmanager
     def unlimited(self) -> Iterator[None]:
         """Do without the limits of effort for a while, for `--twin`."""
-        limits = self.model.actuator_forcelimited, self.model.jnt_actfrclimited
+        limits = [
+            limit
+            for model in self._models
+            for limit in (model.actuator_forcelimited, model.jnt_actfrclimited)
+        ]
         before = [limit.copy() for limit in limits]
         try:
             for limit in limits:

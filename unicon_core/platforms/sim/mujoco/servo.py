@@ -22,8 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.models.joints import drives
+from unicon_core.platforms.sim.mujoco.actuators import actuator_kind
 
-__all__ = ["Servo", "actuator_kind", "index_of"]
+__all__ = ["Servo", "index_of"]
 
 Float = NDArray[np.float64]
 
@@ -37,7 +38,7 @@ def index_of(positions: Sequence[int]) -> slice | NDArray[np.intp]:
 
 
 class Servo:
-    """The actuators of a robot's joints in one model, shared by all robots of a batch.
+    """The actuators of a robot's joints in one model.
 
     Args:
         mujoco: the module.
@@ -139,16 +140,3 @@ class Servo:
             self._bias[index, 1] = -stiffness
             self._bias[index, 2] = -damping
             self._written = gains
-
-
-def actuator_kind(mujoco: Any, model: Any, i: int) -> str:
-    """Return what an actuator is: `motor`, `position`, `velocity` or `general`."""
-    if model.actuator_gaintype[i] != int(mujoco.mjtGain.mjGAIN_FIXED):
-        return "general"
-    if model.actuator_biastype[i] == int(mujoco.mjtBias.mjBIAS_NONE):
-        return "motor"
-    if model.actuator_biastype[i] != int(mujoco.mjtBias.mjBIAS_AFFINE):
-        return "general"
-    if model.actuator_biasprm[i, 1] != 0.0:
-        return "position"
-    return "velocity" if model.actuator_biasprm[i, 2] != 0.0 else "motor"

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -13,8 +14,10 @@ from unicon_core.models.loaded import LoadedModel
 from unicon_core.platforms.kit.clock import tick_ns
 from unicon_core.platforms.kit.command import Command
 from unicon_core.platforms.kit.joint_delay import JointDelay
-from unicon_core.platforms.sim.mujoco.imu import BaseReader
-from unicon_core.platforms.sim.mujoco.servo import Servo, actuator_kind, index_of
+from unicon_core.platforms.sim.mujoco.actuators import holding
+from unicon_core.platforms.sim.mujoco.reader import Reader
+from unicon_core.platforms.sim.mujoco.rehearsal import Rehearsal
+from unicon_core.platforms.sim.mujoco.servo import Servo
 
 __all__ = ["SimulatedRobot"]
 
@@ -31,12 +34,25 @@ class SimulatedRobot:
     `mj_step` but leave kinematics and sensors fresh (plain `mj_step` leaves them one step old).
 
     Args:
+        loaded: the model, whose gains the robot shares at most with others of its thread.
         joint_names: of the robot's joints, in its order.
+        servo: of that model.
         decimation: physics steps in a tick.
         views: this robot's state arrays by name, without a batch axis.
         qpos: initial positions of the model.
-        rank: number of the robot in its batch.
+        command: of the platform.
+        rank: number of the robot in its batch, None where there is none.
         delay: by which each joint's commands come late in physics steps, shape (n,); None for none.
+
+    Attributes:
+        model: the `MjModel`.
+        data: the robot's `MjData`.
+        servo: as given.
+        command: this robot's rows of the platform's command, shape (5, n).
+        delay: holds commands back; None for none.
+        sources: what the base states are read from.
+        ticks: since the beginning.
+        tell_again: brings what acted last into the model, of a robot that shares it.
     """
 
     def __init__(
@@ -48,30 +64,24 @@ class SimulatedRobot:
         decimation: int,
         views: dict[str, NDArray[Any]],
         qpos: Float,
-        rank: int,
+        command: Command,
+        rank: int | None = None,
         delay: NDArray[np.int64] | None = None,
     ) -> None:
-        model, joints, base = loaded.model, loaded.joints, loaded.base
-        self.data = mujoco.MjData(model)
-        self._mujoco, self._model, self._base, self._servo = mujoco, model, base, servo
+        model = self.model = loaded.model
+        data = self.data = mujoco.MjData(model)
+        self.servo = servo
+        self._mujoco, self._base = mujoco, loaded.base
         self._names, self._decimation, self._initial = tuple(joint_names), decimation, qpos
-        self._who = f"robot {rank}, " if rank else ""
-        self._extra_ctrl = _holding(mujoco, model, servo, qpos)
-        data = self.data
-        q_index = index_of([int(model.jnt_qposadr[j]) for j in joints])
-        v_index = index_of([int(model.jnt_dofadr[j]) for j in joints])
-        sources = ((data.qpos, q_index), (data.qvel, v_index), (data.qfrc_actuator, v_index))
-        self._copies = [
-            (views[name], source[index] if isinstance(index, slice) else None, source, index)
-            for name, (source, index) in zip(("joint_pos", "joint_vel", "joint_effort"), sources)
-            if name in views
-        ]
-        self._base_reader = None if base is None else BaseReader(mujoco, model, data, base, views)
-        self.sources = {} if self._base_reader is None else dict(self._base_reader.source)
+        self._who = "" if rank is None else f"robot {rank}, "
+        self._extra_ctrl = holding(mujoco, model, {*servo.actuators, *servo.silenced}, qpos)
+        self._loaded, self._views = loaded, views
+        self._reader = Reader(mujoco, loaded, data, views)
+        self.sources = self._reader.sources
         self._stamp = views.get("stamp_ns")
         self._tick_ns = tick_ns(float(model.opt.timestep), decimation)
-        command = Command(views, self._names, self._who)
-        self._take, self.command = command.take, command.rows
+        self._take = command.take
+        self.command = command.rows if rank is None else command.rows[:, rank]
         self.delay = None if delay is None else JointDelay(self.command, delay, decimation)
         self._qvel = data.qvel
         self._split = model.opt.integrator != int(mujoco.mjtIntegrator.mjINT_RK4)
@@ -80,38 +90,55 @@ class SimulatedRobot:
     def reset(self) -> None:
         """Put the robot back where it began, time 0."""
         mujoco, data = self._mujoco, self.data
-        mujoco.mj_resetData(self._model, data)
+        mujoco.mj_resetData(self.model, data)
         data.qpos[:] = self._initial
         data.ctrl[:] = self._extra_ctrl
         self.ticks = 0
-        # Limp until the first command: the model's gains may be those of another robot by now.
-        self.command[...] = 0.0
+        self.command[...] = 0.0  # limp until the first command
         if self.delay is not None:
             self.delay.reset()
-        self._servo.push(data.ctrl, self.command)
-        mujoco.mj_forward(self._model, data)
+        self.servo.push(data.ctrl, self.command)
+        self.tell_again: Callable[[], None] | None = None
+        self.forward()
+
+    def forward(self) -> None:
+        """Compute what follows from positions, velocities and the last command."""
+        if self.tell_again is not None:  # the model's gains may be those of another robot by now
+            self.tell_again()
+        self._mujoco.mj_forward(self.model, self.data)
 
     def read(self) -> None:
         """Copy what the simulation says into the states."""
-        for out, view, source, index in self._copies:
-            out[...] = source[index] if view is None else view
-        if self._base_reader is not None:
-            self._base_reader()
+        self._reader()
         if self._stamp is not None:
             self._stamp[...] = round(self.ticks * self._tick_ns)
 
     def step(self) -> None:
-        """Take the command states and simulate one tick.
+        """Take the command states and simulate one tick, of a robot that is alone.
 
         Raises:
             Fault: a command is not finite, or the physics blew up.
         """
         self._take()
-        mujoco, model, data = self._mujoco, self._model, self.data
         parts = ((self._decimation, self.command),) if self.delay is None else self.delay()
+        self.simulate(self.servo.push, parts)
+
+    def simulate(
+        self, tell: Callable[[Float, Any], None], parts: Iterable[tuple[int, Any]]
+    ) -> None:
+        """Simulate one tick.
+
+        Args:
+            tell: brings a command into the model and the controls: a servo's method.
+            parts: physics steps, and the command that acts in them as `tell` takes it.
+
+        Raises:
+            Fault: the physics blew up.
+        """
+        mujoco, model, data = self._mujoco, self.model, self.data
         fresh = self._split  # kinematics of the next step are there: the first one needs half
         for steps, command in parts:
-            self._servo.push(data.ctrl, command)
+            tell(data.ctrl, command)
             if fresh:
                 mujoco.mj_step2(model, data)
                 steps -= 1
@@ -126,13 +153,20 @@ class SimulatedRobot:
         if not self._qvel.dot(self._qvel) < _TOO_FAST:  # false for NaN too
             raise Fault(self._blown_up())
 
+    @cached_property
+    def rehearse(self) -> Rehearsal:
+        """What warms the robot's memory and code up before a tick; see `Rehearsal`."""
+        unseen = {name: view.copy() for name, view in self._views.items()}
+        read = Reader(self._mujoco, self._loaded, self.data, unseen)
+        return Rehearsal(self._mujoco, self.model, self.data, read, self._split)
+
     def push(self, velocity: Float) -> None:
         """Add to the base's horizontal velocity in [m/s], shape (2,)."""
-        start = int(self._model.jnt_dofadr[self._base])
+        start = int(self.model.jnt_dofadr[self._base])
         self.data.qvel[start : start + 2] += velocity
 
     def _blown_up(self) -> str:
-        mujoco, model, qvel = self._mujoco, self._model, self._qvel
+        mujoco, model, qvel = self._mujoco, self.model, self._qvel
         if np.isfinite(qvel).any():
             dof = int(np.argmax(np.nan_to_num(np.abs(qvel), nan=np.inf)))
             joint = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, int(model.dof_jntid[dof]))
@@ -148,15 +182,3 @@ class SimulatedRobot:
             f"{self._who}the physics blew up before {time:.3f} s: {what}; "
             "lower the gains or the physics step (timestep)"
         )
-
-
-def _holding(mujoco: Any, model: Any, servo: Servo, qpos: Float) -> Float:
-    """Return controls that hold the joints of other position actuators (hands, objects)."""
-    ctrl = np.zeros(model.nu)
-    own = {*servo.actuators, *servo.silenced}
-    for i in range(model.nu):
-        if i not in own and model.actuator_trntype[i] == int(mujoco.mjtTrn.mjTRN_JOINT):
-            joint = int(model.actuator_trnid[i, 0])
-            if actuator_kind(mujoco, model, i) == "position":
-                ctrl[i] = qpos[model.jnt_qposadr[joint]] * model.actuator_gear[i, 0]
-    return ctrl

@@ -1,0 +1,98 @@
+"""The robots of a batch, stepped by several threads: MuJoCo simulates without Python's lock."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.platforms.kit.command import Command
+from unicon_core.platforms.kit.side_by_side import SideBySide
+from unicon_core.platforms.sim.mujoco.shared_servo import SharedServo, Told
+from unicon_core.platforms.sim.mujoco.simulated_robot import SimulatedRobot
+
+__all__ = ["Batch", "shares"]
+
+Array = NDArray[Any]
+Part = tuple[int, list[Told]]
+"""Physics steps, and what acts in them on each robot."""
+
+FEWEST = 2
+"""Robots for which a thread is worth its while."""
+
+
+def shares(count: int) -> list[range]:
+    """Return the robots of each thread: at most one thread for each core that we may use."""
+    affinity = getattr(os, "sched_getaffinity", None)  # of Linux
+    cores = len(affinity(0)) if affinity else os.cpu_count() or 1
+    threads = max(min(cores, count // FEWEST), 1)
+    return [range(i * count // threads, (i + 1) * count // threads) for i in range(threads)]
+
+
+class Batch:
+    """Simulates a tick of every robot.
+
+    The robots of a thread share a model, into which each one's gains are written before its step.
+    No robot depends on another, so that neither their number nor the threads' changes a bit.
+
+    Args:
+        command: of all robots.
+        robots: in order of their rank.
+        decimation: physics steps in a tick.
+        shares: ranks of the robots of each thread.
+        servos: of each thread.
+    """
+
+    def __init__(
+        self,
+        command: Command,
+        robots: Sequence[SimulatedRobot],
+        decimation: int,
+        shares: Sequence[range],
+        servos: Sequence[SharedServo],
+    ) -> None:
+        self._take, self._rows, self._robots = command.take, command.rows, robots
+        self._decimation = decimation
+        self._parts: list[Part] = []
+        self._told = servos[0].told
+        jobs = [
+            partial(_simulate, servo, robots, share, self._parts)
+            for servo, share in zip(servos, shares, strict=True)
+        ]
+        self._step = SideBySide(jobs, "mujoco")
+        self.close = self._step.close
+
+    def __call__(self) -> None:
+        """Take all commands and simulate one tick.
+
+        Raises:
+            Fault: a command is not finite, or the physics of a robot blew up: of several the first.
+        """
+        self._take()
+        # Reckoned for all at once, here: threads that hold Python's lock wait for each other.
+        self._parts[:] = [(steps, self._told(command)) for steps, command in self._commands()]
+        self._step()
+
+    def _commands(self) -> list[tuple[int, Array]]:
+        """Return physics steps, and the commands that act in them, shape (5, N, n)."""
+        delays = [robot.delay() for robot in self._robots if robot.delay is not None]
+        if not delays:
+            return [(self._decimation, self._rows)]
+        return [
+            (each[0][0], np.stack([command for _, command in each], axis=1))
+            for each in zip(*delays, strict=True)
+        ]
+
+
+def _simulate(
+    servo: SharedServo, robots: Sequence[SimulatedRobot], ranks: range, parts: list[Part]
+) -> None:
+    for rank in ranks:
+        robot = robots[rank]
+        own = [(steps, told[rank]) for steps, told in parts]
+        robot.tell_again = partial(servo.write, robot.data.ctrl, own[-1][1])
+        robot.simulate(servo.write, own)
