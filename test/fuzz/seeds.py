@@ -39,7 +39,7 @@ states:
   crouch: {shape: [3], dtype: float32, unit: rad, frame: base, initial: [0.1, 0.2, 0.3]}
   lean: {shape: [3]}
   count: {shape: [], dtype: int64, initial: 0}
-pacing: {trigger: deadline, overrun: skip, spin_us: 50, dry_run_us: 500}
+pacing: {trigger: deadline, overrun: skip, spin_us: 50, arrival_spin_us: 0, dry_run_us: 500}
 check: {accept: [action.scale], duration: 2.0, command: [0.5, 0.0, 0.0]}
 commands:
   - velocity_command: {schedule: [[0.0, 0.0, 0.0, 0.0], [1.0, 0.5, 0.0, 0.2]], ramp: 1.0}

@@ -7,6 +7,8 @@ from dataclasses import replace
 import pytest
 from map_helpers import publish
 
+from unicon_msgs_map import Qos, parse_map
+
 
 @pytest.mark.parametrize(
     ("rate", "period", "ticks"),
@@ -25,3 +27,21 @@ def test_a_rate_is_kept_in_whole_ticks(rate: float | None, period: float, ticks:
     spec = replace(publish("std_msgs/msg/Header", {}), rate=rate)
 
     assert spec.every(period) == ticks
+
+
+MAP = """
+publish:
+  - {topic: out, type: std_msgs/msg/Header, fields: {}}
+subscribe:
+  - {topic: unsaid, type: std_msgs/msg/Float64, fields: {data: x}}
+  - {topic: default, type: std_msgs/msg/Float64, qos: default, fields: {data: x}}
+  - {topic: depth, type: std_msgs/msg/Float64, qos: {depth: 3}, fields: {data: x}}
+"""
+
+
+@pytest.mark.parametrize("heard", [None, Qos(reliability="best_effort", depth=1)])
+def test_only_subscriptions_that_say_no_qos_take_the_reader_s(heard: Qos | None) -> None:
+    mapping = parse_map(MAP, heard=heard)
+    assert mapping.publish[0].qos == Qos()
+    said = {spec.topic: spec.qos for spec in mapping.subscribe}
+    assert said == {"unsaid": heard or Qos(), "default": Qos(), "depth": Qos(depth=3)}

@@ -108,3 +108,35 @@ def test_a_robot_that_lacks_a_joint_is_refused_by_name(
 def test_an_unknown_map_is_named(write: Callable[..., Path]) -> None:
     with pytest.raises(PlatformError, match=r"unknown map 'nope'"):
         load_workflow(write(more=", map: nope"))
+
+
+UNSAID = """\
+subscribe:
+  - topic: joint_states
+    type: sensor_msgs/msg/JointState
+    fields: {header.stamp: stamp_ns, name: $joint_names, position: joint_pos}
+publish:
+  - topic: joint_commands
+    type: sensor_msgs/msg/JointState
+    fields: {name: $joint_names, position: joint_pos_target}
+"""
+
+
+@pytest.mark.parametrize("reliability", ["--reliable", "--best-effort"])
+def test_a_map_that_says_no_qos_hears_robots_of_either_kind(
+    peers: Callable[..., Any], write: Callable[..., Path], tmp_path: Path, reliability: str
+) -> None:
+    (tmp_path / "unsaid.yaml").write_text(UNSAID)
+    peer = peers("plain_robot", reliability, *load_robot("go2").joint_names)
+    workflow = load_workflow(write(more=", map: ./unsaid.yaml"))
+    runner = Runner(workflow)
+    try:
+        for _ in range(20):
+            assert workflow.platform.wait(2.0)  # type: ignore[attr-defined]
+            runner.tick(0)
+        assert not workflow.platform.wait(0.0)  # type: ignore[attr-defined]
+    finally:
+        runner.close()
+    peer.wait_for(
+        lambda: peer.of("robot")[-1]["commands"] >= 20, "the commands, which are reliable"
+    )

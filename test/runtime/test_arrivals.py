@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from unicon_core.runtime.arrivals import Arrivals
+from unicon_core.runtime import arrivals
+from unicon_core.runtime.arrivals import Arrivals, awaited
 
 MS = 1_000_000
 
@@ -78,3 +81,53 @@ def test_the_lead_has_bounds() -> None:
     assert predicted.lead_ns() == 400_000
     predicted.jitter_ns = 1e9
     assert predicted.lead_ns() == MS
+
+
+class Source:
+    """Data that come at a time; waiting and asking take time of a clock that is made up."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, come_ns: int) -> None:
+        self.now, self.come_ns = 0, come_ns
+        self.asleep: list[int] = []
+        self.looks = 0
+        clock = SimpleNamespace(perf_counter_ns=lambda: self.now)
+        monkeypatch.setattr(arrivals, "time", clock)
+
+    def wait(self, timeout: float) -> bool:
+        slept = round(timeout * 1e9)
+        self.now += 1000
+        self.looks += not slept
+        if slept:
+            self.asleep.append(slept)
+            self.now = max(self.now, min(self.now + slept, self.come_ns))
+        return self.now >= self.come_ns
+
+
+@pytest.mark.parametrize(
+    ("come", "found", "asleep", "looks"),
+    [
+        (1_000_000, True, [800_000], 199),
+        (1_150_000, True, [800_000], 349),
+        (500_000, True, [800_000], 0),  # much too early
+        (1_500_000, False, [800_000], 399),  # late
+        (1 << 60, False, [800_000], 399),  # never
+    ],
+)
+def test_data_are_asked_for_without_a_pause_around_their_time_only(
+    monkeypatch: pytest.MonkeyPatch, come: int, found: bool, asleep: list[int], looks: int
+) -> None:
+    source = Source(monkeypatch, come)
+    assert awaited(source.wait, 1_000_000, 200_000) is found
+    assert source.asleep == asleep
+    assert source.looks == pytest.approx(looks, abs=1)
+    assert source.now <= 1_202_000
+
+
+def test_who_is_late_asks_at_once_or_not_at_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    source = Source(monkeypatch, 1 << 60)
+    source.now = 1_170_000
+    assert not awaited(source.wait, 1_000_000, 200_000)
+    assert (source.asleep, source.looks) == ([], 30)
+    source.now = 5_000_000
+    assert not awaited(source.wait, 1_000_000, 200_000)
+    assert source.looks == 30

@@ -49,12 +49,16 @@ class Libc:
     [
         (
             {"spin": 1},
-            "pacing: unknown key 'spin'; known: trigger, overrun, hang, spin_us, dry_run_us, "
-            "priority, cpu, lock_memory",
+            "pacing: unknown key 'spin'; known: trigger, overrun, hang, spin_us, "
+            "arrival_spin_us, dry_run_us, priority, cpu, lock_memory",
         ),
         ({"trigger": "timer"}, "pacing: trigger 'timer'; give deadline or state"),
         ({"overrun": "drop"}, "pacing: overrun 'drop'; give skip or catch_up"),
         ({"spin_us": -1}, "pacing: spin_us is -1; give a number of µs >= 0"),
+        (
+            {"arrival_spin_us": -1},
+            "pacing: arrival_spin_us is -1; give a number of µs >= 0",
+        ),
         ({"spin_us": math.nan}, "pacing: spin_us is nan; give a number of µs >= 0"),
         ({"dry_run_us": math.inf}, "pacing: dry_run_us is inf; give a number of µs >= 0"),
         ({"dry_run_us": "long"}, "pacing: dry_run_us is 'long'; give a number of µs >= 0"),

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from unicon_core.flow import Stage
-from unicon_core.runtime import Runner, RunOptions
+from unicon_core.runtime import Runner, RunOptions, ticker
+from unicon_core.runtime.arrivals import awaited
 from unicon_core.workflow import Program, load_workflow
 
 pytestmark = pytest.mark.alone
@@ -31,6 +32,7 @@ class Stream:
     def __init__(self, platform: Any, interval_ns: int) -> None:
         self.begin, self.interval = time.perf_counter_ns(), interval_ns
         self.taken: list[int] = []
+        self.looks = 0
         self.ages: list[float] = []
         self._seen = -1
         self._recv = platform.recv
@@ -40,6 +42,7 @@ class Stream:
         return (time.perf_counter_ns() - self.begin) // self.interval
 
     def wait(self, timeout_s: float) -> bool:
+        self.looks += not timeout_s
         end = time.perf_counter_ns() + timeout_s * 1e9
         while self.arrivals() == self._seen:
             if time.perf_counter_ns() > end:
@@ -96,6 +99,53 @@ def test_of_frequent_data_the_tick_takes_what_arrives_nearest_to_its_deadline(
         if seen[-1] < 0.35:
             return
     pytest.fail(f"ages of what ticks begin with, in intervals: {seen}")
+
+
+@pytest.mark.parametrize(("spin_us", "most_ns"), [(200, 200_000), (1e9, 1_000_000)])
+def test_data_are_asked_for_without_a_pause_where_the_workflow_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, spin_us: float, most_ns: int
+) -> None:
+    spins: list[int] = []
+
+    def noted(wait: Any, expected_ns: int, spin_ns: int) -> bool:
+        spins.append(spin_ns)
+        return awaited(wait, expected_ns, spin_ns)
+
+    monkeypatch.setattr(ticker, "awaited", noted)
+    pacing = f"pacing={{trigger: state, arrival_spin_us: {spin_us}}}"
+    _, stream, report = streamed(tmp_path, 2_000_000, 0.6, pacing)
+    assert report.ticks == 30
+    assert stream.looks > 30
+    assert len(spins) == 30
+    assert max(spins) == pytest.approx(most_ns, rel=0.1)  # half an interval at most
+
+
+def test_the_wait_is_asleep_unless_the_workflow_says_otherwise(tmp_path: Path) -> None:
+    _, stream, _ = streamed(tmp_path, 2_000_000, 0.2)
+    assert not stream.looks
+
+
+def test_data_that_stay_away_are_waited_for_asleep_in_spite_of_a_spin(tmp_path: Path) -> None:
+    pacing = "pacing={trigger: state, arrival_spin_us: 500}"
+    workflow = loaded(tmp_path, pacing)
+    stream = Stream(workflow.platform, 2_000_000)
+    recv = next(block for block in blocks(workflow) if block.stage is Stage.RECV)
+    recv.tick = stream.recv
+    runner = Runner(workflow, RunOptions(duration=0.4))
+    looks: list[int] = []
+
+    def gone(timeout_s: float) -> bool:
+        if workflow.states["tick"] < 10:
+            return stream.wait(timeout_s)
+        looks.append(not timeout_s)
+        time.sleep(timeout_s)
+        return False
+
+    workflow.platform.wait = gone  # type: ignore[attr-defined]
+    report = runner.run()
+    assert report.ticks == 20
+    assert report.overruns >= 9
+    assert looks.count(False) >= 10
 
 
 def test_of_rare_data_every_one_makes_a_tick(tmp_path: Path) -> None:

@@ -1,18 +1,22 @@
 """Arrivals: predicts when the platform's data come, for ticks that are triggered by them.
 
 Who knows when the next message comes can take in what is old and warm up just before. The wait
-itself stays asleep: asking for the message without a pause (with `sched_yield` in between) kept the
-middleware's thread, which brings it, from its core. On two cores it came 25 to 45 µs later.
+itself stays asleep unless `pacing.arrival_spin_us` asks for more: `awaited` tells what that gains.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import os
+import time
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 
-__all__ = ["Arrivals"]
+__all__ = ["Arrivals", "awaited"]
 
 LEAST_LEAD_NS = 150_000
+
+SHORTEST_SLEEP_NS = 50_000
+"""Who sleeps for less than that is woken too late."""
 
 
 class Arrivals:
@@ -58,3 +62,30 @@ class Arrivals:
     def lead_ns(self) -> int:
         """Return how long before a prediction to be ready in [ns]: few come earlier than that."""
         return round(min(max(4 * self.jitter_ns, LEAST_LEAD_NS), self.interval_ns / 2))
+
+
+def awaited(wait: Callable[[float], bool], expected_ns: int, spin_ns: int) -> bool:
+    """Wait for data around the time when they are expected, without a pause; then give up.
+
+    Two cores, which robot and controller share, states at 500 Hz over DDS, ticks at 50 Hz, in turns
+    of 8 ticks: 300 µs took 2 to 10 % off the median from end to end (410 to 510 µs), 100 µs
+    nothing, and the p99 grew. Begun earlier it took 6 % more. Whoever asks without a pause needs a
+    core that the middleware's thread, which brings the data, needs too.
+
+    Args:
+        wait: returns True once data are there, False after a time in [s].
+        expected_ns: when the data are expected, on the clock of `time.perf_counter_ns`.
+        spin_ns: how long before and after that to stay awake, in [ns].
+
+    Returns:
+        True once data are there, False `spin_ns` after they were expected.
+    """
+    now = time.perf_counter_ns
+    early = expected_ns - spin_ns - now()
+    if early > SHORTEST_SLEEP_NS and wait(early * 1e-9):
+        return True
+    while now() < expected_ns + spin_ns:
+        if wait(0.0):
+            return True
+        os.sched_yield()  # to that thread, where it waits for this core
+    return False

@@ -34,6 +34,8 @@ class Pacing:
         hang: a tick that comes or ends later than this after its deadline is a fault, in [s];
             None: `HANG` or five periods, whichever is longer.
         spin_us: busy wait before the deadline in [µs].
+        arrival_spin_us: with `state`, how long before and after the expected arrival to ask for
+            data without a pause in [µs], at most half the time between two; 0 for never.
         dry_run_us: how long before the deadline the blocks warm up at most in [µs]; 0 for never.
         priority: SCHED_FIFO priority 1…99, or None.
         cpu: core to stay on, or None.
@@ -44,6 +46,7 @@ class Pacing:
     overrun: Literal["skip", "catch_up"] = "skip"
     hang: float | None = None
     spin_us: float = 100.0
+    arrival_spin_us: float = 0.0
     dry_run_us: float = 1000.0
     priority: int | None = None
     cpu: int | None = None
@@ -93,6 +96,7 @@ SHORTEST_HANG, LONGEST_HANG = 0.01, 60.0
 
 _RANGES: dict[str, tuple[type, float, float, str]] = {
     "spin_us": (float, 0.0, sys.float_info.max, "a number of µs >= 0"),
+    "arrival_spin_us": (float, 0.0, sys.float_info.max, "a number of µs >= 0"),
     "dry_run_us": (float, 0.0, sys.float_info.max, "a number of µs >= 0"),
     "hang": (float, SHORTEST_HANG, LONGEST_HANG, f"[s] from {SHORTEST_HANG:g} to {LONGEST_HANG:g}"),
     "priority": (int, 1, 99, "a SCHED_FIFO priority from 1 to 99"),

@@ -11,7 +11,7 @@ import numpy as np
 from unicon_core.errors import Hung
 from unicon_core.flow import Node, compile_graph
 from unicon_core.platforms.platform import CountsArrivals
-from unicon_core.runtime.arrivals import Arrivals
+from unicon_core.runtime.arrivals import Arrivals, awaited
 from unicon_core.runtime.detail import Detail
 from unicon_core.runtime.pacing import CATCH_UP, WallClock, WarmUp
 from unicon_core.runtime.statistics import TickStatistics
@@ -198,6 +198,7 @@ class Ticker:
         statistics, now, period = self.statistics, time.perf_counter_ns, self.period_ns
         platform = self._program.platform
         until = self._warm_up(WallClock(0)).until
+        spin = round(self.pacing.arrival_spin_us * 1e3)
         patience = 3e-9 * period
         # A phase before may have measured it: while that is done nothing is sent.
         arrivals = self.arrivals = self.arrivals or self._arrivals(wait, patience)
@@ -212,13 +213,17 @@ class Ticker:
                 if self.stop:
                     break
                 last = now()
+            came = False
             if arrivals is not None:
                 often = 1.5 * arrivals.interval_ns < period
                 due = max(due + period, now()) if often else last + round(arrivals.interval_ns)
-                until(arrivals.nearest(due) - arrivals.lead_ns())
+                expected = arrivals.nearest(due)
+                until(expected - arrivals.lead_ns())
                 if often:
                     platform.recv()
-            came = wait(patience)
+                if spin:
+                    came = awaited(wait, expected, min(spin, round(arrivals.interval_ns / 2)))
+            came = came or wait(patience)
             before, last = last, now()
             if not came:
                 statistics.overruns += 1

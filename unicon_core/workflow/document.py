@@ -52,7 +52,8 @@ KEYS = {
     "safety": "blocks between the flow and send, or only: and blocks, or none",
     "deferred": "blocks after send",
     "twin": "{platform, window, over, bound}: a simulator beside the robot, under its commands",
-    "pacing": "{trigger, overrun, hang, spin_us, dry_run_us, priority, cpu, lock_memory}",
+    "pacing": "{trigger, overrun, hang, spin_us, arrival_spin_us, dry_run_us, priority, cpu, "
+    "lock_memory}",
     "check": "settings of the preflight check",
 }
 

@@ -62,20 +62,27 @@ _POLICIES: dict[str, tuple[str, ...]] = {
 }
 
 
-def load_map(path: str | Path, typestore: str | Messages | Any | None = None) -> MessageMap:
+def load_map(
+    path: str | Path,
+    typestore: str | Messages | Any | None = None,
+    *,
+    heard: Qos | None = None,
+) -> MessageMap:
     """Read a mapping file.
 
     Args:
         path: the YAML file.
         typestore: distribution such as `humble`, a `Messages`, or a rosbags typestore; it
             outranks the file's own `typestore`. Default: the file's, else Jazzy.
+        heard: of subscriptions that say no `qos`; None is `default`.
 
     Raises:
         MapFileError: the file cannot be read or says something wrong.
         MessageTypeError: a type or a field path is unknown.
     """
     path = Path(path)
-    return parse_map(read_text(path, MapFileError), typestore, name=str(path), folder=path.parent)
+    text = read_text(path, MapFileError)
+    return parse_map(text, typestore, name=str(path), folder=path.parent, heard=heard)
 
 
 def parse_map(
@@ -84,6 +91,7 @@ def parse_map(
     *,
     name: str = "mapping",
     folder: Path | None = None,
+    heard: Qos | None = None,
 ) -> MessageMap:
     """Parse the text of a mapping.
 
@@ -92,13 +100,14 @@ def parse_map(
         typestore: as for `load_map`.
         name: stands for the file in messages.
         folder: where relative paths under `messages` start; default is the working directory.
+        heard: as for `load_map`.
     """
     document = parse_yaml(text, name, MapFileError)
     top = Entry({} if document.value is None else document.value, document)
     keys = top.mapping("a message map", _TOP)
     messages = _messages(keys, typestore, folder or Path())
     publish = [_publish(e, messages) for e in _list(keys, "publish")]
-    subscribe = [_subscribe(e, messages) for e in _list(keys, "subscribe")]
+    subscribe = [_subscribe(e, messages, heard or Qos()) for e in _list(keys, "subscribe")]
     if not publish and not subscribe:
         raise top.fail("the message map maps nothing; add entries under 'publish' or 'subscribe'")
     for direction, entries in (("publish", publish), ("subscribe", subscribe)):
@@ -154,10 +163,12 @@ def _publish(entry: Entry, messages: Messages) -> PublishSpec:
     return spec
 
 
-def _subscribe(entry: Entry, messages: Messages) -> SubscribeSpec:
+def _subscribe(entry: Entry, messages: Messages, unsaid: Qos) -> SubscribeSpec:
     keys = _keys(entry, "a subscribe entry", _SUBSCRIBE)
     values = _both(entry, keys, messages, receive=True)
     values |= {k: keys[k].one_of(k, c) for k, c in _POLICIES.items() if k in keys}
+    if "qos" not in keys:
+        values["qos"] = unsaid
     spec = SubscribeSpec(**values, timeout=_positive(keys, "timeout", LONGEST_TIMEOUT))
     check_subscribe(spec)
     return spec

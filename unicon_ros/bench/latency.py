@@ -191,7 +191,8 @@ def _bench(results: list[dict[str, Rows]], options: _Options) -> Bench:
         state_rate_hz=options.state_rate,
         joints=options.joints,
         seconds=options.seconds,
-        qos="reliable, keep last 1, unless the row says best effort",
+        qos="reliable, keep last 1, unless the row says best effort; ours hear states with best "
+        "effort, as platform ros does by itself",
         transports="Fast DDS defaults; our controllers UDP alone, as they do by themselves",
         rmw=os.environ.get("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp"),
         rows="Recv: state made → in the controller's hands; Send: publishing the command; "

@@ -6,7 +6,10 @@ from typing import Any
 
 from unicon_msgs_map.spec import Qos
 
-__all__ = ["LATCHED", "qos_profile"]
+__all__ = ["LATCHED", "LATEST", "qos_profile"]
+
+LATEST = Qos(reliability="best_effort", depth=1)
+"""For streams of states: only the newest counts, and nothing is sent again."""
 
 LATCHED = Qos(durability="transient_local", depth=1)
 """The last message goes to late joiners too."""

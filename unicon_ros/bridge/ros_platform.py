@@ -8,7 +8,8 @@
 What the map subscribes is what `recv` writes, polled raw and drained to the latest; what it
 publishes is what `send` reads. A topic that is needed and silent for its `timeout` is a fault, and
 so are commands that cannot be published. Needed is what the map does not call optional, and what
-the workflow's critical path reads, whatever the map says.
+the workflow's critical path reads, whatever the map says. A topic whose map says no `qos` is heard
+with best effort, which hears robots of either kind.
 """
 
 from __future__ import annotations
@@ -45,6 +46,7 @@ from unicon_ros.bridge.map_fit import (
 )
 from unicon_ros.bridge.middleware_threads import calm_middleware_threads
 from unicon_ros.bridge.own_node import OwnNode
+from unicon_ros.bridge.qos import LATEST
 from unicon_ros.bridge.topics_in import TopicIn
 from unicon_ros.bridge.topics_out import TopicOut
 
@@ -136,7 +138,7 @@ class RosPlatform:
     ) -> None:
         self._states, self._robot, self._own, self._path = states, robot, own, path
         self._period, self._patience, self._damping = period, connect, damping
-        mapping = load_map(path)
+        mapping = load_map(path, heard=LATEST)
         # Silence is a fault here; zeros in its place would be commanded by the last damping.
         heard = [
             replace(spec, on_timeout="hold", timeout=spec.timeout or TIMEOUT)
@@ -243,6 +245,8 @@ class RosPlatform:
         first = self._in[0]
         if first.prefetch():
             return True
+        if not timeout:  # a look costs 1 µs, the wait set 10
+            return False
         self._wait_set.sleep(timeout)
         return first.prefetch()
 

@@ -1,13 +1,14 @@
 """A plain rclpy process that is a robot: joints follow `joint_commands`, states come at 200 Hz.
 
-Nothing of unicon is imported. Usage: plain_robot.py [--imu] JOINT...   The joints are published in
-the order given. Prints the last command as a JSON line, ten times a second.
+Nothing of unicon is imported. Usage: plain_robot.py [--imu] [--best-effort] JOINT...   The joints
+are published in the order given. Prints the last command as a JSON line, ten times a second.
 """
 
 import json
 import sys
 
 import rclpy
+from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Imu, JointState
 
 
@@ -24,7 +25,8 @@ def main() -> None:
             position[name] += 0.2 * (target - position[name])
 
     node.create_subscription(JointState, "joint_commands", on_command, 10)
-    states = node.create_publisher(JointState, "joint_states", 10)
+    profile = qos_profile_sensor_data if "--best-effort" in sys.argv else 10
+    states = node.create_publisher(JointState, "joint_states", profile)
     imus = node.create_publisher(Imu, "imu/data", 10) if "--imu" in sys.argv else None
 
     def publish() -> None:

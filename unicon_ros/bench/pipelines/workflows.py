@@ -60,7 +60,10 @@ def write_bridged(
 ) -> tuple[Path, Path]:
     """Write workflow and map of control over topics: the robot is platform `ros`.
 
+    States are heard with best effort, as by shipped maps and by those that say no `qos`.
+
     Args:
+        best_effort: QoS of commands.
         trigger: `deadline` ticks freely, `state` ticks when a state arrives.
 
     Returns:
@@ -68,21 +71,20 @@ def write_bridged(
     """
     _write_robot(folder, joints)
     workflow = _workflow(PLATFORM, f"'{PLATFORM}': {{map: ./robot.yaml}}", rate, trigger)
-    qos = _qos(best_effort)
     topics = f"""\
 subscribe:
-{joint_states_entry(STATE, best_effort)}
+{joint_states_entry(STATE, best_effort=True)}
     timeout: {HELD}
   - topic: {IMU}
     type: sensor_msgs/msg/Imu
-    qos: {qos}
+    qos: {_qos(best_effort=True)}
     timeout: {HELD}
     fields: {{orientation: base_quat, angular_velocity: base_ang_vel,
              linear_acceleration: base_lin_acc}}
 publish:
   - topic: {COMMAND}
     type: sensor_msgs/msg/JointState
-    qos: {qos}
+    qos: {_qos(best_effort)}
     fields: {{header.stamp: stamp_ns, name: $joint_names, position: joint_pos_target}}
 """
     return _written(folder, workflow, topics)
