@@ -110,7 +110,7 @@ class SlackServer:
 
     def _cost(self, kind: str) -> float:
         cost = self._costs.get(kind, FIRST_COST_NS)
-        return cost if self.runner is None else min(cost, 0.25 * self.runner.period_ns)
+        return cost if self.runner is None else min(cost, 0.5 * self.runner.period_ns)
 
     def _next(self) -> compat.Piece | None:
         """Return the next piece of the round, None at its end; a round begins with the first."""
