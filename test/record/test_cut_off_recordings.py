@@ -27,6 +27,7 @@ from unicon_ros.cli.main import main
 from unicon_ros.fault_record import FaultRecord
 from unicon_ros.recorder import Recorder, Recording
 from unicon_ros.recording import Record, open_record
+from unicon_ros.recording.background import CHUNK_BYTES, CHUNK_ROWS
 
 RATE = 500
 
@@ -128,6 +129,23 @@ def test_a_full_disk_takes_the_part_of_a_chunk_for_which_there_is_room(tmp_path:
     assert counts["messages"] + counts["dropped"] == 2000
     with AnyReader([tmp_path / "run.mcap"]) as reader:
         assert [stamp for _, stamp, _ in reader.messages()] == list(range(counts["messages"]))
+
+
+def test_chunks_are_small_so_that_no_tick_waits_long_for_the_thread(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "run.mcap", warn=str)
+    writes = [recorder.channel(topic, "rosgraph_msgs/msg/Clock") for topic in ("clock", "other")]
+    sizes = [12] * 3000 + [5000] * 100 + [12]  # CDR that nobody decodes
+    for stamp, size in enumerate(sizes):
+        assert writes[stamp % 2](stamp, bytes(size))
+    recorder.start()
+    recorder.close()
+    chunks = [sum(chunk.counts.values()) for chunk in recorder._file._chunks]  # type: ignore[union-attr]
+    assert sum(chunks) == len(sizes) == recorder.counts()["messages"]
+    assert max(chunks) == CHUNK_ROWS
+    assert max(chunk.size for chunk in recorder._file._chunks) < CHUNK_BYTES + 6000  # type: ignore[union-attr]
+    with AnyReader([tmp_path / "run.mcap"]) as reader:
+        found = [(stamp, len(raw)) for _, stamp, raw in reader.messages()]
+    assert found == list(enumerate(sizes))
 
 
 @pytest.mark.slow

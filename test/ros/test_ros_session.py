@@ -147,13 +147,16 @@ def test_without_rclpys_private_names_the_public_ones_do(
     elif missing == "publish":
         monkeypatch.setattr(compat, "raw_publish", lambda p: (p.publish, lambda: None))
     else:
-        real = compat.serve_one
+        real = compat.Serving
 
         class Hidden:
             def __init__(self, executor: Any) -> None:
-                self.spin_once = executor.spin_once
+                self.spin_once, self.context = executor.spin_once, executor.context
+                self.get_nodes = executor.get_nodes
 
-        monkeypatch.setattr(compat, "serve_one", lambda executor: real(Hidden(executor)))
+        monkeypatch.setattr(
+            compat, "Serving", lambda executor, watch: real(Hidden(executor), watch)
+        )
     run = runs(react)
     heard: list[JointState] = []
     plain.create_subscription(JointState, "joint_states", heard.append, 10)

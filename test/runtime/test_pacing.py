@@ -6,6 +6,8 @@ import ctypes
 import gc
 import math
 import os
+import platform
+import struct
 import sys
 import time
 from pathlib import Path
@@ -131,6 +133,28 @@ def test_the_timer_slack_is_the_kernels_own_after_a_run() -> None:
     assert libc.prctl(30, 0, 0, 0, 0) == 1
     restore()
     assert libc.prctl(30, 0, 0, 0, 0) == before
+
+
+@linux
+def test_the_time_slice_is_the_kernels_own_after_a_run() -> None:
+    """`sched_getattr` tells it as `sched_runtime` where threads can ask for one (Linux 6.12)."""
+    number = {"x86_64": 315, "aarch64": 275}.get(platform.machine())
+    if number is None:
+        pytest.skip("the number of the system call is not known here")
+    libc = ctypes.CDLL(None)
+
+    def asked() -> int:
+        raw = ctypes.create_string_buffer(48)
+        assert libc.syscall(number, 0, raw, 48, 0) == 0
+        return int(struct.unpack_from("=Q", raw, 24)[0])
+
+    before = asked()
+    if not before:
+        pytest.skip("this kernel knows no time slices of threads")
+    restore = prepare_process(Pacing(), print)
+    assert asked() == 100_000 < before
+    restore()
+    assert asked() == before
 
 
 def test_the_clock_never_returns_before_the_deadline() -> None:

@@ -9,6 +9,8 @@ from __future__ import annotations
 import ctypes
 import gc
 import os
+import platform
+import struct
 import sys
 import time
 from collections.abc import Callable
@@ -21,6 +23,7 @@ from unicon_core.errors import UniconError
 __all__ = ["Pacing", "WallClock", "WarmUp", "prepare_process", "process_age_s"]
 
 _PR_SET_TIMERSLACK = 29  # linux/prctl.h
+_SCHED_SETATTR = {"x86_64": 314, "aarch64": 274}  # asm/unistd.h
 
 
 @dataclass(frozen=True)
@@ -195,6 +198,8 @@ def prepare_process(pacing: Pacing, warn: Callable[[str], None]) -> Callable[[],
         libc = ctypes.CDLL(None, use_errno=True)
         libc.prctl(_PR_SET_TIMERSLACK, ctypes.c_ulong(1), 0, 0, 0)
         undo.append(lambda: libc.prctl(_PR_SET_TIMERSLACK, ctypes.c_ulong(0), 0, 0, 0))
+        if pacing.priority is None and _ask_slice(libc, SLICE_NS):
+            undo.append(lambda: _ask_slice(libc, 0))
         if pacing.lock_memory:
             if libc.mlockall(3) != 0:  # MCL_CURRENT | MCL_FUTURE
                 warn("pacing: memory not locked; raise the limit: ulimit -l unlimited")
@@ -226,6 +231,26 @@ def prepare_process(pacing: Pacing, warn: Callable[[str], None]) -> Callable[[],
             action()
 
     return restore
+
+
+SLICE_NS = 100_000
+"""Time slice that the tick's thread asks for, the shortest there is. A thread that wakes goes at
+once before one with a longer slice (Linux 6.12 and newer), else when that has had its own: ticks at
+1 kHz beside a recorder's threads overran 14 times in 12 s so, 25 times without."""
+
+
+def _ask_slice(libc: ctypes.CDLL, slice_ns: int) -> bool:
+    """Ask for a time slice of this thread in [ns], 0 for the usual; False where it is refused.
+
+    `sched_attr.sched_runtime` of a SCHED_OTHER thread (sched_setattr(2)); older kernels ignore it.
+    """
+    number = _SCHED_SETATTR.get(platform.machine())
+    if number is None or os.sched_getscheduler(0) != os.SCHED_OTHER:
+        return False
+    nice = os.getpriority(os.PRIO_PROCESS, 0)
+    # size, policy, flags, nice, priority, runtime, deadline, period: linux/sched/types.h
+    attributes = struct.pack("=IIQiIQQQ", 48, os.SCHED_OTHER, 0, nice, 0, slice_ns, 0, 0)
+    return bool(libc.syscall(number, 0, attributes, 0) == 0)
 
 
 def process_age_s() -> float | None:

@@ -107,6 +107,11 @@ class Runner:
         return self._ticker.next_due_ns
 
     @property
+    def lead_ns(self) -> int:
+        """How long before the next tick its warm-up begins at present, in [ns]; 0 without one."""
+        return self._ticker.lead_ns
+
+    @property
     def waits_for(self) -> str:
         """What is waited for before the flow; "" where nothing is."""
         return self._before.reason(self.phase)

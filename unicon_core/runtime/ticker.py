@@ -60,10 +60,16 @@ class Ticker:
         self.detail = Detail(self.graph, self.statistics)
         self.done = self.stop = False
         self.next_due_ns = self.first_ns = 0
+        self._waits: WarmUp | None = None
         self.between: deque[Callable[[], object]] = deque()
         self.arrivals: Arrivals | None = None
         self.hang_ns = self.pacing.hang_ns(self.period_ns, program.platform.facts.simulated)
         self._tick = program.states["tick"]
+
+    @property
+    def lead_ns(self) -> int:
+        """How long before a tick its warm-up begins at present, in [ns]; 0 without one."""
+        return 0 if self._waits is None else self._waits.lead_ns
 
     def step(self, due_ns: int, begin_ns: int) -> bool:
         """Run one tick: step, then the deferred blocks. True when the graph is done.
@@ -265,7 +271,9 @@ class Ticker:
 
     def _warm_up(self, clock: WallClock) -> WarmUp:
         able = any(block.warm_up is not None for block in self.graph.blocks)
-        return WarmUp(self.graph.warm_up, clock, round(self.pacing.dry_run_us * 1e3) if able else 0)
+        longest = round(self.pacing.dry_run_us * 1e3) if able else 0
+        self._waits = WarmUp(self.graph.warm_up, clock, longest)
+        return self._waits
 
     def _act(self) -> None:
         self._program.gate.until_ns = NEVER_NS  # a pause takes its time, and may tick

@@ -206,6 +206,7 @@ class RosSession:
             # The steady clock, so that it goes on where nobody publishes /clock.
             steady = Clock(clock_type=ClockType.STEADY_TIME)
             self._timer = self.node.create_timer(1.0, self._settle, self._group, steady)
+        self.slack.look()
 
     def counts(self) -> dict[str, Any]:
         """Return what passed: totals, and per topic `published`, or `received`, `rejected`, …"""

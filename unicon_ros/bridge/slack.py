@@ -1,14 +1,15 @@
 """Slack: serves a node's services, parameters, timers and events between ticks, never in their way.
 
-A block after `send`. It looks at the executor 20 to 200 times a second, as there is work (an empty
-look costs about 150 µs, as rclpy builds a wait set of all services for it), and only when the time
-until the next deadline is longer than what a look has cost lately plus the runner's warm-up.
+A block after `send`. All of them are asked in rounds, 25 to 200 a second, as there is work. A round
+is made of pieces of some 10 µs, one for each service; a piece is done where it ends before the next
+tick's warm-up begins, else in a later tick. So a tick pays for a piece and not for a round, and one
+with little slack still hears its services.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from unicon_core.runtime import Runner
@@ -16,16 +17,20 @@ from unicon_ros import compat
 
 __all__ = ["SlackServer"]
 
-INTERVAL_NS = 50_000_000
-"""Look every 50 ms where nobody asks for anything: 0.3 % of a core, and a service waits no more."""
+INTERVAL_NS = 40_000_000
+"""A round every 40 ms where nobody asks for anything: 0.3 % of a core."""
 BUSY_NS = 5_000_000
-"""After a look that found something to do, look again after 5 ms, and then ever less often."""
-PATIENCE_NS = 250_000_000
-"""After so long without enough slack, the warm-up's share is used too."""
+"""After a round that found something to do the next one after 5 ms, and then ever less often."""
+PATIENCE_NS = 20_000_000
+"""A round that is late by so much uses the warm-up's share too."""
 LAST_NS = 1_000_000_000
-"""After so long, look once whatever the slack: an overloaded loop must still hear its services."""
-ROUNDS = 16
-"""Callbacks served in one look at most."""
+"""So late, it is done whatever the slack: an overloaded loop must still hear its services."""
+TAIL_NS = 50_000
+"""Left for the blocks behind this one, such as a recorder's."""
+CALLBACKS = 16
+"""Callbacks served in one tick at most."""
+FIRST_COST_NS = 200_000
+"""Taken for the cost of a piece before one of its kind was done: the first is cold."""
 
 
 class SlackServer:
@@ -38,8 +43,8 @@ class SlackServer:
     Attributes:
         runner: whose deadlines count; None until it is known.
         served: callbacks run.
-        forced: looks that were due to `LAST_NS`.
-        always: look in every tick; where subscriptions cannot be polled.
+        forced: rounds that were due to `LAST_NS`.
+        always: begin a round in every tick; where subscriptions cannot be polled.
     """
 
     name = "ros services"
@@ -50,61 +55,91 @@ class SlackServer:
         self.always = False
         self._warn = warn
         self.use(executor)
-        self._last_ns = time.perf_counter_ns()
-        self._cost_ns = 300_000.0
+        self._due_ns = time.perf_counter_ns() + INTERVAL_NS
         self._interval_ns = INTERVAL_NS
+        self._costs: dict[str, float] = {}
         self._dead = False
 
     def use(self, executor: Any) -> None:
         """Serve this executor from now on; None for none."""
         self._executor = executor
-        self._serve = _nothing if executor is None else compat.serve_one(executor)
         self.responses = compat.Responses()
+        self._serving = None if executor is None else compat.Serving(executor, self.responses.watch)
+        self._round: Iterator[compat.Piece] | None = None
+        self._piece: compat.Piece | None = None
+        self._found = False
+
+    def look(self) -> None:
+        """See what the nodes have, before ticks begin: that takes longer than their slack."""
+        if self._serving is not None:
+            self._serving.look()
 
     def __call__(self) -> None:
         now = time.perf_counter_ns()
-        waited = now - self._last_ns
-        if waited < self._interval_ns and not self.always:
+        late = now - self._due_ns
+        if (late < 0 and not self.always) or self._dead or self._serving is None:
             return
+        end, forced = self._end(late), late >= LAST_NS
+        served = 0
+        while served < CALLBACKS:
+            piece = self._piece or self._next()
+            if piece is None:
+                return
+            fits = now + self._cost(piece.kind) <= end
+            if not fits and not forced:
+                self._piece = piece
+                return
+            if not fits and end:
+                self.forced += 1
+                end = 0  # once told, the round goes to its end
+            self._piece = None
+            served += self._done(piece)
+            began, now = now, time.perf_counter_ns()
+            # Fast up and slowly down, so that one slow callback makes the next one wait.
+            cost, known = now - began, self._costs.get(piece.kind, 0.0)
+            self._costs[piece.kind] = cost if cost > known else 0.95 * known + 0.05 * cost
+
+    def _end(self, late: int) -> int:
+        """Return until when pieces may take, in [ns] of `time.perf_counter_ns`."""
         runner = self.runner
         due = 0 if runner is None else runner.next_due_ns
-        until = 1 << 62
-        if due and runner is not None:
-            period = runner.period_ns
-            until = due - round(min(self._cost_ns, 0.25 * period))
-            if waited < PATIENCE_NS:
-                until -= round(1e3 * (runner.pacing.dry_run_us + runner.pacing.spin_us))
-            if now >= until:
-                if waited < LAST_NS:
-                    return
-                self.forced += 1
-        self._look(now, until)
+        if not due or runner is None:
+            return 1 << 62
+        lead = runner.lead_ns if late < PATIENCE_NS else 0
+        return due - max(lead, round(1e3 * runner.pacing.spin_us), TAIL_NS)
 
-    def _look(self, now: int, until: int) -> None:
-        self._last_ns = now
-        self._interval_ns = min(2 * self._interval_ns, INTERVAL_NS)
-        if self._dead or self._executor is None:
-            return
-        for node in self._executor.get_nodes():
-            self.responses.watch(node)
-        self.responses.retry()
-        for _ in range(ROUNDS):
-            began = now
-            try:
-                more = self._serve()
-            except Exception as error:  # a callback's mistake, or the context is gone
-                more = True
-                self._failed(error)
-            now = time.perf_counter_ns()
-            # Fast up and slowly down, so that one slow callback makes the next look wait.
-            cost = now - began
-            self._cost_ns = cost if cost > self._cost_ns else 0.95 * self._cost_ns + 0.05 * cost
-            if not more or self._dead:
-                return
-            self.served += 1
-            self._interval_ns = BUSY_NS
-            if now >= until:
-                return
+    def _cost(self, kind: str) -> float:
+        cost = self._costs.get(kind, FIRST_COST_NS)
+        return cost if self.runner is None else min(cost, 0.5 * self.runner.period_ns)
+
+    def _next(self) -> compat.Piece | None:
+        """Return the next piece of the round, None at its end; a round begins with the first."""
+        try:
+            if self._round is None:
+                assert self._serving is not None
+                self.responses.retry()
+                self._round = self._serving.round()
+                self._found = False
+            piece = next(self._round, None)
+        except Exception as error:  # the context is gone
+            self._failed(error)
+            piece = None
+        if piece is None:
+            self._round = None
+            wider = min(2 * self._interval_ns, INTERVAL_NS)
+            self._interval_ns = BUSY_NS if self._found else wider
+            self._due_ns = time.perf_counter_ns() + self._interval_ns
+        return piece
+
+    def _done(self, piece: compat.Piece) -> bool:
+        try:
+            ran = piece.run()
+        except Exception as error:  # a callback's mistake, or the context is gone
+            ran = True
+            self._failed(error)
+        self.served += ran
+        self._found |= ran
+        return ran
 
     def _failed(self, error: Exception) -> None:
         if type(error).__name__ in ("ExternalShutdownException", "InvalidHandle"):
@@ -113,12 +148,19 @@ class SlackServer:
         else:
             self._warn(f"a ROS callback failed: {type(error).__name__}: {error}")
 
+    def _call_found(self) -> None:
+        """Call what a round has found and ticks had no time for."""
+        for piece in () if self._serving is None else self._serving.callbacks():
+            self._done(piece)
+
     def rest(self) -> None:
         """Ticks have ended: what answers from now on may block."""
+        self._call_found()
         self.responses.release()
 
     def spin(self, timeout: float) -> None:
         """Serve one callback, waiting up to `timeout` in [s]: while ticks are paused."""
+        self._call_found()
         try:
             if self._executor is None:
                 time.sleep(timeout)
@@ -127,7 +169,3 @@ class SlackServer:
         except Exception as error:
             self._failed(error)
             time.sleep(timeout if self._dead else 0.0)
-
-
-def _nothing() -> bool:
-    return False

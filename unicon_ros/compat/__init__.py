@@ -19,11 +19,14 @@ from unicon_ros.compat.raw import (
     wait_for_readers,
 )
 from unicon_ros.compat.services import Responses, answer_refused_transitions
-from unicon_ros.compat.waiting import ReusedWaitSet, serve_one
+from unicon_ros.compat.serving import Piece, Serving
+from unicon_ros.compat.waiting import ReusedWaitSet
 
 __all__ = [
+    "Piece",
     "Responses",
     "ReusedWaitSet",
+    "Serving",
     "answer_refused_transitions",
     "fast_dds_profiles",
     "import_rclpy",
@@ -34,7 +37,6 @@ __all__ = [
     "raw_publish",
     "raw_take",
     "request_take",
-    "serve_one",
     "wait_for_readers",
     "with_events",
 ]

@@ -1,50 +1,14 @@
-"""Waiting for messages and serving callbacks without what rclpy's executors cost."""
+"""Waiting for messages without what rclpy's executors cost."""
 
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from unicon_core.errors import UniconError
 
-__all__ = ["ReusedWaitSet", "serve_one"]
-
-
-def serve_one(executor: Any) -> Callable[[], bool]:
-    """Return a function that runs one ready callback without waiting; False if there was none.
-
-    `spin_once(0)` does the same but does not tell whether there was something to do; where the
-    way to know is missing, it is called and the answer is always False.
-    """
-    wait = getattr(executor, "wait_for_ready_callbacks", None)
-    if wait is None:
-
-        def spin() -> bool:
-            executor.spin_once(0.0)
-            return False
-
-        return spin
-    executors = importlib.import_module("rclpy.executors")
-    names = ("TimeoutException", "ShutdownException", "ConditionReachedException")
-    nothing = tuple(getattr(executors, name) for name in names if hasattr(executors, name))
-
-    def serve() -> bool:
-        try:
-            handler, _, _ = wait(0.0, None, _never)
-        except nothing:
-            return False
-        handler()
-        error = handler.exception()
-        if error is not None:
-            raise error
-        return True
-
-    return serve
-
-
-def _never() -> bool:
-    return False
+__all__ = ["ReusedWaitSet"]
 
 
 class ReusedWaitSet:

@@ -2,16 +2,20 @@
 
 The tick never waits for the disk: where four blocks of 2 MiB are full, messages are dropped and
 counted. Nothing is done per message in the thread, which would hold the interpreter's lock: a chunk
-is one system call on the memory that the tick wrote. Every 0.7 s what is there goes to the kernel,
-so that a kill loses no more, and is brought to the medium at once: a power loss loses up to 1 s,
-and longer where the medium is slow. More often would be felt: each time takes 1 ms of a core.
+is one system call on the memory that the tick wrote, and small, so that its index holds that lock
+for 0.1 ms at most. The threads are of SCHED_BATCH: waking they do not push the tick off its core.
+Every 0.7 s what is there goes to the kernel, so that a kill loses no more, and is brought to the
+medium at once: a power loss loses up to 1 s, and longer where the medium is slow. More often would
+be felt: each time takes 1 ms of a core.
 """
 
 from __future__ import annotations
 
+import os
 import struct
 import threading
 import time
+from bisect import bisect_right
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
@@ -30,6 +34,9 @@ FLUSH_S = 0.7
 SYNC_S = 0.5
 """Between two syncs in [s], where blocks are full earlier."""
 CLOSE_S = 5.0
+CHUNK_ROWS, CHUNK_BYTES = 1024, 1 << 17
+"""Of a chunk at most. Its index is made under Python's lock, for which a tick that wakes has to
+wait: 0.1 ms, where one of 35,000 messages (100 topics at 500 Hz for 0.7 s) took 2.7."""
 BLOCKS, BLOCK_BYTES, BLOCK_ROWS = 4, 1 << 21, 1 << 15
 
 _ROW = struct.Struct("<HQQ")
@@ -181,6 +188,7 @@ class Background:
     # -- the threads' side ----------------------------------------------------------------------
 
     def _work(self) -> None:
+        _calm()
         lost = 0
         while True:
             self._wake.wait(FLUSH_S)
@@ -213,9 +221,12 @@ class Background:
             block = self._queue[0]
             left = len(self._queue) > 1  # asked before the mark is read: then the mark is final
             (begin, first), (end, last) = block.taken, block.mark
-            if last > first:
-                self._chunk(block, begin, end, first, last)
-                block.taken = (end, last)
+            while first < last:
+                until, upto = end, self._upto(block, begin, first, last)
+                if upto < last:
+                    until = _offset(block, upto)
+                self._chunk(block, begin, until, first, upto)
+                block.taken = begin, first = (until, upto)
             if not left:
                 return
             self._queue.popleft()
@@ -224,6 +235,12 @@ class Background:
                 self._free.append(block)
             else:
                 self._free.append(_Block(BLOCK_BYTES))
+
+    def _upto(self, block: _Block, begin: int, first: int, last: int) -> int:
+        """Return behind which message a chunk ends that begins with message `first`."""
+        rows = range(first + 1, min(last, first + CHUNK_ROWS))
+        key = partial(_offset, block)
+        return rows[0] + bisect_right(rows, begin + CHUNK_BYTES, key=key) if rows else last
 
     def _chunk(self, block: _Block, begin: int, end: int, first: int, last: int) -> None:
         if not self._open:
@@ -267,6 +284,7 @@ class Background:
         return ""
 
     def _sync(self) -> None:
+        _calm()
         while not self._ended.wait(SYNC_S):
             self._flushed.wait()
             self._flushed.clear()
@@ -284,3 +302,15 @@ class Background:
             self._error = reason
         with suppress(Exception):  # a terminal that is gone
             self._warn(f"{self._label}: {reason}")
+
+
+def _offset(block: _Block, row: int) -> int:
+    """Return where a message begins in its block."""
+    return int(_ROW.unpack_from(block.rows, row * _ROW.size)[2])
+
+
+def _calm() -> None:
+    """Let this thread preempt no other when it wakes: sched(7)."""
+    with suppress(OSError, AttributeError):  # a sandbox forbids it, or it is not Linux
+        if os.sched_getscheduler(0) == os.SCHED_OTHER:
+            os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))

@@ -132,19 +132,19 @@ def message_indexes(rows: NDArray[np.void]) -> tuple[bytes, dict[int, int], dict
         rows: of type `ROW`, one for each message in the order of the chunk; at least one.
     """
     order = np.argsort(rows["channel"], kind="stable")
-    sorted_rows = rows[order]
     entries = np.empty((len(rows), 2), "<u8")
-    entries[:, 0], entries[:, 1] = sorted_rows["time"], sorted_rows["offset"]
-    channels, begins = np.unique(sorted_rows["channel"], return_index=True)
-    ends = [*begins[1:].tolist(), len(rows)]
-    parts: list[bytes] = []
+    entries[:, 0], entries[:, 1] = rows["time"][order], rows["offset"][order]
+    view, by_channel = memoryview(entries.data).cast("B"), rows["channel"][order]
+    begins = [0, *(np.flatnonzero(by_channel[1:] != by_channel[:-1]) + 1).tolist()]
+    ends = [*begins[1:], len(rows)]
+    parts: list[bytes | memoryview] = []
     offsets: dict[int, int] = {}
     counts: dict[int, int] = {}
     length = 0
-    for channel, begin, end in zip(channels.tolist(), begins.tolist(), ends):
+    for channel, begin, end in zip(by_channel[begins].tolist(), begins, ends):
         size = 16 * (end - begin)
         head = struct.pack("<BQHI", MESSAGE_INDEX, 6 + size, channel, size)
-        parts += (head, entries[begin:end].tobytes())
+        parts += (head, view[16 * begin : 16 * end])
         offsets[channel], counts[channel] = length, end - begin
         length += len(head) + size
     return b"".join(parts), offsets, counts
