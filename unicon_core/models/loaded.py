@@ -51,7 +51,7 @@ def _imported() -> Any:
         return importlib.import_module("mujoco")
     os.environ[_GL] = "disabled"
     try:
-        mujoco = importlib.import_module("mujoco")
+        mujoco: Any = importlib.import_module("mujoco")
     finally:
         del os.environ[_GL]
     context: Any = next((sys.modules[name] for name in _CONTEXTS if name in sys.modules), None)
@@ -61,7 +61,7 @@ def _imported() -> Any:
             """Return what drawing asks for, as `import mujoco` would have left it."""
             if name != "GLContext":
                 raise AttributeError(f"mujoco has no attribute {name!r} here")
-            found = importlib.reload(context).GLContext
+            found: Any = vars(importlib.reload(context))[name]
             del context.__getattr__, mujoco.__getattr__
             mujoco.GLContext = found
             return found
