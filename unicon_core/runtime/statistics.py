@@ -130,8 +130,8 @@ class TickStatistics:
         """Return start minus deadline of kept ticks that the tick before did not hold up, [µs]."""
         rows = self.kept()
         free = rows[1:, 0] >= rows[:-1, 1]
-        late: NDArray[np.float64] = (rows[1:, 2] - rows[1:, 0])[free] * 1e-3
-        return late
+        late = (rows[1:, 2] - rows[1:, 0])[free]
+        return np.asarray(late * 1e-3, np.float64)
 
     def block_us(self) -> dict[str, dict[str, float]]:
         """Return label to p50, p99, max in [µs] and the number of calls, of ticks with detail."""
