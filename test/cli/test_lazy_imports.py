@@ -35,3 +35,8 @@ def test_optional_packages_are_not_loaded_before_they_are_needed(code: str) -> N
 def test_help_loads_not_even_numpy() -> None:
     code = "from unicon_ros.cli.main import main\ntry: main(['--help'])\nexcept SystemExit: pass"
     assert loaded(code, (*HEAVY, "numpy", "yaml")) == []
+
+
+def test_the_list_of_workflows_loads_not_even_numpy() -> None:
+    code = "from unicon_ros.cli.main import main\nmain(['workflows'])"
+    assert loaded(code, (*HEAVY, "numpy", "unicon_core.runtime", "unicon_core.policies")) == []

@@ -12,7 +12,7 @@ import pytest
 
 from unicon_core.errors import PolicyError, WorkflowError
 from unicon_core.policies import load_policy, policy_names
-from unicon_core.registered import registered
+from unicon_core.registered import all_registered
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import load_workflow
 from unicon_core.workflow.registry import known
@@ -108,12 +108,12 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     sys.path.insert(0, str(site))
     importlib.invalidate_caches()
     known.cache_clear()
-    registered.cache_clear()
+    all_registered.cache_clear()
     yield site
     sys.path.remove(str(site))
     sys.modules.pop("their_robots", None)
     known.cache_clear()
-    registered.cache_clear()
+    all_registered.cache_clear()
 
 
 @pytest.fixture

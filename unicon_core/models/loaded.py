@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import importlib
 import logging
+import os
+import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,21 +20,53 @@ __all__ = ["LoadedModel", "import_mujoco"]
 
 _log = logging.getLogger(__name__)
 
+_GL = "MUJOCO_GL"
+_CONTEXTS = ("mujoco.rendering.classic.gl_context", "mujoco.gl_context")
+"""Where `GLContext` is, in newer versions of MuJoCo and in older ones."""
+
 
 def import_mujoco() -> Any:
     """Return the mujoco module.
+
+    It comes without its window library, which takes a sixth of its import (glfw asks a process of
+    its own for its version): what draws asks for that by itself, as `mujoco.Renderer` and
+    `mujoco.viewer` do. A `MUJOCO_GL` that is set is left as it is.
 
     Raises:
         MissingDependencyError: it is not installed.
     """
     try:
-        import mujoco
+        mujoco = sys.modules.get("mujoco") or _imported()
     except ModuleNotFoundError as error:
         raise MissingDependencyError(
             "platform 'mujoco'", "mujoco", "pip install 'unicon_ros[sim]'"
         ) from error
     if mujoco.get_mju_user_warning() is None:  # else MuJoCo writes MUJOCO_LOG.TXT where we stand
         mujoco.set_mju_user_warning(_log.info)
+    return mujoco
+
+
+def _imported() -> Any:
+    if os.environ.get(_GL):
+        return importlib.import_module("mujoco")
+    os.environ[_GL] = "disabled"
+    try:
+        mujoco: Any = importlib.import_module("mujoco")
+    finally:
+        del os.environ[_GL]
+    context: Any = next((sys.modules[name] for name in _CONTEXTS if name in sys.modules), None)
+    if context is not None:
+
+        def late(name: str) -> Any:
+            """Return what drawing asks for, as `import mujoco` would have left it."""
+            if name != "GLContext":
+                raise AttributeError(f"mujoco has no attribute {name!r} here")
+            found: Any = vars(importlib.reload(context))[name]
+            del context.__getattr__, mujoco.__getattr__
+            mujoco.GLContext = found
+            return found
+
+        context.__getattr__ = mujoco.__getattr__ = late
     return mujoco
 
 

@@ -112,7 +112,7 @@ class Observation:
         flat = self._ring.reshape(-1)
         size = h * rows * d
         # Frame k is written twice, at k and k + H; after that the window starts at frame k + 1.
-        # Bytes are copied from memoryview to memoryview: 60 ns against 110 ns for arrays.
+        # Bytes are copied from memoryview to memoryview: 60 to 105 ns, arrays 110 to 240.
         self._slots = [
             (
                 self._ring[k],

@@ -40,8 +40,8 @@ class Pacing:
         arrival_spin_us: with `state`, how long before and after the expected arrival to ask for
             data without a pause in [µs], at most half the time between two; 0 for never.
         dry_run_us: how long before the deadline the blocks warm up at most in [µs]; 0 for never.
-        priority: SCHED_FIFO priority 1…99, or None.
-        cpu: core to stay on, or None.
+        priority: SCHED_FIFO priority 1…99, or None: what helps where others want the cores.
+        cpu: core to stay on, or None; without a priority it waits whenever that core is busy.
         lock_memory: lock all memory.
     """
 
@@ -93,6 +93,9 @@ CATCH_UP = 10
 HANG = {False: 0.25, True: 1.0}
 """How late a tick may be in [s], by whether the platform is a simulator: a robot whose command is
 older than a quarter of a second no longer does what the policy thinks."""
+
+REAL_TIME = "'<user> - rtprio 99' in /etc/security/limits.conf"
+"""What gives a user the right to real-time priorities, from the next login on: limits.conf(5)."""
 
 SHORTEST_HANG, LONGEST_HANG = 0.01, 60.0
 """Bounds of `hang` in [s]; the upper one is for a debugger."""
@@ -210,10 +213,7 @@ def prepare_process(pacing: Pacing, warn: Callable[[str], None]) -> Callable[[],
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(pacing.priority))
             undo.append(lambda: os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0)))
         except (OSError, AttributeError) as error:
-            warn(
-                f"pacing: priority {pacing.priority} refused ({error}); allow it with "
-                "'<user> - rtprio 99' in /etc/security/limits.conf"
-            )
+            warn(f"pacing: priority {pacing.priority} refused ({error}); allow it with {REAL_TIME}")
     if pacing.cpu is not None:
         try:
             before = os.sched_getaffinity(0)

@@ -51,6 +51,7 @@ class Report:
         dry: nothing was sent; the hash is of what would have been.
         blocks: block label to p50, p99, max.
         bridge: published and received messages, where ROS is on.
+        advice: what would help a run whose ticks began late; else empty.
         ended: what ended the run: done, duration, stopped, fault, or the name of a signal.
         traceback: of the first fault, where it was an exception of a block's code; else empty.
     """
@@ -77,6 +78,7 @@ class Report:
     sha256_commands: str = ""
     dry: bool = False
     blocks: dict[str, dict[str, float]] = field(default_factory=dict)
+    advice: str = ""
     ended: str = ""
     traceback: str = ""
     bridge: dict[str, Any] | None = None
@@ -154,6 +156,8 @@ class Report:
             lines.append(f"safety        without {', '.join(self.safety_left_out)}")
         if self.forced:
             lines.append(f"forced        {', '.join(self.forced)}")
+        if self.advice:
+            lines.append(f"advice        {self.advice}")
         lines.append(f"ended         {self.ended}")
         lines.append(f"faults        {'; '.join(self.faults) or 'none'}")
         return "\n".join(lines)

@@ -12,6 +12,7 @@ from unicon_core.errors import Fault, Hung, UniconError
 from unicon_core.flow import Node
 from unicon_core.flow.compiled import CompiledGraph
 from unicon_core.platforms.platform import Resettable
+from unicon_core.runtime.advice import advice_of
 from unicon_core.runtime.beforehand import Beforehand
 from unicon_core.runtime.damp import Damp
 from unicon_core.runtime.options import RunOptions, refuse_pace
@@ -307,13 +308,14 @@ class Runner:
     def report(self) -> Report:
         """Return the report of the run so far."""
         statistics = self.statistics
-        end = self._ended_ns or time.perf_counter_ns()
-        wall = max((end - self._started_ns) * 1e-9, 1e-9)
+        wall_ns = (self._ended_ns or time.perf_counter_ns()) - self._started_ns
+        wall = max(wall_ns * 1e-9, 1e-9)
         report = Report.of(self.program, statistics, wall)
         if self._age_s is not None and 0 < statistics.count <= self.options.capacity:
             first = int(statistics.kept()[0, 2])
             report.startup_s = round(self._age_s + (first - self._started_ns) * 1e-9, 3)
             report.extra |= self._before.facts(first)
+        report.advice = advice_of(statistics, self.pacing, self.options.speed, self.period_ns)
         report.faults = list(self.faults)
         report.traceback = self.traceback
         return report

@@ -129,6 +129,13 @@ class TickStatistics:
         rows = self.kept()
         return percentiles((rows[:, 2] - rows[:, 0]) * 1e-3)
 
+    def woken_late_us(self) -> NDArray[np.float64]:
+        """Return start minus deadline of kept ticks that the tick before did not hold up, [µs]."""
+        rows = self.kept()
+        free = rows[1:, 0] >= rows[:-1, 1]
+        late = (rows[1:, 2] - rows[1:, 0])[free]
+        return np.asarray(late * 1e-3, np.float64)
+
     def block_us(self) -> dict[str, dict[str, float]]:
         """Return label to p50, p99, max in [µs] and the number of calls, of ticks with detail."""
         starts, ends = self._spans()

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any
 from unicon_core.bounds import DURATION
 from unicon_core.errors import UniconError, WorkflowError
 from unicon_core.resources import find_config
-from unicon_core.workflow.start import StartSettings
 
 if TYPE_CHECKING:
     from unicon_core.runtime.pacing import Pacing
     from unicon_core.workflow.document import WorkflowDocument
+    from unicon_core.workflow.start import StartSettings
 
 __all__ = ["DEFAULT_SAFETY", "Safety", "check_settings", "pacing_of", "safety_of", "start_of"]
 
@@ -67,8 +67,9 @@ def check_settings(document: WorkflowDocument) -> None:
             find_config("maps", name)
         except UniconError as error:
             raise document.error(f"map: {error}", "map") from error
-    pacing_of(document)
-    start_of(document)
+    for key, check in (("pacing", pacing_of), ("start", start_of)):
+        if document.values.get(key) is not None:  # else nothing is wrong, and nothing is imported
+            check(document)
     safety_of(document)
 
 
@@ -93,6 +94,8 @@ def start_of(document: WorkflowDocument) -> StartSettings:
     Raises:
         WorkflowError: `start` is wrong; with file and line.
     """
+    from unicon_core.workflow.start import StartSettings
+
     try:
         return StartSettings.from_value(document.values.get("start"))
     except UniconError as error:

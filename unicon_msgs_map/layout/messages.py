@@ -2,19 +2,23 @@
 
 `Messages` wraps a rosbags typestore (facts only: field names, types, bounds, constants) and adds
 definitions from `.msg` texts, files and folders, and those that ship in `unicon_msgs_map/msg`.
+The types of Jazzy lie ready-made in `jazzy.json`, since rosbags makes classes of all types of all
+distributions before it, in 90 ms: the typestore is made where more than a layout is wanted.
 """
 
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
 from unicon_core.errors import alternatives
 from unicon_msgs_map.errors import MapDependencyError, MessageTypeError
+from unicon_msgs_map.layout.ready_made import ready_made
 
 __all__ = [
     "DEFAULT_DISTRO",
@@ -146,14 +150,29 @@ class Messages:
 
     Raises:
         MessageTypeError: the distribution is unknown.
-        MapDependencyError: rosbags is not installed.
+        MapDependencyError: rosbags is not installed; for Jazzy, where `store` is asked for.
     """
 
     def __init__(self, distro: str | Any = DEFAULT_DISTRO) -> None:
-        self.store: Any = _typestore(distro) if isinstance(distro, str) else distro
+        self._ready: Mapping[str, Any] = {}
+        if not isinstance(distro, str):
+            self.store = distro
+        elif _short(distro) == DEFAULT_DISTRO:
+            self._ready = ready_made()
+        else:
+            self.store = _typestore(distro)
         self._structs: dict[str, Struct] = {}
         self._shipped: set[str] = set()
         self._building: list[str] = []
+
+    @cached_property
+    def store(self) -> Any:
+        """The rosbags typestore.
+
+        Raises:
+            MapDependencyError: rosbags is not installed.
+        """
+        return _typestore(DEFAULT_DISTRO)
 
     def struct(self, name: str) -> Struct:
         """Return the layout of a type, given as `pkg/msg/Name` or `pkg/Name`.
@@ -170,6 +189,8 @@ class Messages:
     def knows(self, name: str) -> bool:
         """Tell whether a type is defined."""
         full = full_name(name)
+        if full in self._ready:
+            return True
         if full not in self.store.fielddefs:
             self._register_shipped(full.split("/")[0])
         return full in self.store.fielddefs
@@ -257,7 +278,7 @@ class Messages:
                 f"{alternatives(full, same or self.store.fielddefs, limit=12)}; "
                 "or name its .msg file under 'messages'"
             )
-        constants, fielddefs = self.store.fielddefs[full]
+        constants, fielddefs = self._ready.get(full) or self.store.fielddefs[full]
         fields = {name: self._type(full, name, desc) for name, desc in fielddefs}
         if not fields:  # an empty message has one byte on the wire
             fields["structure_needs_at_least_one_member"] = PRIMITIVES["uint8"]
@@ -337,11 +358,15 @@ def _typestore(distro: str) -> Any:
         raise MapDependencyError(
             f"the message map needs rosbags ({error}): pip install rosbags"
         ) from None
-    short = distro.lower().removeprefix("ros2_")
+    short = _short(distro)
     known = {s.value.removeprefix("ros2_"): s for s in Stores if s.value.startswith("ros2_")}
     if short not in known:
         raise MessageTypeError(f"typestore {distro!r} is unknown; {alternatives(short, known)}")
     return get_typestore(known[short])
+
+
+def _short(distro: str) -> str:
+    return distro.lower().removeprefix("ros2_")
 
 
 def _read(path: Path) -> str:

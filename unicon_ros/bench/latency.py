@@ -25,6 +25,7 @@ from unicon_ros.bench import sdk
 from unicon_ros.bench.domains import free_domain, loopback_environment
 from unicon_ros.bench.floor import c_level_floor
 from unicon_ros.bench.loops import LEASE, SETTLE, Loop
+from unicon_ros.bench.paper import beside_paper
 from unicon_ros.bench.report import Bench
 from unicon_ros.bench.rounds import SEED, Rows, interval, ratios, rounds_of
 from unicon_ros.bench.turns import take_turns
@@ -196,6 +197,7 @@ def _bench(results: list[dict[str, Rows]], options: _Options) -> Bench:
         transports="Fast DDS defaults; our controllers UDP alone, as they do by themselves",
         rmw=os.environ.get("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp"),
         rows="Recv: state made → in the controller's hands; Send: publishing the command; "
+        "state_to_command: state made → its command published; "
         "end_to_end: state made → its command at the robot",
     )
     if not results:
@@ -205,6 +207,7 @@ def _bench(results: list[dict[str, Rows]], options: _Options) -> Bench:
         for row in rows:
             parts = [r[variant.name][row] for r in results if row in r.get(variant.name, {})]
             bench.case(f"{variant.name}: {row}{UNITS.get(row, '')}", np.concatenate(parts))
+    beside_paper(bench, [variant.name for variant in VARIANTS])
     for name, row, ours, base_row, base, bar in RATIOS:
         found = ratios(results, row, ours, base_row, base)
         if not found.size:

@@ -49,11 +49,16 @@ class Samples:
 
     def ratio(self, one: str, other: str, *, percent: float = 50.0) -> float:
         """Return the median over the rounds of the ratio of two cases' percentiles."""
+        return float(np.median(self.ratios(one, other, percent=percent)))
+
+    def ratios(self, one: str, other: str, *, percent: float = 50.0) -> NDArray[np.float64]:
+        """Return the ratio of two cases' percentiles in each round, shape (rounds,)."""
         above, below = (
             np.array([np.percentile(samples, percent) for samples in self._rounds[name]])
             for name in (one, other)
         )
-        return float(np.median(above / below))
+        found: NDArray[np.float64] = above / below
+        return found
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ BENCHES = {
     "record": "unicon_ros.bench.record",
     "safety": "unicon_ros.bench.safety",
     "sloc": "unicon_ros.bench.sloc",
+    "start": "unicon_ros.bench.start",
     "stores": "unicon_ros.bench.stores",
     "tick": "unicon_ros.bench.tick",
     "timing": "unicon_ros.bench.timing",
