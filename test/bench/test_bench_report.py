@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from unicon_core.flow import Zip, compile_graph
+from unicon_core.flow import Block, Zip, compile_graph
 from unicon_core.flow.fuse import fuse
 from unicon_ros.bench import tick
 from unicon_ros.bench.report import Bench
@@ -91,5 +91,15 @@ def test_tick_compares_things_that_do_the_same() -> None:
         states.buffer_of("float32")[: 16 * 20] = np.arange(320)
         step()
         assert states.buffer_of("float32")[320:].tolist() == list(range(320))
+    called: list[int] = []
+    empty = [Block(f"b{i}", lambda i=i: called.append(i), endless=True) for i in range(3)]
+    for run in (
+        tick.loop(tick.closure_zip(*[block.tick for block in empty])),
+        tick.as_run(Zip(*empty)),
+        tick.as_run(Zip(*empty), detail=True),
+    ):
+        called.clear()
+        run()
+        assert called == [0, 1, 2] * tick.EVERY
     assert tick.closure_zip(lambda: False, lambda: True)()
     assert not tick.closure_zip(lambda: False, lambda: None)()

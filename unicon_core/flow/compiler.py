@@ -95,7 +95,9 @@ class _Compiler:
                 scope.functions.append((name + way, [*stamped, *lines]))
                 names.append(name + way)
         source, functions = scope.build(*names)
-        (warm, renew), ways = functions[:2], functions[2:]
+        (warm, renew), ways = functions[:2], list(functions[2:])
+        if self.trace and not (bodies[1][1] or ending or late):
+            ways[3] = bool  # nothing is put off: False, without a function of Python's
         later, groups = frozenset(self.deferred_blocks), tuple(self.shared)
         return CompiledGraph(
             ways[0], ways[1], warm, renew, source, tuple(self.blocks), later, stamps, groups, ways

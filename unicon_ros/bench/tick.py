@@ -10,6 +10,7 @@ as closures. All variants take turns in one run.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -17,7 +18,7 @@ from unicon_core.flow import Block, Node, Zip, compile_graph
 from unicon_core.flow.fuse import fuse
 from unicon_core.flow.linear import LinearMap
 from unicon_core.runtime import TickStatistics
-from unicon_core.runtime.detail import LEARN, Detail
+from unicon_core.runtime.detail import EVERY, LEARN, Detail
 from unicon_core.states import States, StateSpec
 from unicon_ros.bench.report import Bench
 from unicon_ros.bench.samples import Samples, Step
@@ -28,7 +29,7 @@ BLOCKS = (10, 32, 100)
 NEST = 5  # blocks of a zip in a zip
 COPIES = 16
 SIZE = 20  # floats of one copy: one state of a 20-joint robot
-REPEATS = 500  # ticks in one sample: a clock reading costs as much as two blocks
+REPEATS = 8  # loops in one sample: a clock reading costs as much as two blocks
 SAMPLES = 40  # samples of each case in each round
 
 
@@ -45,9 +46,11 @@ def run(rounds: int | None = None) -> Bench:
         empty = [_nothing(i) for i in range(count)]
         parts = [empty[i : i + NEST] for i in range(0, count, NEST)]
         cases |= {
-            f"{count} blocks, flat: closures": closure_zip(*empty),
+            f"{count} blocks, flat: closures": loop(closure_zip(*empty)),
             f"{count} blocks, flat: as run": as_run(Zip(*empty)),
-            f"{count} blocks, nested: closures": closure_zip(*[closure_zip(*p) for p in parts]),
+            f"{count} blocks, nested: closures": loop(
+                closure_zip(*[closure_zip(*p) for p in parts])
+            ),
             f"{count} blocks, nested: as run": as_run(Zip(*[Zip(*part) for part in parts])),
             f"{count} blocks: traced": as_run(Zip(*empty), detail=True),
         }
@@ -55,7 +58,7 @@ def run(rounds: int | None = None) -> Bench:
     separate = [_copy(each) for each in maps]
     fused = fuse(Zip(*separate), states)
     cases |= {
-        "copies: closures": closure_zip(*[block.tick for block in separate]),
+        "copies: closures": loop(closure_zip(*[block.tick for block in separate])),
         "copies: compiled, separate": _flat(Zip(*separate)),
         "copies: compiled, fused": _flat(fused),
     }
@@ -64,7 +67,7 @@ def run(rounds: int | None = None) -> Bench:
     for _ in range(rounds):
         times.take(cases, SAMPLES, REPEATS)
     for name in cases:
-        bench.case(f"{name}, one tick", times.of(name))
+        bench.case(f"{name}, one tick", times.of(name) / EVERY)
     ratio = times.ratio
     kinds = [f"{count} blocks, {how}" for count in BLOCKS for how in ("flat", "nested")]
     dispatch = {kind: ratio(f"{kind}: as run", f"{kind}: closures") for kind in kinds}
@@ -98,8 +101,22 @@ def closure_zip(*parts: Callable[[], Any]) -> Callable[[], Any]:
     return step
 
 
+def loop(step: Callable[[], Any]) -> Step:
+    """Return a loop of `EVERY` ticks of a step, which ends with one that is done."""
+    ticks = range(EVERY)
+
+    def run() -> None:
+        for _ in ticks:
+            if step():
+                break
+
+    return run
+
+
 def as_run(root: Node, *, detail: bool = False) -> Step:
-    """Return a tick with the time stamps that a run gives it, without what keeps them.
+    """Return a loop of `EVERY` ticks with the time stamps that a run gives them.
+
+    What keeps them, and what waits for the next tick, is not in it.
 
     Args:
         root: the tree of a tick.
@@ -112,21 +129,27 @@ def as_run(root: Node, *, detail: bool = False) -> Step:
     for _ in range(LEARN):
         graph.step()
         graph.deferred()
-        statistics.add(0, 0, stamps)
+        statistics.add(0, time.perf_counter_ns(), stamps)
     switch = Detail(graph, statistics)
-    at = -1 if detail else switch.at
-    count, step, deferred = statistics.count, graph.step, graph.deferred
+    if detail:
+        switch.at = -1
+    else:
+        switch()
 
-    def tick() -> bool:
-        nonlocal at, count, step, deferred
-        if count == at:
-            statistics.count = count
-            switch()
-            at, step, deferred = switch.at, graph.step, graph.deferred
-        count += 1
-        return step() or deferred()
+    def run() -> None:
+        left = EVERY
+        while left:  # as the ticker's: up to the tick before which detail is switched
+            ticks = left if switch.at < 0 else min(left, switch.at - statistics.count)
+            step, deferred = graph.step, graph.deferred
+            for _ in range(ticks):
+                if step() or deferred():
+                    break
+            left -= ticks
+            statistics.count += ticks
+            if statistics.count == switch.at:
+                switch()
 
-    return tick
+    return run
 
 
 def _nothing(i: int) -> Step:
@@ -154,4 +177,4 @@ def _copies() -> tuple[States, list[LinearMap]]:
 
 
 def _flat(root: Node) -> Step:
-    return compile_graph(root).step
+    return loop(compile_graph(root).step)
