@@ -18,7 +18,6 @@ A message names the culprit, the alternatives and the remedy, in one line.
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable, Sequence
 
 __all__ = [
@@ -132,6 +131,8 @@ def alternatives(wrong: str, known: Iterable[str], *, limit: int = 24) -> str:
     names = sorted(map(str, known))
     if not names:
         return "none is known"
+    import difflib  # where something is wrong, and not at every start
+
     close = difflib.get_close_matches(str(wrong)[:80], names, n=1)
     shown = ", ".join(names[:limit]) + (f", … ({len(names)} in all)" if len(names) > limit else "")
     return f"did you mean {close[0]!r}? known: {shown}" if close else f"known: {shown}"

@@ -34,7 +34,7 @@ JOINTS = "{topic: joints, type: sensor_msgs/msg/JointState, fields: {position: j
 @pytest.fixture(autouse=True)
 def calm(monkeypatch: pytest.MonkeyPatch) -> None:
     """Episodes end sooner, but later than any pause between two events of one here."""
-    monkeypatch.setattr(qos_events, "CALM", 1.0)
+    monkeypatch.setattr(qos_events, "CALM", 2.0)
 
 
 class Twists:

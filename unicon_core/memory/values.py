@@ -9,6 +9,7 @@ from __future__ import annotations
 import base64
 import math
 import random
+import sys
 from collections import deque
 from enum import Enum
 from typing import Any
@@ -52,7 +53,8 @@ def copied(value: Any) -> Any:
         return bytearray(value)
     if isinstance(value, (np.generic, Enum)):
         return value
-    if isinstance(value, np.random.Generator):
+    # Its import takes 10 ms of every start, and without it there is none.
+    if "numpy.random" in sys.modules and isinstance(value, np.random.Generator):
         return _State(value.bit_generator.state)
     if isinstance(value, random.Random):
         return _State(value.getstate())

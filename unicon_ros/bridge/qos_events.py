@@ -16,9 +16,9 @@ from unicon_ros import compat
 
 __all__ = ["CALM", "QosEvents"]
 
-CALM = 2.0
+CALM = 3.0
 """[s] without an event, and three times what is declared, after which an episode is over: a peer
-that is always a little late is told once, not each time."""
+that is always a little late is told once, not each time. Events are asked for once a second."""
 
 
 class QosEvents:
