@@ -20,7 +20,11 @@ PERIOD = 0.002
 @pytest.mark.parametrize(
     ("name", "options", "message"),
     [
-        ("aliengo", {}, r"speaks one of 3 protocols.*say the generation.*legged_sdk_3\.3\.1"),
+        (
+            "aliengo",
+            {},
+            r"one of 3 protocols.*say the generation.*--set generation=legged_sdk_3\.3\.1",
+        ),
         ("aliengo", {"generation": "aliengo_sdk_1.2.2"}, r"structs are not packed.*spoken are leg"),
         ("go1", {"generation": "legged_sdk_3.3.1"}, r"no generation 'legged_sdk_3.3.1'; did you"),
         ("go1", {"generation": 3}, "no generation 3"),

@@ -120,11 +120,12 @@ def _generation(
     if chosen is None and len(known) == 1:
         chosen = next(iter(known))
     if chosen is None:
+        example = spoken[0] if spoken else "…"
         raise PlatformError(
             f"platform {NAME!r}: robot {robot.name} speaks one of {len(known)} protocols, and "
             "nothing tells which; say the generation by the vendor's SDK that drives yours: "
-            f"platforms: {{{NAME}: {{generation: {spoken[0] if spoken else '…'}}}}}, "
-            f"known: {', '.join(known)}"
+            f"platforms: {{{NAME}: {{generation: {example}}}}}, in `unicon emulate` "
+            f"--set generation={example}; known: {', '.join(known)}"
         )
     if not isinstance(chosen, str) or chosen not in known:
         raise PlatformError(
