@@ -209,7 +209,7 @@ def test_a_gate_of_ones_own_needs_a_name_and_a_call() -> None:
     assert reasons(program, 1)["battery"] == "the battery is at 3 %; charge it"
 
 
-@pytest.mark.filterwarnings("error")
+@pytest.mark.filterwarnings("error", "ignore::ResourceWarning")  # of whatever ran before
 def test_garbage_in_any_state_is_a_reason_and_never_an_exception() -> None:
     program = program_of(flow=block("hold"), policies={})
     random, states = np.random.default_rng(0), program.states

@@ -159,7 +159,7 @@ def test_a_name_that_stands_twice_is_refused() -> None:
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
-@pytest.mark.filterwarnings("error")
+@pytest.mark.filterwarnings("error", "ignore::ResourceWarning")  # of whatever ran before
 def test_values_that_are_not_finite_are_refused_or_accepted_as_declared(
     value: float, dtype: Any
 ) -> None:
@@ -174,7 +174,7 @@ def test_values_that_are_not_finite_are_refused_or_accepted_as_declared(
         np.testing.assert_array_equal(joints.effort, np.array([1, 2, value, 4, 5, 6], dtype))
 
 
-@pytest.mark.filterwarnings("error")
+@pytest.mark.filterwarnings("error", "ignore::ResourceWarning")  # of whatever ran before
 def test_numbers_beyond_float32_are_refused() -> None:
     joints = Joints()
     largest = float(np.finfo(np.float32).max)

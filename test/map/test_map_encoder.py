@@ -222,7 +222,7 @@ def test_units_are_those_of_the_message(unit: str, si: float, on_the_wire: float
 
 
 @pytest.mark.parametrize("count", [1, 20])
-@pytest.mark.filterwarnings("error")
+@pytest.mark.filterwarnings("error", "ignore::ResourceWarning")  # of whatever ran before
 def test_integers_round_and_saturate(count: int) -> None:
     kind, store = own("int8[] a\nuint16[] b\nint64[] c\n")
     values = np.resize([1.5, 2.5, -0.6, 300.0, -300.0, np.nan, np.inf, -np.inf], 20)[:count]
@@ -236,7 +236,7 @@ def test_integers_round_and_saturate(count: int) -> None:
 
 
 @pytest.mark.parametrize("count", [1, 20])
-@pytest.mark.filterwarnings("error")
+@pytest.mark.filterwarnings("error", "ignore::ResourceWarning")  # of whatever ran before
 def test_no_error_state_of_numpy_reaches_encode(count: int) -> None:
     kind, store = own("float32[] a\nfloat32[] b\nfloat64[] c\n")
     arrays = {"d": np.full(count, 1e300), "t": np.full(count, 1e-320)}

@@ -323,7 +323,7 @@ def fuzz(make: Callable[[], Case], count: int, seed: int) -> dict[str, int]:
 
 
 @pytest.mark.parametrize("make", CASES)
-@pytest.mark.filterwarnings("error")
+@pytest.mark.filterwarnings("error", "ignore::ResourceWarning")  # of whatever ran before
 def test_mutated_payloads_are_read_right_or_refused(make: Callable[[], Case]) -> None:
     seen = fuzz(make, 750, seed=7)
     assert seen["malformed"] > 50, seen
@@ -333,7 +333,7 @@ def test_mutated_payloads_are_read_right_or_refused(make: Callable[[], Case]) ->
 @pytest.mark.slow
 @pytest.mark.parametrize("make", CASES)
 @pytest.mark.parametrize("seed", range(4))
-@pytest.mark.filterwarnings("error")
+@pytest.mark.filterwarnings("error", "ignore::ResourceWarning")  # of whatever ran before
 def test_a_hundred_thousand_mutated_payloads(make: Callable[[], Case], seed: int) -> None:
     seen = fuzz(make, 100_000 // (4 * len(CASES)) + 1, seed=100 + seed)
     assert seen["malformed"] > 100, seen
