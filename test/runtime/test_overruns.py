@@ -72,8 +72,7 @@ def test_where_blocks_share_a_stamp_their_group_is_named() -> None:
 
     def add(begin: int, *ends: int) -> None:
         stamps = np.array([begin, 0, *(end and begin + end for end in ends)]) * US
-        end, stamps[-1] = int(stamps.max()), 0  # the last group ends with the tick
-        kept.add(begin * US, end, stamps, detailed=False)
+        kept.add(begin * US, int(stamps.max()), stamps, detailed=False)
 
     add(1000, 0, 120, 130, 0, 0)
     add(2000, 0, 20, 30, 0, 150)

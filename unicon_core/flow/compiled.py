@@ -36,7 +36,7 @@ class CompiledGraph:
             end of each block; 0 where it did not run. Empty without `trace`.
         detailed: each block has a stamp of its own.
         groups: the numbers of the blocks that share a stamp where not, in their order: that of the
-            last one. The last group has none: it ends with the tick.
+            last one. The last group has none: it ends with the tick, as the ticker notes.
     """
 
     step: Callable[[], bool]

@@ -57,7 +57,6 @@ class TickStatistics:
         self._flat, self._width = memoryview(self.rows.reshape(-1).data), 4 + len(names)
         self._shared = np.zeros(capacity, np.bool_)
         self._groups = {group[-1]: group for group in groups}
-        self._last = 4 + groups[-1][-1] if groups else 0  # it has no stamp: it ends the tick
         self.count = 0
         self.overruns = 0
 
@@ -75,8 +74,6 @@ class TickStatistics:
         flat[at + 2 : at + width] = stamps
         flat[at] = due_ns
         flat[at + 1] = end_ns
-        if not detailed:
-            flat[at + self._last] = end_ns
         self._shared[number] = not detailed
         self.count += 1
 

@@ -57,6 +57,8 @@ class Ticker:
             names, self.graph.deferred_blocks, capacity, self.graph.groups
         )
         self._stamps = memoryview(self.graph.stamps.data)
+        groups = self.graph.groups
+        self._last = 2 + groups[-1][-1] if groups else 1  # of the group that ends with the tick
         self.detail = Detail(self.graph, self.statistics)
         self.done = self.stop = False
         self.next_due_ns = self.first_ns = 0
@@ -90,7 +92,10 @@ class Ticker:
             return graph.deferred() or done
         finally:  # whatever is found behind `send`, the command of this tick has left
             self._tick += 1
-            self.statistics.add(due_ns, time.perf_counter_ns(), stamps, graph.detailed)
+            end = time.perf_counter_ns()
+            if not graph.detailed:
+                stamps[self._last] = end
+            self.statistics.add(due_ns, end, stamps, graph.detailed)
 
     def run(self, limit: int, *, full_speed: bool = False) -> None:
         """Tick until the graph is done or asked to stop.

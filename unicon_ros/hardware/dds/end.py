@@ -119,7 +119,7 @@ class DdsEnd:
         """
         for writer, encode in self._outlets:
             raw = encode()
-            writer.write(raw if len(raw) % 4 == 0 else raw + bytes(-len(raw) % 4))
+            writer.write(raw + bytes(-len(raw) % 4))
 
     def warm_up(self) -> None:
         """Read ahead, and do what `put` does, but send nothing to the robot."""

@@ -259,9 +259,8 @@ class Writer:
         reference, (echo, itself) = self._idle
         self._write(reference, raw)
         with suppress(OSError):
-            echo.sendmsg(
-                (_RTPS, raw), (), 0, itself
-            )  # in pieces, to an address, as CycloneDDS does
+            # In pieces, to an address, as CycloneDDS does.
+            echo.sendmsg((_RTPS, raw), (), 0, itself)
             echo.recv(1)
 
     @property
