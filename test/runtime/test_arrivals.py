@@ -73,6 +73,41 @@ def test_lost_messages_at_the_start_do_not_change_the_interval() -> None:
     assert predicted.interval_ns == 2 * MS
 
 
+@pytest.mark.parametrize("late", [0, 1, 9])
+def test_an_arrival_that_was_late_at_the_start_does_not_keep_the_loop_from_locking(
+    late: int,
+) -> None:
+    """A mean over the first ten was off by 2.4 %: a quarter of an interval at each tick."""
+    times = [i * 2 * MS + (500_000 if i == late else 0) for i in range(10)]
+    predicted = Arrivals(times)
+    assert predicted.interval_ns == pytest.approx(2 * MS, rel=1e-3)
+    errors = []
+    for number in range(19, 1019, 10):
+        errors.append(abs(predicted.nearest(number * 2 * MS) - number * 2 * MS))
+        predicted.note(number * 2 * MS)
+    assert max(errors[5:]) < 20_000
+    assert not predicted.lost
+
+
+def test_predictions_that_are_chance_are_lost_and_found_by_measuring_anew() -> None:
+    predicted = Arrivals([i * 2 * MS for i in range(10)])
+    noise = np.random.default_rng(1)
+    for number in range(19, 2019, 10):
+        predicted.note(number * 2 * MS + round(noise.uniform(-MS, MS)))
+    assert predicted.lost
+    predicted.measure([(3000 + i) * 2 * MS + 300_000 for i in range(6)])
+    assert not predicted.lost
+    due = 3100 * 2 * MS + 300_000
+    assert predicted.nearest(due) == pytest.approx(due, abs=1000)
+
+
+def test_few_late_arrivals_do_not_delay_what_is_expected() -> None:
+    predicted = Arrivals([i * 2 * MS for i in range(10)])
+    for number in range(19, 1019, 10):
+        predicted.note(number * 2 * MS + (300_000 if number % 40 == 9 else 0))
+    assert predicted.nearest(1019 * 2 * MS) == pytest.approx(1019 * 2 * MS, abs=60_000)
+
+
 def test_the_lead_has_bounds() -> None:
     predicted = Arrivals([i * 2 * MS for i in range(10)])
     predicted.jitter_ns = 0.0

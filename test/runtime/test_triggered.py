@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ import pytest
 from unicon_core.flow import Stage
 from unicon_core.runtime import Runner, RunOptions, ticker
 from unicon_core.runtime.arrivals import awaited
+from unicon_core.runtime.pacing import staying
 from unicon_core.workflow import Program, load_workflow
 
 pytestmark = pytest.mark.alone
@@ -214,3 +216,67 @@ def test_data_that_stay_away_while_the_process_is_held_up_are_a_fault(tmp_path: 
     report = Runner(workflow, RunOptions(duration=0.4)).run()
     assert "no tick ran for 0." in report.faults[0]
     assert report.ticks == 4
+
+
+def test_a_sender_that_changes_its_rate_is_followed_again(tmp_path: Path) -> None:
+    seen = []
+    for _ in range(5):  # a machine that is busy otherwise begins its ticks late
+        workflow = loaded(tmp_path)
+        stream = Stream(workflow.platform, 2_000_000)
+        recv = next(block for block in blocks(workflow) if block.stage is Stage.RECV)
+
+        def heard(stream: Stream = stream, workflow: Program = workflow) -> None:
+            if workflow.states["tick"] == 20:
+                stream.interval = 1_530_000
+            stream.recv()
+
+        recv.tick = heard
+        runner = Runner(workflow, RunOptions(duration=3.2))
+        runner.run()
+        starts = runner.statistics.kept()[90:, 2]
+        ages = (starts - stream.begin) % 1_530_000 / 1_530_000
+        seen.append(float(np.median(ages)))
+        if seen[-1] < 0.35:
+            return
+    pytest.fail(f"ages of what ticks begin with, in intervals: {seen}")
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="cores of Linux")
+@pytest.mark.parametrize("cpu", [None, 0])
+def test_the_thread_sleeps_where_it_warmed_up_and_is_free_in_its_tick(
+    tmp_path: Path, cpu: int | None
+) -> None:
+    everywhere = os.sched_getaffinity(0)
+    if len(everywhere) < 2 or 0 not in everywhere:
+        pytest.skip("one core")
+    workflow = loaded(tmp_path, f"pacing={{trigger: state, cpu: {'null' if cpu is None else cpu}}}")
+    stream = Stream(workflow.platform, 2_000_000)
+    asleep: list[set[int]] = []
+    awake: list[set[int]] = []
+
+    def wait(timeout_s: float) -> bool:
+        asleep.append(os.sched_getaffinity(0))
+        return stream.wait(timeout_s)
+
+    def recv() -> None:
+        awake.append(os.sched_getaffinity(0))
+        stream.recv()
+
+    workflow.platform.wait = wait  # type: ignore[attr-defined]
+    next(block for block in blocks(workflow) if block.stage is Stage.RECV).tick = recv
+    Runner(workflow, RunOptions(duration=0.4)).run()
+    assert all(len(cores) == 1 for cores in asleep)
+    assert all(cores == ({cpu} if cpu is not None else everywhere) for cores in awake)
+    assert os.sched_getaffinity(0) == everywhere
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="cores of Linux")
+def test_a_wait_that_raises_leaves_the_thread_free() -> None:
+    everywhere = os.sched_getaffinity(0)
+
+    def gone(timeout_s: float) -> bool:
+        raise RuntimeError("gone")
+
+    with pytest.raises(RuntimeError, match="gone"):
+        staying(gone)(0.1)
+    assert os.sched_getaffinity(0) == everywhere

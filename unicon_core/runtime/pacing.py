@@ -20,7 +20,7 @@ from typing import Any, Literal
 
 from unicon_core.errors import UniconError
 
-__all__ = ["Pacing", "WallClock", "WarmUp", "prepare_process", "process_age_s"]
+__all__ = ["Pacing", "WallClock", "WarmUp", "prepare_process", "process_age_s", "staying"]
 
 _PR_SET_TIMERSLACK = 29  # linux/prctl.h
 _SCHED_SETATTR = {"x86_64": 314, "aarch64": 274}  # asm/unistd.h
@@ -188,6 +188,40 @@ MARGIN_NS = 5_000
 
 REPEATS = 4
 """Most repetitions before one deadline."""
+
+
+def staying(wait: Callable[[float], bool]) -> Callable[[float], bool]:
+    """Return a wait in which the thread sleeps on the core where it has warmed up.
+
+    The thread that brings the data wakes ours on its own core, in a virtual machine above all,
+    where a core that sleeps counts as taken: half of the ticks moved so, and took 260 µs from
+    waking to sending instead of 130 (p50). It may go where it likes again as soon as it is awake,
+    and so may threads and processes that it makes.
+
+    Args:
+        wait: sleeps for at most a time in [s], returns True once data are there.
+    """
+    try:
+        here = ctypes.CDLL(None).sched_getcpu
+        anywhere = os.sched_getaffinity(0)
+        cores = {core: {core} for core in anywhere}
+    except (OSError, AttributeError):  # no such thing on this system
+        return wait
+    if len(cores) < 2:
+        return wait
+    put = os.sched_setaffinity
+
+    def stay(timeout: float) -> bool:
+        core = cores.get(here())
+        if not timeout or core is None:
+            return wait(timeout)
+        try:
+            put(0, core)
+            return wait(timeout)
+        finally:
+            put(0, anywhere)
+
+    return stay
 
 
 def prepare_process(pacing: Pacing, warn: Callable[[str], None]) -> Callable[[], None]:

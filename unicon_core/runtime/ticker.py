@@ -13,12 +13,15 @@ from unicon_core.flow import Node, compile_graph
 from unicon_core.platforms.platform import CountsArrivals
 from unicon_core.runtime.arrivals import Arrivals, awaited
 from unicon_core.runtime.detail import Detail
-from unicon_core.runtime.pacing import CATCH_UP, WallClock, WarmUp
+from unicon_core.runtime.pacing import CATCH_UP, WallClock, WarmUp, staying
 from unicon_core.runtime.statistics import TickStatistics
 from unicon_core.workflow import Program
 from unicon_core.workflow.gate import NEVER_NS
 
 __all__ = ["Ticker"]
+
+ENOUGH = 4
+"""Arrivals that tell when the next ones come."""
 
 
 class Ticker:
@@ -208,7 +211,9 @@ class Ticker:
         """
         statistics, now, period = self.statistics, time.perf_counter_ns, self.period_ns
         platform = self._program.platform
-        until = self._warm_up(WallClock(0)).until
+        until = self._warm_up(WallClock(round(self.pacing.spin_us * 1e3))).until
+        if self.pacing.cpu is None:
+            wait = staying(wait)
         spin = round(self.pacing.arrival_spin_us * 1e3)
         patience = 3e-9 * period
         # A phase before may have measured it: while that is done nothing is sent.
@@ -216,7 +221,7 @@ class Ticker:
         due = last = self.first_ns - period if self.first_ns else now()
         if arrivals is None:
             until(self.first_ns)
-        hasty, gate = 0, self._program.gate
+        hasty, again, gate = 0, 0, self._program.gate
         silence = round(1e9 * patience) + 2 * period + self.hang_ns
         while not self.stop and statistics.count < limit:
             if self.between:
@@ -252,6 +257,9 @@ class Ticker:
                 break
             if came and arrivals is not None:
                 arrivals.note(last)
+                if often and arrivals.lost and statistics.count >= again:
+                    again = statistics.count + status_every  # once a second at most
+                    self._measure(arrivals, wait, due + period - 2 * round(arrivals.interval_ns))
             if statistics.count % status_every == 0:
                 self._tell()
 
@@ -273,6 +281,15 @@ class Ticker:
             if len(times) == 4 and min(np.diff(times)) > 0.6 * period:
                 break
         return Arrivals(times) if len(times) >= 2 else None
+
+    def _measure(self, arrivals: Arrivals, wait: Callable[[float], bool], until_ns: int) -> None:
+        """Measure anew when the data come, between two ticks; too few of them change nothing."""
+        now, times = time.perf_counter_ns, list[int]()
+        while not self.stop and (left := until_ns - now()) > 0 and wait(left * 1e-9):
+            times.append(now())
+            self._program.platform.recv()
+        if len(times) >= ENOUGH:
+            arrivals.measure(times)
 
     def _warm_up(self, clock: WallClock) -> WarmUp:
         able = any(block.warm_up is not None for block in self.graph.blocks)
