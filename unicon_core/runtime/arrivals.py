@@ -6,6 +6,7 @@ itself stays asleep unless `pacing.arrival_spin_us` asks for more: `awaited` tel
 
 from __future__ import annotations
 
+import math
 import os
 import time
 from collections.abc import Callable, Sequence
@@ -64,7 +65,7 @@ class Arrivals:
         ]
         self._last = sorted(late)[count // 2]
         self.jitter_ns = self.interval_ns / 16
-        self._astray = 0
+        self._astray, self._late = 0, False
         # Of the end of a line through so many, and of its slope: least squares.
         self._variance = 4 / count, 6 / count**2, 12 / count**3
 
@@ -87,21 +88,30 @@ class Arrivals:
         steps = max(round((time_ns - self._last) / self.interval_ns), 1)
         expected = self._last + steps * self.interval_ns
         error = time_ns - expected
-        if abs(error) > max(6 * self.jitter_ns, self.interval_ns / 16):
+        phase, both, interval = self._variance
+        interval = max(interval, 12 / (MEMORY * steps) ** 3)
+        phase += steps * (2 * both + steps * interval)
+        both += steps * interval
+        spread = math.sqrt(phase + 1)  # grows with the time since the last one
+        sixteenth = self.interval_ns / 16
+        if abs(error) > max(6 * self.jitter_ns, sixteenth) * spread:
             # One such was delayed; three in a row come from a sender with another phase.
             self._astray = (self._astray + 1) % 3
             self._last = time_ns - (error if self._astray else 0.0)
             return
         self._astray = 0
-        self.jitter_ns += (min(abs(error), self.interval_ns / 4) - self.jitter_ns) / 16
-        # Whoever is late by much tells no more than one who is late by a little.
-        error = min(max(error, -self.interval_ns / 16), self.jitter_ns)
-        phase, both, interval = self._variance
-        interval = max(interval, 12 / (MEMORY * steps) ** 3)
-        phase += steps * (2 * both + steps * interval)
-        both += steps * interval
+        self.jitter_ns += (min(abs(error) / spread, 4 * sixteenth) - self.jitter_ns) / 16
+        # One that is late by much tells no more than one that is late by a little; two in a row do.
+        late, before = error > self.jitter_ns * spread, self._late
+        self._late = late
+        if late and not before:
+            error = self.jitter_ns * spread
         gain, gain_of_interval = phase / (phase + 1), both / (phase + 1)
-        self._variance = phase - gain * phase, both - gain * both, interval - gain_of_interval * both
+        self._variance = (
+            phase - gain * phase,
+            both - gain * both,
+            interval - gain_of_interval * both,
+        )
         self._last = expected + gain * error
         self.interval_ns += gain_of_interval * error
 

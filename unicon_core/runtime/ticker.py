@@ -258,7 +258,7 @@ class Ticker:
             if came and arrivals is not None:
                 arrivals.note(last)
                 if often and arrivals.lost and statistics.count >= again:
-                    again = statistics.count + status_every  # once a second at most
+                    again = statistics.count + ENOUGH * 4  # not after every tick
                     self._measure(arrivals, wait, due + period - 2 * round(arrivals.interval_ns))
             if statistics.count % status_every == 0:
                 self._tell()
