@@ -28,6 +28,7 @@ the arrays that a topic needs; where `spec.optional` is set, leave out a topic w
 
 The mapping file
 ----------------
+    include: default                    # optional; names or paths of maps to begin with
     typestore: jazzy                    # optional; ROS distribution of the common interfaces
     messages: [my_msgs/msg]             # optional; .msg files or folders of them, by relative path
     publish:
@@ -48,6 +49,9 @@ The mapping file
         unnamed: error                  # no names where they are mapped: error, or order
         nonfinite: reject               # NaN and infinities: reject or accept
         fields: {linear.x: velocity_command[0], angular.z: velocity_command[2]}
+
+An entry whose topic an included map has changes that one: keys that are given count, `fields` one
+by one (an empty value removes it), `remove: true` removes the entry, another `type` replaces it.
 
 Message side: `header.stamp`, `axes[1]`, `motor_state[:12].q`, `points[0].positions`, and in
 subscriptions `transforms[child_frame_id=base_link].transform`. Our side: a state (`joint_pos`,

@@ -37,7 +37,7 @@ FILES: list[tuple[str, str]] = [
     (
         "publsh: []\n",
         "m.yaml:1: a message map has no key 'publsh'; did you mean 'publish'? known: description, "
-        "messages, publish, subscribe, typestore",
+        "include, messages, publish, subscribe, typestore",
     ),
     (
         "publish: []\n",

@@ -13,13 +13,14 @@ from typing import Any
 import numpy as np
 
 from unicon_core.errors import alternatives
-from unicon_core.located_yaml import parse_yaml, read_text
+from unicon_core.located_yaml import read_text
 from unicon_msgs_map.errors import MapError, MapFileError
 from unicon_msgs_map.layout.check import check_publish, check_subscribe
 from unicon_msgs_map.layout.messages import Messages, full_name
 from unicon_msgs_map.layout.paths import PathError, Reference, parse_path, parse_reference
 from unicon_msgs_map.layout.units import PER_SI
 from unicon_msgs_map.mapfile.entry import Entry
+from unicon_msgs_map.mapfile.include import Composed, compose
 from unicon_msgs_map.spec import FieldSpec, MessageMap, PublishSpec, Qos, SubscribeSpec
 
 __all__ = ["load_map", "parse_map"]
@@ -28,7 +29,6 @@ __all__ = ["load_map", "parse_map"]
 _TOPIC = re.compile(r"(?:~?/)?[A-Za-z_][A-Za-z0-9_]*(?:/[A-Za-z_][A-Za-z0-9_]*)*")
 WIDEST_TEXT = 64
 
-_TOP = ("description", "typestore", "messages", "publish", "subscribe")
 _BOTH = ("topic", "type", "rate", "qos", "optional", "fields")
 _SUBSCRIBE = (*_BOTH, "timeout", "on_timeout", "missing", "extra", "unnamed", "nonfinite")
 _FIELD = ("state", "const", "scale", "sign", "offset", "unit", "quat", "by", "text", "checksum")
@@ -102,14 +102,14 @@ def parse_map(
         folder: where relative paths under `messages` start; default is the working directory.
         heard: as for `load_map`.
     """
-    document = parse_yaml(text, name, MapFileError)
-    top = Entry({} if document.value is None else document.value, document)
-    keys = top.mapping("a message map", _TOP)
-    messages = _messages(keys, typestore, folder or Path())
-    publish = [_publish(e, messages) for e in _list(keys, "publish")]
-    subscribe = [_subscribe(e, messages, heard or Qos()) for e in _list(keys, "subscribe")]
+    found = compose(text, name, folder or Path())
+    messages = _messages(found, typestore)
+    publish = [_publish(e, messages) for e in found.publish]
+    subscribe = [_subscribe(e, messages, heard or Qos()) for e in found.subscribe]
     if not publish and not subscribe:
-        raise top.fail("the message map maps nothing; add entries under 'publish' or 'subscribe'")
+        raise found.top.fail(
+            "the message map maps nothing; add entries under 'publish' or 'subscribe'"
+        )
     for direction, entries in (("publish", publish), ("subscribe", subscribe)):
         seen: dict[str, str | None] = {}
         for spec in entries:
@@ -120,28 +120,23 @@ def parse_map(
                     spec.where,
                 )
             seen[spec.topic] = spec.where
-    description = keys["description"].text("description") if "description" in keys else ""
+    description = found.description.text("description") if found.description else ""
     return MessageMap(tuple(publish), tuple(subscribe), messages, name, description)
 
 
-def _list(keys: dict[str, Entry], key: str) -> list[Entry]:
-    return keys[key].items(key) if key in keys and keys[key].value is not None else []
-
-
-def _messages(keys: dict[str, Entry], typestore: object, folder: Path) -> Messages:
+def _messages(found: Composed, typestore: object) -> Messages:
     if isinstance(typestore, Messages):
         messages = typestore
     elif typestore is not None:
         messages = Messages(typestore)
-    elif "typestore" in keys:
-        entry = keys["typestore"]
+    elif found.typestore is not None:
         try:
-            messages = Messages(entry.text("typestore"))
+            messages = Messages(found.typestore.text("typestore"))
         except MapError as error:
-            raise entry.fail(error.message) from None
+            raise found.typestore.fail(error.message) from None
     else:
         messages = Messages()
-    for entry in _list(keys, "messages"):
+    for entry, folder in found.messages:
         path = folder / entry.text("an entry of 'messages'")
         try:
             messages.register_path(path)
