@@ -17,7 +17,7 @@ neither nodes nor blocks. A mapping is compiled once against arrays; then a mess
         decoder = Decoder.build(spec, arrays, names, variables)
         decoder.decode(raw)                                   # True: states written; False: refused
         decoder.received, decoder.rejected, decoder.last_error, decoder.stamp_ns
-        decoder.zero()                                        # what a time-out does
+        decoder.lapse()                                       # what a time-out does
 
     message_definition("sensor_msgs/msg/JointState").text     # with .rihs and .md5, for MCAP
 
@@ -43,7 +43,7 @@ The mapping file
       - topic: cmd_vel
         type: geometry_msgs/msg/Twist
         timeout: 0.5                    # s without a message, then
-        on_timeout: zero                # zero (default) or hold
+        on_timeout: zero                # zero (default), hold, or unset: NaN
         missing: hold                   # our elements that it lacks: hold, zero or error
         extra: ignore                   # its elements that we lack: ignore or error
         unnamed: error                  # no names where they are mapped: error, or order
@@ -85,7 +85,14 @@ from unicon_msgs_map.errors import (
 )
 from unicon_msgs_map.layout.messages import MessageDefinition, Messages, message_definition
 from unicon_msgs_map.mapfile.load import load_map, parse_map
-from unicon_msgs_map.spec import FieldSpec, MessageMap, PublishSpec, Qos, SubscribeSpec
+from unicon_msgs_map.spec import (
+    FieldSpec,
+    MessageMap,
+    PublishSpec,
+    Qos,
+    SubscribeSpec,
+    TrajectorySpec,
+)
 
 __all__ = [
     "Decoder",
@@ -102,6 +109,7 @@ __all__ = [
     "PublishSpec",
     "Qos",
     "SubscribeSpec",
+    "TrajectorySpec",
     "load_map",
     "message_definition",
     "parse_map",

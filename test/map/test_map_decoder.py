@@ -245,7 +245,7 @@ def test_zero_clears_what_the_decoder_writes_and_nothing_else() -> None:
     arrays = {"command": np.ones(4, np.float32), "stamp": np.ones((), np.int64)}
     mapping = {"header.stamp": "stamp", "twist.linear.x": "command[1]"}
     decoder = Decoder.build(subscribe("geometry_msgs/msg/TwistStamped", mapping), arrays)
-    decoder.zero()
+    decoder.lapse()
     np.testing.assert_array_equal(arrays["command"], [1, 0, 1, 1])
     assert arrays["stamp"] == 1
 

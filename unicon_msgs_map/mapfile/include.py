@@ -23,7 +23,8 @@ from unicon_msgs_map.mapfile.entry import Entry
 __all__ = ["DIRECTIONS", "Composed", "compose"]
 
 DIRECTIONS = ("publish", "subscribe")
-_TOP = ("description", "include", "typestore", "messages", *DIRECTIONS)
+_TRAJECTORY = "trajectory"
+_TOP = ("description", "include", "typestore", "messages", *DIRECTIONS, _TRAJECTORY)
 _REMOVE = "remove"
 MOST_MAPS = 32
 """Maps that one map includes, each counted as often as it is: maps may come from anybody."""
@@ -40,6 +41,7 @@ class Composed:
         messages: entries of `messages`, each with the folder that its path begins in.
         publish: entries, each a mapping; those of included maps first.
         subscribe: the same.
+        trajectory: the mapping of that key, or None.
     """
 
     top: Entry
@@ -48,6 +50,7 @@ class Composed:
     messages: list[tuple[Entry, Path]] = field(default_factory=list)
     publish: list[Entry] = field(default_factory=list)
     subscribe: list[Entry] = field(default_factory=list)
+    trajectory: Entry | None = None
 
     def entries(self, direction: str) -> list[Entry]:
         """Return the entries of `publish` or `subscribe`."""
@@ -90,8 +93,9 @@ def _composed(
     keys = top.mapping("a message map", _TOP)
     found = Composed(top, keys.get("description"))
     included = [_included(e, folder, above, left) for e in _included_names(keys)]
-    typestore = keys.get("typestore")
+    typestore, trajectory = keys.get("typestore"), None
     for other in included:
+        trajectory = _over(trajectory, other.trajectory)
         typestore = _one_typestore(typestore, other.typestore, "typestore" in keys, top)
         found.messages.extend(other.messages)
         for direction in DIRECTIONS:
@@ -106,7 +110,8 @@ def _composed(
                 _put(found.entries(direction), entry)
             else:
                 _add(found.entries(direction), entry, direction, "include" in keys)
-    return replace(found, typestore=typestore)
+    trajectory = _over(trajectory, keys.get(_TRAJECTORY))
+    return replace(found, typestore=typestore, trajectory=trajectory)
 
 
 def _included_names(keys: dict[str, Entry]) -> list[Entry]:
@@ -180,8 +185,17 @@ def _put(entries: list[Entry], entry: Entry) -> None:
         entries[place] = entry  # another message: nothing of the old one fits it
         return
     if "fields" in keys and "fields" in before:
-        keys["fields"] = _merged(before["fields"], keys["fields"], "fields")
+        keys["fields"] = _merged(before["fields"], keys["fields"], "field")
     entries[place] = _Merged(None, entry.document, entry.at, before | keys)
+
+
+def _over(old: Entry | None, new: Entry | None) -> Entry | None:
+    """Let a mapping change another one, key by key; an empty one removes it."""
+    if old is None or new is None:
+        return old if new is None else new
+    if new.value is None and not isinstance(new, _Merged):
+        return None
+    return _merged(old, new, _TRAJECTORY)
 
 
 def _short(kind: Entry) -> str:
@@ -195,6 +209,6 @@ def _merged(old: Entry, new: Entry, what: str) -> Entry:
     for key in gone:
         if key not in old.mapping(what):
             known = alternatives(key, list(old.mapping(what)))
-            raise new.mapping(what)[key].fail(f"there is no field {key!r} to remove; {known}")
+            raise new.mapping(what)[key].fail(f"there is no {what} {key!r} to remove; {known}")
     kept = {key: entry for key, entry in parts.items() if key not in gone}
     return _Merged(None, new.document, new.at, kept)

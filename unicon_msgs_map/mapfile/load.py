@@ -21,7 +21,14 @@ from unicon_msgs_map.layout.paths import PathError, Reference, parse_path, parse
 from unicon_msgs_map.layout.units import PER_SI
 from unicon_msgs_map.mapfile.entry import Entry
 from unicon_msgs_map.mapfile.include import Composed, compose
-from unicon_msgs_map.spec import FieldSpec, MessageMap, PublishSpec, Qos, SubscribeSpec
+from unicon_msgs_map.spec import (
+    FieldSpec,
+    MessageMap,
+    PublishSpec,
+    Qos,
+    SubscribeSpec,
+    TrajectorySpec,
+)
 
 __all__ = ["load_map", "parse_map"]
 
@@ -53,8 +60,9 @@ QOS_PROFILES: dict[str, Qos] = {
     "latest": Qos(reliability="best_effort", depth=1),
     "latched": Qos(durability="transient_local", depth=1),
 }
+_TOLERANCES = ("start_tolerance", "path_tolerance", "goal_tolerance", "goal_time")
 _POLICIES: dict[str, tuple[str, ...]] = {
-    "on_timeout": ("zero", "hold"),
+    "on_timeout": ("zero", "hold", "unset"),
     "missing": ("hold", "zero", "error"),
     "extra": ("ignore", "error"),
     "unnamed": ("error", "order"),
@@ -106,7 +114,8 @@ def parse_map(
     messages = _messages(found, typestore)
     publish = [_publish(e, messages) for e in found.publish]
     subscribe = [_subscribe(e, messages, heard or Qos()) for e in found.subscribe]
-    if not publish and not subscribe:
+    trajectory = None if found.trajectory is None else _trajectory(found.trajectory)
+    if not publish and not subscribe and trajectory is None:
         raise found.top.fail(
             "the message map maps nothing; add entries under 'publish' or 'subscribe'"
         )
@@ -121,7 +130,7 @@ def parse_map(
                 )
             seen[spec.topic] = spec.where
     description = found.description.text("description") if found.description else ""
-    return MessageMap(tuple(publish), tuple(subscribe), messages, name, description)
+    return MessageMap(tuple(publish), tuple(subscribe), messages, name, description, trajectory)
 
 
 def _messages(found: Composed, typestore: object) -> Messages:
@@ -169,6 +178,23 @@ def _subscribe(entry: Entry, messages: Messages, unsaid: Qos) -> SubscribeSpec:
     return spec
 
 
+def _trajectory(entry: Entry) -> TrajectorySpec:
+    """Return what a map says of joint trajectories."""
+    words = ("topic", "action")
+    keys = entry.mapping("trajectory", (*words, "missing", *_TOLERANCES))
+    values: dict[str, Any] = {w: _name(keys[w], w) for w in words if w in keys}
+    if not values:
+        raise entry.fail("trajectory has neither topic nor action; give one of them, or both")
+    if "missing" in keys:
+        values["missing"] = keys["missing"].one_of("missing", ("error", "hold"))
+    for key in _TOLERANCES:
+        if key in keys:
+            values[key] = keys[key].number(key, highest=LONGEST_TIMEOUT)
+            if values[key] < 0.0:
+                raise keys[key].fail(f"{key} must be 0 or more, not {values[key]:g}")
+    return TrajectorySpec(**values, where=f"{entry.where}: trajectory")
+
+
 def _keys(entry: Entry, what: str, known: tuple[str, ...]) -> dict[str, Entry]:
     keys = entry.mapping(what, known)
     for key in ("topic", "type", "fields"):
@@ -181,13 +207,7 @@ def _both(
     entry: Entry, keys: dict[str, Entry], messages: Messages, *, receive: bool
 ) -> dict[str, Any]:
     """Return the attributes that both directions have, by name."""
-    topic = keys["topic"].text("topic")
-    if len(topic) > 255 or "__" in topic or not _TOPIC.fullmatch(topic):
-        shown = topic if len(topic) <= 60 else f"{topic[:57]}…"
-        raise keys["topic"].fail(
-            f"topic {shown!r} is not a ROS name; write words of letters, digits and '_' between "
-            "slashes, like imu/data"
-        )
+    topic = _name(keys["topic"], "topic")
     try:
         kind = full_name(keys["type"].text("type"))
         messages.struct(kind)
@@ -205,6 +225,18 @@ def _both(
         "optional": keys["optional"].boolean("optional") if "optional" in keys else False,
         "where": f"{entry.where}: {topic}",
     }
+
+
+def _name(entry: Entry, what: str) -> str:
+    """Return a value as the name of a topic or action."""
+    name = entry.text(what)
+    if len(name) > 255 or "__" in name or not _TOPIC.fullmatch(name):
+        shown = name if len(name) <= 60 else f"{name[:57]}…"
+        raise entry.fail(
+            f"{what} {shown!r} is not a ROS name; write words of letters, digits and '_' between "
+            "slashes, like imu/data"
+        )
+    return name
 
 
 def _positive(keys: dict[str, Entry], key: str, highest: float) -> float | None:

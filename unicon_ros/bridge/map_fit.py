@@ -21,6 +21,7 @@ from unicon_msgs_map import (
     Decoder,
     Encoder,
     MapDependencyError,
+    MapFileError,
     MapStateError,
     MessageMap,
     load_map,
@@ -28,6 +29,7 @@ from unicon_msgs_map import (
 from unicon_msgs_map.spec import TopicSpec
 from unicon_ros import compat
 from unicon_ros.bridge.bindings import arrays_of, given_by_blocks, names_of, variables_of
+from unicon_ros.bridge.trajectories import PLAYED, followers
 
 if TYPE_CHECKING:
     from unicon_core.check import CheckResult
@@ -144,6 +146,12 @@ def robot_codecs(
     mapping: MessageMap, states: States, robot: Robot
 ) -> tuple[list[Decoder], list[Encoder]]:
     """Build the codecs of a map for platform `ros`, as `codecs` does."""
+    if mapping.trajectory is not None:
+        raise MapFileError(
+            "platform 'ros' takes a robot's states, not trajectories; put them into the workflow's "
+            "own map",
+            mapping.trajectory.where,
+        )
     arrays = {name: states[name] for name in states}
     names = {name: spec.names for name, spec in states.layout.specs.items() if spec.names}
     return codecs(mapping, arrays, names, {"joint_names": list(robot.joint_names)})
@@ -175,7 +183,11 @@ def mirror_hook(program: Program, name: str | None = None) -> dict[Stage, list[B
     """
     path = find_config("maps", name or program.document.get("map", str) or "default")
     try:
-        states = {state for spec in _heard(program, path) for state in spec.states}
+        mapping = load_map(path)
+        states = {state for spec in _heard(program, mapping) for state in spec.states}
+        if mapping.trajectory is not None:
+            followers(mapping.trajectory, program)
+            states |= {*PLAYED}
     except UniconError:
         return {}
     if not states or not states.isdisjoint(program.platform.facts.writes):
@@ -197,7 +209,10 @@ def check_mirror(subject: Subject, result: CheckResult, name: str | None = None)
     program: Program = subject.program
     path = find_config("maps", name or subject.document.get("map", str) or "default")
     try:
-        heard = _heard(program, path)
+        mapping = load_map(path)
+        heard = _heard(program, mapping)
+        if mapping.trajectory is not None:
+            followers(mapping.trajectory, program)
     except MapDependencyError as error:
         result.note("map.fit", f"map {path}", NO_CODECS.format(error))
         return
@@ -216,10 +231,10 @@ def check_mirror(subject: Subject, result: CheckResult, name: str | None = None)
                 )
 
 
-def _heard(program: Program, path: Path) -> list[TopicSpec]:
+def _heard(program: Program, mapping: MessageMap) -> list[TopicSpec]:
     """Return what the bridge hears by a map; raises as `codecs`."""
     bindings = arrays_of(program), names_of(program), variables_of(program)
-    decoders, _ = codecs(load_map(path), *bindings)
+    decoders, _ = codecs(mapping, *bindings)
     return [decoder.spec for decoder in decoders]
 
 

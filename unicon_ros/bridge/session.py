@@ -45,6 +45,7 @@ from unicon_ros.bridge.slack import SlackServer
 from unicon_ros.bridge.stamps import WallStamp
 from unicon_ros.bridge.topics_in import TopicIn
 from unicon_ros.bridge.topics_out import TopicOut
+from unicon_ros.bridge.trajectories import Trajectories
 
 __all__ = ["RosSession"]
 
@@ -102,6 +103,7 @@ class RosSession:
         self.outgoing: list[TopicOut] = []
         self.incoming: list[TopicIn] = []
         self.skipped: list[str] = []
+        self.trajectories: Trajectories | None = None
         self._group = compat.polled_group()
         self._others: list[Callable[[], None]] = []
         self._timer: Any = None
@@ -119,7 +121,14 @@ class RosSession:
         stages = {Stage.INPUT: [self._inputs(program)]}
         if self.estop is not None:
             stages[Stage.SAFETY] = [self.estop.before_send()]
-        return stages | {Stage.OBSERVE: self._observers(program)}
+        if self.map.trajectory is None:
+            return stages | {Stage.OBSERVE: self._observers(program)}
+        played = self.trajectories = Trajectories(
+            self.node, self.map.trajectory, program, self.warn
+        )
+        self._others.append(played.close)
+        stages[Stage.INPUT].append(played.before_flow())
+        return stages | {Stage.OBSERVE: [played.after_send(), *self._observers(program)]}
 
     def _inputs(self, program: Program) -> Block:
         bindings = arrays_of(program), names_of(program), variables_of(program, self.frame_prefix)
@@ -221,6 +230,8 @@ class RosSession:
                 rejected=topic.decoder.rejected,
                 stale=topic.stale,
             )
+        if self.trajectories is not None:
+            topics |= self.trajectories.counts()
         for each in self._topics():
             told = each.events.counts()
             topics[each.topic].update({name.replace(" ", "_"): n for name, n in told.items()})
