@@ -65,6 +65,11 @@ TARGETS = {
     "joint_vel_target": ramp(5.0),
     "joint_effort_ff": ramp(6.0),
 }
+WANTED = {
+    "joint_pos_command": ramp(4.0),
+    "joint_vel_command": ramp(5.0),
+    "joint_effort_command": ramp(6.0),
+}
 BASE = {
     "base_quat": WXYZ,
     "base_ang_vel": [0.25, 0.5, 0.75],

@@ -140,6 +140,19 @@ def test_maps_may_come_to_the_same_map_twice(compose: Compose, tmp_path: Path) -
     assert len(compose("include: [left.yaml, right.yaml]\n").publish) == 2
 
 
+PLAYED = "trajectory: {topic: joint_trajectory, action: follow, start_tolerance: 0.2}\n"
+
+
+def test_a_trajectory_is_read_and_changed_key_by_key(compose: Compose, tmp_path: Path) -> None:
+    (tmp_path / "played.yaml").write_text(PLAYED)
+    mapping = compose("include: played.yaml\ntrajectory: {missing: hold, topic: }\n")
+    spec = mapping.trajectory
+    assert spec is not None
+    assert (spec.topic, spec.action, spec.missing) == (None, "follow", "hold")
+    assert (spec.start_tolerance, spec.goal_time) == (0.2, 0.0)
+    assert compose("include: [base.yaml, played.yaml]\ntrajectory: \n").trajectory is None
+
+
 ENTRY = "include: base.yaml\npublish:\n"
 WRONG = [
     ("include: 3\n", "m.yaml:1: include must be a list ('- …' lines), not 3"),
@@ -175,6 +188,17 @@ WRONG = [
     ),
     ("include: hop.yaml\n", "hop.yaml:1: include 'm.yaml' leads back to "),
     ("include: [old.yaml, new.yaml]\n", "m.yaml:1: included maps have the typestores 'humble'"),
+    ("trajectory: {}\n", "m.yaml:1: trajectory has neither topic nor action; give one of them"),
+    ("trajectory: {topic: a b}\n", "m.yaml:1: topic 'a b' is not a ROS name"),
+    ("trajectory: {tpic: a}\n", "m.yaml:1: trajectory has no key 'tpic'; did you mean 'topic'?"),
+    (
+        "trajectory: {topic: a, missing: zero}\n",
+        "m.yaml:1: missing is 'zero'; choose one of error, hold",
+    ),
+    (
+        "trajectory: {topic: a, goal_time: -1}\n",
+        "m.yaml:1: goal_time must be 0 or more, not -1",
+    ),
     ("include: wide1.yaml\n", "more than 32 maps are included; name fewer"),
 ]
 

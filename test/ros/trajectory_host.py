@@ -28,6 +28,7 @@ def told(program: Program) -> dict[Stage, list[Block]]:
             "at": time.monotonic_ns(),
             "measured": states.joint_pos.tolist(),
             "target": states.joint_pos_target.tolist(),
+            "commanded": [None if x != x else x for x in states.joint_pos_command.tolist()],
             "velocity": states.joint_vel_target.tolist(),
         }
         print(json.dumps(line), flush=True)

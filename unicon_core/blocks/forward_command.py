@@ -30,6 +30,11 @@ __all__ = ["Commanded", "ForwardCommand", "forward_command"]
 MAX_RATE = 2.0
 """In [rad/s], unless told: an arm that is jogged has 0.5 to 3, and a person can step back."""
 
+MOST_INTEGRAL = 20.0
+"""In [1/s]: a joint's servo settles in 0.1 to 0.3 s, and has to be quicker."""
+FARTHEST = 0.25
+"""In [rad], that the integral moves a target at most: a leg's sag is 0.05 to 0.15."""
+
 
 @dataclass(frozen=True, eq=False)
 class Commanded(Bundle):
@@ -55,6 +60,7 @@ def forward_command(
     context: BuildContext,
     max_rate: float | Literal["robot"] = MAX_RATE,
     start_tolerance: float | None = None,
+    integral: float = 0.0,
     stiffness_scale: float = 1.0,
     damping_scale: float = 1.0,
     duration: float | None = None,
@@ -69,6 +75,8 @@ def forward_command(
         max_rate: of a target in [rad/s], or `robot` for the robot file's velocity limits.
         start_tolerance: how far from the present target in [rad] the first command after silence
             may be; one that is farther off is told once and not followed. None: any.
+        integral: gain in [1/s] by which a target is moved on, by 0.25 rad at most, against what
+            gravity leaves between the commanded and the measured position; 0 for none.
         stiffness_scale: factor on the robot file's stiffness; 0 follows efforts and velocities.
         damping_scale: factor on the robot file's damping.
         duration: in [s]; None never ends.
@@ -84,9 +92,10 @@ def forward_command(
         start_tolerance = within(start_tolerance, "start_tolerance", "rad", POSITION)
     if duration is not None:
         within(duration, "duration", "s", DURATION)
+    integral = within(integral, "integral", "1/s", MOST_INTEGRAL, above=False)
     gains = robot_gains(robot, "forward_command", stiffness_scale, damping_scale)
     ticks = ticks_of(duration, period, "duration")
-    made = ForwardCommand(command, commanded, robot, period, rate, gains, ticks)
+    made = ForwardCommand(command, commanded, robot, period, rate, gains, integral, ticks)
     if start_tolerance is not None:
         made.guard(start_tolerance, context.tell)
     return made
@@ -104,6 +113,7 @@ class ForwardCommand:
 
     Attributes:
         max_rate: of each target in [rad/s], shape (n,).
+        held: positions that are commanded in this tick in [rad], shape (..., n).
         ticks: that it has run since its flow entered it; who gives commands sees whether anybody
             follows them.
     """
@@ -116,6 +126,7 @@ class ForwardCommand:
         period: float,
         max_rate: NDArray[np.float32],
         gains: tuple[NDArray[np.float32], NDArray[np.float32]],
+        integral: float,
         ticks: int | None,
     ) -> None:
         self._command, self._commanded, self._robot = command, commanded, robot
@@ -128,7 +139,8 @@ class ForwardCommand:
         self._upper = np.nan_to_num(robot.upper, nan=np.inf)
         self._effort = np.nan_to_num(robot.effort_limit, nan=np.inf)
         target = command.joint_pos_target
-        self._held, self._bound, self._wanted = (np.zeros_like(target) for _ in range(3))
+        self.held, self._bound, self._wanted = (np.zeros_like(target) for _ in range(3))
+        self._share, self._offset = np.float32(integral * period), np.zeros_like(target)
         self._silent = np.zeros(target.shape, np.bool_)
         self._tolerance = np.inf
         self._tell: Callable[[str], None] = _quiet
@@ -139,9 +151,10 @@ class ForwardCommand:
         self._tolerance, self._tell = tolerance, tell
 
     def __call__(self) -> bool:
-        command, held = self._command, self._held
+        command, held = self._command, self.held
         if self.ticks == 0:
             command.entry(held)
+            self._offset[...] = 0.0
             self._heard = self._refused = False
         self.ticks += 1
         wanted = self._wanted
@@ -159,6 +172,13 @@ class ForwardCommand:
         np.add(held, self._step, out=self._bound)
         np.minimum(wanted, self._bound, out=held)
         command.joint_pos_target[...] = held
+        if self._share:
+            np.subtract(held, command.joint_pos, out=self._bound)
+            self._bound *= self._share
+            self._offset += self._bound
+            np.maximum(self._offset, -FARTHEST, out=self._offset)
+            np.minimum(self._offset, FARTHEST, out=self._offset)
+            command.joint_pos_target[...] += self._offset
         self._feed_forward(
             self._commanded.joint_vel_command, self.max_rate, command.joint_vel_target
         )
@@ -175,7 +195,7 @@ class ForwardCommand:
             return
         if self._heard:
             return
-        np.subtract(self._wanted, self._held, out=self._bound)
+        np.subtract(self._wanted, self.held, out=self._bound)
         np.abs(self._bound, out=self._bound)
         if float(self._bound.max()) <= self._tolerance:
             self._heard, self._refused = True, False
@@ -188,7 +208,7 @@ class ForwardCommand:
                 f"the target of {self._robot.joint_names[int(joint)]}, allowed are "
                 f"{self._tolerance:g} (start_tolerance); the joints hold until it is nearer"
             )
-        self._wanted[...] = self._held
+        self._wanted[...] = self.held
 
     def _feed_forward(
         self, said: NDArray[np.float32], most: NDArray[np.float32], out: NDArray[np.float32]

@@ -106,7 +106,7 @@ class Start:
     """Where the joints are, each of shape (n,).
 
     Attributes:
-        target: in [rad], what was sent last.
+        target: in [rad], what was commanded last.
         velocity: of that target in [rad/s].
         measured: in [rad].
     """

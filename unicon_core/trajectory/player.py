@@ -58,7 +58,7 @@ class Player:
         period: of a tick in [s].
         position: written: commanded positions in [rad], shape (n,), NaN where nothing is.
         velocity: written: commanded velocities in [rad/s], shape (n,).
-        target: read: targets that were sent last in [rad], shape (n,).
+        target: of whoever follows: commanded positions of the last tick in [rad], shape (n,).
         measured: read: positions in [rad], shape (n,).
         follows: how many ticks somebody has followed the commands, since he began to.
 
@@ -75,7 +75,7 @@ class Player:
         period: float,
         position: NDArray[Any],
         velocity: NDArray[Any],
-        target: NDArray[Any],
+        target: Callable[[], NDArray[Any]],
         measured: NDArray[Any],
         follows: Callable[[], int],
     ) -> None:
@@ -110,7 +110,7 @@ class Player:
             raise Refusal(
                 Code.INVALID_GOAL, "the flow does not follow joint commands now (forward_command)"
             )
-        target = self._target.astype(np.float64)
+        target = self._target().astype(np.float64)
         velocity = self.desired[1].copy() if self.playing else np.zeros_like(target)
         spline = accepted(
             points, self.limits, Start(target, velocity, self._measured.astype(np.float64))

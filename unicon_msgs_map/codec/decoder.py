@@ -64,13 +64,6 @@ class Decoder:
         """
         message = spec.messages.struct(spec.type)
         targets = bind_targets(spec, message, arrays, names or {}, variables or {})
-        for target in targets if spec.on_timeout == "unset" else ():
-            bound = target.bound
-            if bound is not None and not target.is_time and not bound.is_float:
-                raise target.field.state_error(
-                    f"on_timeout: unset makes a state NaN, and {target.field.source.name} is "
-                    f"{bound.flat.dtype}; say zero or hold"
-                )
         return cls(spec, message, targets)
 
     @property

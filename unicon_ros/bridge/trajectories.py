@@ -84,7 +84,7 @@ class Trajectories:
     ) -> None:
         self._node, self._spec, self._warn = node, spec, warn
         following = followers(spec, program)
-        arrays, robot = arrays_of(program), program.robot
+        arrays, robot, size = arrays_of(program), program.robot, program.robot.num_joints
         speed = np.min([each.max_rate for each in following], axis=0).astype(np.float64)
         limits = Limits(
             robot.joint_names,
@@ -99,7 +99,7 @@ class Trajectories:
             program.period,
             arrays[PLAYED[0]],
             arrays[PLAYED[1]],
-            arrays["joint_pos_target"],
+            lambda: next(each.held for each in following if each.ticks).reshape(-1, size)[0],
             arrays["joint_pos"],
             lambda: sum(each.ticks for each in following),
         )
