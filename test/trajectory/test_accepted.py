@@ -52,9 +52,9 @@ WRONG: list[tuple[dict[str, Any], Code, str]] = [
         "the trajectory has no points",
     ),
     (
-        {"times": list(range(2001))},
+        {"times": list(range(1001))},
         Code.INVALID_GOAL,
-        "the trajectory has 2001 points; at most 2000 are read",
+        "the trajectory has 1001 points; at most 1000 are read",
     ),
     (
         {"times": [-0.5, 1]},

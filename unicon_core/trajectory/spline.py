@@ -29,6 +29,7 @@ class Spline:
     Attributes:
         times: of the knots in [s], shape (m,).
         end: the last of them.
+        straight: all of it are lines.
     """
 
     def __init__(
@@ -45,6 +46,7 @@ class Spline:
         quintic = cubic & ~np.isnan(a0 + a1).any(axis=1)
         cubic &= ~quintic
         linear = ~(cubic | quintic)
+        self.straight = bool(linear.all())
         c[linear, 1] = (way / spans)[linear]
         t, d = spans[cubic], way[cubic]
         u0, u1 = v0[cubic], v1[cubic]

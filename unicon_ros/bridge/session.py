@@ -237,7 +237,8 @@ class RosSession:
             topics[each.topic].update({name.replace(" ", "_"): n for name, n in told.items()})
         return {
             "published": sum(out.published for out in self.outgoing),
-            "received": sum(topic.received for topic in self.incoming),
+            "received": sum(topic.received for topic in self.incoming)
+            + (0 if self.trajectories is None else self.trajectories.received),
             "services": {"served": self.slack.served, "forced": self.slack.forced},
             "seconds": round(seconds, 3),
             "skipped": list(self.skipped),

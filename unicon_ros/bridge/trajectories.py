@@ -271,7 +271,8 @@ class Trajectories:
         if self.topic:
             found[self.topic] = {"received": self.received, "rejected": self.rejected}
         if self._action is not None and self._spec.action is not None:
-            found[self._spec.action] = {"goals": self._action.received}
+            name = self._node.resolve_topic_name(self._spec.action)
+            found[name] = {"goals": self._action.received}
         return found
 
     def close(self) -> None:
