@@ -20,6 +20,7 @@ def states(count: int) -> dict[str, np.ndarray]:
     joints = ["joint_pos", "joint_vel", "joint_effort", "joint_pos_target", "joint_vel_target"]
     joints += ["joint_effort_ff", "joint_stiffness", "joint_damping"]
     joints += ["joint_pos_command", "joint_vel_command", "joint_effort_command"]
+    joints += ["joint_effort_target"]  # of platform ros alone
     sizes = dict.fromkeys(joints, count) | {"base_quat": 4, "mocap_quat": 4}
     for name in ("base_ang_vel", "base_lin_acc", "base_pos_w", "base_lin_vel", "mocap_pos_w"):
         sizes[name] = 3

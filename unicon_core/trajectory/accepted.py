@@ -217,19 +217,19 @@ def _filled(
         ("effort", points.efforts),
     ):
         full = np.full((count, size), np.nan)
-        said = np.array([len(row) > 0 or what == "positions" for row in rows], np.bool_)
+        said = np.array([len(given) > 0 or what == "positions" for given in rows], np.bool_)
         if what == "effort" and said.any():
             i = int(said.argmax())
             raise _bad(f"point {i} has efforts, which are not followed; leave them empty")
-        for i, row in enumerate(rows):
-            if said[i] and len(row) != len(place):
-                raise _bad(f"point {i} has {len(row)} {what} for {len(place)} joints")
+        for i, given in enumerate(rows):
+            if said[i] and len(given) != len(place):
+                raise _bad(f"point {i} has {len(given)} {what} for {len(place)} joints")
         if said.any():
-            values = np.array([row for row, there in zip(rows, said) if there], np.float64)
+            values = np.array([given for given, there in zip(rows, said) if there], np.float64)
             if not np.isfinite(values).all():
-                i, joint = (int(place) for place in np.argwhere(~np.isfinite(values))[0])
-                point, name = int(np.flatnonzero(said)[i]), points.joints[joint]
-                raise _bad(f"point {point} has {what} that are not finite ({name})")
+                row, column = np.argwhere(~np.isfinite(values))[0]
+                i, name = int(np.flatnonzero(said)[row]), points.joints[int(column)]
+                raise _bad(f"point {i} has {what} that are not finite ({name})")
             full[np.ix_(said, place)] = values
             full[np.ix_(said, held)] = start.target[held] if what == "positions" else 0.0
         found.append(full)

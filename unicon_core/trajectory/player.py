@@ -97,7 +97,8 @@ class Player:
         size = len(self.limits.joints)
         rest = np.zeros(size)
         free = Limits(self.limits.joints, rest - 1.0, rest + 1.0, rest + 1.0)
-        points = Points(free.joints, [1.0, 2.0], [rest, rest], [[], rest], [[], []])
+        there = rest.tolist()
+        points = Points(free.joints, [1.0, 2.0], [there, there], [[], there], [[], []])
         accepted(points, free, Start(rest, rest, rest))
 
     # -- between ticks --------------------------------------------------------------------------
