@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,9 @@ import rclpy
 from peer import Peer, wait_for
 from std_msgs.msg import Float64MultiArray
 
+from unicon_core.flow import Block, Stage
 from unicon_core.robots import load_robot
+from unicon_core.workflow import Program
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(60)]
 
@@ -115,7 +118,14 @@ def as_controller(
     path.write_text(CONTROLLER.replace("MAP", f"ros2_control_{interface}"))
     rest = [f"{n}={p}" for n, p in zip(NAMES, STAND + 0.1)]
     robot = peers("ros2_control_robot", interface, "200", f"{seconds + 40.0}", *rest)
-    run = runs(path, duration=seconds)
+    heard: list[tuple[int, int]] = []
+
+    def look(program: Program) -> dict[Stage, list[Block]]:
+        stamp, count = program.states.stamp_ns, program.platform.arrivals  # type: ignore[attr-defined]
+        tick = partial(_note, heard, count, stamp)
+        return {Stage.ESTIMATE: [Block("look", tick)]}
+
+    run = runs(path, hooks=[look], duration=seconds)
     platform = run.program.platform
     wait_for(lambda: not run.alive, "the end of the run", seconds + 40.0)
     assert run.report is not None
@@ -130,10 +140,15 @@ def as_controller(
     return {
         **told[-1],
         "sent": published,
-        "taken": info["received"]["/joint_states"],
+        "taken": heard[-1][0] - heard[1][0],
+        "told": (heard[-1][1] - heard[1][1]) / 5e6,
         "range": max(moving) - min(moving),
         "ticks": run.report.ticks,
     }
+
+
+def _note(heard: list[tuple[int, int]], count: Callable[[], int], stamp: Any) -> None:
+    heard.append((count(), int(stamp)))
 
 
 def test_a_controller_manager_runs_our_robot_as_topic_based_hardware(
@@ -151,6 +166,7 @@ def test_our_workflow_commands_a_robot_of_ros2_control_by_torques(
     counted = as_controller(runs, peers, tmp_path, "effort", 2.0)
     assert counted["dropped"] == 0
     assert counted["commands"] == counted["sent"] > 150
+    assert counted["taken"] == counted["told"] > 300
     assert counted["range"] > 0.1  # it sways, through its controllers
     # A controller that keeps the last for ever has zeros.
     assert counted["effort"] == [0.0] * len(NAMES)
@@ -180,4 +196,5 @@ def test_nothing_is_lost_in_a_minute_as_controller(
     print(counted)
     assert counted["dropped"] == 0
     assert counted["commands"] == counted["sent"] > (2500 if interface == "trajectory" else 5500)
+    assert counted["taken"] == counted["told"] > 11_000
     assert counted["range"] > 0.1
