@@ -32,6 +32,7 @@ SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
 TICK_NS = 10_000_000
 STIFF = "flow.chain.1.forward_command.integral=0"
 """Targets that are what is commanded, to the bit."""
+GONE = "nobody follows any more: the flow went on, or the run ends"
 
 
 @pytest.fixture(scope="module")
@@ -200,7 +201,7 @@ def test_a_new_goal_takes_over_and_the_end_of_the_run_ends_it(
     assert result_of(client, "bad")["status"] == ABORTED  # the other goes on
     new = result_of(client, "new")
     assert (new["status"], new["code"]) == (ABORTED, -1)
-    assert new["reason"] == "the flow went on and follows no commands now"  # it winds down
+    assert new["reason"] == GONE
     assert host.end()[0] == 0
     steps = np.diff([line["target"] for line in host.of("tick")[250:]], axis=0)
     assert np.abs(steps).max() < 3.0 * 0.01 + 1e-6  # max_rate, through all of it
@@ -224,3 +225,92 @@ def test_a_path_tolerance_that_is_violated_aborts_and_holds(
     assert "rad from the goal after" in ended["reason"]
     client.tell(goal("loose", [[1.0, crouched(0.0)]], path=dict.fromkeys(GO2.joint_names, 0.5)))
     assert result_of(client, "loose")["status"] == SUCCEEDED
+
+
+def test_the_action_answers_whoever_asks_without_care(
+    stage: Callable[..., tuple[Peer, Peer]], peers: Callable[..., Peer]
+) -> None:
+    _, client = stage(40.0, STIFF)
+    client.tell(goal("honest", [[20.0, crouched(0.3)]]))
+    client.wait_for(lambda: len(client.of("feedback")) > 5, "it to move")
+    attacker = peers("trajectory_attacker")
+    attacker.wait_for(lambda: bool(attacker.of("done")), "the end of the attack", 60.0)
+    told = {line.pop("kind"): line for line in map(dict, attacker.lines)}
+    assert told["cancel the unknown"] == {"code": 2}
+    assert told["result of the unknown"] == {"status": 0}
+    assert told["once"] == {"accepted": True}
+    assert told["twice"] == {"accepted": False}
+    assert told["its result"] == {"status": ABORTED, "code": -2}
+    assert told["cancel what has ended"] == {"code": 3}
+    assert told["flood"]["accepted"] == 200
+    assert told["the last of the flood"] == {"status": ABORTED}
+    assert told["the first of the flood"] == {"status": 0}  # forgotten: 32 are kept
+    # `cancel all` was the honest client's too.
+    assert told["cancel all of nothing"] == {"code": 0}
+    ended = result_of(client, "honest")
+    assert (ended["status"], ended["reason"]) == (CANCELED, "canceled")
+
+
+def test_an_emergency_stop_ends_the_goal_and_tells_its_client(
+    stage: Callable[..., tuple[Peer, Peer]], peers: Callable[..., Peer]
+) -> None:
+    host, client = stage(40.0, STIFF)
+    client.tell(goal("long", [[30.0, crouched(0.3)]]))
+    client.wait_for(lambda: len(client.of("feedback")) > 5, "it to move")
+    peers("caller", "unicon", "estop")
+    ended = result_of(client, "long")
+    assert (ended["status"], ended["code"], ended["reason"]) == (ABORTED, -1, GONE)
+    assert host.end()[0] == 0
+    (end,) = host.of("end")
+    assert end["faults"] == ["emergency stop by the service ~/estop"]
+
+
+def test_a_client_that_is_killed_leaves_its_goal_to_its_end(
+    stage: Callable[..., tuple[Peer, Peer]], peers: Callable[..., Peer]
+) -> None:
+    host, client = stage(30.0, STIFF)
+    client.tell(goal("orphan", [[3.0, crouched(0.3)]]))
+    client.wait_for(lambda: len(client.of("feedback")) > 5, "it to move")
+    client.kill()
+    wanted = crouched(0.3)
+
+    def there() -> bool:
+        return bool(np.abs(np.array(host.of("tick")[-1]["target"]) - wanted).max() < 1e-4)
+
+    host.wait_for(there, "the end of the path")
+    other = peers("trajectory_client")
+    other.wait_for(lambda: bool(other.of("ready")), "the action server", 60.0)
+    other.tell(goal("next", [[1.0, crouched(0.0)]]))
+    assert result_of(other, "next")["status"] == SUCCEEDED
+
+
+def test_a_reset_of_the_simulator_ends_the_goal_and_nothing_jumps(
+    stage: Callable[..., tuple[Peer, Peer]], peers: Callable[..., Peer]
+) -> None:
+    _, client = stage(40.0, STIFF)
+    client.tell(goal("long", [[30.0, crouched(0.3)]]))
+    client.wait_for(lambda: len(client.of("feedback")) > 5, "it to move")
+    peers("caller", "unicon", "reset")
+    ended = result_of(client, "long")
+    assert (ended["status"], ended["code"]) == (ABORTED, -1)
+    assert ended["reason"] == GONE
+    client.tell(goal("early", [[1.0, crouched(0.0)]]))  # it stands up
+    ended = result_of(client, "early")
+    assert "the flow does not follow joint commands now" in ended["reason"]
+
+
+def test_a_pause_holds_the_path_and_goals_are_heard_in_it(
+    stage: Callable[..., tuple[Peer, Peer]], peers: Callable[..., Peer]
+) -> None:
+    host, client = stage(40.0, STIFF)
+    client.tell(goal("paused", [[2.0, crouched(0.3)], [4.0, crouched(0.0)]]))
+    client.wait_for(lambda: len(client.of("feedback")) > 5, "it to move")
+    assert peers("caller", "unicon", "pause").end()[0] == 0
+    count = len(host.of("tick"))
+    client.tell(json.dumps({"cancel": "paused"}))
+    assert result_of(client, "paused")["status"] == CANCELED
+    client.tell(goal("next", [[1.0, crouched(0.1)]]))
+    client.wait_for(lambda: len(client.of("answered")) == 2, "the answer in the pause")
+    assert len(host.of("tick")) <= count + 2
+    assert peers("caller", "unicon", "start").end()[0] == 0
+    assert result_of(client, "next")["status"] == SUCCEEDED

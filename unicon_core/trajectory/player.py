@@ -145,7 +145,8 @@ class Player:
         if self._spline is None:
             return
         if not self._followed:
-            self.cancel(Ending(Code.INVALID_GOAL, "the flow went on and follows no commands now"))
+            reason = "nobody follows any more: the flow went on, or the run ends"
+            self.cancel(Ending(Code.INVALID_GOAL, reason))
             return
         if self.playing and not self._on_the_way():
             return

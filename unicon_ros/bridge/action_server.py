@@ -61,6 +61,7 @@ class ActionServer:
         cancel: takes a goal that somebody wants to end; it ends it.
 
     Attributes:
+        name: full name.
         received: goals that came.
     """
 
@@ -78,6 +79,7 @@ class ActionServer:
         self._node, self._kind, self._begin, self._cancel = node, kind, begin, cancel
         self._info, self._status, self._array = GoalInfo, GoalStatus, GoalStatusArray
         self._goals: dict[bytes, Goal] = {}
+        self.name = str(node.resolve_topic_name(name))
         self.received = 0
         base = f"{name}/_action"
         # The service of the results first: it tells whether the types are complete.

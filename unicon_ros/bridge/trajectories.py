@@ -270,9 +270,8 @@ class Trajectories:
         found = {}
         if self.topic:
             found[self.topic] = {"received": self.received, "rejected": self.rejected}
-        if self._action is not None and self._spec.action is not None:
-            name = self._node.resolve_topic_name(self._spec.action)
-            found[name] = {"goals": self._action.received}
+        if self._action is not None:
+            found[self._action.name] = {"goals": self._action.received}
         return found
 
     def close(self) -> None:
