@@ -32,7 +32,6 @@ from unicon_msgs_map import (
 from unicon_msgs_map.spec import TopicSpec
 from unicon_ros import compat
 from unicon_ros.bridge.bindings import arrays_of, given_by_blocks, names_of, variables_of
-from unicon_ros.bridge.trajectories import PLAYED, followers
 
 if TYPE_CHECKING:
     from unicon_core.check import CheckResult
@@ -212,9 +211,7 @@ def mirror_hook(program: Program, name: str | None = None) -> dict[Stage, list[B
     try:
         mapping = load_map(path)
         states = {state for spec in _heard(program, mapping) for state in spec.states}
-        if mapping.trajectory is not None:
-            followers(mapping.trajectory, program)
-            states |= {*PLAYED}
+        states.update(_played(program, mapping))
     except UniconError:
         return {}
     if not states or not states.isdisjoint(program.platform.facts.writes):
@@ -238,8 +235,7 @@ def check_mirror(subject: Subject, result: CheckResult, name: str | None = None)
     try:
         mapping = load_map(path)
         heard = _heard(program, mapping)
-        if mapping.trajectory is not None:
-            followers(mapping.trajectory, program)
+        _played(program, mapping)
     except MapDependencyError as error:
         result.note("map.fit", f"map {path}", NO_CODECS.format(error))
         return
@@ -256,6 +252,16 @@ def check_mirror(subject: Subject, result: CheckResult, name: str | None = None)
                     f"{subject.platform.name!r} writes",
                     "take the topic out of the map, or use platform 'ros'",
                 )
+
+
+def _played(program: Program, mapping: MessageMap) -> tuple[str, ...]:
+    """Return the states that a map's trajectories write; raises where nobody would follow them."""
+    if mapping.trajectory is None:
+        return ()
+    from unicon_ros.bridge.trajectories import PLAYED, followers  # few need them
+
+    followers(mapping.trajectory, program)
+    return PLAYED
 
 
 def _heard(program: Program, mapping: MessageMap) -> list[TopicSpec]:

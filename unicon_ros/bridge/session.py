@@ -16,7 +16,7 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from unicon_core.errors import UniconError, one_line
 from unicon_core.flow import Block, Stage
@@ -45,7 +45,9 @@ from unicon_ros.bridge.slack import SlackServer
 from unicon_ros.bridge.stamps import WallStamp
 from unicon_ros.bridge.topics_in import TopicIn
 from unicon_ros.bridge.topics_out import TopicOut
-from unicon_ros.bridge.trajectories import Trajectories
+
+if TYPE_CHECKING:
+    from unicon_ros.bridge.trajectories import Trajectories
 
 __all__ = ["RosSession"]
 
@@ -123,6 +125,8 @@ class RosSession:
             stages[Stage.SAFETY] = [self.estop.before_send()]
         if self.map.trajectory is None:
             return stages | {Stage.OBSERVE: self._observers(program)}
+        from unicon_ros.bridge.trajectories import Trajectories  # few need them
+
         played = self.trajectories = Trajectories(
             self.node, self.map.trajectory, program, self.warn
         )
