@@ -17,7 +17,7 @@ neither nodes nor blocks. A mapping is compiled once against arrays; then a mess
         decoder = Decoder.build(spec, arrays, names, variables)
         decoder.decode(raw)                                   # True: states written; False: refused
         decoder.received, decoder.rejected, decoder.last_error, decoder.stamp_ns
-        decoder.zero()                                        # what a time-out does
+        decoder.lapse()                                       # what a time-out does
 
     message_definition("sensor_msgs/msg/JointState").text     # with .rihs and .md5, for MCAP
 
@@ -28,6 +28,7 @@ the arrays that a topic needs; where `spec.optional` is set, leave out a topic w
 
 The mapping file
 ----------------
+    include: default                    # optional; names or paths of maps to begin with
     typestore: jazzy                    # optional; ROS distribution of the common interfaces
     messages: [my_msgs/msg]             # optional; .msg files or folders of them, by relative path
     publish:
@@ -42,12 +43,15 @@ The mapping file
       - topic: cmd_vel
         type: geometry_msgs/msg/Twist
         timeout: 0.5                    # s without a message, then
-        on_timeout: zero                # zero (default) or hold
+        on_timeout: zero                # zero (default), hold, or unset: NaN
         missing: hold                   # our elements that it lacks: hold, zero or error
         extra: ignore                   # its elements that we lack: ignore or error
         unnamed: error                  # no names where they are mapped: error, or order
         nonfinite: reject               # NaN and infinities: reject or accept
         fields: {linear.x: velocity_command[0], angular.z: velocity_command[2]}
+
+An entry whose topic an included map has changes that one: keys that are given count, `fields` one
+by one (an empty value removes it), `remove: true` removes the entry, another `type` replaces it.
 
 Message side: `header.stamp`, `axes[1]`, `motor_state[:12].q`, `points[0].positions`, and in
 subscriptions `transforms[child_frame_id=base_link].transform`. Our side: a state (`joint_pos`,
@@ -81,7 +85,14 @@ from unicon_msgs_map.errors import (
 )
 from unicon_msgs_map.layout.messages import MessageDefinition, Messages, message_definition
 from unicon_msgs_map.mapfile.load import load_map, parse_map
-from unicon_msgs_map.spec import FieldSpec, MessageMap, PublishSpec, Qos, SubscribeSpec
+from unicon_msgs_map.spec import (
+    FieldSpec,
+    MessageMap,
+    PublishSpec,
+    Qos,
+    SubscribeSpec,
+    TrajectorySpec,
+)
 
 __all__ = [
     "Decoder",
@@ -98,6 +109,7 @@ __all__ = [
     "PublishSpec",
     "Qos",
     "SubscribeSpec",
+    "TrajectorySpec",
     "load_map",
     "message_definition",
     "parse_map",

@@ -11,7 +11,15 @@ from unicon_msgs_map.layout.paths import Path, Reference
 if TYPE_CHECKING:
     from unicon_msgs_map.layout.messages import Messages
 
-__all__ = ["FieldSpec", "MessageMap", "PublishSpec", "Qos", "SubscribeSpec", "TopicSpec"]
+__all__ = [
+    "FieldSpec",
+    "MessageMap",
+    "PublishSpec",
+    "Qos",
+    "SubscribeSpec",
+    "TopicSpec",
+    "TrajectorySpec",
+]
 
 Numbers = float | tuple[float, ...]
 
@@ -134,7 +142,8 @@ class SubscribeSpec(TopicSpec):
 
     Attributes:
         timeout: [s] without an accepted message after which `on_timeout` applies; None is never.
-        on_timeout: `zero` sets the written states to zero, `hold` leaves them.
+        on_timeout: `zero` sets the written states to zero, `hold` leaves them, `unset` makes them
+            NaN, which says that nobody commands.
         missing: elements of ours that the message lacks: `hold`, `zero` or `error`.
         extra: elements of the message that we lack: `ignore` or `error`.
         unnamed: a message that should carry names and has none: `error`, or `order` to take
@@ -151,12 +160,38 @@ class SubscribeSpec(TopicSpec):
 
 
 @dataclass(frozen=True)
+class TrajectorySpec:
+    """Where joint trajectories come in, whole and not field by field.
+
+    Attributes:
+        topic: of trajectory_msgs/msg/JointTrajectory, or None.
+        action: of control_msgs/action/FollowJointTrajectory, or None.
+        missing: joints that a trajectory lacks: `error`, or `hold`.
+        start_tolerance: how far a first point at 0 s may be from the joints in [rad].
+        path_tolerance: how far joints may be off on the way in [rad]; 0 does not ask.
+        goal_tolerance: how far they may be off at the end in [rad]; 0 does not ask.
+        goal_time: how long after its end the goal may be reached in [s]; 0 waits without an end.
+        where: `file:line` for messages.
+    """
+
+    topic: str | None = None
+    action: str | None = None
+    missing: str = "error"
+    start_tolerance: float = 0.1
+    path_tolerance: float = 0.0
+    goal_tolerance: float = 0.0
+    goal_time: float = 0.0
+    where: str | None = None
+
+
+@dataclass(frozen=True)
 class MessageMap:
     """A mapping file: topics out and topics in.
 
     Attributes:
         publish: topics out.
         subscribe: topics in.
+        trajectory: where joint trajectories come in, or None.
         messages: the type store that defines their types.
         path: the file, where there is one.
         description: the file's own words.
@@ -167,3 +202,4 @@ class MessageMap:
     messages: Messages = field(repr=False, compare=False)
     path: str | None = None
     description: str = ""
+    trajectory: TrajectorySpec | None = None

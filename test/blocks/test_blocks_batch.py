@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from unicon_core.states.standard import forwarded_states
+
 Bench = Any
 
 BLOCKS: dict[str, dict[str, Any]] = {
@@ -20,6 +22,7 @@ BLOCKS: dict[str, dict[str, Any]] = {
     "effort_limits": {"scale": 0.3},
     "rate_limit": {},
     "fade_in": {},
+    "forward_command": {"integral": 2.0},
     "projected_gravity": {},
     "linear_map": {"source": "joint_vel", "target": "joint_effort_ff", "scale": -0.5},
     "copy": {"source": "joint_pos", "target": "joint_pos_target", "index": list(range(12))[::-1]},
@@ -29,7 +32,9 @@ BLOCKS: dict[str, dict[str, Any]] = {
 @pytest.mark.parametrize("name", BLOCKS)
 def test_robot_of_a_batch_equals_a_single_one(bench: Callable[..., Bench], name: str) -> None:
     count = 3
-    many, singles = bench(num_robots=count), [bench() for _ in range(count)]
+    extra = forwarded_states(bench().robot.joint_names)
+    many = bench(num_robots=count, states=extra)
+    singles = [bench(states=extra) for _ in range(count)]
     blocks = [it.block(name, **BLOCKS[name]) for it in (many, *singles)]
     rng = np.random.default_rng(7)
     for _ in range(4):

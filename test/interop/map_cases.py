@@ -65,6 +65,11 @@ TARGETS = {
     "joint_vel_target": ramp(5.0),
     "joint_effort_ff": ramp(6.0),
 }
+WANTED = {
+    "joint_pos_command": ramp(4.0),
+    "joint_vel_command": ramp(5.0),
+    "joint_effort_command": ramp(6.0),
+}
 BASE = {
     "base_quat": WXYZ,
     "base_ang_vel": [0.25, 0.5, 0.75],
@@ -265,7 +270,7 @@ CASES: dict[str, Case] = {
         hears={
             "forward_position_controller/commands": (
                 {"data": ramp(4.0)},
-                {"joint_pos_target": ramp(4.0)},
+                {"joint_pos_command": ramp(4.0)},
             )
         }
     ),
@@ -294,25 +299,11 @@ CASES: dict[str, Case] = {
                     "velocity": ramp(5.0)[::-1],
                     "effort": ramp(6.0)[::-1],
                 },
-                TARGETS,
+                WANTED,
             )
         }
     ),
     "joint_state_in": Case(hears={"joint_states": (MEASURED, {**ROBOT, "stamp_ns": STAMP_NS})}),
-    "joint_trajectory_in": Case(
-        hears={
-            "joint_trajectory": (
-                {
-                    "joint_names": SHUFFLED,
-                    "points": [
-                        {"positions": ramp(4.0)[::-1], "velocities": ramp(5.0)[::-1]},
-                        {"positions": ramp(9.0), "velocities": ramp(9.0)},
-                    ],
-                },
-                {"joint_pos_target": ramp(4.0), "joint_vel_target": ramp(5.0)},
-            )
-        }
-    ),
     "joint_trajectory_out": Case(
         {"joint_pos_target": ramp(4.0), "joint_vel_target": ramp(5.0)},
         {

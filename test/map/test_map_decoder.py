@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from map_helpers import JAZZY, NAMES, fields, serialize, subscribe, zero_message
 
-from unicon_msgs_map import Decoder, Messages, SubscribeSpec
+from unicon_msgs_map import Decoder, MapStateError, Messages, SubscribeSpec, parse_map
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 
@@ -245,9 +245,32 @@ def test_zero_clears_what_the_decoder_writes_and_nothing_else() -> None:
     arrays = {"command": np.ones(4, np.float32), "stamp": np.ones((), np.int64)}
     mapping = {"header.stamp": "stamp", "twist.linear.x": "command[1]"}
     decoder = Decoder.build(subscribe("geometry_msgs/msg/TwistStamped", mapping), arrays)
-    decoder.zero()
+    decoder.lapse()
     np.testing.assert_array_equal(arrays["command"], [1, 0, 1, 1])
     assert arrays["stamp"] == 1
+
+
+UNSET = """\
+subscribe:
+  - topic: t
+    type: geometry_msgs/msg/TwistStamped
+    on_timeout: unset
+    fields: {header.stamp: stamp, twist.linear.x: "command[1]"}
+"""
+
+
+def test_unset_makes_what_the_decoder_writes_nan() -> None:
+    arrays = {"command": np.ones(3, np.float32), "stamp": np.ones((), np.int64)}
+    decoder = Decoder.build(parse_map(UNSET).subscribe[0], arrays)
+    decoder.lapse()
+    np.testing.assert_array_equal(arrays["command"], [1, np.nan, 1])
+    assert arrays["stamp"] == 1
+
+
+def test_unset_is_for_states_that_can_be_nan() -> None:
+    arrays = {"command": np.ones(3, np.int32), "stamp": np.ones((), np.int64)}
+    with pytest.raises(MapStateError, match=r"unset makes a state NaN, and 'command' is int32; "):
+        Decoder.build(parse_map(UNSET).subscribe[0], arrays)
 
 
 def test_a_required_text_and_number_must_be_there() -> None:

@@ -37,7 +37,7 @@ FILES: list[tuple[str, str]] = [
     (
         "publsh: []\n",
         "m.yaml:1: a message map has no key 'publsh'; did you mean 'publish'? known: description, "
-        "messages, publish, subscribe, typestore",
+        "include, messages, publish, subscribe, trajectory, typestore",
     ),
     (
         "publish: []\n",
@@ -108,7 +108,7 @@ FILES: list[tuple[str, str]] = [
     ),
     (
         IN + "    on_timeout: stop\n    fields: {linear.x: x}\n",
-        "m.yaml:4: on_timeout is 'stop'; choose one of zero, hold",
+        "m.yaml:4: on_timeout is 'stop'; choose one of zero, hold, unset",
     ),
     (
         IN + "    timeout: -1\n    fields: {linear.x: x}\n",

@@ -81,7 +81,7 @@ def type_support(packages: Mapping[str, Path], cache: Path = CACHE) -> Path:
     """Return the prefix with the type support of these packages, made where it is not there yet.
 
     Args:
-        packages: name to the folder with its `.msg` files, or with a `msg/` folder of them.
+        packages: name to the folder with its `.msg` files, or with folders `msg/` and `action/`.
         cache: where venv and prefixes are kept.
 
     Raises:
@@ -121,9 +121,10 @@ def environment(prefix: Path, before: Mapping[str, str] = os.environ) -> dict[st
 
 def _messages(folder: Path) -> dict[str, str]:
     files = sorted((folder / "msg").glob("*.msg")) or sorted(folder.glob("*.msg"))
+    files += sorted((folder / "action").glob("*.action"))
     if not files:
         raise FileNotFoundError(f"no .msg file in {folder} or its msg/")
-    return {file.name: file.read_text(encoding="utf-8") for file in files}
+    return {f"{file.suffix[1:]}/{file.name}": file.read_text(encoding="utf-8") for file in files}
 
 
 @contextlib.contextmanager
@@ -175,14 +176,14 @@ def _build(texts: Mapping[str, Mapping[str, str]], prefix: Path, home: Path) -> 
 
 
 def _write_package(folder: Path, name: str, files: Mapping[str, str]) -> None:
-    (folder / "msg").mkdir(parents=True)
     for file, text in files.items():
-        (folder / "msg" / file).write_text(text, encoding="utf-8")
+        (folder / file).parent.mkdir(parents=True, exist_ok=True)
+        (folder / file).write_text(text, encoding="utf-8")
     uses = {use for text in files.values() for use in re.findall(r"^\s*(\w+)/\w+", text, re.M)}
     uses = sorted(uses - {name})
     finds = "\n".join(f"find_package({use} REQUIRED)" for use in uses)
     dependencies = f" DEPENDENCIES {' '.join(uses)}" if uses else ""
-    listed = " ".join(f"msg/{file}" for file in files)
+    listed = " ".join(files)
     cmake = CMAKE.format(name=name, finds=finds, files=listed, dependencies=dependencies)
     (folder / "CMakeLists.txt").write_text(cmake)
     depends = "".join(f"<depend>{use}</depend>" for use in uses)

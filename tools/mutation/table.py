@@ -29,6 +29,8 @@ HANGS = (
 )
 CLOSED = "test/attack/test_c24_threads.py", *HANGS
 CHILD = "test/platforms/test_child.py", "test/attack/test_child_processes.py"
+FOLLOWED = ("test/blocks/test_forward_command.py",)
+PLAYED = "test/trajectory/test_accepted.py", "test/trajectory/test_player.py"
 SETS = ("test/workflow/test_safety_set.py",)
 
 
@@ -544,5 +546,51 @@ ROWS = [
         ("main", "platform.close()  # damps first", "pass"),
         ("main", "signal.signal(signal.SIGTERM, driver.stop)", "pass"),
         ("_Driver.stop", REMOVED),
+    ),
+    *_rows(
+        "blocks/forward_command.py",
+        FOLLOWED,
+        ("ForwardCommand.__call__", "np.maximum(wanted, self._bound, out=wanted)", "pass"),
+        (
+            "ForwardCommand.__call__",
+            "np.minimum(wanted, self._bound, out=held)",
+            "held[...] = wanted",
+        ),
+        ("ForwardCommand.__call__", "np.maximum(wanted, self._lower, out=wanted)", "pass"),
+        ("ForwardCommand.__call__", "np.minimum(wanted, self._upper, out=wanted)", "pass"),
+        ("ForwardCommand.__call__", "command.entry(held)", "pass"),
+        ("ForwardCommand.__call__", "np.minimum(self._offset, FARTHEST, out=self._offset)", "pass"),
+        ("ForwardCommand.reset", REMOVED),
+        ("ForwardCommand._begin", REMOVED),
+        ("ForwardCommand._begin", "self._wanted[...] = self.held", "pass"),
+        ("ForwardCommand._feed_forward", "np.minimum(out, most, out=out)", "pass"),
+        ("ForwardCommand._feed_forward", "np.maximum(out, self._bound, out=out)", "pass"),
+        ("ForwardCommand._feed_forward", "np.copyto(out, 0.0, where=self._silent)", "pass"),
+    ),
+    *_rows(
+        "trajectory/accepted.py",
+        PLAYED,
+        ("_within_limits", REMOVED),
+        ("_within_limits", "if beyond.max() > 0.0:", "if False:"),
+        ("_within_limits", "if over.max() > 0.0:", "if False:"),
+        ("_begins_here", REMOVED),
+        ("_filled", "if not np.isfinite(values).all():", "if False:"),
+        ("_filled", "if np.abs(last).max() > ROUNDING:", "if False:"),
+        ("_times", "if len(falling):", "if False:"),
+        ("_times", "if not times[-1] > 0.0:", "if False:"),
+        ("_times", "if not wait <= FARTHEST:", "if False:"),
+        ("_times", "len(points.times) > MOST_POINTS", "False"),
+        ("_places", "if len(set(names)) != len(names):", "if False:"),
+        ("_places", "if not limits.partial and len(names) < len(own):", "if False:"),
+    ),
+    *_rows(
+        "trajectory/player.py",
+        PLAYED,
+        ("Player.cancel", "self._position[...] = self._velocity[...] = np.nan", "pass"),
+        ("Player.cancel", "self._spline = None", "pass"),
+        ("Player.play", "if not self._followed:", "if False:"),
+        ("Player.__call__", "if not self._followed:", "if False:"),
+        ("Player.__call__", "count == self._count + 1", "True"),
+        ("Player._on_the_way", "if (self._off > tolerances.path).any():", "if False:"),
     ),
 ]

@@ -14,12 +14,14 @@ __all__ = [
     "BUTTONS",
     "COMMAND_STATES",
     "CONTROL_STATES",
+    "FORWARDED_STATES",
     "GAIN_SCALE",
     "GAIN_SCALE_SPEC",
     "HARDWARE_STATES",
     "JOINT_STATES",
     "MOTOR_STATES",
     "control_states",
+    "forwarded_states",
     "hardware_states",
     "standard_states",
 ]
@@ -64,6 +66,9 @@ HARDWARE_STATES = (*MOTOR_STATES, "battery_charge", "battery_voltage")
 """What a robot may tell of itself: states only of workflows whose platform writes them."""
 
 
+FORWARDED_STATES = ("joint_pos_command", "joint_vel_command", "joint_effort_command")
+"""What somebody outside wants of the joints: states of workflows with a `forward_command`."""
+
 CONTROL_STATES = ("sticks", "buttons", "controls_alive")
 """What an operator holds in his hands: states of workflows whose platform or block writes them."""
 
@@ -82,6 +87,22 @@ def control_states() -> dict[str, StateSpec]:
         ),
         "buttons": StateSpec((len(BUTTONS),), "int32", "", "", BUTTONS, "1 while it is pressed"),
         "controls_alive": StateSpec((), "int32", "", "", (), "1 while the device is heard"),
+    }
+
+
+def forwarded_states(joint_names: Sequence[str]) -> dict[str, StateSpec]:
+    """Return the states of joint commands from outside, all NaN where nobody commands.
+
+    Args:
+        joint_names: names in the robot's (vendor's) order, length n.
+    """
+    nan, names = float("nan"), tuple(joint_names)
+    said = ("rad", "rad/s", "N·m"), ("position", "velocity", "torque")
+    return {
+        state: StateSpec(
+            (len(names),), "float32", unit, "", names, f"commanded {what}; NaN: none", nan
+        )
+        for state, unit, what in zip(FORWARDED_STATES, *said)
     }
 
 

@@ -112,11 +112,15 @@ class Decoder:
         with np.errstate(all="ignore"):
             return self._decode(raw)
 
-    def zero(self) -> None:
-        """Set every element that this decoder writes to zero, time stamps excepted."""
+    def lapse(self) -> None:
+        """Set every element that this decoder writes to zero, time stamps excepted.
+
+        Where the map says `on_timeout: unset`, to NaN.
+        """
+        value = float("nan") if self.spec.on_timeout == "unset" else 0
         for target in self._targets:
             if target.bound is not None and not target.is_time:
-                target.bound.flat[list(target.bound.elements)] = 0
+                target.bound.flat[list(target.bound.elements)] = value
 
     def _decode(self, raw: bytes) -> bool:
         try:

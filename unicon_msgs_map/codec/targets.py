@@ -80,6 +80,11 @@ def bind_targets(
                 )
             target = _target(number, kind, message, bound, listed, spec)
             assert target.bound is not None
+            if spec.on_timeout == "unset" and not (target.is_time or bound.is_float):
+                raise field.state_error(
+                    f"on_timeout: unset makes a state NaN, and {field.source.name!r} is "
+                    f"{bound.flat.dtype}; say zero or hold"
+                )
             for element in target.bound.elements:
                 key = (field.source.name, element)
                 if key in written:

@@ -13,14 +13,22 @@ from typing import Any
 import numpy as np
 
 from unicon_core.errors import alternatives
-from unicon_core.located_yaml import parse_yaml, read_text
+from unicon_core.located_yaml import read_text
 from unicon_msgs_map.errors import MapError, MapFileError
 from unicon_msgs_map.layout.check import check_publish, check_subscribe
 from unicon_msgs_map.layout.messages import Messages, full_name
 from unicon_msgs_map.layout.paths import PathError, Reference, parse_path, parse_reference
 from unicon_msgs_map.layout.units import PER_SI
 from unicon_msgs_map.mapfile.entry import Entry
-from unicon_msgs_map.spec import FieldSpec, MessageMap, PublishSpec, Qos, SubscribeSpec
+from unicon_msgs_map.mapfile.include import Composed, compose
+from unicon_msgs_map.spec import (
+    FieldSpec,
+    MessageMap,
+    PublishSpec,
+    Qos,
+    SubscribeSpec,
+    TrajectorySpec,
+)
 
 __all__ = ["load_map", "parse_map"]
 
@@ -28,7 +36,6 @@ __all__ = ["load_map", "parse_map"]
 _TOPIC = re.compile(r"(?:~?/)?[A-Za-z_][A-Za-z0-9_]*(?:/[A-Za-z_][A-Za-z0-9_]*)*")
 WIDEST_TEXT = 64
 
-_TOP = ("description", "typestore", "messages", "publish", "subscribe")
 _BOTH = ("topic", "type", "rate", "qos", "optional", "fields")
 _SUBSCRIBE = (*_BOTH, "timeout", "on_timeout", "missing", "extra", "unnamed", "nonfinite")
 _FIELD = ("state", "const", "scale", "sign", "offset", "unit", "quat", "by", "text", "checksum")
@@ -53,8 +60,9 @@ QOS_PROFILES: dict[str, Qos] = {
     "latest": Qos(reliability="best_effort", depth=1),
     "latched": Qos(durability="transient_local", depth=1),
 }
+_TOLERANCES = ("start_tolerance", "path_tolerance", "goal_tolerance", "goal_time")
 _POLICIES: dict[str, tuple[str, ...]] = {
-    "on_timeout": ("zero", "hold"),
+    "on_timeout": ("zero", "hold", "unset"),
     "missing": ("hold", "zero", "error"),
     "extra": ("ignore", "error"),
     "unnamed": ("error", "order"),
@@ -102,14 +110,15 @@ def parse_map(
         folder: where relative paths under `messages` start; default is the working directory.
         heard: as for `load_map`.
     """
-    document = parse_yaml(text, name, MapFileError)
-    top = Entry({} if document.value is None else document.value, document)
-    keys = top.mapping("a message map", _TOP)
-    messages = _messages(keys, typestore, folder or Path())
-    publish = [_publish(e, messages) for e in _list(keys, "publish")]
-    subscribe = [_subscribe(e, messages, heard or Qos()) for e in _list(keys, "subscribe")]
-    if not publish and not subscribe:
-        raise top.fail("the message map maps nothing; add entries under 'publish' or 'subscribe'")
+    found = compose(text, name, folder or Path())
+    messages = _messages(found, typestore)
+    publish = [_publish(e, messages) for e in found.publish]
+    subscribe = [_subscribe(e, messages, heard or Qos()) for e in found.subscribe]
+    trajectory = None if found.trajectory is None else _trajectory(found.trajectory)
+    if not publish and not subscribe and trajectory is None:
+        raise found.top.fail(
+            "the message map maps nothing; add entries under 'publish' or 'subscribe'"
+        )
     for direction, entries in (("publish", publish), ("subscribe", subscribe)):
         seen: dict[str, str | None] = {}
         for spec in entries:
@@ -120,28 +129,23 @@ def parse_map(
                     spec.where,
                 )
             seen[spec.topic] = spec.where
-    description = keys["description"].text("description") if "description" in keys else ""
-    return MessageMap(tuple(publish), tuple(subscribe), messages, name, description)
+    description = found.description.text("description") if found.description else ""
+    return MessageMap(tuple(publish), tuple(subscribe), messages, name, description, trajectory)
 
 
-def _list(keys: dict[str, Entry], key: str) -> list[Entry]:
-    return keys[key].items(key) if key in keys and keys[key].value is not None else []
-
-
-def _messages(keys: dict[str, Entry], typestore: object, folder: Path) -> Messages:
+def _messages(found: Composed, typestore: object) -> Messages:
     if isinstance(typestore, Messages):
         messages = typestore
     elif typestore is not None:
         messages = Messages(typestore)
-    elif "typestore" in keys:
-        entry = keys["typestore"]
+    elif found.typestore is not None:
         try:
-            messages = Messages(entry.text("typestore"))
+            messages = Messages(found.typestore.text("typestore"))
         except MapError as error:
-            raise entry.fail(error.message) from None
+            raise found.typestore.fail(error.message) from None
     else:
         messages = Messages()
-    for entry in _list(keys, "messages"):
+    for entry, folder in found.messages:
         path = folder / entry.text("an entry of 'messages'")
         try:
             messages.register_path(path)
@@ -174,6 +178,23 @@ def _subscribe(entry: Entry, messages: Messages, unsaid: Qos) -> SubscribeSpec:
     return spec
 
 
+def _trajectory(entry: Entry) -> TrajectorySpec:
+    """Return what a map says of joint trajectories."""
+    words = ("topic", "action")
+    keys = entry.mapping("trajectory", (*words, "missing", *_TOLERANCES))
+    values: dict[str, Any] = {w: _name(keys[w], w) for w in words if w in keys}
+    if not values:
+        raise entry.fail("trajectory has neither topic nor action; give one of them, or both")
+    if "missing" in keys:
+        values["missing"] = keys["missing"].one_of("missing", ("error", "hold"))
+    for key in _TOLERANCES:
+        if key in keys:
+            values[key] = keys[key].number(key, highest=LONGEST_TIMEOUT)
+            if values[key] < 0.0:
+                raise keys[key].fail(f"{key} must be 0 or more, not {values[key]:g}")
+    return TrajectorySpec(**values, where=f"{entry.where}: trajectory")
+
+
 def _keys(entry: Entry, what: str, known: tuple[str, ...]) -> dict[str, Entry]:
     keys = entry.mapping(what, known)
     for key in ("topic", "type", "fields"):
@@ -186,13 +207,7 @@ def _both(
     entry: Entry, keys: dict[str, Entry], messages: Messages, *, receive: bool
 ) -> dict[str, Any]:
     """Return the attributes that both directions have, by name."""
-    topic = keys["topic"].text("topic")
-    if len(topic) > 255 or "__" in topic or not _TOPIC.fullmatch(topic):
-        shown = topic if len(topic) <= 60 else f"{topic[:57]}…"
-        raise keys["topic"].fail(
-            f"topic {shown!r} is not a ROS name; write words of letters, digits and '_' between "
-            "slashes, like imu/data"
-        )
+    topic = _name(keys["topic"], "topic")
     try:
         kind = full_name(keys["type"].text("type"))
         messages.struct(kind)
@@ -210,6 +225,18 @@ def _both(
         "optional": keys["optional"].boolean("optional") if "optional" in keys else False,
         "where": f"{entry.where}: {topic}",
     }
+
+
+def _name(entry: Entry, what: str) -> str:
+    """Return a value as the name of a topic or action."""
+    name = entry.text(what)
+    if len(name) > 255 or "__" in name or not _TOPIC.fullmatch(name):
+        shown = name if len(name) <= 60 else f"{name[:57]}…"
+        raise entry.fail(
+            f"{what} {shown!r} is not a ROS name; write words of letters, digits and '_' between "
+            "slashes, like imu/data"
+        )
+    return name
 
 
 def _positive(keys: dict[str, Entry], key: str, highest: float) -> float | None:

@@ -10,6 +10,9 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from unicon_core.errors import PlatformError, UniconError
 from unicon_core.flow import Block, Stage
 from unicon_core.platforms.platform import Binding, Facts
@@ -21,6 +24,7 @@ from unicon_msgs_map import (
     Decoder,
     Encoder,
     MapDependencyError,
+    MapFileError,
     MapStateError,
     MessageMap,
     load_map,
@@ -35,6 +39,8 @@ if TYPE_CHECKING:
     from unicon_core.workflow import Program
 
 __all__ = [
+    "EFFORT",
+    "MEASURED",
     "ORIENTATION",
     "Exchange",
     "check_mirror",
@@ -46,6 +52,12 @@ __all__ = [
 ]
 
 ORIENTATION = "base_quat"
+
+EFFORT = "joint_effort_target"
+"""What a map of platform `ros` may publish besides states: the torques of the servo in [N·m], for a
+robot that takes nothing else."""
+MEASURED = ("joint_pos", "joint_vel")
+"""What the servo looks at."""
 
 NO_CODECS = "the message map was not looked at: {}"
 NO_ROS = "rclpy is not installed: whether ROS knows the map's types was not looked at"
@@ -80,6 +92,14 @@ class Exchange:
         also = ["projected_gravity", "stamp_ns"] if self.turned else ["stamp_ns"]
         self.writes = tuple(dict.fromkeys([*told, *also]))
         read = dict.fromkeys(state for spec in said for state in spec.states)
+        if EFFORT in read:
+            for state in MEASURED:
+                if state not in told:
+                    raise PlatformError(
+                        f"map {path} publishes {EFFORT}, which is computed of {state}; subscribe "
+                        f"a topic that tells {state}"
+                    )
+            read = dict.fromkeys([*(s for s in read if s != EFFORT), *COMMAND_STATES])
         self.reads = tuple(s for s in read if s not in self.writes or s in COMMAND_STATES)
 
     def wanted(self, needed: Mapping[str, str]) -> dict[str, str]:
@@ -141,10 +161,24 @@ def examine_platform(
 
 
 def robot_codecs(
-    mapping: MessageMap, states: States, robot: Robot
+    mapping: MessageMap, states: States, robot: Robot, effort: NDArray[np.float32] | None = None
 ) -> tuple[list[Decoder], list[Encoder]]:
-    """Build the codecs of a map for platform `ros`, as `codecs` does."""
+    """Build the codecs of a map for platform `ros`, as `codecs` does.
+
+    Args:
+        mapping: the map.
+        states: of the workflow.
+        robot: whose joints they are.
+        effort: of the servo in [N·m], shape (n,), which a map may publish as `EFFORT`.
+    """
+    if mapping.trajectory is not None:
+        raise MapFileError(
+            "platform 'ros' takes a robot's states, not trajectories; put them into the workflow's "
+            "own map",
+            mapping.trajectory.where,
+        )
     arrays = {name: states[name] for name in states}
+    arrays[EFFORT] = np.zeros(robot.num_joints, np.float32) if effort is None else effort
     names = {name: spec.names for name, spec in states.layout.specs.items() if spec.names}
     return codecs(mapping, arrays, names, {"joint_names": list(robot.joint_names)})
 
@@ -175,7 +209,9 @@ def mirror_hook(program: Program, name: str | None = None) -> dict[Stage, list[B
     """
     path = find_config("maps", name or program.document.get("map", str) or "default")
     try:
-        states = {state for spec in _heard(program, path) for state in spec.states}
+        mapping = load_map(path)
+        states = {state for spec in _heard(program, mapping) for state in spec.states}
+        states.update(_played(program, mapping))
     except UniconError:
         return {}
     if not states or not states.isdisjoint(program.platform.facts.writes):
@@ -197,7 +233,9 @@ def check_mirror(subject: Subject, result: CheckResult, name: str | None = None)
     program: Program = subject.program
     path = find_config("maps", name or subject.document.get("map", str) or "default")
     try:
-        heard = _heard(program, path)
+        mapping = load_map(path)
+        heard = _heard(program, mapping)
+        _played(program, mapping)
     except MapDependencyError as error:
         result.note("map.fit", f"map {path}", NO_CODECS.format(error))
         return
@@ -216,10 +254,20 @@ def check_mirror(subject: Subject, result: CheckResult, name: str | None = None)
                 )
 
 
-def _heard(program: Program, path: Path) -> list[TopicSpec]:
+def _played(program: Program, mapping: MessageMap) -> tuple[str, ...]:
+    """Return the states that a map's trajectories write; raises where nobody would follow them."""
+    if mapping.trajectory is None:
+        return ()
+    from unicon_ros.bridge.trajectories import PLAYED, followers  # few need them
+
+    followers(mapping.trajectory, program)
+    return PLAYED
+
+
+def _heard(program: Program, mapping: MessageMap) -> list[TopicSpec]:
     """Return what the bridge hears by a map; raises as `codecs`."""
     bindings = arrays_of(program), names_of(program), variables_of(program)
-    decoders, _ = codecs(load_map(path), *bindings)
+    decoders, _ = codecs(mapping, *bindings)
     return [decoder.spec for decoder in decoders]
 
 

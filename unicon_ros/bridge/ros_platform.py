@@ -9,7 +9,8 @@ What the map subscribes is what `recv` writes, polled raw and drained to the lat
 publishes is what `send` reads. A topic that is needed and silent for its `timeout` is a fault, and
 so are commands that cannot be published. Needed is what the map does not call optional, and what
 the workflow's critical path reads, whatever the map says. A topic whose map says no `qos` is heard
-with best effort, which hears robots of either kind.
+with best effort, which hears robots of either kind. A map may publish `joint_effort_target`, the
+torques of a servo here, where the robot takes nothing else.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ from unicon_core.blocks.projected_gravity import projected_gravity
 from unicon_core.errors import Fault, MissingDependencyError, PlatformError, UniconError
 from unicon_core.platforms.kit.command import FiniteCheck
 from unicon_core.platforms.kit.damping import DAMPING_TIME, Damping, LastSent, repeated
+from unicon_core.platforms.kit.servo import Servo
 from unicon_core.platforms.platform import Facts
 from unicon_core.resources import find_config
 from unicon_core.robots import Robot
@@ -38,6 +40,8 @@ from unicon_msgs_map import load_map
 from unicon_msgs_map.spec import TopicSpec
 from unicon_ros import compat
 from unicon_ros.bridge.map_fit import (
+    EFFORT,
+    MEASURED,
     ORIENTATION,
     Exchange,
     examine_platform,
@@ -144,7 +148,11 @@ class RosPlatform:
             replace(spec, on_timeout="hold", timeout=spec.timeout or TIMEOUT)
             for spec in mapping.subscribe
         ]
-        decoders, encoders = robot_codecs(replace(mapping, subscribe=tuple(heard)), states, robot)
+        rows = [states[name] for name in COMMAND_STATES]
+        self._servo = Servo(rows, robot.effort_limit)
+        decoders, encoders = robot_codecs(
+            replace(mapping, subscribe=tuple(heard)), states, robot, self._servo.torque
+        )
         group = compat.polled_group()
         self._warnings: list[str] = []
         self._in: list[TopicIn] = []
@@ -165,6 +173,7 @@ class RosPlatform:
                 self._out.append(TopicOut(own.node, encoder, message, every, 0, group, warn))
         self._commands = [own.node.resolve_topic_name(spec.topic) for spec in said]
         self._needed = [topic for topic in self._in if not topic.decoder.spec.optional]
+        self._torques = any(EFFORT in spec.states for spec in said)
         self._exchange = Exchange(path, states, [topic.decoder for topic in self._in], said)
         if not all(topic.polled for topic in self._in):
             raise PlatformError("this rclpy cannot be polled; use one of Humble, Jazzy or Kilted")
@@ -285,6 +294,8 @@ class RosPlatform:
             Fault: a command is not finite, or commands cannot be published.
         """
         self._finite()
+        if self._torques:
+            self._servo(*(self._states[name] for name in MEASURED))
         for out in self._out:
             out.tick()
             if out.failing >= SEND_FAILURES:
@@ -313,11 +324,18 @@ class RosPlatform:
                 damped = self._sent.limp and not self._hold  # by whoever ticked, and told before
                 again = partial(self._send_again, damping)
                 repeated(again, self._period, 0.0 if damped else self._damping)
+                self._servo.torque[...] = 0.0  # a controller of efforts keeps the last for ever
                 for out in self._out:
                     out.flush()
 
     def _send_again(self, damping: Damping) -> None:
         damping()
+        if self._torques:
+            for topic in self._in:
+                topic.poll()
+            self._servo(*(self._states[name] for name in MEASURED))
+            if any(topic.stale for topic in self._needed):
+                self._servo.torque[...] = 0.0  # nothing damps a robot that is not seen
         self._states["stamp_ns"][...] += round(self._period * 1e9)  # or a reader takes it for old
         for out in self._out:
             out.now()

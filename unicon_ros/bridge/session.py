@@ -16,7 +16,7 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from unicon_core.errors import UniconError, one_line
 from unicon_core.flow import Block, Stage
@@ -45,6 +45,9 @@ from unicon_ros.bridge.slack import SlackServer
 from unicon_ros.bridge.stamps import WallStamp
 from unicon_ros.bridge.topics_in import TopicIn
 from unicon_ros.bridge.topics_out import TopicOut
+
+if TYPE_CHECKING:
+    from unicon_ros.bridge.trajectories import Trajectories
 
 __all__ = ["RosSession"]
 
@@ -102,6 +105,7 @@ class RosSession:
         self.outgoing: list[TopicOut] = []
         self.incoming: list[TopicIn] = []
         self.skipped: list[str] = []
+        self.trajectories: Trajectories | None = None
         self._group = compat.polled_group()
         self._others: list[Callable[[], None]] = []
         self._timer: Any = None
@@ -119,7 +123,16 @@ class RosSession:
         stages = {Stage.INPUT: [self._inputs(program)]}
         if self.estop is not None:
             stages[Stage.SAFETY] = [self.estop.before_send()]
-        return stages | {Stage.OBSERVE: self._observers(program)}
+        if self.map.trajectory is None:
+            return stages | {Stage.OBSERVE: self._observers(program)}
+        from unicon_ros.bridge.trajectories import Trajectories  # few need them
+
+        played = self.trajectories = Trajectories(
+            self.node, self.map.trajectory, program, self.warn
+        )
+        self._others.append(played.close)
+        stages[Stage.INPUT].append(played.before_flow())
+        return stages | {Stage.OBSERVE: [played.after_send(), *self._observers(program)]}
 
     def _inputs(self, program: Program) -> Block:
         bindings = arrays_of(program), names_of(program), variables_of(program, self.frame_prefix)
@@ -221,12 +234,15 @@ class RosSession:
                 rejected=topic.decoder.rejected,
                 stale=topic.stale,
             )
+        if self.trajectories is not None:
+            topics |= self.trajectories.counts()
         for each in self._topics():
             told = each.events.counts()
             topics[each.topic].update({name.replace(" ", "_"): n for name, n in told.items()})
         return {
             "published": sum(out.published for out in self.outgoing),
-            "received": sum(topic.received for topic in self.incoming),
+            "received": sum(topic.received for topic in self.incoming)
+            + (0 if self.trajectories is None else self.trajectories.received),
             "services": {"served": self.slack.served, "forced": self.slack.forced},
             "seconds": round(seconds, 3),
             "skipped": list(self.skipped),

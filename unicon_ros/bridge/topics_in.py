@@ -2,7 +2,8 @@
 
 Until a topic's first message its states are left alone, so that scripted commands rule. From then
 on the topic rules: its latest message is applied in every tick, since the script goes on writing.
-After `timeout` without a message the states go to zero (or stay, where the map says `hold`).
+After `timeout` without a message the states go to zero (where the map says so, they stay or become
+NaN).
 Messages are those that the map accepts: one that is refused, or that cannot be taken, is silence.
 Of several that came within a tick, the newest that is accepted counts.
 """
@@ -72,7 +73,7 @@ class TopicIn:
         self._decode = decoder.decode
         self._contested = contested
         self._timeout_ns = 0 if spec.timeout is None else round(spec.timeout * 1e9)
-        self._zero_when_stale = spec.on_timeout == "zero"
+        self._holds_when_stale = spec.on_timeout == "hold"
         self._pending: bytes | None = None
         options: dict[str, Any] = {"raw": True, "callback_group": group}
         profile = qos_profile(spec.qos)
@@ -108,7 +109,7 @@ class TopicIn:
     @property
     def silence(self) -> str:
         """What its time-out means, as a message."""
-        what = "zero" if self._zero_when_stale else "held"
+        what = {"hold": "held"}.get(self.decoder.spec.on_timeout, self.decoder.spec.on_timeout)
         why = f" (the last: {self._why})" if self._why else ""
         return (
             f"topic {self.topic}: no {'accepted ' if self._why else ''}message for "
@@ -224,8 +225,8 @@ class TopicIn:
         if not self.stale:
             self.stale = True
             self._warn(self.silence)
-        if self._zero_when_stale:
-            self.decoder.zero()
+        if not self._holds_when_stale:
+            self.decoder.lapse()
         elif self._contested:
             self._decode(self._latest)
 

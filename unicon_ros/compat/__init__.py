@@ -16,6 +16,7 @@ from unicon_ros.compat.raw import (
     raw_publish,
     raw_take,
     request_take,
+    requests_take,
     wait_for_readers,
 )
 from unicon_ros.compat.services import Responses, answer_refused_transitions
@@ -37,6 +38,7 @@ __all__ = [
     "raw_publish",
     "raw_take",
     "request_take",
+    "requests_take",
     "wait_for_readers",
     "with_events",
 ]

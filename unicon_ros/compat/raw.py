@@ -6,7 +6,14 @@ import contextlib
 from collections.abc import Callable
 from typing import Any
 
-__all__ = ["polled_group", "raw_publish", "raw_take", "request_take", "wait_for_readers"]
+__all__ = [
+    "polled_group",
+    "raw_publish",
+    "raw_take",
+    "request_take",
+    "requests_take",
+    "wait_for_readers",
+]
 
 
 def polled_group() -> Any:
@@ -85,6 +92,23 @@ def request_take(service: Any) -> tuple[Callable[[], Any] | None, Callable[[], N
 
     def poll() -> Any:
         return take(request)[1]
+
+    return poll, leave
+
+
+def requests_take(service: Any) -> tuple[Callable[[], Any] | None, Callable[[], None]]:
+    """Return a function that takes one request and its header, or None, and one that lets go.
+
+    As `request_take`, for requests that say something.
+    """
+    take, leave = _entered(service, "service_take_request")
+    if take is None:
+        return None, leave
+    request = service.srv_type.Request
+
+    def poll() -> Any:
+        taken = take(request)
+        return None if taken is None or taken[1] is None else taken
 
     return poll, leave
 

@@ -1,0 +1,232 @@
+"""Block `forward_command`: follows joint commands of somebody else, such as a ROS topic's.
+
+flow: {chain: [{pose: {to: stand}}, {forward_command: {max_rate: 2.0}}]}
+
+What ros2_control's forward_command_controller is to its hardware, with bounds: whoever commands,
+no joint moves faster than told. An element that is NaN says nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.blocks.joint_command import JointCommand, robot_gains, ticks_of
+from unicon_core.blocks.safety.limits import velocity_limits
+from unicon_core.bounds import DURATION, POSITION, VELOCITY, within
+from unicon_core.errors import WorkflowError
+from unicon_core.flow.block import Bundle, Reads
+from unicon_core.robots import Robot
+from unicon_core.states import StateSpec
+from unicon_core.states.standard import forwarded_states
+from unicon_core.workflow.autowire import BuildContext
+
+__all__ = ["Commanded", "ForwardCommand", "forward_command"]
+
+MAX_RATE = 2.0
+"""In [rad/s], unless told: an arm that is jogged has 0.5 to 3, and a person can step back."""
+
+MOST_INTEGRAL = 20.0
+"""In [1/s]: a joint's servo settles in 0.1 to 0.3 s, and has to be quicker."""
+FARTHEST = 0.25
+"""In [rad], that the integral moves a target at most: a leg's sag is 0.05 to 0.15."""
+
+
+@dataclass(frozen=True, eq=False)
+class Commanded(Bundle):
+    """What somebody else wants of the joints, each of shape (..., n); NaN where nothing.
+
+    Attributes:
+        joint_pos_command: in [rad].
+        joint_vel_command: in [rad/s].
+        joint_effort_command: in [N·m].
+    """
+
+    joint_pos_command: Reads
+    joint_vel_command: Reads
+    joint_effort_command: Reads
+
+
+def forward_command(
+    command: JointCommand,
+    commanded: Commanded,
+    *,
+    robot: Robot,
+    period: float,
+    context: BuildContext,
+    max_rate: float | Literal["robot"] = MAX_RATE,
+    start_tolerance: float | None = None,
+    integral: float = 0.0,
+    stiffness_scale: float = 1.0,
+    damping_scale: float = 1.0,
+    duration: float | None = None,
+) -> ForwardCommand:
+    """Let the position targets go to the commanded positions, no faster than a speed.
+
+    A joint without a command keeps its target; it begins where it is on entry, as `hold`. Commanded
+    velocities and efforts are added as feed-forward, within `max_rate` and the robot's efforts.
+    Positions stay within the robot's joint limits.
+
+    Args:
+        max_rate: of a target in [rad/s], or `robot` for the robot file's velocity limits.
+        start_tolerance: how far from the present target in [rad] the first command after silence
+            may be; one that is farther off is told once and not followed. None: any.
+        integral: gain in [1/s] by which a target is moved on, by 0.25 rad at most, against what
+            gravity leaves between the commanded and the measured position; 0 for none.
+        stiffness_scale: factor on the robot file's stiffness; 0 follows efforts and velocities.
+        damping_scale: factor on the robot file's damping.
+        duration: in [s]; None never ends.
+    """
+    if max_rate == "robot":
+        rate = velocity_limits(robot, "give forward_command a max_rate in [rad/s]")
+    elif isinstance(max_rate, str):
+        raise WorkflowError(f"max_rate is {max_rate!r}; give [rad/s] above 0, or robot")
+    else:
+        most = np.float32(within(max_rate, "max_rate", "rad/s", VELOCITY))
+        rate = np.fmin(np.full(robot.num_joints, most), robot.velocity_limit)
+    if start_tolerance is not None:
+        start_tolerance = within(start_tolerance, "start_tolerance", "rad", POSITION)
+    if duration is not None:
+        within(duration, "duration", "s", DURATION)
+    integral = within(integral, "integral", "1/s", MOST_INTEGRAL, above=False)
+    gains = robot_gains(robot, "forward_command", stiffness_scale, damping_scale)
+    ticks = ticks_of(duration, period, "duration")
+    made = ForwardCommand(command, commanded, robot, period, rate, gains, integral, ticks)
+    if start_tolerance is not None:
+        made.guard(start_tolerance, context.tell)
+    return made
+
+
+def _declares(*, robot: Robot, **_: Any) -> Mapping[str, StateSpec]:
+    return forwarded_states(robot.joint_names)
+
+
+setattr(forward_command, "declares", _declares)  # noqa: B010  a function has none to mypy
+
+
+class ForwardCommand:
+    """The tick of `forward_command`.
+
+    Attributes:
+        max_rate: of each target in [rad/s], shape (n,).
+        held: positions that are commanded in this tick in [rad], shape (..., n).
+        ticks: that it has run since its flow entered it; who gives commands sees whether anybody
+            follows them.
+    """
+
+    def __init__(
+        self,
+        command: JointCommand,
+        commanded: Commanded,
+        robot: Robot,
+        period: float,
+        max_rate: NDArray[np.float32],
+        gains: tuple[NDArray[np.float32], NDArray[np.float32]],
+        integral: float,
+        ticks: int | None,
+    ) -> None:
+        self._command, self._commanded, self._robot = command, commanded, robot
+        self._gains, self._ends = gains, ticks
+        self.endless = ticks is None
+        self.max_rate = max_rate
+        self.ticks = 0
+        self._step = (max_rate * period).astype(np.float32)
+        self._lower = np.nan_to_num(robot.lower, nan=-np.inf)
+        self._upper = np.nan_to_num(robot.upper, nan=np.inf)
+        self._effort = np.nan_to_num(robot.effort_limit, nan=np.inf)
+        target = command.joint_pos_target
+        self.held, self._bound, self._wanted = (np.zeros_like(target) for _ in range(3))
+        self._share, self._offset = np.float32(integral * period), np.zeros_like(target)
+        self._silent = np.zeros(target.shape, np.bool_)
+        self._tolerance = np.inf
+        self._tell: Callable[[str], None] = _quiet
+        self._heard, self._refused = False, False
+
+    def guard(self, tolerance: float, tell: Callable[[str], None]) -> None:
+        """Follow the first command after silence only within a tolerance in [rad]."""
+        self._tolerance, self._tell = tolerance, tell
+
+    def __call__(self) -> bool:
+        command, held = self._command, self.held
+        if self.ticks == 0:
+            command.entry(held)
+            self._offset[...] = 0.0
+            self._heard = self._refused = False
+        self.ticks += 1
+        wanted = self._wanted
+        np.copyto(wanted, self._commanded.joint_pos_command)
+        np.isnan(wanted, out=self._silent)
+        np.copyto(wanted, held, where=self._silent)
+        if self._tolerance < np.inf:
+            self._begin()
+        # Within the limits, and no faster than allowed from where the target is.
+        np.maximum(wanted, self._lower, out=wanted)
+        np.minimum(wanted, self._upper, out=wanted)
+        np.copyto(wanted, held, where=self._silent)  # a target beyond a limit is not pulled in
+        np.subtract(held, self._step, out=self._bound)
+        np.maximum(wanted, self._bound, out=wanted)
+        np.add(held, self._step, out=self._bound)
+        np.minimum(wanted, self._bound, out=held)
+        command.joint_pos_target[...] = held
+        if self._share:
+            np.subtract(held, command.joint_pos, out=self._bound)
+            self._bound *= self._share
+            self._offset += self._bound
+            np.maximum(self._offset, -FARTHEST, out=self._offset)
+            np.minimum(self._offset, FARTHEST, out=self._offset)
+            command.joint_pos_target[...] += self._offset
+        self._feed_forward(
+            self._commanded.joint_vel_command, self.max_rate, command.joint_vel_target
+        )
+        self._feed_forward(
+            self._commanded.joint_effort_command, self._effort, command.joint_effort_ff
+        )
+        command.joint_stiffness[...], command.joint_damping[...] = self._gains
+        return self._ends is not None and self.ticks >= self._ends
+
+    def _begin(self) -> None:
+        """Refuse what comes first after silence and is too far off."""
+        if self._silent.all():
+            self._heard = self._refused = False
+            return
+        if self._heard:
+            return
+        np.subtract(self._wanted, self.held, out=self._bound)
+        np.abs(self._bound, out=self._bound)
+        if float(self._bound.max()) <= self._tolerance:
+            self._heard, self._refused = True, False
+            return
+        if not self._refused:
+            self._refused = True
+            *_, joint = np.unravel_index(int(self._bound.argmax()), self._bound.shape)
+            self._tell(
+                f"forward_command: the first command is {float(self._bound.max()):.2f} rad from "
+                f"the target of {self._robot.joint_names[int(joint)]}, allowed are "
+                f"{self._tolerance:g} (start_tolerance); the joints hold until it is nearer"
+            )
+        self._wanted[...] = self.held
+
+    def _feed_forward(
+        self, said: NDArray[np.float32], most: NDArray[np.float32], out: NDArray[np.float32]
+    ) -> None:
+        if self._refused:
+            out[...] = 0.0
+            return
+        np.copyto(out, said)
+        np.isnan(out, out=self._silent)
+        np.copyto(out, 0.0, where=self._silent)
+        np.minimum(out, most, out=out)
+        np.negative(most, out=self._bound)
+        np.maximum(out, self._bound, out=out)
+
+    def reset(self) -> None:
+        """Begin anew from wherever the joints are at the next tick."""
+        self.ticks = 0
+
+
+def _quiet(_: str) -> None:
+    """Say nothing."""
