@@ -27,6 +27,7 @@ BUILTIN: dict[str, str] = {
         "safety.stuck": ("encoder_stop", "imu_stop"),
         "safety.twin_stop": ("twin_stop",),
         "fade_in": ("fade_in",),
+        "odometry.leg_odometry": ("leg_odometry",),
         "projected_gravity": ("projected_gravity",),
         "maps": ("copy", "linear_map"),
     }.items()

@@ -16,6 +16,8 @@ __all__ = ["check_frames", "check_observation"]
 NOT_ON_HARDWARE = ("base_lin_vel", "base_pos_w")
 """What no sensor of a legged robot measures: it takes an estimator or a tracking system."""
 
+_ESTIMATOR = "leg_odometry"
+
 
 def check_observation(subject: Subject, result: CheckResult) -> None:
     """Add a table of terms and one of the network's input for each policy, and findings."""
@@ -119,8 +121,8 @@ def _term(subject: Subject, policy: PolicyResult, part: TermSlice) -> None:
     if term.state in NOT_ON_HARDWARE and term.state not in subject.written:
         text = f"reads {term.state}, which no sensor of the robot measures"
         remedy = (
-            "add a block that estimates it, or take a policy that was trained without it "
-            "(it may stay in the critic)"
+            f"let {_ESTIMATOR} estimate it (estimate: [{_ESTIMATOR}]), or take a policy that was "
+            "trained without it (it may stay in the critic)"
         )
         platform = subject.platform
         if platform.simulated or term.state in platform.writes:

@@ -1,0 +1,218 @@
+"""Feet of a legged robot: where they are, how fast, what they bear; for odometry.
+
+All is told in a frame at the base's origin whose axes are the world's: what the legs' kinematics
+and an IMU's orientation give, without knowing where the base is.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.errors import ModelError
+from unicon_core.models.loaded import LoadedModel, import_mujoco
+from unicon_core.models.posed import foot_bodies, foot_geoms
+from unicon_core.robots import Robot
+
+__all__ = ["Feet"]
+
+Float = NDArray[np.float64]
+
+GRAVITY = 9.81
+"""In [m/s²]."""
+_OF_FORCE, _OF_MOMENT = 1e-4, 1e-3
+"""Damping of the least squares, in [m²] and of its own: a leg moves its foot by 0.1 m for a radian,
+and where its joints cannot tell force from moment, 10 N are as likely as 3 N·m."""
+# a × r = a @ M(r), and M(r) = (r @ _CROSS).reshape(3, 3)
+_CROSS = np.zeros((3, 9))
+for _i, _j, _k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+    _CROSS[_k, 3 * _i + _j], _CROSS[_k, 3 * _j + _i] = -1.0, 1.0
+
+
+class Feet:
+    """The feet of a robot's model, F of them.
+
+    Of each the lowest point counts: it touches the ground first, and a body that rolls on it does
+    not move there. Forces follow from the joints' torques, f = (Jᵀ)⁺ (h(q, q̇) - τ), with h what the
+    leg's own weight and turning ask for (Featherstone, Rigid Body Dynamics Algorithms, 2008, 5.3);
+    what its acceleration asks for is left out. A leg of more than three joints may bear a moment,
+    too: f is then force and moment together.
+
+    Args:
+        loaded: the model.
+        robot: names its feet.
+
+    Attributes:
+        names: of the feet, length F.
+        weight: of the robot in [N].
+        rotation: base to world as of the last call, shape (3, 3); a view.
+        position: lowest point of each foot in [m], shape (F, 3).
+        velocity: of that point against the base's origin in [m/s], shape (F, 3).
+        force: that the ground pushes up with in [N], shape (F,).
+
+    Raises:
+        ModelError: the base is fixed, or none of the feet is in the model.
+    """
+
+    def __init__(self, loaded: LoadedModel, robot: Robot) -> None:
+        self._mujoco = mujoco = import_mujoco()
+        model = self._model = loaded.model
+        found, base = foot_bodies(model, robot.feet), loaded.base
+        if base is None or not found:
+            lacking = "feet" if base is not None else "free joint of its base"
+            raise ModelError(
+                f"model {loaded.path}: it has no {lacking} (feet of robot {robot.name}: "
+                f"{', '.join(robot.feet) or 'none'}); name bodies, sites or geoms of the model "
+                "under feet in the robot file"
+            )
+        self.names = tuple(found)
+        data = self._data = mujoco.MjData(model)
+        self._body = np.array(list(found.values()), np.intp)
+        start, first = int(model.jnt_qposadr[base]), int(model.jnt_dofadr[base])
+        data.qpos[start : start + 7] = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+        self._quat, self._turning = data.qpos[start + 3 : start + 7], data.qvel[first + 3 :][:3]
+        self._qpos, self._qvel = data.qpos, data.qvel
+        self._positions = loaded.addresses
+        self._velocities = np.array(model.jnt_dofadr[loaded.joints], np.intp)
+        trunk = int(model.jnt_bodyid[base])
+        self.weight = float(model.body_subtreemass[trunk]) * GRAVITY
+        self.rotation = data.xmat[trunk].reshape(3, 3)
+        self._centre = data.subtree_com[int(model.body_rootid[trunk])]
+        self._points, self._radius = _points(mujoco, model, found, robot)
+        self._each = np.arange(len(found))
+        self._dofs = _dofs(model, self._body, first)
+        self._own = (self._dofs >= 0)[..., None] if (self._dofs < 0).any() else None
+        self._torque, self._needed = np.zeros(model.nv), np.zeros(model.nv)
+        legs = self._dofs.shape[1]
+        rows = self._rows = 3 if legs <= 3 else 6  # three joints bear no moment of a foot
+        self._damping = np.diag([_OF_FORCE] * 3 + [_OF_MOMENT] * (rows - 3))
+        self._jacobian = np.zeros((len(found), legs, rows))
+        shape = (len(found), 3)
+        self.position, self.velocity = np.zeros(shape), np.zeros(shape)
+        self.force = np.zeros(len(found))
+
+    def __call__(
+        self,
+        quat: NDArray[Any],
+        ang_vel: NDArray[Any],
+        joint_pos: NDArray[Any],
+        joint_vel: NDArray[Any],
+        joint_effort: NDArray[Any] | None,
+    ) -> None:
+        """Compute what the attributes tell.
+
+        Args:
+            quat: base to world, wxyz, shape (4,).
+            ang_vel: of the base, in its frame, [rad/s], shape (3,).
+            joint_pos, joint_vel, joint_effort: in the robot's order, shape (n,); without torques
+                `force` stays as it is.
+        """
+        mujoco, model, data = self._mujoco, self._model, self._data
+        self._quat[:] = quat
+        self._turning[:] = ang_vel
+        self._qpos[self._positions] = joint_pos
+        self._qvel[self._velocities] = joint_vel
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_comVel(model, data)
+        body, position = self._body, self.position
+        turns = data.xmat[body].reshape(-1, 3, 3)
+        if self._points.shape[1] == 1:
+            position[:] = np.matmul(turns, self._points[:, 0, :, None])[..., 0]
+            position += data.xpos[body]
+            position[:, 2] -= self._radius[:, 0]
+        else:
+            places = np.matmul(self._points, turns.transpose(0, 2, 1))
+            places[..., 2] -= self._radius
+            position[:] = places[self._each, places[..., 2].argmin(1)]
+            position += data.xpos[body]
+        arm = ((position - self._centre) @ _CROSS).reshape(-1, 3, 3)
+        twist = data.cvel[body]
+        self.velocity[:] = np.matmul(twist[:, None, :3], arm)[:, 0]
+        self.velocity += twist[:, 3:]
+        if joint_effort is not None:
+            self._bear(arm, joint_effort)
+
+    def _bear(self, arm: Float, joint_effort: NDArray[Any]) -> None:
+        data = self._data
+        self._mujoco.mj_rne(self._model, data, 0, self._needed)
+        self._torque[self._velocities] = joint_effort
+        axes = data.cdof[self._dofs]
+        jacobian, turning = self._jacobian, axes[..., :3]  # transposed: (F, joints of a leg, rows)
+        np.matmul(turning, arm, out=jacobian[..., :3])
+        jacobian[..., :3] += axes[..., 3:]
+        if self._rows > 3:
+            jacobian[..., 3:] = turning
+        if self._own is not None:
+            jacobian *= self._own
+        asked = (self._needed - self._torque)[self._dofs]
+        across = jacobian.transpose(0, 2, 1)
+        square = np.matmul(across, jacobian)
+        square += self._damping
+        self.force[:] = np.linalg.solve(square, np.matmul(across, asked[..., None]))[:, 2, 0]
+
+
+def _dofs(model: Any, bodies: NDArray[np.intp], first: int) -> NDArray[np.intp]:
+    """Return the degrees of freedom between the base and each foot, shape (F, most), -1 for none.
+
+    Args:
+        first: the base's own, six of them.
+    """
+    legs: list[list[int]] = []
+    for body in bodies:
+        leg = []
+        dof = int(model.body_dofadr[body] + model.body_dofnum[body] - 1)
+        while body and not model.body_dofnum[body]:
+            body = model.body_parentid[body]
+            dof = int(model.body_dofadr[body] + model.body_dofnum[body] - 1)
+        while dof >= first + 6:
+            leg.append(dof)
+            dof = int(model.dof_parentid[dof])
+        legs.append(leg)
+    most = max(map(len, legs))
+    return np.array([leg + [-1] * (most - len(leg)) for leg in legs], np.intp)
+
+
+def _points(
+    mujoco: Any, model: Any, bodies: dict[str, int], robot: Robot
+) -> tuple[Float, Float]:
+    """Return where each foot may touch the ground: centres of spheres in the body's frame, radii.
+
+    Shapes (F, most, 3) and (F, most) in [m]. Where the model has no shape, as where meshes are
+    absent, it is the body's origin.
+    """
+    geoms = foot_geoms(model, robot.feet)
+    places: list[Float] = []
+    radii: list[Float] = []
+    for foot, _ in bodies.items():
+        solid = [g for g in geoms.get(foot, ()) if model.geom_contype[g] | model.geom_conaffinity[g]]
+        parts = [_of_geom(mujoco, model, geom) for geom in solid or geoms.get(foot, ())]
+        parts = parts or [(np.zeros((1, 3)), 0.0)]
+        places.append(np.concatenate([at for at, _ in parts]))
+        radii.append(np.concatenate([np.full(len(at), radius) for at, radius in parts]))
+    most = max(map(len, places))
+    rows = [np.resize(np.arange(len(at)), most) for at in places]  # the same ones again
+    return (
+        np.array([at[row] for at, row in zip(places, rows)]),
+        np.array([radius[row] for radius, row in zip(radii, rows)]),
+    )
+
+
+def _of_geom(mujoco: Any, model: Any, geom: int) -> tuple[Float, float]:
+    """Return the spheres that a geom is made of, or its corners: their centres, and the radius."""
+    kinds, kind = mujoco.mjtGeom, int(model.geom_type[geom])
+    size = np.array(model.geom_size[geom])
+    middle, half, radius = np.zeros(3), np.array(model.geom_aabb[geom, 3:]), 0.0
+    signs = np.array(np.meshgrid(*[(-1.0, 1.0)] * 3)).reshape(3, -1).T
+    if kind == int(kinds.mjGEOM_SPHERE):
+        signs, radius = np.zeros((1, 3)), float(size[0])
+    elif kind == int(kinds.mjGEOM_CAPSULE):
+        signs, radius = np.array(((0.0, 0.0, -1.0), (0.0, 0.0, 1.0))), float(size[0])
+        half = np.array((0.0, 0.0, size[1]))
+    else:
+        middle = np.array(model.geom_aabb[geom, :3])
+    turn = np.zeros(9)
+    mujoco.mju_quat2Mat(turn, model.geom_quat[geom])
+    return (middle + signs * half) @ turn.reshape(3, 3).T + model.geom_pos[geom], radius
