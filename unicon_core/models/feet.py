@@ -9,11 +9,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 
 from unicon_core.errors import ModelError
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.models.posed import foot_bodies, foot_geoms
+from unicon_core.models.rows import index_of, rows_of
 from unicon_core.robots import Robot
 
 __all__ = ["Feet"]
@@ -69,29 +71,58 @@ class Feet:
             )
         self.names = tuple(found)
         data = self._data = mujoco.MjData(model)
-        self._body = np.array(list(found.values()), np.intp)
         start, first = int(model.jnt_qposadr[base]), int(model.jnt_dofadr[base])
         data.qpos[start : start + 7] = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
         self._quat, self._turning = data.qpos[start + 3 : start + 7], data.qvel[first + 3 :][:3]
         self._qpos, self._qvel = data.qpos, data.qvel
-        self._positions = loaded.addresses
-        self._velocities = np.array(model.jnt_dofadr[loaded.joints], np.intp)
+        self._positions = index_of(loaded.addresses.tolist())
+        self._velocities = index_of([int(model.jnt_dofadr[j]) for j in loaded.joints])
         trunk = int(model.jnt_bodyid[base])
         self.weight = float(model.body_subtreemass[trunk]) * GRAVITY
         self.rotation = data.xmat[trunk].reshape(3, 3)
         self._centre = data.subtree_com[int(model.body_rootid[trunk])]
-        self._points, self._radius = _points(mujoco, model, found, robot)
-        self._each = np.arange(len(found))
-        self._dofs = _dofs(model, self._body, first)
-        self._own = (self._dofs >= 0)[..., None] if (self._dofs < 0).any() else None
-        self._torque, self._needed = np.zeros(model.nv), np.zeros(model.nv)
-        legs = self._dofs.shape[1]
-        rows = self._rows = 3 if legs <= 3 else 6  # three joints bear no moment of a foot
+        count, self._moved = len(found), []
+        self.position, self.velocity = np.zeros((count, 3)), np.zeros((count, 3))
+        self.force = np.zeros(count)
+        self._arm, self._across = np.zeros((count, 3)), np.zeros((count, 9))
+        self._cross = self._across.reshape(count, 3, 3)
+        self._turned = self.velocity[:, None]
+        body = np.array(list(found.values()), np.intp)
+        twists = self._rows(data.cvel, body)
+        self._spin, self._shift = twists[:, None, :3], twists[:, 3:]
+        self._find_points(_points(mujoco, model, found, robot), body)
+        self._find_legs(_dofs(model, body, first))
+
+    def _rows(self, source: Float, index: NDArray[np.intp]) -> Float:
+        """Return rows of an array of the data, which each call brings up to date."""
+        rows, refresh = rows_of(source, index)
+        self._moved += [refresh] if refresh is not None else []
+        return rows
+
+    def _find_points(self, points: tuple[Float, Float], body: NDArray[np.intp]) -> None:
+        """Keep where each foot may touch the ground."""
+        self._points, self._radius = points
+        count, most = self._radius.shape
+        self._each, self._places = np.arange(count), np.zeros((count, most, 3))
+        self._origins = self._rows(self._data.xpos, body)
+        turns = self._rows(self._data.xmat, body)
+        self._turns = as_strided(turns, (count, 3, 3), (turns.strides[0], 8, 24))  # transposed
+
+    def _find_legs(self, dofs: NDArray[np.intp]) -> None:
+        """Keep the degrees of freedom of each leg, shape (F, most), -1 for none."""
+        model, data = self._model, self._data
+        self._own = (dofs >= 0)[..., None] if (dofs < 0).any() else None
+        self._torque, self._asked = np.zeros(model.nv), np.zeros(model.nv)
+        count, most = dofs.shape
+        rows = 3 if most <= 3 else 6  # three joints bear no moment of a foot
+        axes = self._rows(data.cdof, dofs)
+        self._turn_axes, self._shift_axes = axes[..., :3], axes[..., 3:]
+        self._jacobian = np.zeros((count, most, rows))  # transposed
+        self._by_force, self._by_moment = self._jacobian[..., :3], self._jacobian[..., 3:]
+        self._back = self._jacobian.transpose(0, 2, 1)
+        self._legs, self._refresh_legs = rows_of(self._asked, dofs)
         self._damping = np.diag([_OF_FORCE] * 3 + [_OF_MOMENT] * (rows - 3))
-        self._jacobian = np.zeros((len(found), legs, rows))
-        shape = (len(found), 3)
-        self.position, self.velocity = np.zeros(shape), np.zeros(shape)
-        self.force = np.zeros(len(found))
+        self._square, self._pushed = np.zeros((count, rows, rows)), np.zeros((count, rows, 1))
 
     def __call__(
         self,
@@ -117,41 +148,38 @@ class Feet:
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_comVel(model, data)
-        body, position = self._body, self.position
-        turns = data.xmat[body].reshape(-1, 3, 3)
-        if self._points.shape[1] == 1:
-            position[:] = np.matmul(turns, self._points[:, 0, :, None])[..., 0]
-            position += data.xpos[body]
-            position[:, 2] -= self._radius[:, 0]
-        else:
-            places = np.matmul(self._points, turns.transpose(0, 2, 1))
-            places[..., 2] -= self._radius
-            position[:] = places[self._each, places[..., 2].argmin(1)]
-            position += data.xpos[body]
-        arm = ((position - self._centre) @ _CROSS).reshape(-1, 3, 3)
-        twist = data.cvel[body]
-        self.velocity[:] = np.matmul(twist[:, None, :3], arm)[:, 0]
-        self.velocity += twist[:, 3:]
+        for refresh in self._moved:
+            refresh()
+        places, position = self._places, self.position
+        np.matmul(self._points, self._turns, out=places)
+        places[..., 2] -= self._radius
+        if len(places[0]) > 1:
+            places = places[self._each, places[..., 2].argmin(1)]
+        np.add(places.reshape(-1, 3), self._origins, out=position)
+        np.subtract(position, self._centre, out=self._arm)
+        np.matmul(self._arm, _CROSS, out=self._across)
+        np.matmul(self._spin, self._cross, out=self._turned)
+        self.velocity += self._shift
         if joint_effort is not None:
-            self._bear(arm, joint_effort)
+            self._bear(joint_effort)
 
-    def _bear(self, arm: Float, joint_effort: NDArray[Any]) -> None:
-        data = self._data
-        self._mujoco.mj_rne(self._model, data, 0, self._needed)
+    def _bear(self, joint_effort: NDArray[Any]) -> None:
+        asked, square = self._asked, self._square
+        self._mujoco.mj_rne(self._model, self._data, 0, asked)
         self._torque[self._velocities] = joint_effort
-        axes = data.cdof[self._dofs]
-        jacobian, turning = self._jacobian, axes[..., :3]  # transposed: (F, joints of a leg, rows)
-        np.matmul(turning, arm, out=jacobian[..., :3])
-        jacobian[..., :3] += axes[..., 3:]
-        if self._rows > 3:
-            jacobian[..., 3:] = turning
+        asked -= self._torque
+        if self._refresh_legs is not None:
+            self._refresh_legs()
+        np.matmul(self._turn_axes, self._cross, out=self._by_force)
+        self._by_force += self._shift_axes
+        if self._by_moment.size:
+            self._by_moment[:] = self._turn_axes
         if self._own is not None:
-            jacobian *= self._own
-        asked = (self._needed - self._torque)[self._dofs]
-        across = jacobian.transpose(0, 2, 1)
-        square = np.matmul(across, jacobian)
+            self._jacobian *= self._own
+        np.matmul(self._back, self._jacobian, out=square)
         square += self._damping
-        self.force[:] = np.linalg.solve(square, np.matmul(across, asked[..., None]))[:, 2, 0]
+        np.matmul(self._back, self._legs[..., None], out=self._pushed)
+        self.force[:] = np.linalg.solve(square, self._pushed)[:, 2, 0]
 
 
 def _dofs(model: Any, bodies: NDArray[np.intp], first: int) -> NDArray[np.intp]:
@@ -172,7 +200,7 @@ def _dofs(model: Any, bodies: NDArray[np.intp], first: int) -> NDArray[np.intp]:
             dof = int(model.dof_parentid[dof])
         legs.append(leg)
     most = max(map(len, legs))
-    return np.array([leg + [-1] * (most - len(leg)) for leg in legs], np.intp)
+    return np.array([leg[::-1] + [-1] * (most - len(leg)) for leg in legs], np.intp)
 
 
 def _points(

@@ -91,8 +91,6 @@ def leg_odometry(
                 "reading on a foot stands, as in foot_force: 30, or do not declare that state"
             )
         reads[_FORCE] = context.states[_FORCE]
-    elif foot_force is not None:
-        foot_force = None
     if position is None:
         position = "base_pos_w" not in told
     names = ("base_pos_w", _POS_VARIANCE) if position else ()

@@ -14,6 +14,7 @@ arrays.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 __all__ = ["VelocityFilter"]
@@ -24,7 +25,7 @@ GRAVITY = 9.81
 """In [m/s²]."""
 PERIOD = 0.02
 """For which noises are given in [s]; at other rates they are scaled so that the bandwidth stays."""
-_GATE = 14.0
+_GATE = 8.0
 """Squared distance in units of its variance, of three axes, from which a foot counts as slipping:
 95 % of those that do not are nearer (chi square)."""
 _BIAS_WALK = 0.02
@@ -104,7 +105,7 @@ class VelocityFilter:
         variance = self.variance
         weight = x = y = z = 0.0
         for (one, two, three), own in zip(told, variances):
-            if own == _NEVER:
+            if own == math.inf:
                 continue
             one, two, three = one - vx, two - vy, three - vz
             far = (one * one + two * two + three * three) / (_GATE * (variance + own))
@@ -135,6 +136,3 @@ class VelocityFilter:
         self._of_bias -= of_bias * self._both
         self._both *= 1.0 - gain
         self.variance *= 1.0 - gain
-
-
-_NEVER = float("inf")
