@@ -6,6 +6,7 @@ and an IMU's orientation give, without knowing where the base is.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -24,9 +25,11 @@ Float = NDArray[np.float64]
 
 GRAVITY = 9.81
 """In [m/s²]."""
-_OF_FORCE, _OF_MOMENT = 1e-4, 1e-3
-"""Damping of the least squares, in [m²] and of its own: a leg moves its foot by 0.1 m for a radian,
-and where its joints cannot tell force from moment, 10 N are as likely as 3 N·m."""
+_OF_FORCE, _OF_MOMENT = 1e-5, 1e-3
+"""Damping of the least squares, in [m²] and none: legs move a foot by 0.1 m for a radian or more,
+and where their joints cannot tell force from moment, 10 N are as likely as 1 N·m."""
+_SENSE = 1e8
+"""Squared norm of all that is measured, in [rad²], [rad²/s²], [N²·m²]: no robot has so much."""
 # a × r = a @ M(r), and M(r) = (r @ _CROSS).reshape(3, 3)
 _CROSS = np.zeros((3, 9))
 for _i, _j, _k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
@@ -49,7 +52,6 @@ class Feet:
     Attributes:
         names: of the feet, length F.
         weight: of the robot in [N].
-        rotation: base to world as of the last call, shape (3, 3); a view.
         position: lowest point of each foot in [m], shape (F, 3).
         velocity: of that point against the base's origin in [m/s], shape (F, 3).
         force: that the ground pushes up with in [N], shape (F,).
@@ -79,9 +81,9 @@ class Feet:
         self._velocities = index_of([int(model.jnt_dofadr[j]) for j in loaded.joints])
         trunk = int(model.jnt_bodyid[base])
         self.weight = float(model.body_subtreemass[trunk]) * GRAVITY
-        self.rotation = data.xmat[trunk].reshape(3, 3)
         self._centre = data.subtree_com[int(model.body_rootid[trunk])]
-        count, self._moved = len(found), []
+        count = len(found)
+        self._moved: list[Callable[[], object]] = []
         self.position, self.velocity = np.zeros((count, 3)), np.zeros((count, 3))
         self.force = np.zeros(count)
         self._arm, self._across = np.zeros((count, 3)), np.zeros((count, 9))
@@ -131,8 +133,8 @@ class Feet:
         joint_pos: NDArray[Any],
         joint_vel: NDArray[Any],
         joint_effort: NDArray[Any] | None,
-    ) -> None:
-        """Compute what the attributes tell.
+    ) -> bool:
+        """Compute what the attributes tell; False where the arguments make no sense.
 
         Args:
             quat: base to world, wxyz, shape (4,).
@@ -141,10 +143,15 @@ class Feet:
                 `force` stays as it is.
         """
         mujoco, model, data = self._mujoco, self._model, self._data
+        qpos, qvel, torque = self._qpos, self._qvel, self._torque
         self._quat[:] = quat
         self._turning[:] = ang_vel
-        self._qpos[self._positions] = joint_pos
-        self._qvel[self._velocities] = joint_vel
+        qpos[self._positions] = joint_pos
+        qvel[self._velocities] = joint_vel
+        if joint_effort is not None:
+            torque[self._velocities] = joint_effort
+        if not qpos.dot(qpos) + qvel.dot(qvel) + torque.dot(torque) < _SENSE:  # nor NaN
+            return False
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_comVel(model, data)
@@ -161,12 +168,12 @@ class Feet:
         np.matmul(self._spin, self._cross, out=self._turned)
         self.velocity += self._shift
         if joint_effort is not None:
-            self._bear(joint_effort)
+            self._bear()
+        return True
 
-    def _bear(self, joint_effort: NDArray[Any]) -> None:
+    def _bear(self) -> None:
         asked, square = self._asked, self._square
         self._mujoco.mj_rne(self._model, self._data, 0, asked)
-        self._torque[self._velocities] = joint_effort
         asked -= self._torque
         if self._refresh_legs is not None:
             self._refresh_legs()
@@ -203,9 +210,7 @@ def _dofs(model: Any, bodies: NDArray[np.intp], first: int) -> NDArray[np.intp]:
     return np.array([leg[::-1] + [-1] * (most - len(leg)) for leg in legs], np.intp)
 
 
-def _points(
-    mujoco: Any, model: Any, bodies: dict[str, int], robot: Robot
-) -> tuple[Float, Float]:
+def _points(mujoco: Any, model: Any, bodies: dict[str, int], robot: Robot) -> tuple[Float, Float]:
     """Return where each foot may touch the ground: centres of spheres in the body's frame, radii.
 
     Shapes (F, most, 3) and (F, most) in [m]. Where the model has no shape, as where meshes are
@@ -214,9 +219,10 @@ def _points(
     geoms = foot_geoms(model, robot.feet)
     places: list[Float] = []
     radii: list[Float] = []
-    for foot, _ in bodies.items():
-        solid = [g for g in geoms.get(foot, ()) if model.geom_contype[g] | model.geom_conaffinity[g]]
-        parts = [_of_geom(mujoco, model, geom) for geom in solid or geoms.get(foot, ())]
+    for foot, body in bodies.items():
+        own = [g for g in geoms.get(foot, []) if model.geom_bodyid[g] == body]
+        solid = [g for g in own if model.geom_contype[g] | model.geom_conaffinity[g]]
+        parts = [_of_geom(mujoco, model, geom) for geom in solid or own]
         parts = parts or [(np.zeros((1, 3)), 0.0)]
         places.append(np.concatenate([at for at, _ in parts]))
         radii.append(np.concatenate([np.full(len(at), radius) for at, radius in parts]))

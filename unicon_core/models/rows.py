@@ -32,7 +32,8 @@ def rows_of(
         source: of any shape; the rows are those of its first axis.
         index: numbers of rows, one or two axes; negative ones stand for any row.
     """
-    steps = [int(np.diff(index, axis=axis).flat[0]) if n > 1 else 0 for axis, n in enumerate(index.shape)]
+    axes = list(enumerate(index.shape))
+    steps = [int(np.diff(index, axis=axis).flat[0]) if n > 1 else 0 for axis, n in axes]
     first = int(index.flat[0])
     grid = first + sum(step * i for step, i in zip(steps, np.indices(index.shape)))
     if (index == grid).all() and index.min() >= 0:

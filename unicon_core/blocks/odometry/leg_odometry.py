@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from unicon_core.blocks.odometry.standing import Standing
 from unicon_core.blocks.odometry.velocity_filter import VelocityFilter
 from unicon_core.bounds import within
-from unicon_core.errors import MissingDependencyError, ModelError, WorkflowError
+from unicon_core.errors import MissingDependencyError, WorkflowError
 from unicon_core.flow.block import Block, Reads, Writes
 from unicon_core.models.feet import Feet
 from unicon_core.models.find import model_of
@@ -83,7 +83,8 @@ def leg_odometry(
     joint_noise = within(joint_noise, "joint_noise", "rad/s", 20.0)
     acceleration_noise = within(acceleration_noise, "acceleration_noise", "m/s²", 100.0)
     told = () if context.platform is None else context.platform.facts.writes
-    reads = {name: context.states[name] for name in ("joint_effort", "stamp_ns") if name in told}
+    more: tuple[str, ...] = ("joint_effort", "stamp_ns")
+    reads = {name: context.states[name] for name in more if name in told}
     if _FORCE in told:
         if foot_force is None:
             raise WorkflowError(
@@ -110,7 +111,6 @@ def leg_odometry(
         **writes,
     }
     loaded = _loaded(context)
-    noises = joint_noise, acceleration_noise
 
     def make(ins: Mapping[str, View], results: Mapping[str, View]) -> LegOdometry:
         feet = Feet(loaded, context.robot)
@@ -132,6 +132,11 @@ def leg_odometry(
 
 
 def _declares(robot: Robot, **_: Any) -> dict[str, StateSpec]:
+    if not robot.walks or not robot.feet:
+        raise WorkflowError(
+            f"block 'leg_odometry': robot {robot.name} ({robot.kind}) has no feet; leave it out, "
+            "or name bodies of the model under feet in the robot file"
+        )
     return {
         "base_lin_vel_variance": StateSpec(
             (), unit="m²/s²", description="of base_lin_vel along each axis"
@@ -149,10 +154,6 @@ _FORCE, _POS_VARIANCE = "foot_force", "base_pos_w_variance"
 
 def _loaded(context: BuildContext) -> LoadedModel:
     robot = context.robot
-    if not robot.walks:
-        raise WorkflowError(
-            f"robot {robot.name} is a {robot.kind}, which has no legs; leave leg_odometry out"
-        )
     try:
         return load_model(model_of(context.platform, robot), robot, quiet=True)
     except MissingDependencyError as error:
@@ -253,20 +254,24 @@ class LegOdometry:
     def _update(self, dt: float) -> None:
         feet, motion = self._feet, self._filter
         quat, rates, force = self._imu
-        pos, vel = self._joints
-        effort = self._effort
-        length = float(quat.dot(quat))
-        steady = 0.25 < length < 4.0 and math.isfinite(float(rates.dot(rates)))
-        legs = steady and math.isfinite(
-            float(pos.dot(pos) + vel.dot(vel)) + (0.0 if effort is None else effort.dot(effort))
-        )
-        if legs:
-            feet(quat, rates, pos, vel, effort)
-            self._rotation = feet.rotation.ravel().tolist()
-        rotation = self._rotation
-        wx, wy, wz = rates.tolist() if steady else (0.0, 0.0, 0.0)
+        w, x, y, z = quat.tolist()
+        wx, wy, wz = rates.tolist()
         felt = force.tolist()
-        if steady and dt <= LONGEST and math.isfinite(felt[0] + felt[1] + felt[2]):
+        length = w * w + x * x + y * y + z * z
+        steady = 0.25 < length < 4.0 and wx * wx + wy * wy + wz * wz < _QUICKEST
+        legs = steady and feet(quat, rates, *self._joints, self._effort)
+        if steady:
+            s = 2.0 / length
+            self._rotation = [
+                *(1.0 - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y)),
+                *(s * (x * y + w * z), 1.0 - s * (x * x + z * z), s * (y * z - w * x)),
+                *(s * (x * z - w * y), s * (y * z + w * x), 1.0 - s * (x * x + y * y)),
+            ]
+        else:
+            wx = wy = wz = 0.0
+        rotation = self._rotation
+        pull = felt[0] * felt[0] + felt[1] * felt[1] + felt[2] * felt[2]
+        if steady and dt <= LONGEST and pull < _HARDEST:
             motion.predict(dt, rotation, felt)
         else:
             motion.skip(dt)
@@ -277,7 +282,7 @@ class LegOdometry:
         a, b, c, d, e, f, g, h, i = rotation
         sx, sy, sz = a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z
         if legs:
-            variances = self._standing(dt, felt, self._force, effort is not None)
+            variances = self._standing(dt, pull, self._force, self._effort is not None)
             told = [(sx - u, sy - v, sz - w) for u, v, w in feet.velocity.tolist()]
             motion.correct(dt, rotation, told, variances)
             self._contact[:] = self._standing.contact
@@ -305,5 +310,6 @@ class LegOdometry:
         self._of_position[...] = (DRIFT * self._way) ** 2  # type: ignore[index]
 
 
-_FASTEST = 1e4
-"""Squared, in [m²/s²]: no legged robot moves at 100 m/s."""
+_FASTEST, _QUICKEST, _HARDEST = 1e4, 1e4, 1e6
+"""Squared, in [m²/s²], [rad²/s²] and [m²/s⁴]: a base that moves at 100 m/s, turns at 100 rad/s, or
+feels 100 g is one that a sensor makes up."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -61,17 +60,18 @@ class Standing:
     def reset(self) -> None:
         """Begin anew: no foot has stood."""
         self._since = [0.0] * len(self._variances)
-        self.any, self.height = False, None
+        self.any = False
+        self.height: float | None = None
         self.contact[:] = 0.0
 
     def __call__(
-        self, dt: float, felt: Sequence[float], sensed: NDArray[Any] | None, torques: bool
+        self, dt: float, pull: float, sensed: NDArray[Any] | None, torques: bool
     ) -> list[float]:
         """Look at the feet.
 
         Args:
             dt: since the last look in [s].
-            felt: by the accelerometer in [m/s²].
+            pull: what the accelerometer reads, its length squared in [m²/s⁴].
             sensed: by the feet's force sensors, in the order of the robot file, or None.
             torques: whether the feet's `force` is of now.
 
@@ -80,7 +80,7 @@ class Standing:
             does not stand.
         """
         heights = self._feet.position[:, 2].tolist()
-        sure = self._surely(heights, felt, sensed, torques)
+        sure = self._surely(heights, pull, sensed, torques)
         variances, whole, height = [], 0.0, 0.0
         for foot, share in enumerate(sure):
             if not share > 0.0:  # nor where it is not a number
@@ -100,18 +100,17 @@ class Standing:
     def _surely(
         self,
         heights: list[float],
-        felt: Sequence[float],
+        pull: float,
         sensed: NDArray[Any] | None,
         torques: bool,
     ) -> list[float]:
         """Return how surely each foot stands, from 0 to 1."""
         if sensed is not None and self._threshold is not None:
-            return (sensed[self._rank] >= self._threshold).astype(float).tolist()
+            return [float(f >= self._threshold) for f in sensed[self._rank].tolist()]
         if torques:
             least, span = _LEAST * self._share, (_SURE - _LEAST) * self._share
             return [min(max((f - least) / span, 0.0), 1.0) for f in self._feet.force.tolist()]
-        x, y, z = felt
-        if x * x + y * y + z * z < _FALLS**2:
+        if pull < _FALLS**2:
             return [0.0] * len(heights)
         high = min(heights) + _FAR
         return [min(max((high - at) / (_FAR - _NEAR), 0.0), 1.0) for at in heights]

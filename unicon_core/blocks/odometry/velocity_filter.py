@@ -58,7 +58,7 @@ class VelocityFilter:
     def reset(self) -> None:
         """Begin anew, at rest as far as is known."""
         self.velocity, self.bias = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]
-        self._last = [0.0, 0.0, 0.0]
+        self._last: list[float] | None = None
         self.variance, self._both, self._of_bias = _UNKNOWN**2, 0.0, _BIAS**2
 
     def predict(self, dt: float, rotation: Vector, force: Vector) -> None:
@@ -74,9 +74,10 @@ class VelocityFilter:
         x, y, z = force[0] - bias[0], force[1] - bias[1], force[2] - bias[2]
         now = [a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z - GRAVITY]
         last, velocity, half = self._last, self.velocity, 0.5 * dt
-        velocity[0] += half * (now[0] + last[0])
-        velocity[1] += half * (now[1] + last[1])
-        velocity[2] += half * (now[2] + last[2])
+        if last is not None:
+            velocity[0] += half * (now[0] + last[0])
+            velocity[1] += half * (now[1] + last[1])
+            velocity[2] += half * (now[2] + last[2])
         self._last = now
         self.variance += dt * (dt * self._of_bias - 2.0 * self._both + self._noise)
         self._both -= dt * self._of_bias
@@ -84,7 +85,7 @@ class VelocityFilter:
 
     def skip(self, dt: float) -> None:
         """Move on by a time of which the accelerometer told nothing."""
-        self._last = [0.0, 0.0, 0.0]
+        self._last = None
         self.variance = min(self.variance + 100.0 * dt * self._noise, _UNKNOWN**2)
 
     def correct(
