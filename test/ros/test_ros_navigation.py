@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -90,3 +91,58 @@ def test_a_velocity_smoother_drives_along_a_square(
         assert of_place == sorted(of_place)
         assert 0.0 < of_place[0] < of_place[-1] < 0.3**2
         assert all(0.0 < corner["of_velocity"] < 0.1 for corner in corners)
+
+
+ODOMETRY_IN = """\
+schema: unicon.workflow/1
+robot: go1
+platform: blind_platform:make
+rate: 50
+states: {odometry_stamp_ns: {shape: [], dtype: int64, unit: ns}}
+flow: {chain: [{loop: {do: hold, until: "base_lin_vel[0] > 0.4 and base_pos_w[0] > 0.3"}}, hold]}
+safety: [finite, {stale_stop: {timeout: 2.0, states: {stamp_ns: odometry_stamp_ns}}}]
+map: odometry_in
+ros: true
+"""
+BLIND = """
+from dataclasses import replace
+
+from unicon_core.platforms.fake import FakePlatform, make as fake
+
+TOLD = tuple(n for n in FakePlatform.facts.writes if n not in ("base_lin_vel", "base_pos_w"))
+FACTS = replace(FakePlatform.facts, name="blind", writes=TOLD)
+
+
+def make(states, robot, period):
+    made = fake(states, robot, period)
+    told = [id(states[name]) for name in TOLD]
+    made._outputs = [(view, value) for view, value in made._outputs if id(view) in told]
+    made.facts = FACTS
+    return made
+
+
+make.facts = FACTS
+"""
+
+
+def test_odometry_of_somebody_else_comes_in_and_its_silence_is_a_fault(
+    runs: Callable[..., Any],
+    peers: Callable[..., Any],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    (tmp_path / "blind_platform.py").write_text(BLIND, "utf-8")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    path = tmp_path / "odometry_in.yaml"
+    path.write_text(ODOMETRY_IN, "utf-8")
+    talker = peers("odometry_talker", "3.0")
+    talker.wait_for(lambda: bool(talker.of("ready")), "the talker")
+    run = runs(path, map="odometry_in")
+    states = run.program.states
+    talker.wait_for(lambda: states.base_pos_w[0] > 0.3, "odometry")
+    assert states.base_lin_vel.tolist() == [0.5, 0.0, 0.0]
+    talker.wait_for(lambda: not run.alive, "a fault")
+    assert talker.of("silent")
+    (fault,) = run.end().faults
+    assert "stale" in fault
+    assert states.base_pos_w[0] > 1.0  # held, and not a jump to the origin
