@@ -219,7 +219,7 @@ def test_what_hardware_cannot_measure_is_a_finding_there(folder: Path, hardware:
     changes = {"observation.terms.0.state": "base_lin_vel"}
     result = check(folder, changes, {"platform": hardware})
     line = text_of(result, "observation.measured")
-    assert f"and platform '{hardware}' does not deliver; add a block that estimates it" in line
+    assert f"and platform '{hardware}' does not deliver; let leg_odometry estimate it" in line
 
 
 RISEN = {"flow": {"chain": [{"pose": {"to": "stand"}}, {"policy": "walk"}]}}

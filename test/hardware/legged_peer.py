@@ -9,15 +9,12 @@ import struct
 import subprocess
 import sys
 import time
-from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from unicon_core.flow.block import Writes
 from unicon_core.platforms.fake import make as make_fake
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.platforms.sim.mujoco.platform import make as make_mujoco
@@ -119,7 +116,6 @@ class Emulated:
         port: where it takes commands.
         scene: how it begins, and the model for MuJoCo.
         hung: somebody holds it as it is until every joint has so much stiffness, [N·m/rad].
-        captured: port to which motion capture sends the base's velocity, 0 for none.
         options: of the face.
     """
 
@@ -130,7 +126,6 @@ class Emulated:
         scene: Scene | None = None,
         *,
         hung: float = 0.0,
-        captured: int = 0,
         **options: Any,
     ) -> None:
         self.robot, self.port, self.states = robot, port, States(standard_states(robot.joint_names))
@@ -143,8 +138,7 @@ class Emulated:
         self.face: LeggedFace = face(self.states, robot, port=port, **options)
         self.first: float | None = None
         self.highest = self.farthest = 0.0
-        self._hung, self._capture = hung, ("127.0.0.1", captured) if captured else None
-        self._camera = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._hung = hung
         self._rng = np.random.default_rng(0)
         self._due = time.monotonic()
         self.physics.recv()
@@ -168,8 +162,6 @@ class Emulated:
         for name, scale in (("base_ang_vel", 1e-3), ("base_lin_acc", 1e-2), ("joint_vel", 1e-4)):
             states[name] += self._rng.normal(0.0, scale, states[name].shape).astype(np.float32)
         self.face.tell()
-        if self._capture:
-            self._camera.sendto(states["base_lin_vel"].tobytes(), self._capture)
 
     def run(self, seconds: float) -> None:
         """Step in real time; what a busy machine missed is not caught up."""
@@ -181,23 +173,8 @@ class Emulated:
 
     def close(self) -> None:
         """Let go."""
-        self._camera.close()
         self.face.close()
         self.physics.close()
-
-
-def captured_velocity(base_lin_vel: Writes, *, port: int) -> Callable[[], None]:
-    """Take the base's velocity from motion capture, which a policy reads and no sensor measures."""
-    camera = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    camera.setblocking(False)
-    camera.bind(("127.0.0.1", port))
-
-    def newest() -> None:
-        with suppress(BlockingIOError):
-            while True:
-                base_lin_vel[...] = np.frombuffer(camera.recv(64), np.float32)
-
-    return newest
 
 
 class Process:

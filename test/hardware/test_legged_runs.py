@@ -131,13 +131,13 @@ def test_a_robot_stands_up_and_lies_down_through_all_gates(
 
 
 @pytest.mark.slow
-def test_go1_walks_under_a_policy_with_velocity_from_outside(
+def test_go1_walks_under_a_policy_that_reads_the_velocity_of_its_odometry(
     emulated: Callable[..., Process], assets: Path
 ) -> None:
-    """`go1_walk` as it is, but for the platform and the velocity that its policy reads."""
-    port, local, camera = (free_port() for _ in range(3))
+    """`go1_walk` as it is, but for the platform: its policy reads what `leg_odometry` estimates."""
+    port, local = free_port(), free_port()
     scene = {"model": str(assets / "models" / "go1" / "go1.xml"), "initial_pose": "keyframe:home"}
-    robot = emulated("go1", port, scene=scene, hung=34.0, captured=camera)
+    robot = emulated("go1", port, scene=scene, hung=34.0)
     changes = {
         "platform": MAKE,
         "platforms": {
@@ -149,7 +149,6 @@ def test_go1_walks_under_a_policy_with_velocity_from_outside(
                 "silence": 5.0,
             }
         },
-        "estimate": [{"legged_peer:captured_velocity": {"port": camera}}],
         "start": {"operator": False},
         "safety": ["finite", "joint_limits", "tilt_stop", *PATIENT],
     }

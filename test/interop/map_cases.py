@@ -49,6 +49,11 @@ class Case:
     packages: tuple[str, ...] = ()
 
 
+def diagonal(*values: float) -> list[float]:
+    """Return a covariance of six by six, row by row."""
+    return [values[k // 7] if k % 7 == 0 else 0.0 for k in range(36)]
+
+
 TWIST = {"linear": vector([0.5, -0.25, 9.0]), "angular": vector([9.0, 9.0, 0.125])}
 COMMAND = {"velocity_command": [0.5, -0.25, 0.125]}
 SHUFFLED = NAMES[::-1]
@@ -327,6 +332,58 @@ CASES: dict[str, Case] = {
                 {"velocity_command": [0.25, 0.25, -1.0]},
             )
         }
+    ),
+    "navigation": Case(
+        {
+            "stamp_ns": STAMP_NS,
+            **ROBOT,
+            **BASE,
+            **PLACE,
+            "base_pos_w_variance": 0.25,
+            "base_lin_vel_variance": 0.125,
+        },
+        {
+            "joint_states": {"header": {"stamp": STAMP}, "name": NAMES, "position": ramp(1.0)},
+            "imu/data": {"header": {"stamp": STAMP, "frame_id": "imu_link"}, **IMU},
+            "odom": {
+                "header": {"stamp": STAMP, "frame_id": "odom"},
+                "child_frame_id": "base_link",
+                "pose": {
+                    "pose": {
+                        "position": vector([10.5, -2.25, 0.375]),
+                        "orientation": QUATERNION,
+                    },
+                    "covariance": diagonal(0.25, 0.25, 1e-4, 1e-4, 1e-4, 1e-2),
+                },
+                "twist": {
+                    "twist": {
+                        "linear": vector([0.5, 0.125, -0.25]),
+                        "angular": vector([0.25, 0.5, 0.75]),
+                    },
+                    "covariance": diagonal(0.125, 0.125, 0.125, 4e-4, 4e-4, 4e-4),
+                },
+            },
+            "/clock": {"clock": STAMP},
+        },
+        {"cmd_vel": (TWIST, COMMAND)},
+    ),
+    "odometry_in": Case(
+        {"stamp_ns": STAMP_NS, **ROBOT, **BASE},
+        {
+            "joint_states": {"header": {"stamp": STAMP}, "name": NAMES, "position": ramp(1.0)},
+            "imu/data": {"header": {"stamp": STAMP, "frame_id": "imu_link"}, **IMU},
+        },
+        {
+            "odom": (
+                {
+                    "header": {"stamp": STAMP, "frame_id": "odom"},
+                    "pose": {"pose": {"position": vector([10.5, -2.25, 0.375])}},
+                    "twist": {"twist": {"linear": vector([0.5, 0.125, -0.25])}},
+                },
+                {**PLACE, "odometry_stamp_ns": STAMP_NS},
+            ),
+            "cmd_vel": (TWIST, COMMAND),
+        },
     ),
     "pose_stamped": Case(
         {"stamp_ns": STAMP_NS, "base_pos_w": PLACE["base_pos_w"], "base_quat": WXYZ},

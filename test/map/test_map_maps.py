@@ -33,13 +33,15 @@ def states(count: int) -> dict[str, np.ndarray]:
         start += size
     for name in ("voltage", "current", "percentage"):
         found[f"battery_{name}"] = np.zeros((), np.float32)
-    found["temperature"] = np.zeros((), np.float32)
+    for name in ("base_pos_w_variance", "base_lin_vel_variance", "temperature"):
+        found[name] = np.zeros((), np.float32)
     found["ambient_temperature"] = np.zeros((), np.float32)
     found["battery_level"] = np.zeros((), np.int32)
     found["driver_level"] = np.zeros((), np.int32)
     found["mode_machine"] = np.zeros((), np.uint8)
     found["motor_mode"] = np.zeros(count, np.uint8)
     found["stamp_ns"] = np.zeros((), np.int64)
+    found["odometry_stamp_ns"] = np.zeros((), np.int64)
     return found
 
 
@@ -116,7 +118,7 @@ def test_a_ready_map_reads_what_rosbags_writes(stem: str, topic: str, little: bo
     assert decoder.derived == 1
     decoder.lapse()
     for name in spec.states:
-        if name != "stamp_ns":
+        if not name.endswith("stamp_ns"):
             unset = spec.on_timeout == "unset"
             left = not np.isnan(arrays[name]).all() if unset else arrays[name].any()
             assert not left or name == "velocity_command"

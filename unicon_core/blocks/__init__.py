@@ -28,6 +28,7 @@ BUILTIN: dict[str, str] = {
         "safety.twin_stop": ("twin_stop",),
         "fade_in": ("fade_in",),
         "forward_command": ("forward_command",),
+        "odometry.leg_odometry": ("leg_odometry",),
         "projected_gravity": ("projected_gravity",),
         "maps": ("copy", "linear_map"),
     }.items()

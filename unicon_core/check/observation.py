@@ -10,6 +10,7 @@ from unicon_core.check.subject import Subject
 from unicon_core.platforms.platform import info_of
 from unicon_core.policies import PolicyContract, TermSlice, term_slices
 from unicon_core.policies.networks.onnx_file import read_onnx
+from unicon_core.states.standard import ESTIMATORS
 
 __all__ = ["check_frames", "check_observation"]
 
@@ -119,8 +120,8 @@ def _term(subject: Subject, policy: PolicyResult, part: TermSlice) -> None:
     if term.state in NOT_ON_HARDWARE and term.state not in subject.written:
         text = f"reads {term.state}, which no sensor of the robot measures"
         remedy = (
-            "add a block that estimates it, or take a policy that was trained without it "
-            "(it may stay in the critic)"
+            f"let {ESTIMATORS[term.state]} estimate it (estimate: [{ESTIMATORS[term.state]}]), or "
+            "take a policy that was trained without it (it may stay in the critic)"
         )
         platform = subject.platform
         if platform.simulated or term.state in platform.writes:

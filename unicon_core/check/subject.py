@@ -73,9 +73,11 @@ class Subject:
 
     @cached_property
     def written(self) -> frozenset[str]:
-        """States that some block of the workflow writes, or a device."""
+        """States that some block of the workflow writes or estimates, or a device."""
         devices = [b for node in self.program.stages[Stage.RECV][1:] for b in blocks_of(node)]
-        return frozenset(name for block in (*devices, *self.blocks) for name in block.writes)
+        estimated = [block for block in self.blocks if block.stage is Stage.ESTIMATE]
+        written = [name for block in (*devices, *self.blocks) for name in block.writes]
+        return frozenset((*written, *(name for block in estimated for name in block.amends)))
 
     @cached_property
     def model(self) -> LoadedModel | None:

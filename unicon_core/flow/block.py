@@ -127,7 +127,7 @@ def as_block(candidate: Any, *, name: str = "", where: str = "") -> Block:
         WorkflowError: it cannot be called without arguments.
     """
     if isinstance(candidate, Block):
-        candidate.where = candidate.where or where
+        candidate.name, candidate.where = candidate.name or name, candidate.where or where
         return candidate
     if not callable(candidate):
         raise WorkflowError(

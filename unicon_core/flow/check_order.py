@@ -19,6 +19,7 @@ from unicon_core.flow.nodes import (
     children_of,
 )
 from unicon_core.flow.stage import Stage
+from unicon_core.states.standard import ESTIMATORS
 
 __all__ = ["behind_send", "reads_before_writes"]
 
@@ -87,6 +88,9 @@ class _Reads:
                 if writer is None:
                     evidence = f"{word} {missing!r}, which no block writes"
                     remedy = f"put a block before it that writes {missing!r}"
+                    if name in ESTIMATORS:
+                        ours = ESTIMATORS[name]
+                        remedy += f", as {ours} does (estimate: [{ours}])"
                 else:
                     evidence = f"{word} {missing!r} before {writer.name!r} has written it"
                     remedy = f"put it behind {writer.name!r}"

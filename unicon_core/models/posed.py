@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 from numpy.typing import ArrayLike
 
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 
-__all__ = ["PosedModel", "foot_geoms"]
+__all__ = ["PosedModel", "foot_bodies", "foot_geoms"]
 
 _FAR = 100.0  # [m]
 _ENDINGS = ("_foot", "_link", "_sphere", "_toe")
@@ -77,24 +78,57 @@ def foot_geoms(model: Any, feet: tuple[str, ...]) -> dict[str, list[int]]:
     """
     found = {}
     for foot in feet:
-        stem = foot
-        for ending in _ENDINGS:
-            stem = stem.removesuffix(ending)
-        geoms = _geoms_of(model, foot) or _geoms_of(model, stem)
+        geoms = next(filter(None, (_geoms_of(model, name) for name in _names_of(foot))), None)
         if geoms:
             found[foot] = geoms
     return found
 
 
-def _geoms_of(model: Any, name: str) -> list[int]:
+def foot_bodies(model: Any, feet: tuple[str, ...]) -> dict[str, int]:
+    """Return the body of each foot, or the one that carries it, found as by `foot_geoms`.
+
+    It may have no geoms, as where meshes are absent.
+    """
+    geoms = foot_geoms(model, feet)
+    found = {}
+    for foot in feet:
+        if foot in geoms:
+            found[foot] = int(model.geom_bodyid[geoms[foot][0]])
+            continue
+        body = next((b for b in map(partial(_body_of, model), _names_of(foot)) if b >= 0), None)
+        if body is not None:
+            found[foot] = body
+    return found
+
+
+def _names_of(foot: str) -> tuple[str, str]:
+    stem = foot
+    for ending in _ENDINGS:
+        stem = stem.removesuffix(ending)
+    return foot, stem
+
+
+def _ids_of(model: Any, name: str) -> tuple[int, int, int]:
+    """Return the geom, body and site of a name, -1 where there is none."""
     mujoco = import_mujoco()
     kinds = mujoco.mjtObj
-    geom, body, site = (  # -1 where there is none of that name
-        mujoco.mj_name2id(model, kind, name)
+    geom, body, site = (
+        int(mujoco.mj_name2id(model, kind, name))
         for kind in (kinds.mjOBJ_GEOM, kinds.mjOBJ_BODY, kinds.mjOBJ_SITE)
     )
+    return geom, body, site
+
+
+def _body_of(model: Any, name: str) -> int:
+    geom, body, site = _ids_of(model, name)
+    if geom >= 0:
+        return int(model.geom_bodyid[geom])
+    return int(model.site_bodyid[site]) if body < 0 <= site else body
+
+
+def _geoms_of(model: Any, name: str) -> list[int]:
+    geom, body, _ = _ids_of(model, name)
     if geom >= 0:
         return [geom]
-    if body < 0 <= site:
-        body = model.site_bodyid[site]
+    body = _body_of(model, name)
     return [g for g in range(model.ngeom) if model.geom_bodyid[g] == body]

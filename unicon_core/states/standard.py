@@ -14,6 +14,7 @@ __all__ = [
     "BUTTONS",
     "COMMAND_STATES",
     "CONTROL_STATES",
+    "ESTIMATORS",
     "FORWARDED_STATES",
     "GAIN_SCALE",
     "GAIN_SCALE_SPEC",
@@ -38,6 +39,13 @@ BASE_STATES = (
     "base_lin_vel",
 )
 """What is measured of a base that moves, the last two by simulators and trackers alone."""
+
+ESTIMATORS = {
+    "projected_gravity": "projected_gravity",
+    "base_lin_vel": "leg_odometry",
+    "base_pos_w": "leg_odometry",
+}
+"""What may not be measured to the block that computes it of what is; the latter two of legs."""
 
 COMMAND_STATES = (
     "joint_pos_target",

@@ -114,6 +114,10 @@ def autowire(
     block = as_block(built, name=name, where=where)
     for mode, labels in used.items():
         setattr(block, mode, tuple(dict.fromkeys([*labels, *getattr(block, mode)])))
+    if getattr(block.tick, "estimates", False) and context.platform is not None:
+        told = [name for name in block.writes if name in context.platform.facts.writes]
+        block.writes = tuple(name for name in block.writes if name not in told)
+        block.amends = (*block.amends, *told)
     block.stage = block.stage or getattr(factory, "stage", None)
     return block
 

@@ -26,7 +26,9 @@ from unicon_ros.bridge.topics_out import TopicOut
 RATE = 100.0  # Hz
 INTEGERS = {"stamp_ns": np.int64, "mode_machine": np.uint8, "motor_mode": np.uint8}
 INTEGERS |= {"battery_level": np.int32, "driver_level": np.int32}
+INTEGERS |= {"odometry_stamp_ns": np.int64}
 SCALARS = ("battery_voltage", "battery_current", "battery_percentage", "temperature")
+SCALARS += ("base_pos_w_variance", "base_lin_vel_variance", "odometry_stamp_ns")
 SCALARS += ("ambient_temperature", "stamp_ns", "mode_machine", "battery_level", "driver_level")
 SIZES = {"base_quat": 4, "mocap_quat": 4, "velocity_command": 3, "base_ang_vel": 3}
 SIZES |= {"base_lin_acc": 3, "base_pos_w": 3, "base_lin_vel": 3, "mocap_pos_w": 3}

@@ -8,8 +8,8 @@ from typing import Any
 from numpy.typing import NDArray
 
 from unicon_core.models.loaded import LoadedModel
+from unicon_core.models.rows import index_of
 from unicon_core.platforms.sim.mujoco.imu import BaseReader
-from unicon_core.platforms.sim.mujoco.servo import index_of
 
 __all__ = ["Reader"]
 

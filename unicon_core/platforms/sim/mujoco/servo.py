@@ -22,19 +22,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.models.joints import drives
+from unicon_core.models.rows import index_of
 from unicon_core.platforms.sim.mujoco.actuators import actuator_kind
 
-__all__ = ["Servo", "index_of"]
+__all__ = ["Servo"]
 
 Float = NDArray[np.float64]
-
-
-def index_of(positions: Sequence[int]) -> slice | NDArray[np.intp]:
-    """Return positions as a slice where they are consecutive (a copy is then 3x cheaper)."""
-    first = positions[0]
-    if list(positions) == list(range(first, first + len(positions))):
-        return slice(first, first + len(positions))
-    return np.array(positions, dtype=np.intp)
 
 
 class Servo:

@@ -1,0 +1,315 @@
+"""Block `leg_odometry`: how a legged robot moves, of its IMU and the legs that carry it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.blocks.odometry.standing import Standing
+from unicon_core.blocks.odometry.velocity_filter import VelocityFilter
+from unicon_core.bounds import within
+from unicon_core.errors import MissingDependencyError, WorkflowError
+from unicon_core.flow.block import Block, Reads, Writes
+from unicon_core.models.feet import Feet
+from unicon_core.models.find import model_of
+from unicon_core.models.load import load_model
+from unicon_core.models.loaded import LoadedModel
+from unicon_core.robots import Robot
+from unicon_core.states import StateSpec
+from unicon_core.workflow.autowire import BuildContext
+
+__all__ = ["LegOdometry", "leg_odometry"]
+
+View = NDArray[Any]
+
+ACCELERATION_NOISE, JOINT_NOISE = 1.5, 0.4
+LONGEST = 0.1
+"""Between two data in [s], over which an acceleration tells nothing any more."""
+HANGS = 0.5
+"""Time without a foot that stands in [s], after which the robot is taken to hang, not to jump."""
+DRIFT = 0.03
+"""Of the position, as a share of the way."""
+
+
+def leg_odometry(
+    base_quat: Reads,
+    base_ang_vel: Reads,
+    base_lin_acc: Reads,
+    joint_pos: Reads,
+    joint_vel: Reads,
+    base_lin_vel: Writes,
+    base_lin_vel_variance: Writes,
+    foot_contact: Writes,
+    *,
+    context: BuildContext,
+    position: bool | None = None,
+    foot_force: float | None = None,
+    joint_noise: float = JOINT_NOISE,
+    acceleration_noise: float = ACCELERATION_NOISE,
+) -> Block:
+    """Estimate the velocity of the base, and its position from the beginning on.
+
+    A foot that stands tells the base's velocity by the kinematics of its leg, the accelerometer
+    what it is in between. Which feet stand follows from the state `foot_force` where there is one,
+    else from the torques of the joints, else from the height of the feet.
+
+    What is estimated takes the place of what a simulator measures.
+
+    Args:
+        base_quat: unit quaternion wxyz, base to world, shape (4,).
+        base_ang_vel, base_lin_acc: gyroscope in [rad/s], accelerometer in [m/s²], shape (3,).
+        joint_pos, joint_vel: in [rad] and [rad/s], shape (n,).
+        base_lin_vel: of the base's origin, in its axes, [m/s], shape (3,).
+        base_lin_vel_variance: along each axis, [m²/s²], shape ().
+        foot_contact: from 0 to 1, how surely each foot of the robot file stands.
+        position: write `base_pos_w` [m] and `base_pos_w_variance` [m²] as well: x and y from the
+            beginning on, z over the feet that stand; None: where the platform tells none.
+        foot_force: reading of the state `foot_force` from which a foot stands, in its unit.
+        joint_noise: standard deviation of joint velocities, with what feet slip and the ground
+            gives way, in [rad/s].
+        acceleration_noise: of the mean acceleration between two ticks at 50 Hz in [m/s²].
+
+    Raises:
+        WorkflowError: the states are of a batch, or an option is wrong.
+        ModelError: the robot's model has no feet, or there is none.
+        MissingDependencyError: MuJoCo, which computes the kinematics, is not installed.
+    """
+    if base_quat.ndim != 1:
+        raise WorkflowError("it looks at one robot; leave num_robots out, or leave it out")
+    joint_noise = within(joint_noise, "joint_noise", "rad/s", 20.0)
+    acceleration_noise = within(acceleration_noise, "acceleration_noise", "m/s²", 100.0)
+    told = () if context.platform is None else context.platform.facts.writes
+    more: tuple[str, ...] = ("joint_effort", "stamp_ns")
+    reads = {name: context.states[name] for name in more if name in told}
+    if _FORCE in told:
+        if foot_force is None:
+            raise WorkflowError(
+                f"platform {context.platform.facts.name!r} tells {_FORCE!r}; say from which "  # type: ignore[union-attr]
+                "reading on a foot stands, as in foot_force: 30, or do not declare that state"
+            )
+        reads[_FORCE] = context.states[_FORCE]
+    if position is None:
+        position = "base_pos_w" not in told
+    names = ("base_pos_w", _POS_VARIANCE) if position else ()
+    writes = {name: context.states[name] for name in names}
+    views = {
+        "base_quat": base_quat,
+        "base_ang_vel": base_ang_vel,
+        "base_lin_acc": base_lin_acc,
+        "joint_pos": joint_pos,
+        "joint_vel": joint_vel,
+        **reads,
+    }
+    outs = {
+        "base_lin_vel": base_lin_vel,
+        "base_lin_vel_variance": base_lin_vel_variance,
+        "foot_contact": foot_contact,
+        **writes,
+    }
+    loaded = _loaded(context)
+
+    def make(ins: Mapping[str, View], results: Mapping[str, View]) -> LegOdometry:
+        feet = Feet(loaded, context.robot)
+        standing = Standing(feet, context.robot, joint_noise, foot_force)
+        return LegOdometry(
+            feet, standing, VelocityFilter(acceleration_noise), ins, results, context
+        )
+
+    tick = make(views, outs)
+    return Block(
+        "",
+        tick,
+        reads=tuple(reads),
+        writes=tuple(writes),
+        reset=tick.reset,
+        warm_up=_warm_up(make, views, outs),
+        endless=True,
+    )
+
+
+def _declares(robot: Robot, **_: Any) -> dict[str, StateSpec]:
+    if not robot.walks or not robot.feet:
+        raise WorkflowError(
+            f"block 'leg_odometry': robot {robot.name} ({robot.kind}) has no feet; leave it out, "
+            "or name bodies of the model under feet in the robot file"
+        )
+    return {
+        "base_lin_vel_variance": StateSpec(
+            (), unit="m²/s²", description="of base_lin_vel along each axis"
+        ),
+        _POS_VARIANCE: StateSpec((), unit="m²", description="of base_pos_w along x and y"),
+        "foot_contact": StateSpec(
+            (len(robot.feet),), names=robot.feet, description="0 to 1: how surely it stands"
+        ),
+    }
+
+
+setattr(leg_odometry, "declares", _declares)  # noqa: B010  a function has none to mypy
+_FORCE, _POS_VARIANCE = "foot_force", "base_pos_w_variance"
+
+
+def _loaded(context: BuildContext) -> LoadedModel:
+    robot = context.robot
+    try:
+        return load_model(model_of(context.platform, robot), robot, quiet=True)
+    except MissingDependencyError as error:
+        raise MissingDependencyError(
+            "block 'leg_odometry'", "mujoco", "pip install 'unicon_ros[sim]'"
+        ) from error
+
+
+def _warm_up(
+    make: Callable[[Mapping[str, View], Mapping[str, View]], LegOdometry],
+    views: Mapping[str, View],
+    outs: Mapping[str, View],
+) -> Callable[[], None]:
+    """Return what runs the same code on copies: the one that counts looks at new data only."""
+    copies = {name: view.copy() for name, view in views.items()}
+    second = make(copies, {name: view.copy() for name, view in outs.items()})
+    pairs = [(copies[name], view) for name, view in views.items()]
+
+    def warm_up() -> None:
+        for copy, view in pairs:
+            copy[...] = view
+        second.again()
+        second()
+
+    return warm_up
+
+
+class LegOdometry:
+    """The tick of `leg_odometry`.
+
+    Args:
+        feet: the robot's.
+        standing: tells which of them stand.
+        motion: the filter.
+        views: of the states that it reads.
+        outs: of those that it writes.
+        context: of the workflow.
+    """
+
+    estimates = True  # what it writes takes the place of what a platform measures
+
+    def __init__(
+        self,
+        feet: Feet,
+        standing: Standing,
+        motion: VelocityFilter,
+        views: Mapping[str, View],
+        outs: Mapping[str, View],
+        context: BuildContext,
+    ) -> None:
+        self._feet, self._standing, self._filter = feet, standing, motion
+        self._imu = tuple(views[n] for n in ("base_quat", "base_ang_vel", "base_lin_acc"))
+        self._effort, self._force = views.get("joint_effort"), views.get(_FORCE)
+        self._joints = views["joint_pos"], views["joint_vel"]
+        self._stamp, self._period = views.get("stamp_ns"), context.period
+        self._velocity = outs["base_lin_vel"]
+        self._variance, self._contact = outs["base_lin_vel_variance"], outs["foot_contact"]
+        self._position, self._of_position = outs.get("base_pos_w"), outs.get(_POS_VARIANCE)
+        imu = context.robot.imu  # a filter of the IMU's place has no lever arm to mind
+        self._arm = [0.0] * 3 if imu is None else np.nan_to_num(imu.position).tolist()
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin anew: at rest, at the origin."""
+        self._filter.reset()
+        self._standing.reset()
+        self._last: int | None = None
+        self._hanging = self._way = 0.0
+        self._rotation = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
+        self._told, self._place = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]
+
+    def again(self) -> None:
+        """Take the present data for new ones, one period later than the last."""
+        self._last = None if self._stamp is None else int(self._stamp) - round(self._period * 1e9)
+
+    def __call__(self) -> None:
+        dt = self._since()
+        if dt > 0.0:
+            self._update(dt)
+        self._velocity[:] = self._told
+        if self._position is not None:
+            self._position[:] = self._place
+
+    def _since(self) -> float:
+        """Return the time since the last data in [s], 0 where there are no new ones."""
+        if self._stamp is None:
+            return self._period
+        stamp, last = int(self._stamp), self._last
+        self._last = stamp
+        if last is None:
+            return self._period
+        if stamp < last:  # a simulator that was put back
+            self.reset()
+            self._last = stamp
+            return self._period
+        return 1e-9 * (stamp - last)
+
+    def _update(self, dt: float) -> None:
+        feet, motion = self._feet, self._filter
+        quat, rates, force = self._imu
+        w, x, y, z = quat.tolist()
+        wx, wy, wz = rates.tolist()
+        felt = force.tolist()
+        length = w * w + x * x + y * y + z * z
+        steady = 0.25 < length < 4.0 and wx * wx + wy * wy + wz * wz < _QUICKEST
+        legs = steady and feet(quat, rates, *self._joints, self._effort)
+        if steady:
+            s = 2.0 / length
+            self._rotation = [
+                *(1.0 - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y)),
+                *(s * (x * y + w * z), 1.0 - s * (x * x + z * z), s * (y * z - w * x)),
+                *(s * (x * z - w * y), s * (y * z + w * x), 1.0 - s * (x * x + y * y)),
+            ]
+        else:
+            wx = wy = wz = 0.0
+        rotation = self._rotation
+        pull = felt[0] * felt[0] + felt[1] * felt[1] + felt[2] * felt[2]
+        if steady and dt <= LONGEST and pull < _HARDEST:
+            motion.predict(dt, rotation, felt)
+        else:
+            motion.skip(dt)
+        dt = min(dt, LONGEST)
+        # The velocity of the IMU's place against the base's origin, in the base and in the world.
+        x, y, z = self._arm
+        x, y, z = wy * z - wz * y, wz * x - wx * z, wx * y - wy * x
+        a, b, c, d, e, f, g, h, i = rotation
+        sx, sy, sz = a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z
+        if legs:
+            variances = self._standing(dt, pull, self._force, self._effort is not None)
+            told = [(sx - u, sy - v, sz - w) for u, v, w in feet.velocity.tolist()]
+            motion.correct(dt, rotation, told, variances)
+            self._contact[:] = self._standing.contact
+        self._hanging = 0.0 if legs and self._standing.any else self._hanging + dt
+        if self._hanging > HANGS:
+            motion.rest(dt, rotation)
+        u, v, w = motion.velocity
+        u, v, w = u - sx, v - sy, w - sz
+        if not u * u + v * v + w * w < _FASTEST:
+            self.reset()
+            return
+        self._told = [a * u + d * v + g * w, b * u + e * v + h * w, c * u + f * v + i * w]
+        self._variance[...] = motion.variance
+        if self._position is not None:
+            self._move(dt, u, v, w)
+
+    def _move(self, dt: float, u: float, v: float, w: float) -> None:
+        """Move the position on by a velocity in the world's axes."""
+        place = self._place
+        place[0] += dt * u
+        place[1] += dt * v
+        height = self._standing.height
+        place[2] = place[2] + dt * w if height is None else height
+        self._way += dt * math.hypot(u, v)
+        self._of_position[...] = (DRIFT * self._way) ** 2  # type: ignore[index]
+
+
+_FASTEST, _QUICKEST, _HARDEST = 1e4, 1e4, 1e6
+"""Squared, in [m²/s²], [rad²/s²] and [m²/s⁴]: a base that moves at 100 m/s, turns at 100 rad/s, or
+feels 100 g is one that a sensor makes up."""
