@@ -11,6 +11,7 @@ from unicon_ros.compat.loading import (
     imported_first,
     message_class,
 )
+from unicon_ros.compat.made_types import bytes_class
 from unicon_ros.compat.raw import (
     polled_group,
     raw_publish,
@@ -28,6 +29,7 @@ __all__ = [
     "ReusedWaitSet",
     "Serving",
     "answer_refused_transitions",
+    "bytes_class",
     "fast_dds_profiles",
     "import_rclpy",
     "imported_first",
