@@ -10,7 +10,7 @@ one of two ways, or in both:
 - the resource index: an empty file `share/ament_index/resource_index/unicon.config/PACKAGE` means
   `share/PACKAGE/config`; one with a line in it, that folder below the prefix;
 - an entry point `PACKAGE` of the group `unicon.config`: a package folder, a path, or a function
-  that returns one. So it is found without a share, as after `pip install -e`.
+  that returns one, or None. So it is found without a share, as after `pip install -e`.
 """
 
 from __future__ import annotations
@@ -113,9 +113,12 @@ def registered_folders() -> dict[str, Path | str]:
     found: dict[str, Path | str] = {}
     for name, entry in registered("config").items():
         try:
-            found[name] = path_of(entry, f"entry point {name} of {RESOURCE}", UniconError)
+            path = path_of(entry, f"entry point {name} of {RESOURCE}", UniconError)
         except UniconError as error:
             found[name] = str(error)
+        else:
+            if path is not None:
+                found[name] = path
     return found
 
 

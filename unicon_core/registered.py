@@ -22,8 +22,8 @@ def registered(kind: str) -> Mapping[str, EntryPoint]:
     return all_registered().get(f"unicon.{kind}", {})
 
 
-def path_of(entry: EntryPoint, what: str, error: type[UniconError]) -> Path:
-    """Return the folder or file that an entry point names.
+def path_of(entry: EntryPoint, what: str, error: type[UniconError]) -> Path | None:
+    """Return the folder or file that an entry point names; None where its function says so.
 
     Args:
         entry: its value is a path (text or `Path`), a function without parameters that returns
@@ -37,7 +37,8 @@ def path_of(entry: EntryPoint, what: str, error: type[UniconError]) -> Path:
     label = f"{what} (entry point {entry.value})"
     try:
         value = entry.load()
-        value = value() if callable(value) else value
+        if callable(value) and (value := value()) is None:
+            return None
     except Exception as wrong:  # whatever another package's code raises
         reason = f"{type(wrong).__name__}: {wrong}".splitlines()[0]
         raise error(f"{label}: {reason}; install its package again") from wrong

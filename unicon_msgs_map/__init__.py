@@ -29,7 +29,7 @@ the arrays that a topic needs; where `spec.optional` is set, leave out a topic w
 The mapping file
 ----------------
     typestore: jazzy                    # optional; ROS distribution of the common interfaces
-    messages: [my_msgs/msg]             # optional; .msg files or folders of them, by relative path
+    messages: [my_msgs/msg]             # optional; .msg files or folders, or package://my_msgs/msg
     publish:
       - topic: joint_states             # relative: namespaces and remaps work
         type: sensor_msgs/msg/JointState
@@ -48,6 +48,8 @@ The mapping file
         unnamed: error                  # no names where they are mapped: error, or order
         nonfinite: reject               # NaN and infinities: reject or accept
         fields: {linear.x: velocity_command[0], angular.z: velocity_command[2]}
+
+Types of installed packages (`share/PACKAGE/msg/NAME.msg`) need no `messages:`.
 
 Message side: `header.stamp`, `axes[1]`, `motor_state[:12].q`, `points[0].positions`, and in
 subscriptions `transforms[child_frame_id=base_link].transform`. Our side: a state (`joint_pos`,

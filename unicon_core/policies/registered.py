@@ -20,4 +20,8 @@ def registered_policy(name: str) -> Path:
     Raises:
         PolicyError: its module cannot be imported, or it gives no path that exists.
     """
-    return path_of(registered("policies")[name], f"policy {name!r}", PolicyError)
+    entry = registered("policies")[name]
+    path = path_of(entry, f"policy {name!r}", PolicyError)
+    if path is None:
+        raise PolicyError(f"policy {name!r} (entry point {entry.value}) returned no path")
+    return path
