@@ -78,6 +78,8 @@ class UniconNode(LifecycleNode):
             if word not in STOP_SERVICES
         }
         self.log = NodeLog(self.get_logger())
+        for line in self.settings.unknown:
+            self.log.warning(line)
         self.estop = EmergencyStop(self, lambda: self._running, self.log.warning)
         add_services(self, handlers, self.log.error)
         compat.answer_refused_transitions(self, self._transition_refused)
