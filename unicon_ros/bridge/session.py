@@ -115,7 +115,13 @@ class RosSession:
     # -- hooks ----------------------------------------------------------------------------------
 
     def hook(self, program: Program) -> dict[Stage, list[Block]]:
-        """Return the blocks that poll subscriptions and ~/estop, publish and serve."""
+        """Return the blocks that poll subscriptions and ~/estop, publish and serve.
+
+        Raises:
+            UniconError: the map does not fit, or the emergency stop of a robot is latched.
+        """
+        if self._own is not None and not (program.platform.facts.simulated or program.silent):
+            self._refuse_latched()
         stages = {Stage.INPUT: [self._inputs(program)]}
         if self.estop is not None:
             stages[Stage.SAFETY] = [self.estop.before_send()]
@@ -252,6 +258,17 @@ class RosSession:
             self.slack.rest()
 
     # -- helpers --------------------------------------------------------------------------------
+
+    def _refuse_latched(self) -> None:
+        """Whoever starts a robot anew, a person or a supervisor, does not get round the latch."""
+        assert self.estop is not None
+        self.estop.keep()
+        if self.estop.latched:
+            name = self.node.get_fully_qualified_name()
+            raise UniconError(
+                f"the emergency stop of {name} is latched (pressed {self.estop.restored}); when "
+                f"it is safe to start again: unicon latches --clear {name}"
+            )
 
     def _runs(self) -> bool:
         return self.controls.runner is not None and not self._closed
