@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -121,19 +122,25 @@ def test_launch_itself_starts_nothing_without_rviz2(tmp_path: Path) -> None:
 PARENT = """\
 import os, subprocess, sys
 code = "import sys; from unicon_ros.node_main import main; sys.exit(main(sys.argv[1:]))"
-arguments = ["--end-with", str(os.getpid()), "--ros-args", "-p", f"workflow:={sys.argv[1]}"]
-subprocess.Popen([sys.executable, "-c", code, *arguments]).wait()
+workflow, whom = sys.argv[-2:]
+between = ["sh", "-c", '"$@"; true', "sh"] if whom == "through" else []
+given = {"own": os.getpid(), "through": os.getpid()}.get(whom, whom)
+options = [] if whom == "unsaid" else ["--end-with", str(given)]
+arguments = [*options, "--ros-args", "-p", f"workflow:={workflow}"]
+subprocess.Popen([*between, sys.executable, "-c", code, *arguments]).wait()
 """
 
 
 @pytest.fixture
-def parent() -> Iterator[Any]:
+def parent(tmp_path: Path) -> Iterator[Any]:
     started: list[subprocess.Popen[str]] = []
 
-    def start(path: Path) -> subprocess.Popen[str]:
+    def start(path: Path, whom: str) -> subprocess.Popen[str]:
         environment = dict(os.environ)
         environment["PYTHONPATH"] = os.pathsep.join((str(HERE), str(ROOT)))
-        command = [sys.executable, "-c", PARENT, str(path)]
+        script = tmp_path / "ros2"  # started as `python3 …/ros2 launch …`
+        script.write_text(PARENT)
+        command = [sys.executable, str(script), "launch", str(path), whom]
         pipe = subprocess.PIPE
         started.append(
             subprocess.Popen(command, env=environment, stderr=pipe, stdout=pipe, text=True)
@@ -148,17 +155,61 @@ def parent() -> Iterator[Any]:
 @pytest.mark.ros
 @pytest.mark.timeout(90)
 @pytest.mark.skipif(sys.platform != "linux", reason="prctl is Linux's")
-def test_a_node_whose_launch_is_killed_damps_and_ends(tmp_path: Path, parent: Any) -> None:
+@pytest.mark.parametrize("whom", ["own", "parent", "unsaid", "through"])
+def test_a_node_whose_launch_is_killed_damps_and_ends(
+    tmp_path: Path, parent: Any, whom: str
+) -> None:
     pytest.importorskip("rclpy")
     from estop_platform import events
 
     path, log = write_workflow(tmp_path)
-    started = parent(path)
+    started = parent(path, whom)
     wait_for(lambda: len(events(log, "send")) > 10, "commands")
     started.kill()
     _, errors = started.communicate(timeout=20)  # ends when the node has let the pipe go
     assert "ended after" in errors
     assert len(events(log, "close")) == 1
+
+
+@pytest.mark.ros
+@pytest.mark.timeout(90)
+@pytest.mark.skipif(sys.platform != "linux", reason="prctl is Linux's")
+def test_a_node_that_ends_with_nobody_outlives_its_launch(
+    tmp_path: Path, parent: Any
+) -> None:
+    pytest.importorskip("rclpy")
+    from estop_platform import events
+
+    path, log = write_workflow(tmp_path)
+    started = parent(path, "nobody")
+    wait_for(lambda: len(events(log, "send")) > 10, "commands")
+    (node,) = children(started.pid)
+    started.kill()
+    started.wait()
+    sent = len(events(log, "send"))
+    try:
+        wait_for(lambda: len(events(log, "send")) > sent + 20, "commands")
+    finally:
+        os.kill(node, signal.SIGTERM)
+    started.communicate(timeout=20)
+    assert len(events(log, "close")) == 1
+
+
+def children(process: int) -> list[int]:
+    found = Path(f"/proc/{process}/task/{process}/children").read_text().split()
+    return [int(number) for number in found]
+
+
+@pytest.mark.ros
+def test_whom_to_end_with_is_a_process_a_parent_or_nobody(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    pytest.importorskip("rclpy")
+    from unicon_ros.node_main import main
+
+    assert main(["--end-with", "mother"]) == 1
+    said = "--end-with mother: give the id of the process that started this, parent or nobody"
+    assert said in capsys.readouterr().err
 
 
 @pytest.mark.ros
