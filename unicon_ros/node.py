@@ -319,7 +319,9 @@ class UniconNode(LifecycleNode):
             raise
         session.attach(self.runner)
         self._record.attach(self.runner)
-        self.diagnostics.outgoing, self.diagnostics.incoming = session.outgoing, session.incoming
+        told = self.diagnostics
+        told.neighbours = session.neighbours
+        told.outgoing, told.incoming = session.outgoing, session.incoming
 
     def _release(self) -> None:
         """Close what was built; the platform damps first."""
@@ -332,6 +334,7 @@ class UniconNode(LifecycleNode):
             except Exception as error:  # everything is closed, and each error told
                 self.log.error(f"closing failed: {explained(error)}")
         self.diagnostics.outgoing, self.diagnostics.incoming = [], []
+        self.diagnostics.neighbours = None
 
     def _label(self) -> str:
         return str(self._state_machine.current_state[1])

@@ -102,7 +102,15 @@ class RobotFrames:
         every = spec.every(program.period)
         message = compat.message_class(spec.type)
         out = TopicOut(
-            self._node, encoder, message, every, every - 1, self._group, self._warn, poses.update
+            self._node,
+            encoder,
+            message,
+            every,
+            every - 1,
+            self._group,
+            self._warn,
+            poses.update,
+            part="links",
         )
         self.out = out
         self.block = Block("publish /tf (links)", out.tick, reads=("joint_pos", "stamp_ns"))
