@@ -15,6 +15,7 @@ from unicon_core.models.links import Link
 from unicon_core.models.urdf_write import urdf
 from unicon_core.workflow import Program
 from unicon_msgs_map import Encoder
+from unicon_msgs_map.layout.messages import shared_messages
 from unicon_ros import compat
 from unicon_ros.bridge.qos import LATCHED, qos_profile
 from unicon_ros.bridge.topics_out import TopicOut
@@ -34,7 +35,8 @@ RATE = 50.0
 class RobotFrames:
     """Publishes `robot_description` and `/tf_static` once, latched for late joiners, and `/tf`.
 
-    A robot without a model, or a ROS without tf2_msgs, goes without, with one notice.
+    A robot without a model goes without, and without frames where neither tf2_msgs is installed
+    nor its type can be made (`compat.bytes_class`); with one notice each.
 
     Args:
         node: rclpy node.
@@ -73,11 +75,10 @@ class RobotFrames:
             return
         self.description = urdf(links, program.robot)
         self._latch("robot_description", "std_msgs/msg/String", self.description)
-        if compat.message_class(TF_MESSAGE) is not None:
-            self._publish_frames(program, links, stamp)
+        self._publish_frames(program, links, stamp)
 
     def _latch(self, topic: str, kind: str, content: str | bytes) -> None:
-        message = compat.message_class(kind)
+        message = compat.bytes_class(kind, shared_messages())
         if message is None:
             self._warn(f"topic {topic} is left out: type {kind} is not installed")
             return
@@ -100,7 +101,10 @@ class RobotFrames:
             spec, {"stamp_ns": stamp, "positions": poses.positions, "quats": poses.quats}
         )
         every = spec.every(program.period)
-        message = compat.message_class(spec.type)
+        message = compat.bytes_class(spec.type, spec.messages)
+        if message is None:
+            self._warn(f"topic {spec.topic} is left out: type {spec.type} is not installed")
+            return
         out = TopicOut(
             self._node,
             encoder,

@@ -312,7 +312,7 @@ class RosSession:
         make: Callable[..., Any],
     ) -> Any:
         """Return the topic of an entry; None where it is left out."""
-        message = compat.message_class(spec.type)
+        message = compat.bytes_class(spec.type, spec.messages)
         if message is None:
             remedy = f"install the ROS package {spec.type.split('/')[0]}"
             if not spec.optional:

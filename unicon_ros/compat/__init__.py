@@ -11,6 +11,7 @@ from unicon_ros.compat.loading import (
     imported_first,
     message_class,
 )
+from unicon_ros.compat.made_types import bytes_class
 from unicon_ros.compat.parameters import convert_parameters, parameter_given, parameters_given
 from unicon_ros.compat.raw import (
     polled_group,
@@ -29,6 +30,7 @@ __all__ = [
     "ReusedWaitSet",
     "Serving",
     "answer_refused_transitions",
+    "bytes_class",
     "convert_parameters",
     "fast_dds_profiles",
     "import_rclpy",
