@@ -174,9 +174,7 @@ def test_a_node_whose_launch_is_killed_damps_and_ends(
 @pytest.mark.ros
 @pytest.mark.timeout(90)
 @pytest.mark.skipif(sys.platform != "linux", reason="prctl is Linux's")
-def test_a_node_that_ends_with_nobody_outlives_its_launch(
-    tmp_path: Path, parent: Any
-) -> None:
+def test_a_node_that_ends_with_nobody_outlives_its_launch(tmp_path: Path, parent: Any) -> None:
     pytest.importorskip("rclpy")
     from estop_platform import events
 

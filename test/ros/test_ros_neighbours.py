@@ -123,9 +123,7 @@ def test_the_last_status_tells_the_fault(runs: Any, visitor: Visitor, sway: Path
     last = visitor.until(
         lambda: next((s for s in visitor.heard if s.level == b"\x02"), None), "the end"
     )
-    assert last.message == (
-        "emergency stop by the service ~/estop; latched until ~/clear_estop"
-    )
+    assert last.message == ("emergency stop by the service ~/estop; latched until ~/clear_estop")
 
 
 def test_several_of_ours_at_one_topic_are_told_apart(

@@ -94,7 +94,11 @@ def test_another_type_is_refused_at_start(declared: Any, given: str, said: str) 
 @pytest.mark.parametrize(
     ("name", "value", "said"),
     [
-        ("workflow", "go2_stnd", "workflow: unknown workflow 'go2_stnd'; did you mean 'go2_stand'?"),
+        (
+            "workflow",
+            "go2_stnd",
+            "workflow: unknown workflow 'go2_stnd'; did you mean 'go2_stand'?",
+        ),
         ("workflow", "/nowhere.yaml", "workflow: no file /nowhere.yaml"),
         ("map", "nope", "map: unknown map 'nope'"),
         ("robot", "go3", "robot: unknown robot 'go3'"),

@@ -65,7 +65,9 @@ class Diagnostics:
         if self._estop.latched:
             level, message = ERROR, f"{self.fault or FAULT}; latched until ~/clear_estop"
         values["estop"] = "latched" if self._estop.latched else "clear"
-        status = DiagnosticStatus(level=level, name=f"{self._node.get_fully_qualified_name()}: tick")
+        status = DiagnosticStatus(
+            level=level, name=f"{self._node.get_fully_qualified_name()}: tick"
+        )
         status.message = message
         if self.runner is not None:
             space = self._node.get_namespace().strip("/")
