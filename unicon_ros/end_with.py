@@ -8,6 +8,7 @@ between (a launch prefix such as `xterm -e`), a thread waits for the end of the 
 from __future__ import annotations
 
 import ctypes
+import itertools
 import os
 import select
 import signal
@@ -63,7 +64,7 @@ def is_launch(process: int) -> bool:
     # python3 /opt/ros/jazzy/bin/ros2 launch …, whatever options Python has
     return any(
         os.path.basename(word) == "ros2" and following == "launch"
-        for word, following in zip(words[:8], words[1:9])
+        for word, following in itertools.pairwise(words[:9])
     )
 
 

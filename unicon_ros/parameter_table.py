@@ -4,7 +4,17 @@ from __future__ import annotations
 
 from typing import Any
 
-__all__ = ["DECLARED", "FRAMES", "LIMITS", "NO_LIMIT", "RANGES", "SCALES", "WORDS"]
+__all__ = [
+    "AT_CONFIGURE",
+    "AT_ONCE",
+    "DECLARED",
+    "FRAMES",
+    "LIMITS",
+    "NO_LIMIT",
+    "RANGES",
+    "SCALES",
+    "WORDS",
+]
 
 NO_LIMIT = 100.0
 """A command limit from here on does nothing, [m/s] and [rad/s]."""
@@ -31,6 +41,7 @@ AT_CONFIGURE: tuple[tuple[str, Any, str], ...] = (
     ("rate", 0.0, "ticks per second in [Hz], 0: the workflow's own"),
     *FRAMES,
 )
+"""Name, default and description of those that take effect when the node is configured."""
 AT_ONCE: tuple[tuple[str, Any, str], ...] = (
     ("autostart", True, "configure and activate at start"),
     ("exit_on_fault", False, "end the process with status 3 after a fault"),

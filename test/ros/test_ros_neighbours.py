@@ -1,4 +1,4 @@
-"""Who else is in the ROS graph, told once; and diagnostics that tell robots and publishers apart."""
+"""Others in the ROS graph, told once; diagnostics that tell robots and publishers apart."""
 
 from __future__ import annotations
 

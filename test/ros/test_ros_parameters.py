@@ -1,4 +1,4 @@
-"""Parameters of the node: what numbers and lists may look like, and what is refused when it is set."""
+"""Parameters of the node: numbers and lists that are taken, and what is refused when it is set."""
 
 from __future__ import annotations
 
