@@ -124,7 +124,7 @@ class RobotFrames:
             return
         arrays = {"stamp_ns": stamp, "positions": poses.positions, "quats": poses.quats}
         updates = [poses.update] if poses.moving else []
-        reads = ("joint_pos", "stamp_ns")
+        reads: tuple[str, ...] = ("joint_pos", "stamp_ns")
         if footprint is not None:
             arrays |= {"footprint_position": footprint.position, "footprint_quat": footprint.quat}
             updates.append(footprint.update)
