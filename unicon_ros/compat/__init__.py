@@ -12,6 +12,7 @@ from unicon_ros.compat.loading import (
     message_class,
 )
 from unicon_ros.compat.made_types import bytes_class
+from unicon_ros.compat.parameters import convert_parameters, parameter_given, parameters_given
 from unicon_ros.compat.raw import (
     polled_group,
     raw_publish,
@@ -30,11 +31,14 @@ __all__ = [
     "Serving",
     "answer_refused_transitions",
     "bytes_class",
+    "convert_parameters",
     "fast_dds_profiles",
     "import_rclpy",
     "imported_first",
     "incompatible_policy",
     "message_class",
+    "parameter_given",
+    "parameters_given",
     "polled_group",
     "raw_publish",
     "raw_take",
