@@ -15,14 +15,11 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from their_clients import ROOT, Clients, find_clients, make_prefix
+from their_clients import CLI, LAUNCH, ROOT, Clients, find_clients, make_prefix
 
 from unicon_ros.bench.domains import free_domain
 
 sys.path.insert(0, str(ROOT / "test" / "attack"))  # the robot that writes commands down
-
-CLI = ("UNICON_ROS2CLI", "UNICON_ROSIDL_RUNTIME_PY")
-LAUNCH = (*CLI, "UNICON_LAUNCH", "UNICON_LAUNCH_ROS", "UNICON_OSRF_PYCOMMON")
 
 
 @pytest.fixture(autouse=True)
@@ -42,13 +39,13 @@ def prefix(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def ros2(tmp_path_factory: pytest.TempPathFactory, prefix: Path) -> Clients:
     """`ros2`: installed, from source, or calls that equal its own."""
-    return find_clients(tmp_path_factory.mktemp("ros2cli"), prefix, *CLI)
+    return find_clients(tmp_path_factory.mktemp("ros2cli"), prefix, CLI)
 
 
 @pytest.fixture(scope="session")
 def ros2_launch(tmp_path_factory: pytest.TempPathFactory, prefix: Path) -> Clients:
     """`ros2` with `launch`."""
-    return find_clients(tmp_path_factory.mktemp("launch"), prefix, *LAUNCH)
+    return find_clients(tmp_path_factory.mktemp("launch"), prefix, (*CLI, *LAUNCH))
 
 
 @pytest.fixture

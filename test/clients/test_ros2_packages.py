@@ -64,7 +64,7 @@ def looks(
 
 def theirs(clients: Clients) -> Clients:
     if clients.whose == "equal":
-        pytest.skip("ros2cli is neither installed nor its source named (UNICON_ROS2CLI, …)")
+        pytest.skip("ros2cli is neither installed nor its source named (UNICON_ROS2_SOURCE)")
     return clients
 
 

@@ -1,16 +1,12 @@
 """`ros2` as users have it: installed, from source on the wheels, or calls that equal its own.
 
-From source: each variable names a checkout of the repository beside it, of the installed
-distribution (`git clone -b jazzy …`). Nothing is built: ROS's own Python runs from where it is.
+From source: `UNICON_ROS2_SOURCE` names the folders that hold it, separated by colons: checkouts of
+ros2/launch, ros2/launch_ros, ros2/ros2cli, ros2/rosidl_runtime_py and osrf/osrf_pycommon, or one
+folder with all five, of the branch of the distribution that is installed (jazzy). Nothing is built
+or written there: ROS's own Python runs from where it is.
 
-    UNICON_ROS2CLI            ros2/ros2cli
-    UNICON_ROSIDL_RUNTIME_PY  ros2/rosidl_runtime_py
-    UNICON_LAUNCH             ros2/launch
-    UNICON_LAUNCH_ROS         ros2/launch_ros
-    UNICON_OSRF_PYCOMMON      osrf/osrf_pycommon
-
-launch_ros imports composition_interfaces, which the wheels lack, for composed nodes, which nothing
-here starts: where it is missing an empty module of its name is there to be imported.
+launch_ros names two types of composition_interfaces where it is imported, for containers, which
+no test starts; the wheels lack that package, so a module of its name is there to be imported.
 """
 
 from __future__ import annotations
@@ -20,24 +16,20 @@ import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-__all__ = ["HERE", "ROOT", "Clients", "make_prefix", "sources"]
+__all__ = ["CLI", "HERE", "LAUNCH", "ROOT", "Clients", "find_clients", "make_prefix"]
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
-VARIABLES = {
-    "UNICON_ROS2CLI": (
-        *("ros2cli", "ros2topic", "ros2node", "ros2service", "ros2param", "ros2lifecycle"),
-        *("ros2pkg", "ros2run", "ros2interface"),
-    ),
-    "UNICON_ROSIDL_RUNTIME_PY": (".",),
-    "UNICON_LAUNCH": ("launch", "launch_xml", "launch_yaml"),
-    "UNICON_LAUNCH_ROS": ("launch_ros", "ros2launch"),
-    "UNICON_OSRF_PYCOMMON": (".",),
-}
-RUN = "import sys; from ros2cli.cli import main; sys.exit(main())"
+CLI = (
+    *("ros2cli", "ros2topic", "ros2node", "ros2service", "ros2param", "ros2lifecycle", "ros2pkg"),
+    *("ros2run", "ros2interface", "rosidl_runtime_py"),
+)
+LAUNCH = ("launch", "launch_xml", "launch_yaml", "launch_ros", "ros2launch", "osrf_pycommon")
+RUN = "#!{python}\nimport sys\nfrom {module} import main\nsys.exit(main())\n"
 UNUSED = """\
 class LoadNode:
     class Request: pass
@@ -89,21 +81,26 @@ class Clients:
 
 
 def sources() -> dict[str, Path]:
-    """Return the checkouts that are named and there, by variable."""
-    named = {name: os.environ.get(name, "") for name in VARIABLES}
-    return {name: Path(path) for name, path in named.items() if path and os.path.isdir(path)}
+    """Return the folders of the packages whose source is at hand, by name."""
+    found: dict[str, Path] = {}
+    for root in filter(None, os.environ.get("UNICON_ROS2_SOURCE", "").split(os.pathsep)):
+        for setup in sorted(Path(root).rglob("setup.py")):
+            for name in (*CLI, *LAUNCH):
+                if (setup.parent / name / "__init__.py").is_file():
+                    found.setdefault(name, setup.parent.resolve())
+    return found
 
 
-def find_clients(folder: Path, prefix: Path, *needed: str) -> Clients:
+def find_clients(folder: Path, prefix: Path, needed: Sequence[str]) -> Clients:
     """Return how `ros2` is run.
 
     Args:
         folder: to write to: names of commands, as setup.py tells them.
         prefix: first of the ament path.
-        needed: variables without which it is not theirs.
+        needed: packages without whose source it is not theirs.
     """
     path = [str(prefix), *filter(None, [os.environ.get("AMENT_PREFIX_PATH")]), sys.prefix]
-    environment = {"AMENT_PREFIX_PATH": os.pathsep.join(path)}
+    environment = {"AMENT_PREFIX_PATH": os.pathsep.join(path), "PYTHONUNBUFFERED": "1"}
     installed = shutil.which("ros2")
     if installed is not None:
         return Clients("installed", [installed], environment)
@@ -111,8 +108,8 @@ def find_clients(folder: Path, prefix: Path, *needed: str) -> Clients:
     if any(name not in here for name in needed):
         equal = [sys.executable, str(HERE / "equal_calls.py")]
         return Clients("equal", equal, environment | {"PYTHONPATH": python_path()})
-    trees = [root / each for name, root in here.items() for each in VARIABLES[name]]
     folder.mkdir(parents=True, exist_ok=True)
+    trees = list(dict.fromkeys(here[name] for name in needed))
     for tree in trees:  # entry points: ros2cli finds its commands by them
         done = subprocess.run(
             [sys.executable, "setup.py", "-q", "egg_info", "--egg-base", str(folder)],
@@ -128,7 +125,16 @@ def find_clients(folder: Path, prefix: Path, *needed: str) -> Clients:
         (unused.parent / "__init__.py").touch()
         (unused / "__init__.py").write_text(UNUSED)
     environment["PYTHONPATH"] = python_path(folder, *trees)
-    return Clients("source", [sys.executable, "-c", RUN], environment)
+    command = write_program(folder / "bin" / "ros2", "ros2cli.cli")
+    return Clients("source", [str(command)], environment)
+
+
+def write_program(path: Path, module: str) -> Path:
+    """Write an executable that calls `main` of a module, as installations have it."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(RUN.format(python=sys.executable, module=module))
+    path.chmod(0o755)
+    return path
 
 
 def python_path(*first: Path) -> str:
@@ -142,9 +148,7 @@ def make_prefix(folder: Path) -> Path:
     index = folder / "share" / "ament_index" / "resource_index" / "packages"
     index.mkdir(parents=True)
     (index / "unicon_ros").touch()
-    share, programs = folder / "share" / "unicon_ros", folder / "lib" / "unicon_ros"
-    share.mkdir()
-    programs.mkdir(parents=True)
+    share = folder / "share" / "unicon_ros"
     for name in ("launch", "config"):  # `ros2 launch` follows no links to folders
         shutil.copytree(ROOT / name, share / name)
     shutil.copy(ROOT / "package.xml", share)
@@ -152,9 +156,5 @@ def make_prefix(folder: Path) -> Path:
         ("unicon_node", "unicon_ros.node_main"),
         ("unicon", "unicon_ros.cli.main"),
     ):
-        program = programs / name
-        program.write_text(
-            f"#!{sys.executable}\nimport sys\nfrom {module} import main\nsys.exit(main())\n"
-        )
-        program.chmod(0o755)
+        write_program(folder / "lib" / "unicon_ros" / name, module)
     return folder
