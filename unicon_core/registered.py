@@ -2,20 +2,57 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from functools import cache
 from importlib.metadata import EntryPoint, distribution, distributions
+from pathlib import Path
 
-__all__ = ["all_registered", "registered"]
+from unicon_core.errors import UniconError
+
+__all__ = ["all_registered", "path_of", "registered"]
 
 
 def registered(kind: str) -> Mapping[str, EntryPoint]:
     """Return name to entry point of a group; of two with one name the first found.
 
     Args:
-        kind: `blocks`, `platforms`, `policies` or `faces`, whose group is `unicon.KIND`.
+        kind: `blocks`, `platforms`, `policies`, `faces` or `config`, whose group is `unicon.KIND`.
     """
     return all_registered().get(f"unicon.{kind}", {})
+
+
+def path_of(entry: EntryPoint, what: str, error: type[UniconError]) -> Path | None:
+    """Return the folder or file that an entry point names; None where its function says so.
+
+    Args:
+        entry: its value is a path (text or `Path`), a function without parameters that returns
+            one, or a package, whose folder is meant. It is imported.
+        what: for the message, such as `"policy 'walk'"`.
+        error: the class to raise.
+
+    Raises:
+        error: its module cannot be imported, or it gives no path that exists.
+    """
+    label = f"{what} (entry point {entry.value})"
+    try:
+        value = entry.load()
+        if callable(value) and (value := value()) is None:
+            return None
+    except Exception as wrong:  # whatever another package's code raises
+        reason = f"{type(wrong).__name__}: {wrong}".splitlines()[0]
+        raise error(f"{label}: {reason}; install its package again") from wrong
+    if hasattr(value, "__path__"):  # a package
+        value = next(iter(value.__path__), None)
+    if not isinstance(value, (str, os.PathLike)):
+        raise error(
+            f"{label}: its value is of type {type(value).__name__}; it must be the path of a "
+            "folder or file, or a function that returns one"
+        )
+    path = Path(value)
+    if not os.path.exists(path):
+        raise error(f"{label}: no such path {path}; install its package again")
+    return path.resolve()
 
 
 @cache

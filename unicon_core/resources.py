@@ -1,7 +1,8 @@
 """Where files are found: configurations, models and policies, for everybody who loads one.
 
-Order: a path given; the folders of `UNICON_PATH`; the source tree's `config/`; the share folders of
-the ament prefixes; the installed package's share folder.
+Order: a path given; the folders of `UNICON_PATH`; the source tree's `config/`; our share folder of
+the ament prefixes; that of the installed package; what other packages bring, by the ament resource
+index, then by entry points (`unicon_core/packages.py`). `package://NAME/PATH` is a package's file.
 
 Names come from files: `os.path` tells that a name which is too long, or holds a NUL, is no file,
 where `pathlib` raises.
@@ -11,10 +12,12 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
 
 from unicon_core.errors import UniconError, alternatives
+from unicon_core.packages import PACKAGE, indexed_folders, package_file, registered_folders
 
 __all__ = [
     "assets_root",
@@ -23,6 +26,7 @@ __all__ = [
     "find_config",
     "find_resource",
     "list_config",
+    "looked_in",
     "same_modules",
 ]
 
@@ -37,6 +41,7 @@ def _roots(unicon_path: str, ament_path: str) -> tuple[Path, ...]:
     candidates += [Path(p) / _SHARE for p in ament_path.split(os.pathsep) if p]
     candidates.append(Path(sys.prefix) / _SHARE)
     candidates += [p / _SHARE for p in (_SOURCE_TREE, *_SOURCE_TREE.parents)]
+    candidates += indexed_folders()
     found: list[Path] = []
     for root in candidates:
         if os.path.isdir(root) and root not in found:
@@ -44,9 +49,23 @@ def _roots(unicon_path: str, ament_path: str) -> tuple[Path, ...]:
     return tuple(found)
 
 
-def config_roots() -> tuple[Path, ...]:
-    """Return the existing configuration folders, the first one wins."""
-    return _roots(os.environ.get("UNICON_PATH", ""), os.environ.get("AMENT_PREFIX_PATH", ""))
+def config_roots() -> Iterator[Path]:
+    """Yield the existing configuration folders, the first one wins.
+
+    Those of entry points come last: to find them costs more than all the others.
+    """
+    roots = _roots(os.environ.get("UNICON_PATH", ""), os.environ.get("AMENT_PREFIX_PATH", ""))
+    yield from roots
+    for folder in registered_folders().values():
+        if isinstance(folder, Path) and folder not in roots:
+            yield folder
+
+
+def looked_in(kind: str) -> str:
+    """Return where a kind of configuration was looked for, for messages."""
+    roots = ", ".join(map(str, dict.fromkeys(config_roots())))
+    broken = [reason for reason in registered_folders().values() if isinstance(reason, str)]
+    return "; ".join([f"looked in {kind}/ of {roots} (UNICON_PATH adds folders)", *broken])
 
 
 def list_config(kind: str, suffix: str = ".yaml") -> list[str]:
@@ -78,7 +97,8 @@ def find_config(
 
     Args:
         kind: a folder of the configuration roots, such as `"robots"` or `"workflows"`.
-        name: a bare name (`go2`), or a path to a file (it has a slash or the suffix).
+        name: a bare name (`go2`), a path to a file (it has a slash or the suffix), or
+            `package://PACKAGE/PATH`.
         suffix: ending of the files.
         error: the class to raise.
         relative_to: folder that a relative path is looked up in before the working folder.
@@ -87,19 +107,43 @@ def find_config(
         error: nothing there; the message names what is known.
     """
     text = str(name)
+    if text.startswith(PACKAGE):
+        path = package_file(text, kind.rstrip("s"), error).resolve()
+        if not os.path.isfile(path):
+            raise error(f"{kind.rstrip('s')} {text!r} is a folder; name a {suffix} file in it")
+        return path
     if "/" in text or os.sep in text or text.endswith(suffix):
         given = Path(os.path.expanduser(text))
-        for base in (relative_to, Path.cwd(), *config_roots()):
-            if base is not None and os.path.isfile(base / given):
+        for base in _bases(relative_to):
+            if os.path.isfile(base / given):
                 return (base / given).resolve()
         names = ", ".join(list_config(kind, suffix)) or "none is known"
-        raise error(f"no file {text}; give an existing path, or a name: {names}")
+        raise error(
+            f"no file {text}; give an existing path, or a name: {names}{_below(given, relative_to)}"
+        )
     for root in config_roots():
         path = root / kind / f"{text}{suffix}"
         if os.path.isfile(path):
             return path
     known = alternatives(text, list_config(kind, suffix))
-    raise error(f"unknown {kind.rstrip('s')} {text!r}; {known}; or give a path to a {suffix} file")
+    raise error(
+        f"unknown {kind.rstrip('s')} {text!r}; {known}; {looked_in(kind)}; "
+        f"or give a path to a {suffix} file"
+    )
+
+
+def _bases(relative_to: Path | None) -> Iterator[Path]:
+    """Yield the folders that a relative path is looked up in."""
+    if relative_to is not None:
+        yield relative_to
+    yield Path.cwd()
+    yield from config_roots()
+
+
+def _below(given: Path, relative_to: Path | None) -> str:
+    """Return where a path was looked for, for messages."""
+    bases = ", ".join(dict.fromkeys(map(str, _bases(relative_to))))
+    return "" if given.is_absolute() else f"; looked below {bases}"
 
 
 def assets_root() -> Path | None:
@@ -123,7 +167,7 @@ def find_resource(
 
     Args:
         reference: a path (absolute, or relative to the referring file, the working folder or a
-            configuration root), or `assets:PATH` below the assets folder.
+            configuration root), `assets:PATH` below the assets folder, or `package://NAME/PATH`.
         what: for the message, such as `"model"`.
         error: the class to raise.
         relative_to: folder of the referring file.
@@ -140,13 +184,13 @@ def find_resource(
         if os.path.exists(path):
             return path
         raise error(f"{what} {text!r}: no file {path}; look for it under {root} (UNICON_ASSETS)")
+    if text.startswith(PACKAGE):
+        return package_file(text, what, error).resolve()
     given = Path(os.path.expanduser(text))
-    bases = [base for base in (relative_to, Path.cwd(), *config_roots()) if base is not None]
-    for base in bases:
+    for base in _bases(relative_to):
         if os.path.exists(base / given):
             return (base / given).resolve()
-    below = ", ".join(dict.fromkeys(map(str, bases)))
-    looked = "" if given.is_absolute() else f"; looked below {below}"
+    looked = _below(given, relative_to)
     raise error(f"{what} {text!r}: no such file{looked}; correct the path or put the file there")
 
 

@@ -30,7 +30,7 @@ The mapping file
 ----------------
     include: default                    # optional; names or paths of maps to begin with
     typestore: jazzy                    # optional; ROS distribution of the common interfaces
-    messages: [my_msgs/msg]             # optional; .msg files or folders of them, by relative path
+    messages: [my_msgs/msg]             # optional; .msg files or folders, or package://my_msgs/msg
     publish:
       - topic: joint_states             # relative: namespaces and remaps work
         type: sensor_msgs/msg/JointState
@@ -52,6 +52,7 @@ The mapping file
 
 An entry whose topic an included map has changes that one: keys that are given count, `fields` one
 by one (an empty value removes it), `remove: true` removes the entry, another `type` replaces it.
+Types of installed packages (`share/PACKAGE/msg/NAME.msg`) need no `messages:`.
 
 Message side: `header.stamp`, `axes[1]`, `motor_state[:12].q`, `points[0].positions`, and in
 subscriptions `transforms[child_frame_id=base_link].transform`. Our side: a state (`joint_pos`,

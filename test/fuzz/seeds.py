@@ -227,6 +227,16 @@ SAFETY = (
     "action_stop: {limit: 10.0}",
 )
 
+PACKAGES = """\
+robot: package://unicon_ros/config/robots/go2.yaml
+platform: mujoco
+scene: {model: package://unicon_ros/config/models/go2/go2.xml}
+policies: {walk: package://unicon_ros/config/policies/go2_velocity}
+map: package://unicon_ros/config/maps/default.yaml
+flow: {policy: walk}
+"""
+"""Files of packages; ours is one."""
+
 PLATFORMS = (
     "robot: go2\nplatform: {child: fake, silence: 0.05, watchdog: 0.2}\nrate: 50\nflow: hold\n",
     "robot: {body: go2, left_hand: dex3_left}\nplatform: {body: fake, hands: {child: fake}}\n"
@@ -326,6 +336,7 @@ WORKFLOWS = (
     CALLS,
     WALK,
     MEMBERS,
+    PACKAGES,
     *((_CONFIG / f"{name}.yaml").read_text("utf-8") for name in ("go2_walk", "go2_stand")),
 )
 

@@ -11,6 +11,7 @@ import pytest
 from map_helpers import JAZZY, NAMES, publish, subscribe
 
 from unicon_core.errors import UniconError
+from unicon_core.packages import share_folder, shares
 from unicon_msgs_map import (
     Decoder,
     Encoder,
@@ -22,6 +23,8 @@ from unicon_msgs_map import (
     parse_map,
 )
 
+SHARE = share_folder("geometry_msgs")
+LOOKED = shares() if SHARE is None else f"looked in {SHARE / 'msg'}"
 TWIST = "type: geometry_msgs/msg/Twist"
 OUT = "publish:\n  - topic: a\n    type: geometry_msgs/msg/Twist\n"
 IN = "subscribe:\n  - topic: a\n    type: geometry_msgs/msg/Twist\n"
@@ -85,7 +88,7 @@ FILES: list[tuple[str, str]] = [
         "geometry_msgs/msg/InertiaStamped, geometry_msgs/msg/Point, geometry_msgs/msg/Point32, "
         "geometry_msgs/msg/PointStamped, geometry_msgs/msg/Polygon, "
         "geometry_msgs/msg/PolygonInstance, geometry_msgs/msg/PolygonInstanceStamped, "
-        "… (32 in all); or name its .msg file under 'messages'",
+        f"… (32 in all); {LOOKED}; or name its .msg file under 'messages'",
     ),
     (
         "publish:\n  - topic: a\n    type: Twist\n    fields: {}\n",

@@ -6,6 +6,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from unicon_core.packages import PACKAGE, share_folder
+
 __all__ = ["drop_absent_meshes", "drop_absent_textures"]
 
 _MESHES = (".stl", ".obj", ".msh")  # what MuJoCo reads; COLLADA counts as absent
@@ -13,12 +15,15 @@ _MESHES = (".stl", ".obj", ".msh")  # what MuJoCo reads; COLLADA counts as absen
 
 def _mesh_places(path: Path, folder: Path, file: str) -> Iterator[Path]:
     """Yield where a mesh may be: in meshdir, beside the model, in the ROS package it names."""
-    name = file.removeprefix("package://")
+    name = file.removeprefix(PACKAGE)
     yield folder / name
     yield path.parent / name
     yield folder / Path(name).name
     if name != file:
         package, _, rest = name.partition("/")
+        share = share_folder(package)
+        if share is not None:
+            yield share / rest
         for above in path.parents:
             yield above / name
             if above.name == package:
@@ -43,7 +48,7 @@ def drop_absent_meshes(spec: Any, path: Path, floats: bool) -> list[str]:
         found = next(there, None) if readable else None
         if found is None:
             absent[mesh.name or Path(mesh.file).stem] = mesh
-        elif mesh.file.startswith("package://"):
+        elif mesh.file.startswith(PACKAGE):
             mesh.file = str(found.resolve())
     if not absent:
         return []

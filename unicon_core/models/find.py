@@ -74,9 +74,10 @@ def find_model(reference: str | Path, relative_to: Path | None = None) -> Path:
     """Return the MJCF or URDF file that a reference means.
 
     Args:
-        reference: a path, `assets:PATH`, or `robot_descriptions:NAME` for a description of that
-            package (robot-descriptions/robot_descriptions.py: a module for each, with `MJCF_PATH`
-            or `URDF_PATH`), which it downloads when it is used for the first time.
+        reference: a path, `assets:PATH`, `package://PACKAGE/PATH`, or `robot_descriptions:NAME`
+            for a description of that package (robot-descriptions/robot_descriptions.py: a module
+            for each, with `MJCF_PATH` or `URDF_PATH`), which it downloads when it is used for the
+            first time.
         relative_to: folder of the file that names it, for a relative path.
 
     Raises:

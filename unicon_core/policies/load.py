@@ -27,7 +27,7 @@ from unicon_core.policies.policy_yaml import (
 )
 from unicon_core.policies.registered import registered_policy
 from unicon_core.registered import registered
-from unicon_core.resources import config_roots, find_resource, list_config
+from unicon_core.resources import config_roots, find_resource, list_config, looked_in
 from unicon_core.robots import Robot, load_robot
 
 __all__ = ["ImportReport", "import_policy", "load_policy", "policy_names"]
@@ -79,7 +79,7 @@ def load_policy(
     Args:
         reference: a name in `config/policies/` or of an entry point in the group
             `unicon.policies`, a folder, a file (`policy.yaml`, `deploy.yaml`, `env.yaml`, `.onnx`,
-            TorchScript), or `assets:PATH`.
+            TorchScript), `assets:PATH`, or `package://NAME/PATH`.
         robot: gives joint names to a `deploy.yaml`, which only counts motors, unless `given` names
             the robot that it was made for.
         given: facts that the source leaves out, with the keys of `policy.yaml`, nested or dotted.
@@ -142,7 +142,10 @@ def _locate(reference: str | Path) -> Path:
         path = find_resource(text, "policy", error=PolicyError)
     else:
         known = alternatives(text, policy_names())
-        raise PolicyError(f"unknown policy {text!r}; {known}; or give a path to a folder or file")
+        raise PolicyError(
+            f"unknown policy {text!r}; {known}; {looked_in('policies')}; "
+            "or give a path to a folder or file"
+        )
     if not os.path.isdir(path):
         if not os.path.isfile(path):
             raise PolicyError(f"policy {text!r} is neither a file nor a folder; correct the path")

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
 
-from unicon_core.errors import RobotError, alternatives
+from unicon_core.errors import RobotError
 from unicon_core.flow.block import Share
 from unicon_core.platforms.kit.scene import Scene
-from unicon_core.robots import Robot, compose, load_robot, robot_names
+from unicon_core.resources import find_config
+from unicon_core.robots import Robot, compose, load_robot
 from unicon_core.robots.poses import joints_like
 from unicon_core.states import StateSpec
 from unicon_core.states.member import divided, member_states, stamp_of
@@ -49,16 +49,12 @@ def load_robot_of(document: WorkflowDocument) -> Robot:
 
 
 def _load(document: WorkflowDocument, text: str, *path: str) -> Robot:
-    beside = document.path.parent / text
-    if "/" in text and os.path.isfile(beside):
-        return load_robot(beside)
-    if text not in robot_names() and "/" not in text and not text.endswith(".yaml"):
-        known_robots = alternatives(text, robot_names())
-        where = document.where(*path)
-        raise RobotError(
-            f"{where}: unknown robot {text!r}; {known_robots}; or give a path to a .yaml file"
-        )
-    return load_robot(text)
+    try:
+        folder = document.path.parent
+        file = find_config("robots", text, error=RobotError, relative_to=folder)
+    except RobotError as error:
+        raise RobotError(error.message, document.where(*path)) from error
+    return load_robot(file)
 
 
 def stamps_of(document: WorkflowDocument) -> dict[str, StateSpec]:

@@ -1,7 +1,8 @@
 """Message definitions as plain data, for the layouts: what fields a type has, in which order.
 
 `Messages` wraps a rosbags typestore (facts only: field names, types, bounds, constants) and adds
-definitions from `.msg` texts, files and folders, and those that ship in `unicon_msgs_map/msg`.
+definitions from `.msg` texts, files and folders, those that ship in `unicon_msgs_map/msg`, and
+those of installed packages, which are looked for last.
 The types of Jazzy lie ready-made in `jazzy.json`, since rosbags makes classes of all types of all
 distributions before it, in 90 ms: the typestore is made where more than a layout is wanted.
 """
@@ -18,6 +19,7 @@ from typing import Any
 
 from unicon_core.errors import alternatives
 from unicon_msgs_map.errors import MapDependencyError, MessageTypeError
+from unicon_msgs_map.layout.installed import installed_files, unknown_type
 from unicon_msgs_map.layout.ready_made import ready_made
 
 __all__ = [
@@ -193,6 +195,9 @@ class Messages:
             return True
         if full not in self.store.fielddefs:
             self._register_shipped(full.split("/")[0])
+        if full not in self.store.fielddefs:
+            for path in installed_files(full):
+                self.register_path(path)
         return full in self.store.fielddefs
 
     def register_path(self, path: str | Path) -> None:
@@ -271,13 +276,7 @@ class Messages:
 
     def _laid_out(self, full: str) -> Struct:
         if not self.knows(full):
-            package = full.split("/")[0]
-            same = [n for n in self.store.fielddefs if n.startswith(package + "/")]
-            raise MessageTypeError(
-                f"message type {full!r} is unknown; "
-                f"{alternatives(full, same or self.store.fielddefs, limit=12)}; "
-                "or name its .msg file under 'messages'"
-            )
+            raise unknown_type(full, self.store.fielddefs)
         constants, fielddefs = self._ready.get(full) or self.store.fielddefs[full]
         fields = {name: self._type(full, name, desc) for name, desc in fielddefs}
         if not fields:  # an empty message has one byte on the wire

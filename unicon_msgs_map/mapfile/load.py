@@ -14,6 +14,7 @@ import numpy as np
 
 from unicon_core.errors import alternatives
 from unicon_core.located_yaml import read_text
+from unicon_core.packages import PACKAGE, package_file
 from unicon_msgs_map.errors import MapError, MapFileError
 from unicon_msgs_map.layout.check import check_publish, check_subscribe
 from unicon_msgs_map.layout.messages import Messages, full_name
@@ -146,8 +147,10 @@ def _messages(found: Composed, typestore: object) -> Messages:
     else:
         messages = Messages()
     for entry, folder in found.messages:
-        path = folder / entry.text("an entry of 'messages'")
+        text = entry.text("an entry of 'messages'")
         try:
+            inside = text.startswith(PACKAGE)
+            path = package_file(text, "messages", MapFileError) if inside else folder / text
             messages.register_path(path)
         except MapError as error:
             raise entry.fail(error.message) from None

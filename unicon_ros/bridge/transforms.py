@@ -15,9 +15,10 @@ from unicon_core.models.links import Link
 from unicon_core.models.quaternions import multiply, rotate
 from unicon_msgs_map import Encoder, PublishSpec, parse_map
 
-__all__ = ["TF_MESSAGE", "LinkTransforms", "static_transforms", "tf_entry"]
+__all__ = ["FOOTPRINT", "TF_MESSAGE", "LinkTransforms", "static_transforms", "tf_entry"]
 
 TF_MESSAGE = "tf2_msgs/msg/TFMessage"
+FOOTPRINT = "base_footprint"
 
 
 class LinkTransforms:
@@ -69,6 +70,7 @@ def tf_entry(
     names: Sequence[str],
     rate: float | None = None,
     prefix: str = "",
+    footprint: bool = False,
 ) -> PublishSpec:
     """Return the entry of a message map for a topic that carries all these links.
 
@@ -80,6 +82,8 @@ def tf_entry(
         names: names of all links, by number.
         rate: in [Hz], None for every tick.
         prefix: stands before all names.
+        footprint: `base_footprint` too, below the root; read are `footprint_position` and
+            `footprint_quat` then.
     """
     lines = [
         "publish:",
@@ -90,14 +94,20 @@ def tf_entry(
     if rate is not None:
         lines.append(f"    rate: {rate}")
     lines.append("    fields:")
-    for i, link in enumerate(links):
+    rows = [
+        (names[e.parent], e.name, f"positions[{3 * i}:{3 * i + 3}]", f"quats[{4 * i}:{4 * i + 4}]")
+        for i, e in enumerate(links)
+    ]
+    if footprint:
+        rows.append((names[0], FOOTPRINT, "footprint_position", "footprint_quat"))
+    for i, (parent, child, position, quat) in enumerate(rows):
         at = f"      transforms[{i}]"
         lines += [
             f"{at}.header.stamp: stamp_ns",
-            f'{at}.header.frame_id: "={prefix}{names[link.parent]}"',
-            f'{at}.child_frame_id: "={prefix}{link.name}"',
-            f"{at}.transform.translation: positions[{3 * i}:{3 * i + 3}]",
-            f"{at}.transform.rotation: quats[{4 * i}:{4 * i + 4}]",
+            f'{at}.header.frame_id: "={prefix}{parent}"',
+            f'{at}.child_frame_id: "={prefix}{child}"',
+            f"{at}.transform.translation: {position}",
+            f"{at}.transform.rotation: {quat}",
         ]
     return parse_map("\n".join(lines), name=topic).publish[0]
 

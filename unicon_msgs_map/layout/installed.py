@@ -1,0 +1,47 @@
+"""Message definitions of installed packages: `share/PACKAGE/msg/NAME.msg` of the ament prefixes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from importlib import resources
+from pathlib import Path
+
+from unicon_core.errors import alternatives
+from unicon_core.packages import share_folder, shares
+from unicon_msgs_map.errors import MessageTypeError
+
+__all__ = ["installed_files", "unknown_type"]
+
+
+def installed_files(full: str) -> list[Path]:
+    """Return the files to register for a type `pkg/msg/Name`; none where it is not installed.
+
+    One, since its parts are looked for when they are laid out; of a package that ships with us too
+    all of them, so that ours and theirs cannot contradict each other unseen.
+    """
+    package, kind, name = full.split("/")
+    folder = _folder(package)
+    if kind != "msg" or folder is None or not (folder / f"{name}.msg").is_file():
+        return []
+    shipped = resources.files("unicon_msgs_map").joinpath("msg").joinpath(package).is_dir()
+    return sorted(folder.glob("*.msg")) if shipped else [folder / f"{name}.msg"]
+
+
+def unknown_type(full: str, known: Iterable[str]) -> MessageTypeError:
+    """Return the error for a type that is nowhere, of those that are known elsewhere."""
+    known = list(known)
+    package = full.split("/")[0]
+    same = {name for name in known if name.startswith(f"{package}/")}
+    folder = _folder(package)
+    if folder is not None:
+        same |= {f"{package}/msg/{file.stem}" for file in folder.glob("*.msg")}
+    looked = shares() if folder is None else f"looked in {folder}"
+    return MessageTypeError(
+        f"message type {full!r} is unknown; {alternatives(full, same or known, limit=12)}; "
+        f"{looked}; or name its .msg file under 'messages'"
+    )
+
+
+def _folder(package: str) -> Path | None:
+    share = share_folder(package)
+    return share / "msg" if share is not None and (share / "msg").is_dir() else None
