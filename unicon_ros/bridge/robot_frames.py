@@ -9,26 +9,14 @@ from numpy.typing import NDArray
 
 from unicon_core.errors import UniconError
 from unicon_core.flow import Block
-from unicon_core.models.find import model_of
-from unicon_core.models.kinematic_tree import tree_of
-from unicon_core.models.links import Link
-from unicon_core.models.urdf_write import urdf
 from unicon_core.workflow import Program
-from unicon_msgs_map import Encoder
 from unicon_ros import compat
 from unicon_ros.bridge.qos import LATCHED, qos_profile
+from unicon_ros.bridge.robot_messages import RobotMessages
 from unicon_ros.bridge.topics_out import TopicOut
-from unicon_ros.bridge.transforms import (
-    TF_MESSAGE,
-    LinkTransforms,
-    static_transforms,
-    tf_entry,
-)
+from unicon_ros.bridge.transforms import TF_MESSAGE
 
 __all__ = ["RobotFrames"]
-
-RATE = 50.0
-"""Rate of the links' transforms in [Hz]: what a viewer needs, whatever the tick."""
 
 
 class RobotFrames:
@@ -38,15 +26,14 @@ class RobotFrames:
 
     Args:
         node: rclpy node.
-        workflow: whose robot it is.
+        program: whose robot it is.
         stamp: `stamp_ns` as it is published, int64 scalar, read in place.
         group: callback group of the publishers' events.
         warn: takes notices.
-        frame_prefix: stands before the names of all frames; robot_description goes without, as
-            robot_state_publisher's does, since viewers add it (RViz: "TF Prefix").
+        frame_prefix: stands before the names of all frames, see `RobotMessages`.
 
     Attributes:
-        description: the URDF; empty where there is none.
+        messages: what is published; None where there is no model.
         out: the topic /tf; None where there is none.
         block: publishes /tf when it is due.
     """
@@ -60,21 +47,29 @@ class RobotFrames:
         warn: Callable[[str], None],
         frame_prefix: str = "",
     ) -> None:
-        self._prefix = frame_prefix
-        self.description = ""
+        self.messages: RobotMessages | None = None
         self.out: TopicOut | None = None
         self.block = Block("publish /tf", lambda: None)
-        self._node, self._group, self._warn = node, group, warn
+        self._node, self._warn = node, warn
         self._latched: list[Any] = []
         try:
-            links = tree_of(program.robot, model_of(program.platform, program.robot))
+            messages = self.messages = RobotMessages(program, stamp, frame_prefix)
         except UniconError as error:
             warn(f"no robot_description and no frames of the links: {error}")
             return
-        self.description = urdf(links, program.robot)
-        self._latch("robot_description", "std_msgs/msg/String", self.description)
-        if compat.message_class(TF_MESSAGE) is not None:
-            self._publish_frames(program, links, stamp)
+        self._latch("robot_description", "std_msgs/msg/String", messages.description)
+        message = compat.message_class(TF_MESSAGE)
+        if message is None:
+            return
+        if messages.static:
+            self._latch("/tf_static", TF_MESSAGE, messages.static)
+        if messages.links is not None:
+            every = messages.links.spec.every(program.period)
+            self.out = TopicOut(
+                node, messages.links, message, every, every - 1, group, warn, messages.update
+            )
+            reads = ("joint_pos", "stamp_ns")
+            self.block = Block("publish /tf (links)", self.out.tick, reads=reads)
 
     def _latch(self, topic: str, kind: str, content: str | bytes) -> None:
         message = compat.message_class(kind)
@@ -84,28 +79,6 @@ class RobotFrames:
         publisher = self._node.create_publisher(message, topic, qos_profile(LATCHED))
         publisher.publish(message(data=content) if isinstance(content, str) else content)
         self._latched.append(publisher)
-
-    def _publish_frames(self, program: Program, links: list[Link], stamp: NDArray[Any]) -> None:
-        states = program.states
-        joint_pos = states["joint_pos"] if states.num_robots is None else states["joint_pos"][0]
-        poses = LinkTransforms(links, joint_pos)
-        names = [link.name for link in links]
-        if poses.fixed:
-            static = static_transforms(poses.fixed, names, self._prefix)
-            self._latch("/tf_static", TF_MESSAGE, static)
-        if not poses.moving:
-            return
-        spec = tf_entry("/tf", poses.moving, names, RATE, self._prefix)
-        encoder = Encoder.build(
-            spec, {"stamp_ns": stamp, "positions": poses.positions, "quats": poses.quats}
-        )
-        every = spec.every(program.period)
-        message = compat.message_class(spec.type)
-        out = TopicOut(
-            self._node, encoder, message, every, every - 1, self._group, self._warn, poses.update
-        )
-        self.out = out
-        self.block = Block("publish /tf (links)", out.tick, reads=("joint_pos", "stamp_ns"))
 
     def close(self) -> None:
         """Destroy the latched publishers; `out` is closed with the other topics."""

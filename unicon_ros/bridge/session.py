@@ -102,6 +102,7 @@ class RosSession:
         self.outgoing: list[TopicOut] = []
         self.incoming: list[TopicIn] = []
         self.skipped: list[str] = []
+        self.frames: RobotFrames | None = None
         self._group = compat.polled_group()
         self._others: list[Callable[[], None]] = []
         self._timer: Any = None
@@ -183,7 +184,7 @@ class RosSession:
                 phases[every] = phase + 1
                 self.outgoing.append(topic)
                 blocks.append(topic.block)
-        frames = RobotFrames(
+        frames = self.frames = RobotFrames(
             self.node, program, arrays["stamp_ns"], self._group, self.warn, self.frame_prefix
         )
         self._others.append(frames.close)

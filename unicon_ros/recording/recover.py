@@ -250,7 +250,7 @@ def recover_folder(folder: Path) -> list[tuple[Path, int]]:
         if path.suffix == ".partial":
             recover(path, final_name=True)
     files: list[BagFile] = []
-    types: dict[str, str] = {}
+    topics: dict[str, tuple[str, str]] = {}
     runs: set[str | None] = set()
     for path in files_of(folder):
         try:
@@ -265,10 +265,11 @@ def recover_folder(folder: Path) -> list[tuple[Path, int]]:
                 f"{path} is of another run than the files before it: a folder is one bag; move it "
                 "to a folder of its own"
             )
-        types |= dict(found.topics.values())
+        for topic, kind in found.topics.values():
+            topics[topic] = (kind, found.qos[topic])
         files.append(BagFile(path.name, found.messages(), found.span))
     try:
-        write_metadata(folder, files, types)
+        write_metadata(folder, files, topics)
     except OSError as error:
         raise UniconError(
             f"cannot write {folder / 'metadata.yaml'}: {error.strerror}; make room there"

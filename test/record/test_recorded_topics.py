@@ -1,0 +1,186 @@
+"""Which messages a bag has, under which names, with which QoS: as `ros2 bag` would have them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+pytest.importorskip("mujoco")
+pytest.importorskip("rosbags")
+pytest.importorskip("mcap_ros2", reason="another reader: pip install mcap-ros2-support")
+
+from recordings import read_by_both
+from rosbags.highlevel import AnyReader
+from rosbags.interfaces import QosDurability, QosReliability
+from rosbags.rosbag2 import Reader
+
+from unicon_ros.cli.main import main
+from unicon_ros.recording.recover import recover_folder
+
+WORKFLOW = """\
+schema: unicon.workflow/1
+robot: go2
+platform: mujoco
+rate: 50
+duration: 2.0
+flow: {hold: {}}
+"""
+LEGS = "float32[12] angles\nmy_msgs/Place place\n"
+MAP = """\
+messages: [my_msgs/msg]
+publish:
+  - topic: legs
+    type: my_msgs/msg/Legs
+    qos: {reliability: best_effort, depth: 3}
+    fields: {angles: joint_pos, place.x: "base_pos_w[0]"}
+"""
+
+
+@pytest.fixture
+def record(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str]]:
+    """Runs the workflow at full speed; returns the exit status and what was said."""
+    path = tmp_path / "workflow.yaml"
+    path.write_text(WORKFLOW)
+
+    def run(file: Path | str, *options: str) -> tuple[int, str]:
+        always = ("--no-ros", "--speed", "max", "--quiet", "--faults", "off")
+        status = main(["run", str(path), "--record", str(file), *always, *options])
+        return status, capsys.readouterr().err
+
+    return run
+
+
+@pytest.fixture
+def own_types(tmp_path: Path) -> Path:
+    """A map with message types of its own."""
+    folder = tmp_path / "my_msgs" / "msg"
+    folder.mkdir(parents=True)
+    (folder / "Legs.msg").write_text(LEGS)
+    (folder / "Place.msg").write_text("float64 x\n")
+    path = tmp_path / "map.yaml"
+    path.write_text(MAP)
+    return path
+
+
+def test_message_types_of_the_map_are_in_the_bag(
+    record: Callable[..., tuple[int, str]], own_types: Path, tmp_path: Path
+) -> None:
+    file = tmp_path / "own.mcap"
+    assert record(file, "--map", str(own_types)) == (0, "")
+    assert len(read_by_both(file)["/legs"]) == 100
+    with AnyReader([file]) as reader:
+        (connection,) = (c for c in reader.connections if c.topic == "/legs")
+        messages = [reader.deserialize(r, c.msgtype) for c, _, r in reader.messages([connection])]
+    assert messages[0].angles.shape == (12,)
+    assert messages[-1].place.x != 0.0
+
+
+def test_what_cannot_be_recorded_leaves_no_file_in_the_way(
+    record: Callable[..., tuple[int, str]], own_types: Path, tmp_path: Path
+) -> None:
+    own_types.write_text(MAP.replace("Place.x", "Place.y").replace("place.x", "place.y"))
+    before = sorted(tmp_path.rglob("*"))
+    for name in ("own.mcap", "folder/", "deeper/own.mcap"):
+        status, said = record(f"{tmp_path}/{name}", "--map", str(own_types))
+        assert status == 1
+        assert "place.y" in said
+    left = {path.name for path in tmp_path.rglob("*")} - {path.name for path in before}
+    assert left <= {"deeper"}  # a folder that was asked for
+    own_types.write_text(MAP)
+    assert record(tmp_path / "own.mcap", "--map", str(own_types)) == (0, "")
+
+
+def test_names_are_full_and_the_robot_can_be_seen(
+    record: Callable[..., tuple[int, str]], tmp_path: Path
+) -> None:
+    file = tmp_path / "walk.mcap"
+    named = ("--namespace", "robot1", "--frame-prefix", "robot1/")
+    assert record(file, *named) == (0, "")
+    found = read_by_both(file)
+    counts = {topic: len(stamps) for topic, stamps in found.items()}
+    assert counts.pop("/unicon/ticks") == 100
+    assert counts == {
+        "/robot1/joint_states": 100,
+        "/robot1/imu/data": 100,
+        "/robot1/odom": 100,
+        "/robot1/robot_description": 1,
+        "/clock": 100,
+        "/tf": 200,  # odometry and the links, on one topic
+        "/tf_static": 1,
+    }
+    with AnyReader([file]) as reader:
+        frames, described, joints = set(), [], []
+        for connection, stamp, raw in reader.messages():
+            if connection.topic == "/unicon/ticks":
+                continue
+            message: Any = reader.deserialize(raw, connection.msgtype)
+            for each in getattr(message, "transforms", ()):
+                frames |= {each.header.frame_id, each.child_frame_id}
+            if connection.topic == "/robot1/robot_description":
+                described.append((stamp, message.data))
+            if connection.topic == "/robot1/joint_states":
+                joints.append(stamp)
+    assert all(frame.startswith("robot1/") for frame in frames)
+    assert {"robot1/odom", "robot1/base_link", "robot1/FL_calf"} <= frames
+    ((stamp, urdf),) = described
+    assert urdf.startswith("<?xml")
+    assert "FL_calf_joint" in urdf
+    assert stamp <= min(joints)
+
+
+def test_qos_is_told_as_ros2_bag_tells_it(
+    record: Callable[..., tuple[int, str]], own_types: Path, tmp_path: Path
+) -> None:
+    file, folder = tmp_path / "own.mcap", tmp_path / "own"
+    assert record(file, "--map", str(own_types)) == (0, "")
+    assert record(f"{folder}/", "--map", str(own_types)) == (0, "")
+    content = yaml.safe_load((folder / "metadata.yaml").read_text())
+    listed = content["rosbag2_bagfile_information"]["topics_with_message_count"]
+    told = {each["topic_metadata"]["name"]: each["topic_metadata"] for each in listed}
+    # Numbers in a text: what Humble's player reads, and later ones too.
+    (legs,) = yaml.safe_load(told["/legs"]["offered_qos_profiles"])
+    assert legs["history"] == 1
+    assert legs["deadline"] == {"sec": 9223372036, "nsec": 854775807}
+    for path in (file, folder):
+        with AnyReader([path]) as reader:
+            profiles = {c.topic: c.ext.offered_qos_profiles for c in reader.connections}
+        (of_legs,), (of_frames,) = profiles["/legs"], profiles["/tf_static"]
+        assert (of_legs.reliability, of_legs.depth) == (QosReliability.BEST_EFFORT, 3)
+        assert of_frames.durability == QosDurability.TRANSIENT_LOCAL
+        assert profiles["/unicon/ticks"] == []
+
+
+def test_every_file_of_a_folder_begins_with_what_is_latched(
+    record: Callable[..., tuple[int, str]], tmp_path: Path
+) -> None:
+    folder = tmp_path / "walk"
+    assert record(f"{folder}/", "--record-split", "0.5s") == (0, "")
+    files = sorted(folder.glob("*.mcap"))
+    assert len(files) > 2
+    for file in files:
+        found = read_by_both(file)
+        for topic in ("/robot_description", "/tf_static"):
+            (stamp,) = found[topic]
+            assert stamp <= min(found["/joint_states"])
+    with Reader(folder) as reader:
+        counts = {c.topic: c.msgcount for c in reader.connections}
+        assert reader.message_count == sum(counts.values())
+    assert counts["/robot_description"] == len(files)
+    assert counts["/joint_states"] == 100
+
+
+def test_a_folder_that_was_cut_off_gets_its_qos_back(
+    record: Callable[..., tuple[int, str]], tmp_path: Path
+) -> None:
+    folder = tmp_path / "walk"
+    assert record(f"{folder}/", "--record-split", "0.5s") == (0, "")
+    whole = (folder / "metadata.yaml").read_text()
+    (folder / "metadata.yaml").unlink()
+    last = sorted(folder.glob("*.mcap"))[-1]
+    last.rename(f"{last}.partial")
+    recover_folder(folder)
+    assert yaml.safe_load((folder / "metadata.yaml").read_text()) == yaml.safe_load(whole)
