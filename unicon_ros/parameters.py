@@ -14,6 +14,7 @@ from rcl_interfaces.msg import (
 )
 
 from unicon_core.errors import UniconError
+from unicon_ros.bridge.introspection import PARAMETERS as INTROSPECTION
 from unicon_ros.bridge.tuning import NO_LIMIT, Tuning, too_little_damping
 
 __all__ = ["Parameters"]
@@ -29,6 +30,7 @@ AT_CONFIGURE: tuple[tuple[str, Any, str], ...] = (
     ("frame_prefix", "", "stands before the names of all frames, such as robot1/"),
     ("record", "", "file (.mcap) or folder/ to record every state and message to; empty: none"),
     ("record_split", "", "size or length of a file of a recording, such as 1GB or 60s"),
+    *((name, value, what) for name, (value, what) in INTROSPECTION.items()),
     ("speed", "real", "real: by the wall clock; max: as fast as it can"),
     ("rate", 0.0, "ticks per second in [Hz], 0: the workflow's own"),
 )
@@ -52,6 +54,7 @@ DECLARED = (
 
 RANGES = {
     "rate": (0.0, 10_000.0),
+    "debug_rate": (0.1, 100.0),
     "stiffness_scale": (0.0, 2.0),
     "damping_scale": (0.1, 5.0),
     "max_vx": (0.0, NO_LIMIT),

@@ -36,6 +36,7 @@ from unicon_ros.bridge.bindings import (
 )
 from unicon_ros.bridge.controls import Controls
 from unicon_ros.bridge.estop import STOP_SERVICES, EmergencyStop
+from unicon_ros.bridge.introspection import Introspection
 from unicon_ros.bridge.middleware_threads import calm_middleware_threads
 from unicon_ros.bridge.own_node import OwnNode
 from unicon_ros.bridge.robot_frames import RobotFrames
@@ -104,13 +105,19 @@ class RosSession:
         self.skipped: list[str] = []
         self.frames: RobotFrames | None = None
         self._group = compat.polled_group()
+        self.introspection = Introspection(
+            node, self._group, lambda: self.controls.runner is not None
+        )
+        self._arrays: dict[str, Any] = {}
         self._others: list[Callable[[], None]] = []
         self._timer: Any = None
         self._stamp: WallStamp | None = None
         self._closed = False
         self._started_ns = time.perf_counter_ns()
         if self._own is not None:
-            handlers = {n: getattr(self.controls, n) for n in SERVICES if n not in STOP_SERVICES}
+            acts = SERVICES.keys() - {*STOP_SERVICES, "list_states"}
+            handlers = {name: getattr(self.controls, name) for name in SERVICES if name in acts}
+            handlers["list_states"] = self.introspection.list_states
             add_services(node, handlers, warn)
 
     # -- hooks ----------------------------------------------------------------------------------
@@ -166,6 +173,7 @@ class RosSession:
         def build(spec: PublishSpec) -> Encoder:
             return Encoder.build(spec, arrays, names, variables)
 
+        self._arrays = arrays
         phases: dict[int, int] = {}
         for spec in self.map.publish:
             if spec.topic == CLOCK and not platform.facts.simulated:
@@ -200,6 +208,7 @@ class RosSession:
     def attach(self, runner: Runner) -> None:
         """Let services act on this runner, and its deadlines bound what they may take."""
         self.controls.runner = self.slack.runner = runner
+        self.introspection.attach(runner.program, self._topics(), self._arrays)
         calm_middleware_threads()
         if self._timer is None and any(topic.events.declared for topic in self._topics()):
             from rclpy.clock import Clock, ClockType
@@ -244,6 +253,7 @@ class RosSession:
                 rest.callback(self._own.close)
                 if self.estop is not None:
                     rest.callback(self.estop.close)
+            rest.callback(self.introspection.close)
             for close in self._others:
                 rest.callback(close)
             for topic in self._topics():
