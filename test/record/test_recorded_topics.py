@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from rosbags.interfaces import QosDurability, QosReliability
 from rosbags.rosbag2 import Reader
 
 from unicon_ros.cli.main import main
+from unicon_ros.recorder import Recorder
 from unicon_ros.recording.recover import recover_folder
 
 WORKFLOW = """\
@@ -184,3 +186,30 @@ def test_a_folder_that_was_cut_off_gets_its_qos_back(
     last.rename(f"{last}.partial")
     recover_folder(folder)
     assert yaml.safe_load((folder / "metadata.yaml").read_text()) == yaml.safe_load(whole)
+
+
+def test_a_disk_with_room_for_no_message_is_left_empty(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """There is room for a chunk, but then not for the summary, whose room it was."""
+    real = os.pwritev
+    for name in ("run.mcap", "run/"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        recorder = Recorder(f"{tmp_path}/{name}", warn=lambda line: None)
+        write = recorder.channel("/clock", "rosgraph_msgs/msg/Clock")
+        room = recorder._file.size + 200
+
+        def full(descriptor: int, views: Any, position: int, room: int = room) -> int:
+            if position + sum(len(view) for view in views) > room:
+                raise OSError(28, "No space left on device")
+            return real(descriptor, views, position)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(os, "pwritev", full)
+            write(1, bytes(12))
+            recorder.start()
+            recorder.close()
+        counts = recorder.counts()
+        assert (counts["messages"], counts["dropped"]) == (0, 1)
+        assert counts["error"] == "No space left on device: nothing was recorded"
+        assert list(tmp_path.iterdir()) == []  # the next try is not in its own way

@@ -115,9 +115,9 @@ def debug_encoder(chosen: Sequence[str], program: Program, arrays: Arrays) -> En
             f"parameter debug: {count} numbers are asked for, {MOST} at most; name fewer states, "
             "or parts of them such as joint_pos[0:3]"
         )
-    qos = Qos(depth=1)
-    spec = PublishSpec(TOPIC, TYPE, tuple(fields), shared_messages(), qos=qos, where="debug")
-    return Encoder.build(spec, arrays)
+    types, qos = shared_messages(), Qos(depth=1)
+    entry = PublishSpec(TOPIC, TYPE, tuple(fields), types, qos=qos, where="parameter debug")
+    return Encoder.build(entry, arrays)
 
 
 def _field(path: str, source: Reference) -> FieldSpec:

@@ -132,7 +132,8 @@ def layout_text(program: Program, topics: Sequence[TopicOut | TopicIn] = ()) -> 
     for topic in topics:
         received = isinstance(topic, TopicIn)
         spec = topic.decoder.spec if isinstance(topic, TopicIn) else topic.spec
-        entry = {"type": spec.type, "direction": "in" if received else "out", "states": []}
+        direction = "in" if received else "out"
+        entry: dict[str, Any] = {"type": spec.type, "direction": direction, "states": []}
         carried = told.setdefault(topic.topic, entry)["states"]
         carried += [name for name in spec.states if name in layout.specs and name not in carried]
     lines = [f"{_json(name)}: {_json(value)}," for name, value in heads.items()]

@@ -98,6 +98,7 @@ class BagFolder:
         path: as given.
         messages: in whole chunks of all files.
         size: of all files in [bytes].
+        again: of the messages those that files begin with anew.
 
     Raises:
         OSError: it cannot be written.
@@ -109,7 +110,7 @@ class BagFolder:
         self._facts: list[bytes] = []
         self._latched: list[tuple[int, bytes]] = []
         self._done: list[BagFile] = []
-        self._messages = self._size = self._ticks = self._again = 0
+        self._messages = self._size = self._ticks = self.again = 0
         self._began = 0  # time of the present file's first message in [ns]
         path.mkdir()
         try:
@@ -128,9 +129,8 @@ class BagFolder:
 
     @property
     def messages(self) -> int:
-        """Messages in whole chunks of all files; those that files begin with anew count once."""
-        present = self._file.messages if self._file is not None else 0
-        return self._messages + present - self._again
+        """Messages in whole chunks of all files."""
+        return self._messages + (self._file.messages if self._file is not None else 0)
 
     @property
     def size(self) -> int:
@@ -192,13 +192,17 @@ class BagFolder:
             records += MESSAGE_HEAD.pack(MESSAGE, length, number, 0, began, began) + message
         if places:
             file.write(records, np.array(places, ROW))
-            self._again += len(places)
+            self.again += len(places)
 
     def _end(self) -> int:
         """Finish the present file; return how many messages that cost."""
         file = self._present()
         self._file = None
-        lost = file.finish()
+        try:
+            lost = file.finish()
+        except OSError:
+            self._messages += file.messages  # which are in its partial file
+            raise
         topics = {channel.number: channel.topic for channel in self._channels}
         counts = {topics[number]: count for number, count in file.counts().items()}
         self._done.append(BagFile(file.path.name, counts, file.span()))
