@@ -6,6 +6,7 @@ For the bridge, which publishes them, and for recordings, where nobody may publi
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cached_property
 from typing import Any
 
 from numpy.typing import NDArray
@@ -34,10 +35,7 @@ class RobotMessages:
 
     Attributes:
         description: the URDF.
-        static: the message of /tf_static; empty where no link is fixed to another.
-        links: of /tf, with the moving links; None where there are none. Call `update` before it
-            encodes.
-        update: brings the links up to date.
+        update: brings the links of /tf up to date.
 
     Raises:
         UniconError: the robot has no model.
@@ -48,14 +46,23 @@ class RobotMessages:
         self.description = urdf(links, program.robot)
         states = program.states
         joint_pos = states["joint_pos"] if states.num_robots is None else states["joint_pos"][0]
-        poses = LinkTransforms(links, joint_pos)
-        self.update: Callable[[], None] = poses.update
-        names = [link.name for link in links]
-        self.static = b""
-        if poses.fixed:
-            self.static = static_transforms(poses.fixed, names, frame_prefix)
-        self.links: Encoder | None = None
-        if poses.moving:
-            spec = tf_entry("/tf", poses.moving, names, RATE, frame_prefix)
-            arrays = {"stamp_ns": stamp, "positions": poses.positions, "quats": poses.quats}
-            self.links = Encoder.build(spec, arrays)
+        self._poses = LinkTransforms(links, joint_pos)
+        self._names = [link.name for link in links]
+        self._stamp, self._prefix = stamp, frame_prefix
+        self.update: Callable[[], None] = self._poses.update
+
+    @cached_property
+    def static(self) -> bytes:
+        """The message of /tf_static; empty where no link is fixed to another."""
+        fixed = self._poses.fixed
+        return static_transforms(fixed, self._names, self._prefix) if fixed else b""
+
+    @cached_property
+    def links(self) -> Encoder | None:
+        """Of /tf, with the moving links, after `update`; None where there are none."""
+        poses = self._poses
+        if not poses.moving:
+            return None
+        spec = tf_entry("/tf", poses.moving, self._names, RATE, self._prefix)
+        arrays = {"stamp_ns": self._stamp, "positions": poses.positions, "quats": poses.quats}
+        return Encoder.build(spec, arrays)

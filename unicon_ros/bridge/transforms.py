@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 
 from unicon_core.models.links import Link
 from unicon_core.models.quaternions import multiply, rotate
-from unicon_msgs_map import Encoder, PublishSpec, parse_map
+from unicon_msgs_map import Encoder, FieldSpec, PublishSpec, Qos
+from unicon_msgs_map.layout.messages import shared_messages
+from unicon_msgs_map.layout.paths import Reference, parse_path
 
 __all__ = ["TF_MESSAGE", "LinkTransforms", "static_transforms", "tf_entry"]
 
@@ -81,25 +83,20 @@ def tf_entry(
         rate: in [Hz], None for every tick.
         prefix: stands before all names.
     """
-    lines = [
-        "publish:",
-        f"  - topic: {topic}",
-        f"    type: {TF_MESSAGE}",
-        "    qos: {depth: 1}",
-    ]
-    if rate is not None:
-        lines.append(f"    rate: {rate}")
-    lines.append("    fields:")
+    fields: list[FieldSpec] = []
     for i, link in enumerate(links):
-        at = f"      transforms[{i}]"
-        lines += [
-            f"{at}.header.stamp: stamp_ns",
-            f'{at}.header.frame_id: "={prefix}{names[link.parent]}"',
-            f'{at}.child_frame_id: "={prefix}{link.name}"',
-            f"{at}.transform.translation: positions[{3 * i}:{3 * i + 3}]",
-            f"{at}.transform.rotation: quats[{4 * i}:{4 * i + 4}]",
-        ]
-    return parse_map("\n".join(lines), name=topic).publish[0]
+        at = f"transforms[{i}]"
+        for path, source in (
+            ("header.stamp", Reference("state", "stamp_ns")),
+            ("header.frame_id", Reference("const", value=f"{prefix}{names[link.parent]}")),
+            ("child_frame_id", Reference("const", value=f"{prefix}{link.name}")),
+            ("transform.translation", Reference("state", "positions", (3 * i, 3 * i + 3))),
+            ("transform.rotation", Reference("state", "quats", (4 * i, 4 * i + 4))),
+        ):
+            whole = f"{at}.{path}"
+            fields.append(FieldSpec(whole, parse_path(whole), source, where=topic))
+    types, qos = shared_messages(), Qos(depth=1)
+    return PublishSpec(topic, TF_MESSAGE, tuple(fields), types, rate, qos, where=topic)
 
 
 def static_transforms(links: Sequence[Link], names: Sequence[str], prefix: str = "") -> bytes:
