@@ -71,7 +71,7 @@ def tool() -> Iterator[Any]:
 
 def debugged(*chosen: str, rate: str = "50.0") -> list[str]:
     """Return the ROS arguments that ask for these states."""
-    return ["-p", f"debug:={json.dumps(chosen)}", "-p", f"debug_rate:={rate}"]
+    return ["-p", f"debug_states:={json.dumps(chosen)}", "-p", f"debug_rate:={rate}"]
 
 
 def test_a_late_joiner_learns_every_state_and_the_service_says_the_same(
@@ -167,6 +167,8 @@ def test_a_paused_simulator_and_an_ended_run_are_quiet_or_alive(
         (debugged(*["joint_pos"] * 3, rate="0.0"), "debug_rate is 0.0 Hz"),
         (debugged("joint_pos", rate=".nan"), "debug_rate is nan Hz"),
         (debugged("joint_pos", rate="often"), "debug_rate is 'often' Hz"),
+        (["-p", "debug_states:=true"], "debug_states is True; give names of states"),
+        (["-p", "debug_states:=[1, 2]"], "give names of states"),
     ],
 )
 def test_a_wrong_choice_is_one_line(react: Path, arguments: list[str], wrong: str) -> None:
@@ -178,6 +180,19 @@ def test_a_wrong_choice_is_one_line(react: Path, arguments: list[str], wrong: st
         assert wrong in str(told.value)
         assert "debug" in str(told.value)
         assert "\n" not in str(told.value)
+    finally:
+        program.close()
+        session.close()
+
+
+@pytest.mark.parametrize("value", ["[]", "['']", "''", "joint_pos"])
+def test_nothing_chosen_is_nothing_and_a_word_is_a_state(react: Path, value: str) -> None:
+    session = RosSession(ros_args=["-p", f"debug_states:={value}"], warn=print)
+    program = load_workflow(react, hooks=[session.hook])
+    try:
+        session.attach(SimpleNamespace(program=program))  # type: ignore[arg-type]
+        publishes = session.node.count_publishers("/unicon/debug")
+        assert publishes == (value == "joint_pos")
     finally:
         program.close()
         session.close()

@@ -1,6 +1,6 @@
 """DebugTopic: chosen states on `~/debug`, as `ros2 topic echo` shows them readably.
 
-    ros2 topic echo /unicon/debug            with parameter debug: [joint_pos, "action[0:3]"]
+    ros2 topic echo /unicon/debug            with parameter debug_states: [joint_pos, "action[0:3]"]
 
 A diagnostic_msgs/DiagnosticArray with a status for each state: its name, unit and elements by
 name. A timer publishes it, in the slack of the ticks, and only while somebody listens.
@@ -27,6 +27,7 @@ __all__ = ["DebugTopic", "debug_encoder"]
 
 TOPIC = "~/debug"
 TYPE = "diagnostic_msgs/msg/DiagnosticArray"
+PARAMETER = "parameter debug_states"
 MOST = 256
 """Numbers in a message: as texts they take 0.2 ms of the slack."""
 FLOAT, WHOLE = "12.5g", "20d"
@@ -65,7 +66,7 @@ class DebugTopic:
         message = compat.message_class(TYPE)
         if message is None:
             raise UniconError(
-                f"parameter debug needs the type {TYPE}; install the ROS package diagnostic_msgs"
+                f"{PARAMETER} needs the type {TYPE}; install the ROS package diagnostic_msgs"
             )
         from rclpy.clock import Clock, ClockType
 
@@ -112,16 +113,16 @@ def debug_encoder(chosen: Sequence[str], program: Program, arrays: Arrays) -> En
         count += len(bound.elements)
     if count > MOST:
         raise UniconError(
-            f"parameter debug: {count} numbers are asked for, {MOST} at most; name fewer states, "
-            "or parts of them such as joint_pos[0:3]"
+            f"{PARAMETER}: {count} numbers are asked for, {MOST} at most; name fewer states, or "
+            "parts of them such as joint_pos[0:3]"
         )
     types, qos = shared_messages(), Qos(depth=1)
-    entry = PublishSpec(TOPIC, TYPE, tuple(fields), types, qos=qos, where="parameter debug")
+    entry = PublishSpec(TOPIC, TYPE, tuple(fields), types, qos=qos, where=PARAMETER)
     return Encoder.build(entry, arrays)
 
 
 def _field(path: str, source: Reference) -> FieldSpec:
-    return FieldSpec(path, parse_path(path), source, where="parameter debug")
+    return FieldSpec(path, parse_path(path), source, where=PARAMETER)
 
 
 def _chosen(chosen: Sequence[str], arrays: Arrays, names: Names) -> list[Bound]:
@@ -132,7 +133,7 @@ def _chosen(chosen: Sequence[str], arrays: Arrays, names: Names) -> list[Bound]:
             meant = [name for name in arrays if fnmatchcase(name, text)]
             if not meant:
                 raise UniconError(
-                    f"parameter debug: no state is like {text!r}; {alternatives(text, arrays)}"
+                    f"{PARAMETER}: no state is like {text!r}; {alternatives(text, arrays)}"
                 )
         else:
             meant = [text]
@@ -140,16 +141,15 @@ def _chosen(chosen: Sequence[str], arrays: Arrays, names: Names) -> list[Bound]:
             try:
                 source = parse_reference(each)
             except PathError as error:
-                raise UniconError(f"parameter debug: {error}") from error
+                raise UniconError(f"{PARAMETER}: {error}") from error
             if source.kind != "state":
                 raise UniconError(
-                    f"parameter debug: {each!r} is not a state; {alternatives(each, arrays)}"
+                    f"{PARAMETER}: {each!r} is not a state; {alternatives(each, arrays)}"
                 )
             if source.name not in arrays:
                 raise UniconError(
-                    f"parameter debug: no state {source.name!r}; "
-                    f"{alternatives(source.name, arrays)}"
+                    f"{PARAMETER}: no state {source.name!r}; {alternatives(source.name, arrays)}"
                 )
-            field = FieldSpec("values", (), source, where="parameter debug")
+            field = FieldSpec("values", (), source, where=PARAMETER)
             found.setdefault(str(source), bind_state(field, arrays, names))
     return list(found.values())

@@ -13,6 +13,7 @@ import json
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from unicon_core.errors import UniconError
 from unicon_core.flow import blocks_of
 from unicon_core.workflow import Program
 from unicon_msgs_map.codec.binding import Arrays
@@ -27,7 +28,7 @@ __all__ = ["PARAMETERS", "SCHEMA", "Introspection", "layout_text"]
 SCHEMA = "unicon.layout/1"
 TOPIC = "~/layout"
 PARAMETERS: dict[str, tuple[Any, str]] = {
-    "debug": (
+    "debug_states": (
         [""],
         "states to publish on ~/debug, such as joint_pos, action[0:3] or joint_*; empty: none",
     ),
@@ -69,7 +70,7 @@ class Introspection:
             arrays: the states as they are published.
 
         Raises:
-            UniconError: parameter `debug` names what there is not.
+            UniconError: parameter `debug_states` names what there is not.
         """
         from std_msgs.msg import String
 
@@ -80,8 +81,13 @@ class Introspection:
         self._text = layout_text(program, topics)
         self._latched = self._node.create_publisher(String, TOPIC, qos_profile(LATCHED))
         self._latched.publish(String(data=self._text))
-        wanted = self._node.get_parameter("debug").value
-        chosen = [text for text in ([wanted] if isinstance(wanted, str) else wanted or []) if text]
+        wanted = self._node.get_parameter("debug_states").value or []
+        named = [wanted] if isinstance(wanted, str) else wanted
+        if isinstance(named, int | float) or not all(isinstance(text, str) for text in named):
+            raise UniconError(
+                f"parameter debug_states is {wanted!r}; give names of states, such as ['joint_pos']"
+            )
+        chosen = [text for text in named if text]
         if chosen:
             rate = self._node.get_parameter("debug_rate").value
             self._debug = DebugTopic(
