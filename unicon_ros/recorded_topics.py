@@ -97,7 +97,8 @@ class RecordedTopics:
     def _map(self, mapping: MessageMap, taken: set[str], frame_prefix: str) -> None:
         """Record what the map publishes, at its rates."""
         program, session = self._program, self._session
-        arrays, variables = arrays_of(program), variables_of(program, frame_prefix)
+        arrays = arrays_of(program) if session is None else session.arrays  # with its wall clock
+        variables = variables_of(program, frame_prefix)
         leaving = {id(out.spec): out for out in session.outgoing} if session is not None else {}
         for spec in mapping.publish:
             out = leaving.get(id(spec))

@@ -35,6 +35,14 @@ commands: [{velocity_command: {constant: [0.3, 0.0, 0.0]}}]
 safety: {only: [finite]}
 pacing: {trigger: state, hang: 5.0}
 """
+ROBOT = """\
+schema: unicon.workflow/1
+robot: go2
+platform: fake_robot
+rate: 100
+flow: hold
+pacing: {hang: 20}
+"""
 
 
 def messages(file: Path) -> dict[str, list[Any]]:
@@ -126,3 +134,31 @@ def test_a_robot_behind_topics_is_recorded_with_its_sensors_and_its_commands(
     assert len(found["/imu/data"]) > 50
     # The damping at the end comes in it too, as long as the recorder lives.
     assert 50 < len(found["/joint_commands"]) <= commands.published
+
+
+def test_a_robots_messages_carry_the_wall_clock_published_or_not(tmp_path: Path) -> None:
+    from unicon_ros.bridge import RosSession
+
+    path, file = tmp_path / "robot.yaml", tmp_path / "robot.mcap"
+    path.write_text(ROBOT)
+    session = RosSession(warn=lambda line: None)
+    recording = Recording(file, session=session)
+    program = load_workflow(path, hooks=[session.hook, recording.hook])
+    runner = Runner(program, RunOptions(duration=1.0, operator=False, warn=print))
+    session.attach(runner)
+    runner.run()
+    session.close()
+    ages: dict[str, list[float]] = {}
+    with AnyReader([file]) as reader:
+        for connection, logged, raw in reader.messages():
+            if connection.topic in ("/unicon/ticks", "/tf_static"):  # which holds at any time
+                continue
+            message = reader.deserialize(raw, connection.msgtype)
+            for each in getattr(message, "transforms", [message]):
+                if hasattr(each, "header"):
+                    stamp = each.header.stamp
+                    age = abs(logged - stamp.sec * 10**9 - stamp.nanosec) * 1e-9
+                    ages.setdefault(connection.topic, []).append(age)
+    assert {"/joint_states", "/tf"} <= ages.keys()
+    assert max(max(each) for each in ages.values()) < 5.0
+    assert "/clock" not in messages(file)

@@ -108,7 +108,7 @@ class RosSession:
         self.introspection = Introspection(
             node, self._group, lambda: self.controls.runner is not None
         )
-        self._arrays: dict[str, Any] = {}
+        self.arrays: dict[str, Any] = {}  # the states as they are published
         self._others: list[Callable[[], None]] = []
         self._timer: Any = None
         self._stamp: WallStamp | None = None
@@ -173,7 +173,7 @@ class RosSession:
         def build(spec: PublishSpec) -> Encoder:
             return Encoder.build(spec, arrays, names, variables)
 
-        self._arrays = arrays
+        self.arrays = arrays
         phases: dict[int, int] = {}
         for spec in self.map.publish:
             if spec.topic == CLOCK and not platform.facts.simulated:
@@ -208,7 +208,7 @@ class RosSession:
     def attach(self, runner: Runner) -> None:
         """Let services act on this runner, and its deadlines bound what they may take."""
         self.controls.runner = self.slack.runner = runner
-        self.introspection.attach(runner.program, self._topics(), self._arrays)
+        self.introspection.attach(runner.program, self._topics(), self.arrays)
         calm_middleware_threads()
         if self._timer is None and any(topic.events.declared for topic in self._topics()):
             from rclpy.clock import Clock, ClockType
