@@ -2,7 +2,7 @@
 
 `ros2 bag play`, rosbags and Foxglove read it; `open_record` reads the ticks to the bit. While it
 grows it is called `FILE.partial`; what a killed run left of that name is finished as
-`FILE.recovered-N.mcap` when the next one begins.
+`FILE.recovered-N.mcap`, or `FOLDER.recovered-N`, when the next one begins.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from unicon_ros.recording.bag_folder import BagFolder, Split
 from unicon_ros.recording.mcap_file import Buffer, Taken
 from unicon_ros.recording.offered_qos import offered_qos
 from unicon_ros.recording.records import Channel
+from unicon_ros.recording.recover import recover_aside
 from unicon_ros.recording.tick_message import Kept, tick_channel
 
 if TYPE_CHECKING:
@@ -61,22 +62,32 @@ class Recorder(Background):
             raise UniconError(
                 f"recording {path} is split into files of a folder: give a name without .mcap"
             )
+        self._clear(warn)
         if os.path.lexists(self.path):  # a link that points nowhere too
             raise UniconError(f"recording {path} exists; move it away or give another name")
-        super().__init__(self._create(warn), warn, patient)
+        super().__init__(self._create(), warn, patient)
 
-    def _create(self, warn: Callable[[str], None]) -> McapFile | BagFolder:
-        file: McapFile | BagFolder
+    def _clear(self, warn: Callable[[str], None]) -> None:
+        """Move what an earlier run was cut off at out of the way."""
         rest = self.path.with_name(f"{self.path.name}.partial")
+        found = None
+        try:
+            if self._folder and self.path.is_dir():
+                found = recover_aside(self.path)
+            elif not self._folder and rest.exists() and not os.path.lexists(self.path):
+                found = recover(rest)
+        except OSError as error:
+            raise self._cannot(error) from error
+        if found is not None:
+            warn(
+                f"an earlier run was cut off while it recorded to {self.path}; its "
+                f"{found[1]} messages are in {found[0]} now"
+            )
+
+    def _create(self) -> McapFile | BagFolder:
+        file: McapFile | BagFolder
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            if rest.exists():
-                found = recover(rest)
-                if found is not None:
-                    warn(
-                        f"an earlier run was cut off while it recorded to {self.path}; its "
-                        f"{found[1]} messages are in {found[0]} now"
-                    )
             file = BagFolder(self.path, self._split) if self._folder else McapFile(self.path)
         except Taken:
             raise UniconError(

@@ -19,6 +19,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability, QosReliability
 from rosbags.rosbag2 import Reader
 
+from unicon_core.errors import UniconError
 from unicon_ros.cli.main import main
 from unicon_ros.recorder import Recorder
 from unicon_ros.recording.recover import recover_folder
@@ -213,3 +214,41 @@ def test_a_disk_with_room_for_no_message_is_left_empty(
         assert (counts["messages"], counts["dropped"]) == (0, 1)
         assert counts["error"] == "No space left on device: nothing was recorded"
         assert list(tmp_path.iterdir()) == []  # the next try is not in its own way
+
+
+def test_a_folder_that_a_killed_run_left_is_not_in_the_way_of_the_next(
+    record: Callable[..., tuple[int, str]], tmp_path: Path
+) -> None:
+    folder = tmp_path / "walk"
+    for number in (1, 2):
+        assert record(f"{folder}/", "--record-split", "0.5s")[0] == 0
+        (folder / "metadata.yaml").unlink()
+        last = sorted(folder.glob("*.mcap"))[-1]
+        last.rename(f"{last}.partial")
+        status, said = record(f"{folder}/")
+        assert status == 0
+        aside = tmp_path / f"walk.recovered-{number}"
+        assert f"messages are in {aside} now" in said
+        with Reader(aside) as reader:
+            counts = {c.topic: c.msgcount for c in reader.connections}
+            assert counts["/joint_states"] == 100
+        for path in folder.iterdir():
+            path.unlink()  # and the empty folder is none of another
+    folder.mkdir(exist_ok=True)
+    (folder / "notes.txt").write_text("mine")
+    (folder / "walk_0.mcap").write_text("mine")
+    status, said = record(f"{folder}/")
+    assert status == 1
+    assert f"recording {folder}/ exists" in said
+    assert sorted(path.name for path in folder.iterdir()) == ["notes.txt", "walk_0.mcap"]
+
+
+def test_a_folder_that_another_run_writes_is_left_to_it(tmp_path: Path) -> None:
+    other = Recorder(f"{tmp_path}/walk/")
+    write = other.channel("/clock", "rosgraph_msgs/msg/Clock")
+    other.start()
+    with pytest.raises(UniconError, match="is being written by another run"):
+        Recorder(f"{tmp_path}/walk/")
+    write(1, bytes(12))
+    other.close()
+    assert read_by_both(tmp_path / "walk" / "walk_0.mcap") == {"/clock": [1]}
