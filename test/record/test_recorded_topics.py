@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -233,8 +234,11 @@ def test_a_folder_that_a_killed_run_left_is_not_in_the_way_of_the_next(
             counts = {c.topic: c.msgcount for c in reader.connections}
             assert counts["/joint_states"] == 100
         for path in folder.iterdir():
-            path.unlink()  # and the empty folder is none of another
-    folder.mkdir(exist_ok=True)
+            path.unlink()
+        (folder / "walk_0.mcap.partial").touch()  # killed before its first message
+        assert record(f"{folder}/") == (0, "")
+        shutil.rmtree(folder)
+    folder.mkdir()
     (folder / "notes.txt").write_text("mine")
     (folder / "walk_0.mcap").write_text("mine")
     status, said = record(f"{folder}/")

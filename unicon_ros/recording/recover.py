@@ -279,7 +279,7 @@ def recover_folder(folder: Path) -> list[tuple[Path, int]]:
 def recover_aside(folder: Path) -> tuple[Path, int] | None:
     """Finish what a killed run left in a bag folder, and call it `FOLDER.recovered-N`.
 
-    An empty folder, or one where no file has a message, is deleted.
+    A folder where no file has a message is deleted.
 
     Returns:
         Where it is now and its number of messages; None where nothing was left, or the folder is
@@ -292,9 +292,10 @@ def recover_aside(folder: Path) -> tuple[Path, int] | None:
     rest = [path for path in folder.iterdir() if path.name.endswith(".mcap.partial")]
     for path in rest:
         recover(path, final_name=True)
+    if not rest:
+        return None
     if not any(folder.iterdir()):
         folder.rmdir()
-    if not rest or not folder.exists():
         return None
     files = recover_folder(folder)
     number = 1
