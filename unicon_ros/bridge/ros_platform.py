@@ -121,7 +121,6 @@ class RosPlatform:
 
     Attributes:
         topics: full names of the topics that it reads and writes.
-        incoming, outgoing: the topics themselves; nothing goes out of a silent one.
     """
 
     facts = Facts("ros", examine=examine_platform)
@@ -148,14 +147,14 @@ class RosPlatform:
         decoders, encoders = robot_codecs(replace(mapping, subscribe=tuple(heard)), states, robot)
         group = compat.polled_group()
         self._warnings: list[str] = []
-        self.incoming: list[TopicIn] = []
-        self.outgoing: list[TopicOut] = []
+        self._in: list[TopicIn] = []
+        self._out: list[TopicOut] = []
         self._awaited: list[str] = []
         warn = self._warnings.append
         for decoder in decoders:
             message = message_class(decoder.spec)
             if message is not None:
-                self.incoming.append(TopicIn(own.node, decoder, message, False, group, warn))
+                self._in.append(TopicIn(own.node, decoder, message, False, group, warn))
         said: list[TopicSpec] = []
         for encoder in encoders:
             message, every = message_class(encoder.spec), encoder.spec.every(period)
@@ -163,14 +162,14 @@ class RosPlatform:
                 continue
             said.append(encoder.spec)
             if not silent:  # without a publisher nothing can be sent
-                self.outgoing.append(TopicOut(own.node, encoder, message, every, 0, group, warn))
+                self._out.append(TopicOut(own.node, encoder, message, every, 0, group, warn))
         self._commands = [own.node.resolve_topic_name(spec.topic) for spec in said]
-        self._needed = [topic for topic in self.incoming if not topic.decoder.spec.optional]
-        self._exchange = Exchange(path, states, [topic.decoder for topic in self.incoming], said)
-        if not all(topic.polled for topic in self.incoming):
+        self._needed = [topic for topic in self._in if not topic.decoder.spec.optional]
+        self._exchange = Exchange(path, states, [topic.decoder for topic in self._in], said)
+        if not all(topic.polled for topic in self._in):
             raise PlatformError("this rclpy cannot be polled; use one of Humble, Jazzy or Kilted")
-        self.topics = (*(topic.topic for topic in self.incoming), *self._commands)
-        self._stamped = any("stamp_ns" in topic.decoder.spec.states for topic in self.incoming)
+        self.topics = (*(topic.topic for topic in self._in), *self._commands)
+        self._stamped = any("stamp_ns" in topic.decoder.spec.states for topic in self._in)
         self._gravity: Callable[[], None] | None = None
         if self._exchange.turned:
             self._gravity = projected_gravity(states[ORIENTATION], states["projected_gravity"])
@@ -182,7 +181,7 @@ class RosPlatform:
             {name: states[name] for name in COMMAND_STATES}, robot.joint_names
         )
         self._sent = LastSent(states)
-        self._wait_set = compat.ReusedWaitSet([self.incoming[0].subscription], own.context)
+        self._wait_set = compat.ReusedWaitSet([self._in[0].subscription], own.context)
         self._closed = False
 
     def connect(self) -> None:
@@ -194,7 +193,7 @@ class RosPlatform:
         end = time.monotonic() + self._patience
         while missing := self._missing():
             SIGNALS.check()
-            for topic in self.incoming:
+            for topic in self._in:
                 topic.poll()
             if time.monotonic() > end:
                 errors = [topic.decoder.last_error for topic in self._needed]
@@ -229,7 +228,7 @@ class RosPlatform:
             PlatformError: the map writes some elements of a state only, or messages do.
         """
         for name in self._exchange.wanted(states):
-            sources = [topic for topic in self.incoming if name in topic.decoder.spec.states]
+            sources = [topic for topic in self._in if name in topic.decoder.spec.states]
             for topic in sources:
                 if name == ORIENTATION:
                     topic.decoder.need_orientation(name)
@@ -243,7 +242,7 @@ class RosPlatform:
 
     def wait(self, timeout: float) -> bool:
         """Return True when the first topic of the map has a message, False after `timeout` [s]."""
-        first = self.incoming[0]
+        first = self._in[0]
         if first.prefetch():
             return True
         if not timeout:  # a look costs 1 µs, the wait set 10
@@ -251,9 +250,19 @@ class RosPlatform:
         self._wait_set.sleep(timeout)
         return first.prefetch()
 
+    @property
+    def incoming(self) -> Sequence[TopicIn]:
+        """The topics that it hears."""
+        return self._in
+
+    @property
+    def outgoing(self) -> Sequence[TopicOut]:
+        """The topics of its commands; none where it is silent."""
+        return self._out
+
     def arrivals(self) -> int:
         """Return how many messages of that topic have come so far."""
-        return self.incoming[0].received
+        return self._in[0].received
 
     def recv(self) -> bool | None:
         """Bring the latest messages into the states.
@@ -261,8 +270,8 @@ class RosPlatform:
         Raises:
             Fault: a topic that the robot needs was silent for its time-out.
         """
-        self.incoming[0].accept()
-        for topic in self.incoming[1:]:
+        self._in[0].accept()
+        for topic in self._in[1:]:
             topic.poll()
         for topic in self._needed:
             if topic.stale:
@@ -276,7 +285,7 @@ class RosPlatform:
     def warm_up(self) -> None:
         """Do what `send` does up to the publishing, to warm up."""
         self._finite()
-        for out in self.outgoing:
+        for out in self._out:
             out.warm_up()
 
     def send(self) -> bool | None:
@@ -286,7 +295,7 @@ class RosPlatform:
             Fault: a command is not finite, or commands cannot be published.
         """
         self._finite()
-        for out in self.outgoing:
+        for out in self._out:
             out.tick()
             if out.failing >= SEND_FAILURES:
                 raise Fault(
@@ -303,9 +312,9 @@ class RosPlatform:
         self._closed = True
         with ExitStack() as rest:  # all of it, whatever fails
             rest.callback(self._own.close)
-            for topic in self.incoming:
+            for topic in self._in:
                 rest.callback(topic.close)
-            for said in self.outgoing:
+            for said in self._out:
                 rest.callback(said.close)
             rest.callback(self._wait_set.close)
             # A robot that got nothing of ours is somebody else's.
@@ -314,18 +323,18 @@ class RosPlatform:
                 damped = self._sent.limp and not self._hold  # by whoever ticked, and told before
                 again = partial(self._send_again, damping)
                 repeated(again, self._period, 0.0 if damped else self._damping)
-                for out in self.outgoing:
+                for out in self._out:
                     out.flush()
 
     def _send_again(self, damping: Damping) -> None:
         damping()
         self._states["stamp_ns"][...] += round(self._period * 1e9)  # or a reader takes it for old
-        for out in self.outgoing:
+        for out in self._out:
             out.now()
 
     def commanders(self) -> Mapping[str, int]:
         """Return the topics of the commands, with the number of others that publish there."""
-        own = {out.topic for out in self.outgoing}
+        own = {out.topic for out in self._out}
         count = self._own.node.count_publishers
         return {topic: count(topic) - (topic in own) for topic in self._commands}
 
@@ -334,7 +343,7 @@ class RosPlatform:
         return {
             "map": str(self._path),
             "topics": list(self.topics),
-            "received": {topic.topic: topic.received for topic in self.incoming},
-            "published": {out.topic: out.published for out in self.outgoing},
+            "received": {topic.topic: topic.received for topic in self._in},
+            "published": {out.topic: out.published for out in self._out},
             "notes": list(self._warnings),
         }

@@ -15,7 +15,7 @@ from unicon_core.models.links import Link
 from unicon_core.models.quaternions import multiply, rotate
 from unicon_msgs_map import Encoder, FieldSpec, PublishSpec, Qos
 from unicon_msgs_map.layout.messages import shared_messages
-from unicon_msgs_map.layout.paths import Reference, parse_path
+from unicon_msgs_map.layout.paths import parse_path, parse_reference
 
 __all__ = ["TF_MESSAGE", "LinkTransforms", "static_transforms", "tf_entry"]
 
@@ -83,18 +83,21 @@ def tf_entry(
         rate: in [Hz], None for every tick.
         prefix: stands before all names.
     """
+    rows = [
+        (names[e.parent], e.name, f"positions[{3 * i}:{3 * i + 3}]", f"quats[{4 * i}:{4 * i + 4}]")
+        for i, e in enumerate(links)
+    ]
     fields: list[FieldSpec] = []
-    for i, link in enumerate(links):
-        at = f"transforms[{i}]"
+    for i, (parent, child, position, quat) in enumerate(rows):
         for path, source in (
-            ("header.stamp", Reference("state", "stamp_ns")),
-            ("header.frame_id", Reference("const", value=f"{prefix}{names[link.parent]}")),
-            ("child_frame_id", Reference("const", value=f"{prefix}{link.name}")),
-            ("transform.translation", Reference("state", "positions", (3 * i, 3 * i + 3))),
-            ("transform.rotation", Reference("state", "quats", (4 * i, 4 * i + 4))),
+            ("header.stamp", "stamp_ns"),
+            ("header.frame_id", f"={prefix}{parent}"),
+            ("child_frame_id", f"={prefix}{child}"),
+            ("transform.translation", position),
+            ("transform.rotation", quat),
         ):
-            whole = f"{at}.{path}"
-            fields.append(FieldSpec(whole, parse_path(whole), source, where=topic))
+            whole = f"transforms[{i}].{path}"
+            fields.append(FieldSpec(whole, parse_path(whole), parse_reference(source), where=topic))
     types, qos = shared_messages(), Qos(depth=1)
     return PublishSpec(topic, TF_MESSAGE, tuple(fields), types, rate, qos, where=topic)
 
