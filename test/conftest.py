@@ -28,6 +28,7 @@ if os.environ.get("ROS_DISTRO") == "humble":
     os.environ["ROS_LOCALHOST_ONLY"] = "1"
 os.environ["ROS_LOG_DIR"] = LOG_DIR
 os.environ["UNICON_FAULTS"] = f"{LOG_DIR}/faults"  # not the user's
+os.environ["UNICON_LATCHES"] = f"{LOG_DIR}/latches"
 for name in ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"):
     os.environ[name] = str(ROOT / "config" / "dds" / "fast_discovery.xml")
 settings.register_profile("busy", deadline=None)  # a busy machine takes its time for an example
@@ -81,6 +82,14 @@ def patient(monkeypatch: pytest.MonkeyPatch) -> None:
 
     for simulated in pacing.HANG:
         monkeypatch.setitem(pacing.HANG, simulated, 20.0)
+
+
+@pytest.fixture(autouse=True)
+def latch_files(monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder for latches of this test alone: domains are taken again by tests that come later."""
+    folder = Path(tempfile.mkdtemp(prefix="latches_", dir=LOG_DIR))
+    monkeypatch.setenv("UNICON_LATCHES", str(folder))
+    return folder
 
 
 @pytest.fixture

@@ -4,7 +4,8 @@ unconfigured → configure (builds the workflow) → inactive → activate (tick
 for its gates first, then for the operator's go, which is a call of `~/start`. When the flow is
 done, `~/stop` is called or a block trips, the platform damps and closes and the node is inactive
 again; `~/start` or activate builds the workflow anew and runs it, unless `~/estop` was pressed and
-not cleared. Whatever raises in a build, a run or a callback is told, and the node lives on.
+not cleared, in this process or one before. After an end with status 3 the next process does not
+start by itself. Whatever raises in a build, a run or a callback is told, and the node lives on.
 
 Ticks run in the thread that calls `spin`. While active, the executor is served in the slack between
 ticks only; otherwise as usual. To share a process and an executor with nodes of your own:
@@ -31,11 +32,12 @@ from unicon_core.workflow import Hook, Program, load_document
 from unicon_ros import compat
 from unicon_ros.bridge import RosSession
 from unicon_ros.bridge.diagnostics import Diagnostics
-from unicon_ros.bridge.estop import FAULT, STOP_SERVICES, EmergencyStop
+from unicon_ros.bridge.estop import FAULT, STOP_SERVICES, EmergencyStop, latch_of
 from unicon_ros.bridge.node_log import NodeLog
 from unicon_ros.bridge.services import SERVICES, Answer, add_services, explained
 from unicon_ros.bridge.tuning import Tuning
 from unicon_ros.fault_record import FaultRecord
+from unicon_ros.latches import FAULT as ENDED_BY_FAULT
 from unicon_ros.parameters import Parameters
 
 __all__ = ["UniconNode"]
@@ -78,7 +80,11 @@ class UniconNode(LifecycleNode):
             if word not in STOP_SERVICES
         }
         self.log = NodeLog(self.get_logger())
+        for line in self.settings.unknown:
+            self.log.warning(line)
         self.estop = EmergencyStop(self, lambda: self._running, self.log.warning)
+        self.estop.keep()
+        self._faulted = latch_of(self, ENDED_BY_FAULT, self.log.warning)
         add_services(self, handlers, self.log.error)
         compat.answer_refused_transitions(self, self._transition_refused)
         self.diagnostics = Diagnostics(self, self.estop)
@@ -100,22 +106,39 @@ class UniconNode(LifecycleNode):
             if SIGNALS.asked:  # `|=` would undo what a signal sets in the middle of it
                 self._ending = True
             try:
-                if self.settings["autostart"] and not self._autostart():
+                if self.settings["autostart"] and not self._held() and not self._autostart():
                     if not self.estop.latched:
                         return 1
                     self.fault = self.diagnostics.fault = FAULT  # pressed during the build
                     if self.settings["exit_on_fault"]:
-                        return 3
+                        return self._end_by_fault()
                 while not self._ending and self.context.ok():
                     if self._wanted:
                         self._run()
                         if self.fault and self.settings["exit_on_fault"]:
-                            return 3
+                            return self._end_by_fault()
                     else:
                         self._serve(executor)
             finally:
                 self._release()
         return 0
+
+    def _held(self) -> bool:
+        """Tell whether an earlier process left what keeps this one from starting by itself."""
+        reason = ""
+        if self.estop.restored:
+            reason = f"the emergency stop was pressed ({self.estop.restored}); call ~/clear_estop"
+        elif (found := self._faulted.read()) is not None:
+            reason = f"the process before ended by a fault ({found.at}: {found.reason})"
+        if reason:
+            self.fault = self.diagnostics.fault = f"not started by itself: {reason}"
+            self.log.error(f"{self.fault}, and ~/start when it is safe")
+        return bool(reason)
+
+    def _end_by_fault(self) -> int:
+        self._faulted.set(self.fault)
+        self._faulted.kept()
+        return 3
 
     def _autostart(self) -> bool:
         """Start; what is wrong is the caller's to tell, not the log's."""
@@ -204,6 +227,8 @@ class UniconNode(LifecycleNode):
             self.error = refused
             self.log.error(f"not activated: {refused}")
             return FAILURE
+        if stays := self._faulted.release():
+            self.log.warning(stays)
         self._activations += 1
         self._wanted = True
         return SUCCESS
@@ -235,6 +260,7 @@ class UniconNode(LifecycleNode):
     def destroy_node(self) -> None:
         """Let the services go, then the node."""
         self.estop.close()
+        self._faulted.close()
         self.log.close()
         super().destroy_node()
 
@@ -293,7 +319,9 @@ class UniconNode(LifecycleNode):
             raise
         session.attach(self.runner)
         self._record.attach(self.runner)
-        self.diagnostics.outgoing, self.diagnostics.incoming = session.outgoing, session.incoming
+        told = self.diagnostics
+        told.neighbours = session.neighbours
+        told.outgoing, told.incoming = session.outgoing, session.incoming
 
     def _release(self) -> None:
         """Close what was built; the platform damps first."""
@@ -306,6 +334,7 @@ class UniconNode(LifecycleNode):
             except Exception as error:  # everything is closed, and each error told
                 self.log.error(f"closing failed: {explained(error)}")
         self.diagnostics.outgoing, self.diagnostics.incoming = [], []
+        self.diagnostics.neighbours = None
 
     def _label(self) -> str:
         return str(self._state_machine.current_state[1])

@@ -6,9 +6,6 @@ parameter `exit_on_fault`.
 
 from __future__ import annotations
 
-import ctypes
-import os
-import signal
 import sys
 from collections.abc import Sequence
 from typing import Any
@@ -17,15 +14,18 @@ from unicon_core.errors import UniconError
 from unicon_core.outlet import open_standard_files, relayed_stderr
 from unicon_core.signals import SIGNALS, Interrupted
 from unicon_ros import compat
+from unicon_ros.end_with import end_with
 
 __all__ = ["main"]
 
 USAGE = """\
-usage: unicon_node [--end-with PID] --ros-args -p workflow:=NAME [-p name:=value …] [-r from:=to …]
+usage: unicon_node [--end-with PID|parent|nobody] --ros-args -p workflow:=NAME [-p name:=value …]
+         [-r from:=to …]
 
-Runs a workflow as a ROS 2 lifecycle node. With --end-with it gets SIGTERM, which damps, when the
-process that started it (its id is PID) ends. Parameters, with descriptions and ranges:
-  ros2 param describe /unicon PARAMETER, or unicon_ros/parameters.py.
+Runs a workflow as a ROS 2 lifecycle node. With --end-with it gets SIGTERM, which damps, when that
+process ends, the one that started it or one further up; so it does without the option under
+`ros2 launch`, unless that says nobody. Parameters, with descriptions and ranges:
+  ros2 param describe /unicon PARAMETER, or unicon_ros/parameter_table.py.
 """
 
 
@@ -44,41 +44,22 @@ def _main(arguments: list[str]) -> int:
     try:
         rclpy = compat.import_rclpy("unicon_node")
         own = _without_ros(rclpy, arguments)
-        if own:
-            if own[0] == "--end-with" and len(own) == 2 and own[1].isdecimal():
-                _end_with(int(own[1]))
-                return _spin(rclpy, arguments)
+        whom = None
+        if len(own) == 2 and own[0] == "--end-with":
+            whom = own[1]
+        elif own:
             if own[0] in ("-h", "--help"):
                 print(USAGE, end="")
                 return 0
             print(f"unicon_node: unknown argument {own[0]!r}\n{USAGE}", end="", file=sys.stderr)
             return 2
+        end_with(whom)
         return _spin(rclpy, arguments)
     except Interrupted:  # while building: nothing has moved, and all is closed
         return 0
     except UniconError as error:
         print(f"unicon_node: error: {error}", file=sys.stderr)
         return 1
-
-
-def _end_with(parent: int) -> None:
-    """Let the kernel send us SIGTERM when our parent ends, by whatever signal.
-
-    Raises:
-        UniconError: that process is not our parent, or not any more.
-    """
-    set_parent_death_signal = 1  # PR_SET_PDEATHSIG, linux/prctl.h
-    try:
-        status = ctypes.CDLL(None).prctl(set_parent_death_signal, signal.SIGTERM)
-    except AttributeError:  # not Linux
-        status = -1
-    if status != 0:
-        raise UniconError("--end-with: this system has no prctl(PR_SET_PDEATHSIG); leave it out")
-    if os.getppid() != parent:
-        raise UniconError(
-            f"--end-with {parent}: that process has ended, or is not the one that started this "
-            f"({os.getppid()}); nothing was started"
-        )
 
 
 def _without_ros(rclpy: Any, arguments: list[str]) -> list[str]:

@@ -1,69 +1,85 @@
-"""Parameters of unicon_node: names, descriptions, ranges, and what changes while it runs."""
+"""Parameters of unicon_node: declared, checked when they are set, and read; see parameter_table."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal
 
-from rcl_interfaces.msg import (
-    FloatingPointRange,
-    ParameterDescriptor,
-    ParameterType,
-    SetParametersResult,
-)
+from rcl_interfaces.msg import ParameterType, SetParametersResult
 
-from unicon_core.errors import UniconError
-from unicon_ros.bridge.introspection import PARAMETERS as INTROSPECTION
-from unicon_ros.bridge.tuning import NO_LIMIT, Tuning, too_little_damping
+from unicon_core.check.result import CODES
+from unicon_core.errors import UniconError, alternatives
+from unicon_core.resources import find_config
+from unicon_core.workflow.document import split_setting
+from unicon_core.workflow.registry import known
+from unicon_ros import compat
+from unicon_ros.bridge.bindings import checked_prefix
+from unicon_ros.bridge.declare import declare, fitted
+from unicon_ros.bridge.tuning import Tuning, too_little_damping
+from unicon_ros.parameter_table import DECLARED, LIMITS, RANGES, SCALES, WORDS
 
 __all__ = ["Parameters"]
 
-AT_CONFIGURE: tuple[tuple[str, Any, str], ...] = (
-    ("workflow", "", "name in config/workflows/ or path of the workflow"),
-    ("map", "", "name in config/maps/ or path of the message map; empty: the workflow's"),
-    ("robot", "", "robot file in place of the workflow's"),
-    ("platform", "", "platform in place of the workflow's"),
-    ("part", "", "the one part to run of a workflow that has parts; empty: all of it"),
-    ("overrides", [""], "path=value texts as of `unicon run --set`"),
-    ("force", [""], "codes of errors of `unicon check` to go on with"),
-    ("frame_prefix", "", "stands before the names of all frames, such as robot1/"),
-    ("record", "", "file (.mcap) or folder/ to record every state and message to; empty: none"),
-    ("record_split", "", "size or length of a file of a recording, such as 1GB or 60s"),
-    *((name, value, what) for name, (value, what) in INTROSPECTION.items()),
-    ("speed", "real", "real: by the wall clock; max: as fast as it can"),
-    ("rate", 0.0, "ticks per second in [Hz], 0: the workflow's own"),
-)
-AT_ONCE: tuple[tuple[str, Any, str], ...] = (
-    ("autostart", True, "configure and activate at start"),
-    ("exit_on_fault", False, "end the process with status 3 after a fault"),
-    ("stiffness_scale", 1.0, "factor of all joint stiffnesses, at once"),
-    ("damping_scale", 1.0, "factor of all joint dampings, at once; at least 0.5 √stiffness_scale"),
-    ("max_vx", NO_LIMIT, "largest |forward command| in [m/s], at once"),
-    ("max_vy", NO_LIMIT, "largest |sideward command| in [m/s], at once"),
-    ("max_wz", NO_LIMIT, "largest |turning command| in [rad/s], at once"),
-)
-DECLARED = (
-    *(
-        (name, value, f"{what}; takes effect when the node is configured or started anew")
-        for name, value, what in AT_CONFIGURE
-    ),
-    *AT_ONCE,
-)
-"""Name, value and description of each."""
+DEFAULTS = {name: value for name, value, _ in DECLARED}
+FOREIGN = ("qos_overrides.", "start_type_description_service", "use_sim_time", "bond")
+"""Parameters that rclpy itself declares, or looks at."""
 
-RANGES = {
-    "rate": (0.0, 10_000.0),
-    "debug_rate": (0.1, 100.0),
-    "stiffness_scale": (0.0, 2.0),
-    "damping_scale": (0.1, 5.0),
-    "max_vx": (0.0, NO_LIMIT),
-    "max_vy": (0.0, NO_LIMIT),
-    "max_wz": (0.0, NO_LIMIT),
+
+def _beside(kind: str) -> Callable[[str], object]:
+    """Look for a name or a path, but not for one that may be relative to the workflow's folder."""
+
+    def find(name: str) -> None:
+        relative = "/" in name or name.endswith(".yaml")
+        if name.startswith(("/", "~")) or not relative:
+            find_config(kind, name)
+
+    return find
+
+
+def _platform(name: str) -> None:
+    if ":" not in name and name not in known("platforms"):
+        raise UniconError(f"unknown platform {name!r}; {alternatives(name, known('platforms'))}")
+
+
+def _code(code: str) -> None:
+    if code not in CODES:
+        raise UniconError(f"no finding has the code {code!r}; {alternatives(code, CODES)}")
+
+
+def _split(text: str) -> None:
+    from unicon_ros.recording.bag_folder import Split
+
+    Split.of(text)
+
+
+CHECKS: dict[str, Callable[[str], object]] = {
+    "workflow": lambda name: find_config("workflows", name),
+    "map": _beside("maps"),
+    "robot": _beside("robots"),
+    "platform": _platform,
+    "overrides": split_setting,
+    "force": _code,
+    "frame_prefix": checked_prefix,
+    "record_split": _split,
 }
-SCALES = ("stiffness_scale", "damping_scale")
-LIMITS = ("max_vx", "max_vy", "max_wz")
-WORDS = {"speed": ("real", "max")}
+"""What can be known of a text when it is set; the rest shows when the node is configured."""
+
+
+def unsuitable(values: Mapping[str, Any]) -> str:
+    """Return why a parameter cannot have the value that it is set to, or ""."""
+    for name, value in values.items():
+        words = WORDS.get(name)
+        if words and value not in words:
+            return f"{name} is one of {', '.join(words)}, not {value!r}"
+        texts = value if isinstance(value, (list, tuple)) else [value]
+        for text in texts if name in CHECKS else []:
+            try:
+                if text:
+                    CHECKS[name](text)
+            except UniconError as error:
+                return f"{name}: {error}"
+    return ""
 
 
 class Parameters:
@@ -79,22 +95,13 @@ class Parameters:
 
     def __init__(self, node: Any, tuning: Tuning) -> None:
         self._node, self._tuning = node, tuning
-        for name, value, description in DECLARED:
-            descriptor = ParameterDescriptor(name=name, description=description)
-            if isinstance(value, list):
-                descriptor.type = ParameterType.PARAMETER_STRING_ARRAY
-            if name in WORDS:
-                descriptor.additional_constraints = f"one of {', '.join(WORDS[name])}"
-            if name in RANGES:
-                lowest, highest = RANGES[name]
-                span = FloatingPointRange(from_value=lowest, to_value=highest, step=0.0)
-                descriptor.floating_point_range = [span]
-            node.declare_parameter(name, value, descriptor)
+        declare(node, DECLARED)
         given = {name: self[name] for name in RANGES}
         refusal = self._refusal(given)
         if refusal:
             raise UniconError(refusal)
         self._apply(given)
+        compat.convert_parameters(node, self._fitted)
         node.add_on_set_parameters_callback(self._set)
 
     def __getitem__(self, name: str) -> Any:
@@ -118,14 +125,24 @@ class Parameters:
             found.append(f"rate={self['rate']}")
         return found + [text for text in self["overrides"] if text]
 
+    @property
+    def unknown(self) -> list[str]:
+        """What was given at start and is not a parameter of the node, a line for each."""
+        given = compat.parameters_given(self._node)
+        names = [name for name in given if not self._node.has_parameter(name)]
+        strange = [name for name in names if not name.startswith(FOREIGN)]
+        return [f"no parameter {n!r}; {alternatives(n, sorted(DEFAULTS))}" for n in strange]
+
+    def _fitted(self, name: str, value: Any) -> tuple[Any, Any]:
+        """Return a value as it is meant, and a type of rclpy where the value does not tell it."""
+        default = DEFAULTS.get(name)
+        value = fitted(value, default)
+        array = isinstance(default, list) and isinstance(value, list)
+        return value, ParameterType.PARAMETER_STRING_ARRAY if array and not value else None
+
     def _set(self, parameters: Sequence[Any]) -> SetParametersResult:
-        for parameter in parameters:
-            words = WORDS.get(parameter.name)
-            if words and parameter.value not in words:
-                reason = f"{parameter.name} is one of {', '.join(words)}, not {parameter.value!r}"
-                return SetParametersResult(successful=False, reason=reason)
         values = {parameter.name: parameter.value for parameter in parameters}
-        refusal = self._refusal(values)
+        refusal = unsuitable(values) or self._refusal(values)
         if refusal:
             return SetParametersResult(successful=False, reason=refusal)
         self._apply(values)

@@ -129,15 +129,16 @@ class RecordedTopics:
                 messages = None
         if messages is None:
             return
-        described = _string_message(messages.description)
-        self._latch("robot_description", "std_msgs/msg/String", described)
+        if messages.description:
+            described = _string_message(messages.description)
+            self._latch("robot_description", "std_msgs/msg/String", described)
         if messages.static:
             self._latch("/tf_static", TF_MESSAGE, messages.static)
         if frames is not None and frames.out is not None:
             frames.out.tap = self._tap(frames.out.topic, frames.out.spec)
         elif messages.links is not None:
             self._encode(self._resolved("/tf"), messages.links, messages.update)
-            self._reads.add("joint_pos")
+            self._reads.update(messages.reads)
 
     # -- helpers --------------------------------------------------------------------------------
 

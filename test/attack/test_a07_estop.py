@@ -60,13 +60,19 @@ def ticking(log: Path, count: int = 30) -> None:
 @pytest.mark.parametrize("recv_s", TICKS.values(), ids=TICKS)
 @pytest.mark.parametrize("kind", ["run", pytest.param("node", marks=pytest.mark.slow)])
 def test_no_command_leaves_once_the_tick_of_the_press_is_over(
-    start: Start, caller: Caller, tmp_path: Path, kind: str, recv_s: float
+    start: Start,
+    caller: Caller,
+    tmp_path: Path,
+    kind: str,
+    recv_s: float,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     tick = max(20.0, 1e3 * recv_s)
     seen = []
     for attempt in range(3):  # a machine that is busy otherwise may deliver a request late
         folder = tmp_path / str(attempt)
         folder.mkdir()
+        monkeypatch.setenv("UNICON_LATCHES", str(folder))  # or the next one would not start
         path, log = write_workflow(folder, recv_s=recv_s)
         host = start(kind, path)
         caller.find("estop")

@@ -1,6 +1,6 @@
 """Runs a workflow with its bridge and prints where the simulator has the feet, tick by tick.
 
-A process of its own, since it needs the type support of tf2_msgs from its first import on.
+A process of its own, since the test listens in another one.
 Usage: feet_of_the_simulator.py WORKFLOW SECONDS
 """
 

@@ -87,7 +87,7 @@ def test_diagnostics_tell_rate_overruns_topics_and_then_the_fault(
     running = [status for status in statuses if status.message != "inactive"]
     told = [{value.key: value.value for value in status.values} for status in running]
     values = next(each for each in told if float(each["rate_hz"]) > 0.0)  # some ticks have ended
-    assert running[0].name == "unicon: tick"
+    assert running[0].name == "/unicon: tick"
     assert running[0].hardware_id == "go2"
     assert values["workflow"] == "react"
     assert float(values["tick_p50_us"]) <= float(values["tick_p99_us"])

@@ -23,7 +23,7 @@ PLAIN = {"odom", "base_link", "imu_link"}
 def test_all_frames_of_a_session_have_the_prefix(
     sway: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What would be published, by a node that only notes it; also where tf2_msgs is missing."""
+    """What would be published, by a node that only notes it."""
     found = {prefix: frames_of(sway, prefix, monkeypatch) for prefix in ("", "robot1/")}
     assert PLAIN | {"FR_calf", "FR_foot"} <= found[""].keys() | set(found[""].values())
     assert found["robot1/"] == {
@@ -35,7 +35,7 @@ def frames_of(path: Path, prefix: str, monkeypatch: pytest.MonkeyPatch) -> dict[
     """Return the parent of each frame that the session tells on /tf and /tf_static."""
     heard: list[tuple[str, bytes]] = []
     kind = "tf2_msgs/msg/TFMessage"
-    real = compat.message_class
+    real = compat.bytes_class
 
     class Noted:
         def __init__(self, topic: str) -> None:
@@ -57,7 +57,7 @@ def frames_of(path: Path, prefix: str, monkeypatch: pytest.MonkeyPatch) -> dict[
     monkeypatch.setattr(
         session.node, "destroy_publisher", lambda p: isinstance(p, Noted) or destroy(p)
     )
-    monkeypatch.setattr(compat, "message_class", lambda n: Noted if n == kind else real(n))
+    monkeypatch.setattr(compat, "bytes_class", lambda n, m: Noted if n == kind else real(n, m))
     try:
         workflow = load_workflow(path, hooks=[session.hook])
         for out in session.outgoing:

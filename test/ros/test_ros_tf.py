@@ -1,7 +1,8 @@
 """/tf and /tf_static for real: a plain listener chains them to where the simulator has the feet.
 
-Where tf2_msgs is missing (the wheels) its type support is generated from our own text, see
-`tools/lib/make_type_support.py`; that needs cmake and a C++ compiler.
+Where tf2_msgs is missing (the wheels) the listener's type support is generated from our own text,
+see `tools/lib/make_type_support.py`; that needs cmake and a C++ compiler. Who publishes goes
+without, as a user of the wheels does.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ sys.path.insert(0, str(ROOT / "tools" / "lib"))
 
 @pytest.fixture(scope="module")
 def tf2_environment() -> dict[str, str]:
-    """The environment of processes that can import tf2_msgs."""
+    """What to change in the environment of a process, so that it can import tf2_msgs."""
     if compat.message_class("tf2_msgs/msg/TFMessage") is not None:
         return {}
     from make_type_support import Unavailable, environment, type_support
@@ -36,27 +37,35 @@ def tf2_environment() -> dict[str, str]:
     try:
         prefix = type_support({"tf2_msgs": HERE / "interfaces" / "tf2_msgs"})
     except Unavailable as error:
-        pytest.skip(f"/tf is not tested for real: tf2_msgs is absent, and {error}")
+        pytest.skip(f"/tf is not heard by tf2_msgs's own code: it is absent, and {error}")
     values = environment(prefix)
     values["PYTHONPATH"] += f"{os.pathsep}{ROOT}"
     return values
 
 
-@pytest.fixture(autouse=True)
-def tf2(tf2_environment: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let the processes that a test starts import tf2_msgs."""
-    for name, value in tf2_environment.items():
-        monkeypatch.setenv(name, value)
+@pytest.fixture
+def listeners(
+    tf2_environment: dict[str, str], peers: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> Callable[[], Any]:
+    """Starts listeners to /tf and /tf_static, which import tf2_msgs."""
+
+    def start() -> Any:
+        with monkeypatch.context() as patch:
+            for name, value in tf2_environment.items():
+                patch.setenv(name, value)
+            return peers("tf_listener")
+
+    return start
 
 
 def test_a_listener_finds_the_feet_where_the_simulator_has_them(
-    peers: Callable[..., Any],
+    listeners: Callable[[], Any],
     sway: Path,
 ) -> None:
     robot = Peer(sys.executable, str(HERE / "feet_of_the_simulator.py"), str(sway), "8")
     try:
         robot.wait_for(lambda: len(robot.of("feet")) > 50, "the simulator")
-        listener = peers("tf_listener")  # late: /tf_static is latched
+        listener = listeners()  # late: /tf_static is latched
         assert robot.end(60)[0] == 0
         static = {line["child"]: line for line in listener.of("static")}
         assert {"FR_foot", "imu_link"} <= set(static)
@@ -101,13 +110,13 @@ deferred:
 
 
 def test_a_listener_finds_the_optical_frame_of_a_camera(
-    peers: Callable[..., Any],
+    listeners: Callable[[], Any],
     processes: Callable[..., Any],
     sway: Path,
 ) -> None:
     sway.write_text(sway.read_text() + CAMERA)
     run = processes(sys.executable, "-m", "unicon_ros", "run", str(sway), "--duration", "6")
-    listener = peers("tf_listener")
+    listener = listeners()
     status, errors = run.end(60)
     if "no offscreen OpenGL" in errors:
         pytest.skip(errors)
@@ -123,7 +132,7 @@ def test_a_listener_finds_the_optical_frame_of_a_camera(
 
 
 def test_two_robots_in_two_namespaces_share_tf_without_a_frame_in_common(
-    peers: Callable[..., Any],
+    listeners: Callable[[], Any],
     nodes: Callable[..., Any],
     processes: Callable[..., Any],
     sway: Path,
@@ -133,7 +142,7 @@ def test_two_robots_in_two_namespaces_share_tf_without_a_frame_in_common(
     command = ("-m", "unicon_ros", "run", str(sway), "--ros", "--duration", "60")
     own = ("--namespace", "robot2", "--frame-prefix", "robot2/")
     processes(sys.executable, *command, *own)
-    listener = peers("tf_listener")
+    listener = listeners()
     robots = ("robot1/", "robot2/")
 
     def parents(prefix: str) -> dict[str, str]:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from unicon_core.models.camera import ModelCamera
 from unicon_core.models.links import Link
+from unicon_msgs_map.layout.messages import shared_messages
 from unicon_ros import compat
 from unicon_ros.bridge.images import INFO, STAMP, FrameMessage, info_message
 from unicon_ros.bridge.own_node import OwnNode
@@ -61,7 +62,7 @@ class CameraTopics:
     def _tell_frame(
         self, frame: str, parent: str, at: NDArray[np.float64], quat: NDArray[np.float64]
     ) -> None:
-        message = compat.message_class(TF_MESSAGE)
+        message = compat.bytes_class(TF_MESSAGE, shared_messages())
         if message is None:
             return
         links = [Link(parent, -1, at, quat), Link(frame, 0, at, quat)]

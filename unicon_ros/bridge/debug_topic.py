@@ -60,7 +60,7 @@ class DebugTopic:
         group: Any,
         running: Callable[[], bool],
     ) -> None:
-        if isinstance(rate, str | bool) or not 0.0 < rate <= 100.0:
+        if not 0.0 < rate <= 100.0:
             raise UniconError(f"parameter debug_rate is {rate!r} Hz; give 0.1 to 100")
         encoder = debug_encoder(chosen, program, arrays)
         message = compat.message_class(TYPE)

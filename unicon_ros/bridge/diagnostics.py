@@ -1,15 +1,22 @@
-"""Diagnostics: what /diagnostics says about a run, once a second."""
+"""Diagnostics: what /diagnostics says about a run, once a second.
+
+All of it bears the fully qualified name of the node, so that robots in one ROS domain are told
+apart; the topic itself is one for all of them.
+"""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from unicon_core.runtime import Runner, TickStatistics, percentiles
 from unicon_core.runtime.phases import Phase
+from unicon_ros import compat
 from unicon_ros.bridge.estop import FAULT, EmergencyStop
+from unicon_ros.bridge.neighbours import Neighbours
 from unicon_ros.bridge.topics_in import TopicIn
 from unicon_ros.bridge.topics_out import TopicOut
 
@@ -18,6 +25,8 @@ __all__ = ["Diagnostics"]
 OK, WARN, ERROR = b"\x00", b"\x01", b"\x02"
 TEMPERATURES = ("joint_temperature", "motor_temperature", "temperature")
 TOPIC = "/diagnostics"
+LAST = 0.1
+"""How long readers may take to get the last status in [s]."""
 
 
 class Diagnostics:
@@ -30,6 +39,7 @@ class Diagnostics:
     Attributes:
         runner: what is told about; None while nothing runs.
         outgoing, incoming: topics whose rates are told.
+        neighbours: what is told of them; None while nobody looks.
         fault: why the last run ended, "" if it ended well.
     """
 
@@ -41,6 +51,7 @@ class Diagnostics:
         self.runner: Runner | None = None
         self.outgoing: list[TopicOut] = []
         self.incoming: list[TopicIn] = []
+        self.neighbours: Neighbours | None = None
         self.fault = ""
         self._at = time.monotonic()
         self._ticks = self._overruns = 0
@@ -54,10 +65,13 @@ class Diagnostics:
         if self._estop.latched:
             level, message = ERROR, f"{self.fault or FAULT}; latched until ~/clear_estop"
         values["estop"] = "latched" if self._estop.latched else "clear"
-        status = DiagnosticStatus(level=level, name=f"{self._node.get_name()}: tick")
+        status = DiagnosticStatus(
+            level=level, name=f"{self._node.get_fully_qualified_name()}: tick"
+        )
         status.message = message
         if self.runner is not None:
-            status.hardware_id = self.runner.program.robot.name
+            space = self._node.get_namespace().strip("/")
+            status.hardware_id = "/".join(filter(None, (space, self.runner.program.robot.name)))
         status.values = [KeyValue(key=key, value=value) for key, value in values.items()]
         array = DiagnosticArray(status=[status])
         array.header.stamp = self._node.get_clock().now().to_msg()
@@ -103,24 +117,25 @@ class Diagnostics:
     def _topics(
         self, values: dict[str, str], seconds: float, level: bytes, message: str
     ) -> tuple[bytes, str]:
-        both: list[TopicOut | TopicIn] = [*self.outgoing, *self.incoming]
-        for each in both:
+        for label, each in _labelled(self.outgoing, self.incoming):
             for name, count in each.events.counts().items():
-                values[f"{each.topic} {name}"] = str(count)
+                values[f"{label} {name}"] = str(count)
             if each.events.trouble:
                 level, message = WARN, f"{each.topic}: {each.events.trouble}"
-        for out in self.outgoing:
-            values[f"{out.topic} hz"] = self._rate(f"> {out.topic}", out.published, seconds)
-            if out.failed:
-                values[f"{out.topic} failed"] = str(out.failed)
-        for topic in self.incoming:
-            values[f"{topic.topic} hz"] = self._rate(f"< {topic.topic}", topic.received, seconds)
-            rejected, last_error = topic.decoder.rejected, topic.decoder.last_error
+            passed = each.published if isinstance(each, TopicOut) else each.received
+            values[f"{label} hz"] = self._rate(label, passed, seconds)
+            if isinstance(each, TopicOut):
+                if each.failed:
+                    values[f"{label} failed"] = str(each.failed)
+                continue
+            rejected, last_error = each.decoder.rejected, each.decoder.last_error
             if rejected:
-                values[f"{topic.topic} rejected"] = f"{rejected}; {last_error}"
-                level, message = WARN, f"{topic.topic}: messages were refused"
-            if topic.stale:
-                level, message = WARN, f"{topic.topic}: no messages any more"
+                values[f"{label} rejected"] = f"{rejected}; {last_error}"
+                level, message = WARN, f"{each.topic}: messages were refused"
+            if each.stale:
+                level, message = WARN, f"{each.topic}: no messages any more"
+        for text in self.neighbours.present.values() if self.neighbours is not None else ():
+            level, message = WARN, text
         return level, message
 
     def _rate(self, key: str, count: int, seconds: float) -> str:
@@ -129,8 +144,26 @@ class Diagnostics:
         return f"{max(count - before, 0) / seconds:.2f}"
 
     def close(self) -> None:
-        """Destroy the publisher."""
+        """Tell how it ended, and destroy the publisher."""
+        self.publish()
+        compat.wait_for_readers(self._publisher, LAST)
         self._node.destroy_publisher(self._publisher)
+
+
+def _labelled(
+    outgoing: Sequence[TopicOut], incoming: Sequence[TopicIn]
+) -> list[tuple[str, TopicOut | TopicIn]]:
+    """Return topics with what tells them apart: their names, and more where several share one."""
+    both: list[TopicOut | TopicIn] = [*outgoing, *incoming]
+    names = [each.topic for each in both]
+    labels: list[str] = []
+    for each in both:
+        label = each.topic
+        if names.count(label) > 1:
+            label += f" ({each.part})" if isinstance(each, TopicOut) else " (in)"
+        alike = sum(other == label or other.startswith(f"{label} ") for other in labels)
+        labels.append(f"{label} {alike + 1}" if alike else label)
+    return list(zip(labels, both))
 
 
 def _twin(runner: Runner, values: dict[str, str], level: bytes, message: str) -> tuple[bytes, str]:

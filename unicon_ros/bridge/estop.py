@@ -4,6 +4,9 @@ Ticks take its requests directly from the middleware, right before `send` and on
 about 2 µs each, so that no load of the executor and no length of a tick stands between a press and
 the motors. An executor may serve it as well, while nothing runs or in the slack: a request is taken
 once, by whoever comes first, and either way it latches. Only `~/clear_estop` lets go.
+
+The latch is kept in a file beside the node's name where `keep` asks for it, so that a process that
+is started anew has it too; see `unicon_ros.latches`.
 """
 
 from __future__ import annotations
@@ -17,8 +20,9 @@ from unicon_core.errors import Fault
 from unicon_core.flow import Block
 from unicon_ros import compat
 from unicon_ros.bridge.services import Answer, add_services, explained
+from unicon_ros.latches import ESTOP, Latch
 
-__all__ = ["FAULT", "REFUSAL", "STOP_SERVICES", "EmergencyStop"]
+__all__ = ["FAULT", "REFUSAL", "STOP_SERVICES", "EmergencyStop", "latch_of"]
 
 STOP_SERVICES = ("estop", "clear_estop")
 """Names of the services, each `~/<name>` of type std_srvs/srv/Trigger."""
@@ -46,12 +50,16 @@ class EmergencyStop:
     Attributes:
         latched: it was pressed and not cleared: nothing may start, what runs must end.
         polled: ticks can look by themselves; else an executor has to.
+        restored: when it was pressed, where an earlier process left it latched; else "".
     """
 
     def __init__(
         self, node: Any, running: Callable[[], bool], warn: Callable[[str], None] = print
     ) -> None:
         self.latched = False
+        self.restored = ""
+        self._node = node
+        self._kept: Latch | None = None
         self._running, self._warn = running, warn
         self._failed = False
         self._pressed_at = self._answered_at = -math.inf
@@ -61,6 +69,17 @@ class EmergencyStop:
         taking, self._let_go = compat.request_take(self._service)
         self.polled = taking is not None
         self._take: Callable[[], Any] = taking or _nothing
+
+    def keep(self) -> None:
+        """Keep the latch until the machine boots, and take over what an earlier process left."""
+        if self._kept is not None:
+            return
+        kept = self._kept = latch_of(self._node, ESTOP, self._warn)
+        found = kept.read()
+        if self.latched:
+            kept.set(FAULT)
+        elif found is not None:
+            self.latched, self.restored = True, found.at or found.reason
 
     # -- in ticks -------------------------------------------------------------------------------
 
@@ -116,8 +135,9 @@ class EmergencyStop:
             if len(self._unanswered) == heard:
                 break
         headers, self._unanswered = self._unanswered, []
+        message = PRESSED + self._not_kept() if headers else ""
         for header in headers:
-            response = self._service.srv_type.Response(success=True, message=PRESSED)
+            response = self._service.srv_type.Response(success=True, message=message)
             try:
                 self._service.send_response(response, header)
             except Exception as error:  # the client or the middleware is gone
@@ -128,7 +148,8 @@ class EmergencyStop:
         """Stop before the next command is sent; counts as a fault; nothing starts until cleared."""
         running = self._running()
         self._latch()
-        return True, PRESSED if running else "nothing runs; latched until ~/clear_estop"
+        said = PRESSED if running else "nothing runs; latched until ~/clear_estop"
+        return True, said if running else said + self._not_kept()
 
     def clear(self) -> Answer:
         """Let go of the latch, once the run has ended."""
@@ -138,18 +159,36 @@ class EmergencyStop:
             return False, "the run has not ended yet; call ~/clear_estop again"
         if time.monotonic() - self._pressed_at < DELIBERATE_S:
             return False, "it was pressed just now; if it is safe, call ~/clear_estop again"
-        self.latched = False
+        stays = "" if self._kept is None else self._kept.release()
+        if stays:
+            return False, stays
+        self.latched, self.restored = False, ""
         return True, "cleared: ~/start may start again"
 
     def close(self) -> None:
         """Let the service go, before its node is destroyed; an answer may have to be sent again."""
         self._take = _nothing
+        if self._kept is not None:
+            self._kept.close()
         time.sleep(max(0.0, self._answered_at + LINGER_S - time.monotonic()))
         self._let_go()
 
     def _latch(self) -> None:
-        self.latched = True
+        if self._kept is not None:
+            self._kept.set(FAULT)
+        self.latched, self.restored = True, ""
         self._pressed_at = time.monotonic()
+
+    def _not_kept(self) -> str:
+        """Return what to add to an answer where the latch ends with this process."""
+        if self._kept is None or self._kept.kept():
+            return ""
+        return f"; for this process only ({self._kept.trouble})"
+
+
+def latch_of(node: Any, kind: str, warn: Callable[[str], None]) -> Latch:
+    """Return a latch of an rclpy node, by its name and domain."""
+    return Latch(node.get_fully_qualified_name(), node.context.get_domain_id(), kind, warn)
 
 
 def _nothing() -> None:

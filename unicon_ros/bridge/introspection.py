@@ -13,28 +13,21 @@ import json
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from unicon_core.errors import UniconError
 from unicon_core.flow import blocks_of
 from unicon_core.workflow import Program
 from unicon_msgs_map.codec.binding import Arrays
 from unicon_ros.bridge.debug_topic import DebugTopic
+from unicon_ros.bridge.declare import declare
 from unicon_ros.bridge.qos import LATCHED, qos_profile
 from unicon_ros.bridge.services import Answer
 from unicon_ros.bridge.topics_in import TopicIn
 from unicon_ros.bridge.topics_out import TopicOut
+from unicon_ros.parameter_table import INTROSPECTION
 
-__all__ = ["PARAMETERS", "SCHEMA", "Introspection", "layout_text"]
+__all__ = ["SCHEMA", "Introspection", "layout_text"]
 
 SCHEMA = "unicon.layout/1"
 TOPIC = "~/layout"
-PARAMETERS: dict[str, tuple[Any, str]] = {
-    "debug_states": (
-        [""],
-        "states to publish on ~/debug, such as joint_pos, action[0:3] or joint_*; empty: none",
-    ),
-    "debug_rate": (10.0, "how often, in [Hz]"),
-}
-"""Name, value and description of each parameter."""
 
 
 class Introspection:
@@ -47,17 +40,12 @@ class Introspection:
     """
 
     def __init__(self, node: Any, group: Any, running: Callable[[], bool]) -> None:
-        from rcl_interfaces.msg import ParameterDescriptor
-
         self._node, self._group, self._running = node, group, running
         self._program: Program | None = None
         self._text = ""
         self._latched: Any = None
         self._debug: DebugTopic | None = None
-        for name, (value, description) in PARAMETERS.items():
-            if not node.has_parameter(name):
-                told = ParameterDescriptor(description=description, dynamic_typing=True)
-                node.declare_parameter(name, value, told)
+        declare(node, INTROSPECTION)
 
     def attach(
         self, program: Program, topics: Sequence[TopicOut | TopicIn], arrays: Arrays
@@ -81,13 +69,7 @@ class Introspection:
         self._text = layout_text(program, topics)
         self._latched = self._node.create_publisher(String, TOPIC, qos_profile(LATCHED))
         self._latched.publish(String(data=self._text))
-        wanted = self._node.get_parameter("debug_states").value or []
-        named = [wanted] if isinstance(wanted, str) else wanted
-        if isinstance(named, int | float) or not all(isinstance(text, str) for text in named):
-            raise UniconError(
-                f"parameter debug_states is {wanted!r}; give names of states, such as ['joint_pos']"
-            )
-        chosen = [text for text in named if text]
+        chosen = [text for text in self._node.get_parameter("debug_states").value if text]
         if chosen:
             rate = self._node.get_parameter("debug_rate").value
             self._debug = DebugTopic(

@@ -155,7 +155,7 @@ def message_class(spec: TopicSpec) -> Any:
     Raises:
         PlatformError: ROS does not know the type, and the map needs it.
     """
-    message = compat.message_class(spec.type)
+    message = compat.bytes_class(spec.type, spec.messages)
     if message is None and not spec.optional:
         raise PlatformError(
             f"{spec.where or spec.topic}: the type {spec.type} is not installed; "

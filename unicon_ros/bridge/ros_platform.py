@@ -45,6 +45,7 @@ from unicon_ros.bridge.map_fit import (
     robot_codecs,
 )
 from unicon_ros.bridge.middleware_threads import calm_middleware_threads
+from unicon_ros.bridge.neighbours import other_types
 from unicon_ros.bridge.own_node import OwnNode
 from unicon_ros.bridge.qos import LATEST
 from unicon_ros.bridge.topics_in import TopicIn
@@ -196,7 +197,9 @@ class RosPlatform:
             for topic in self._in:
                 topic.poll()
             if time.monotonic() > end:
+                node, silent = self._own.node, [topic for topic in self._in if not topic.heard]
                 errors = [topic.decoder.last_error for topic in self._needed]
+                errors += [other_types(node, t.topic, t.decoder.spec.type) for t in silent]
                 said = "; ".join(each for each in dict.fromkeys([*self._warnings, *errors]) if each)
                 raise PlatformError(
                     f"platform 'ros': no message {missing} within {self._patience:g} s"

@@ -13,7 +13,7 @@ SERVICES = {
     "stop": "ends the run after the present tick: the workflow winds down if it says how, then the "
     "platform damps",
     "estop": "stops before the next command is sent, looked at in every tick; the platform damps; "
-    "counts as a fault; latches",
+    "counts as a fault; latches, for processes to come too",
     "clear_estop": "lets go of that latch once the run has ended; until then nothing starts",
     "reset": "brings a simulator and the flow back to their beginning",
     "pause": "lets a simulator stand still until `~/start` or `~/step`",

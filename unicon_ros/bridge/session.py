@@ -35,9 +35,11 @@ from unicon_ros.bridge.bindings import (
     variables_of,
 )
 from unicon_ros.bridge.controls import Controls
+from unicon_ros.bridge.diagnostics import Diagnostics
 from unicon_ros.bridge.estop import STOP_SERVICES, EmergencyStop
 from unicon_ros.bridge.introspection import Introspection
 from unicon_ros.bridge.middleware_threads import calm_middleware_threads
+from unicon_ros.bridge.neighbours import CLOCK, Neighbours
 from unicon_ros.bridge.own_node import OwnNode
 from unicon_ros.bridge.robot_frames import RobotFrames
 from unicon_ros.bridge.ros_platform import RosPlatform
@@ -49,7 +51,6 @@ from unicon_ros.bridge.topics_out import TopicOut
 
 __all__ = ["RosSession"]
 
-CLOCK = "/clock"
 COMMANDED = frozenset(COMMAND_STATES)
 
 
@@ -96,21 +97,25 @@ class RosSession:
             node, executor = self._own.node, self._own.executor
         self.node = node
         self.slack = SlackServer(executor, warn)
+        self.diagnostics: Diagnostics | None = None
         if self._own is not None:
             estop = EmergencyStop(node, self._runs, warn)
+            if compat.message_class("diagnostic_msgs/msg/DiagnosticArray") is not None:
+                self.diagnostics = Diagnostics(node, estop)
         self.estop = estop
         self.controls = Controls(self.slack.spin, estop)
         self.outgoing: list[TopicOut] = []
         self.incoming: list[TopicIn] = []
         self.skipped: list[str] = []
         self.frames: RobotFrames | None = None
+        self.neighbours = Neighbours(node, self.outgoing, self.incoming, warn)
         self._group = compat.polled_group()
         self.introspection = Introspection(
             node, self._group, lambda: self.controls.runner is not None
         )
         self.arrays: dict[str, Any] = {}  # the states as they are published
         self._others: list[Callable[[], None]] = []
-        self._timer: Any = None
+        self._timers: list[Any] = []
         self._stamp: WallStamp | None = None
         self._closed = False
         self._started_ns = time.perf_counter_ns()
@@ -123,7 +128,13 @@ class RosSession:
     # -- hooks ----------------------------------------------------------------------------------
 
     def hook(self, program: Program) -> dict[Stage, list[Block]]:
-        """Return the blocks that poll subscriptions and ~/estop, publish and serve."""
+        """Return the blocks that poll subscriptions and ~/estop, publish and serve.
+
+        Raises:
+            UniconError: the map does not fit, or the emergency stop of a robot is latched.
+        """
+        if self._own is not None and not (program.platform.facts.simulated or program.silent):
+            self._refuse_latched()
         stages = {Stage.INPUT: [self._inputs(program)]}
         if self.estop is not None:
             stages[Stage.SAFETY] = [self.estop.before_send()]
@@ -210,12 +221,19 @@ class RosSession:
         self.controls.runner = self.slack.runner = runner
         self.introspection.attach(runner.program, self._topics(), self.arrays)
         calm_middleware_threads()
-        if self._timer is None and any(topic.events.declared for topic in self._topics()):
+        if not self._timers:
             from rclpy.clock import Clock, ClockType
 
             # The steady clock, so that it goes on where nobody publishes /clock.
             steady = Clock(clock_type=ClockType.STEADY_TIME)
-            self._timer = self.node.create_timer(1.0, self._settle, self._group, steady)
+            make = partial(self.node.create_timer, 1.0, callback_group=self._group, clock=steady)
+            self._timers.append(make(self._look))
+            if self.diagnostics is not None:
+                self._timers.append(make(self.diagnostics.publish))
+        told = self.diagnostics
+        if told is not None:
+            told.runner, told.neighbours = runner, self.neighbours
+            told.outgoing, told.incoming = self.outgoing, self.incoming
         self.slack.look()
 
     def counts(self) -> dict[str, Any]:
@@ -223,7 +241,9 @@ class RosSession:
         seconds = max((time.perf_counter_ns() - self._started_ns) * 1e-9, 1e-9)
         topics: dict[str, dict[str, Any]] = {}
         for out in self.outgoing:
-            topics[out.topic] = {"published": out.published, "failed": out.failed}
+            sent = topics.setdefault(out.topic, {"published": 0, "failed": 0})
+            sent["published"] += out.published  # several of ours may share a topic, such as /tf
+            sent["failed"] += out.failed
         for topic in self.incoming:
             topics.setdefault(topic.topic, {}).update(
                 received=topic.received,
@@ -258,11 +278,24 @@ class RosSession:
                 rest.callback(close)
             for topic in self._topics():
                 rest.callback(topic.close)
-            if self._timer is not None:
-                rest.callback(self.node.destroy_timer, self._timer)
+            for timer in self._timers:
+                rest.callback(self.node.destroy_timer, timer)
+            if self.diagnostics is not None:
+                rest.callback(self._tell_the_end, self.diagnostics)
             self.slack.rest()
 
     # -- helpers --------------------------------------------------------------------------------
+
+    def _refuse_latched(self) -> None:
+        """Whoever starts a robot anew, a person or a supervisor, does not get round the latch."""
+        assert self.estop is not None
+        self.estop.keep()
+        if self.estop.latched:
+            name = self.node.get_fully_qualified_name()
+            raise UniconError(
+                f"the emergency stop of {name} is latched (pressed {self.estop.restored}); when "
+                f"it is safe to start again: unicon latches --clear {name}"
+            )
 
     def _runs(self) -> bool:
         return self.controls.runner is not None and not self._closed
@@ -270,9 +303,17 @@ class RosSession:
     def _topics(self) -> list[TopicOut | TopicIn]:
         return [*self.outgoing, *self.incoming]
 
-    def _settle(self) -> None:
+    def _look(self) -> None:
+        """Once a second: what is over by now, and who else is there."""
         for topic in self._topics():
             topic.events.settle()
+        self.neighbours.look()
+
+    def _tell_the_end(self, diagnostics: Diagnostics) -> None:
+        runner, diagnostics.runner = diagnostics.runner, None
+        if runner is not None:
+            diagnostics.fault = "; ".join(runner.faults)
+            diagnostics.close()
 
     def _made(
         self,
@@ -282,7 +323,7 @@ class RosSession:
         make: Callable[..., Any],
     ) -> Any:
         """Return the topic of an entry; None where it is left out."""
-        message = compat.message_class(spec.type)
+        message = compat.bytes_class(spec.type, spec.messages)
         if message is None:
             remedy = f"install the ROS package {spec.type.split('/')[0]}"
             if not spec.optional:

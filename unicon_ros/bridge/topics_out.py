@@ -31,9 +31,11 @@ class TopicOut:
         group: callback group of its events.
         warn: takes warnings.
         prepare: called before each encoding: brings arrays up to date that are no states.
+        part: whose messages these are, where a node has several publishers of one topic.
 
     Attributes:
         spec: what the map says of it.
+        part: as given.
         events: what its QoS events told.
         topic: full name, after namespace and remaps.
         tap: gets the bytes of every message too, such as a recorder, or None.
@@ -53,8 +55,10 @@ class TopicOut:
         group: Any,
         warn: Callable[[str], None],
         prepare: Callable[[], None] | None = None,
+        part: str = "map",
     ) -> None:
         spec = encoder.spec
+        self.part = part
         self._node, self._warn = node, warn
         self.events = QosEvents(spec.topic, spec.qos, "publisher", lambda: self.published, warn)
         profile = qos_profile(spec.qos)

@@ -17,9 +17,10 @@ from unicon_msgs_map import Encoder, FieldSpec, PublishSpec, Qos
 from unicon_msgs_map.layout.messages import shared_messages
 from unicon_msgs_map.layout.paths import parse_path, parse_reference
 
-__all__ = ["TF_MESSAGE", "LinkTransforms", "static_transforms", "tf_entry"]
+__all__ = ["FOOTPRINT", "TF_MESSAGE", "LinkTransforms", "static_transforms", "tf_entry"]
 
 TF_MESSAGE = "tf2_msgs/msg/TFMessage"
+FOOTPRINT = "base_footprint"
 
 
 class LinkTransforms:
@@ -71,6 +72,7 @@ def tf_entry(
     names: Sequence[str],
     rate: float | None = None,
     prefix: str = "",
+    footprint: bool = False,
 ) -> PublishSpec:
     """Return the entry of a message map for a topic that carries all these links.
 
@@ -82,11 +84,15 @@ def tf_entry(
         names: names of all links, by number.
         rate: in [Hz], None for every tick.
         prefix: stands before all names.
+        footprint: `base_footprint` too, below the root; read are `footprint_position` and
+            `footprint_quat` then.
     """
     rows = [
         (names[e.parent], e.name, f"positions[{3 * i}:{3 * i + 3}]", f"quats[{4 * i}:{4 * i + 4}]")
         for i, e in enumerate(links)
     ]
+    if footprint:
+        rows.append((names[0], FOOTPRINT, "footprint_position", "footprint_quat"))
     fields: list[FieldSpec] = []
     for i, (parent, child, position, quat) in enumerate(rows):
         for path, source in (

@@ -13,11 +13,9 @@ import numpy as np
 from unicon_core.flow import Block, Stage, Tick
 from unicon_core.states.standard import GAIN_SCALE, GAIN_SCALE_SPEC
 from unicon_core.workflow import Program, WorkflowDocument
+from unicon_ros.parameter_table import NO_LIMIT
 
-__all__ = ["NO_LIMIT", "Tuning", "too_little_damping"]
-
-NO_LIMIT = 100.0
-"""A command limit from here on does nothing, [m/s] and [rad/s]."""
+__all__ = ["Tuning", "too_little_damping"]
 
 UNSCALED = (1.0, 1.0)
 

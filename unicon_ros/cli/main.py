@@ -25,6 +25,7 @@ from unicon_ros.cli import (
     check,
     emulate,
     known,
+    latches,
     preflight,
     replay,
     run,
@@ -54,6 +55,7 @@ def _parser() -> argparse.ArgumentParser:
         analyze,
         bench,
         known,
+        latches,
     ):
         command.add(commands)
     return parser

@@ -11,6 +11,8 @@ from unicon_ros.compat.loading import (
     imported_first,
     message_class,
 )
+from unicon_ros.compat.made_types import bytes_class
+from unicon_ros.compat.parameters import convert_parameters, parameter_given, parameters_given
 from unicon_ros.compat.raw import (
     polled_group,
     raw_publish,
@@ -28,11 +30,15 @@ __all__ = [
     "ReusedWaitSet",
     "Serving",
     "answer_refused_transitions",
+    "bytes_class",
+    "convert_parameters",
     "fast_dds_profiles",
     "import_rclpy",
     "imported_first",
     "incompatible_policy",
     "message_class",
+    "parameter_given",
+    "parameters_given",
     "polled_group",
     "raw_publish",
     "raw_take",

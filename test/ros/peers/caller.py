@@ -1,7 +1,8 @@
 """A plain rclpy process: calls services and sets parameters of a node, one after the other.
 
 Nothing of unicon is imported. Usage: caller.py NODE WORD...   where WORD is a Trigger service
-(estop), a lifecycle transition (+configure), a parameter (max_vx=0.5), `wait=SECONDS`, or
+(estop), a lifecycle transition (+configure), a parameter (max_vx=0.5, its value as JSON or else a
+text), `wait=SECONDS`, or
 `flood=SERVICE,SECONDS`. Prints one JSON line for each.
 """
 
@@ -42,6 +43,15 @@ def main() -> None:
             time.sleep(0.0005)
         print(json.dumps({"word": "flood", "sent": sent}), flush=True)
 
+    def parameter(name: str, value: str) -> object:
+        try:
+            parsed = json.loads(value)
+        except ValueError:
+            parsed = value
+        # As `ros2 param set` does: a list of nothing is one of truth values.
+        kind = Parameter.Type.BOOL_ARRAY if parsed == [] else None
+        return Parameter(name, kind, parsed).to_parameter_msg()
+
     for word in sys.argv[2:]:
         if word.startswith("wait="):
             time.sleep(float(word.partition("=")[2]))
@@ -62,10 +72,9 @@ def main() -> None:
             state = call(GetState, "get_state", GetState.Request()).current_state.label
             answer = {"state": state}
         elif "=" in word:
-            name, value = word.split("=")
+            name, _, value = word.partition("=")
             request = SetParameters.Request()
-            parsed = float(value) if value.replace(".", "").lstrip("-").isdigit() else value
-            request.parameters = [Parameter(name, value=parsed).to_parameter_msg()]
+            request.parameters = [parameter(name, value)]
             result = call(SetParameters, "set_parameters", request).results[0]
             answer = {"success": result.successful, "message": result.reason}
         else:

@@ -61,7 +61,9 @@ class FaultRun:
         self._workflow = folder / "workflow.yaml"
         self.process: subprocess.Popen[bytes]
         self._peer: subprocess.Popen[bytes] | None = None
-        self._environment = loopback_environment() | {"UNICON_FAULTS": str(folder / "faults")}
+        kept = {"UNICON_FAULTS": "faults", "UNICON_LATCHES": "latches"}
+        kept = {name: str(folder / below) for name, below in kept.items()}
+        self._environment = loopback_environment() | kept
 
     @property
     def motors(self) -> CommandLog:

@@ -1,0 +1,266 @@
+"""Classes for messages that ROS lacks, made of their definitions: enough to send and take bytes.
+
+rclpy asks a message class for a type support, which generated C code gives otherwise. What goes
+through as bytes needs little of it: the name of the type, its hash, its description, and functions
+of the middleware's that are never called. These lie in C structures that are filled in here, and
+the functions are those of std_msgs/String. So `/tf` leaves from the wheels, which lack tf2_msgs,
+and a package may bring a `.msg` without generated code.
+
+For rmw_fastrtps_cpp alone: others lay messages out by members that a generated class has. Layouts:
+`rosidl_runtime_c/message_type_support_struct.h` and
+`rosidl_typesupport_fastrtps_cpp/message_type_support.h`; Humble's are beginnings of the newer ones.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable
+from functools import cache
+from typing import Any, NamedTuple
+
+from unicon_msgs_map import Messages
+from unicon_msgs_map.errors import MapError
+from unicon_msgs_map.layout.described import described, rihs01
+from unicon_ros.compat.loading import fast_dds_profiles, message_class
+
+__all__ = ["bytes_class"]
+
+_ANY_C, _FAST_C = b"rosidl_typesupport_c", b"rosidl_typesupport_fastrtps_c"
+_MEMBERS_C = b"rosidl_typesupport_introspection_c"
+_POINTER = ctypes.c_void_p
+_FOLLOWING = ("following", _POINTER * 8)  # NULL: what a newer release may add, such as keys
+
+
+def bytes_class(name: str, messages: Messages) -> Any:
+    """Return the class of a type `pkg/msg/Name` to publish and take it with, as bytes.
+
+    Args:
+        name: the type.
+        messages: has its definition.
+
+    Returns:
+        The installed class; else one made of the definition, whose instances cannot be made; None
+        where the type is not known, or the middleware needs generated code.
+    """
+    installed = message_class(name)
+    if installed is not None:
+        return installed
+    try:
+        description = described(messages.struct(name))
+    except MapError:
+        return None
+    digest = rihs01(description)
+    made = _made.get((name, digest))
+    if made is None:
+        template = _template()
+        if template is None:
+            return None
+        # Kept for good: the middleware holds on to what it was given.
+        made = _made[name, digest] = _class(name, description, digest, template)
+    return made
+
+
+class _Support(ctypes.Structure):
+    """`rosidl_message_type_support_t`."""
+
+    _fields_ = [
+        ("identifier", _POINTER),
+        ("data", _POINTER),
+        ("find", _POINTER),
+        ("hash", _POINTER),
+        ("description", _POINTER),
+        ("sources", _POINTER),
+        _FOLLOWING,
+    ]
+
+
+class _Callbacks(ctypes.Structure):
+    """`message_type_support_callbacks_t`."""
+
+    _fields_ = [
+        ("namespace", ctypes.c_char_p),
+        ("name", ctypes.c_char_p),
+        ("serialize", _POINTER),
+        ("deserialize", _POINTER),
+        ("size", _POINTER),
+        ("max_size", _POINTER),
+        _FOLLOWING,
+    ]
+
+
+class _Members(ctypes.Structure):
+    """`rosidl_typesupport_introspection_c__MessageMembers`, of a message with no field.
+
+    Fast DDS makes a type object of it, which it keeps to itself.
+    """
+
+    _fields_ = [
+        ("namespace", ctypes.c_char_p),
+        ("name", ctypes.c_char_p),
+        ("count", ctypes.c_uint32),
+        _FOLLOWING,
+    ]
+
+
+class _Hash(ctypes.Structure):
+    _fields_ = [("version", ctypes.c_uint8), ("value", ctypes.c_uint8 * 32)]
+
+
+class _Text(ctypes.Structure):
+    _fields_ = [
+        ("data", ctypes.c_char_p),
+        ("size", ctypes.c_size_t),
+        ("capacity", ctypes.c_size_t),
+    ]
+
+
+class _Sequence(ctypes.Structure):
+    _fields_ = [("data", _POINTER), ("size", ctypes.c_size_t), ("capacity", ctypes.c_size_t)]
+
+
+class _FieldType(ctypes.Structure):
+    _fields_ = [
+        ("type_id", ctypes.c_uint8),
+        ("capacity", ctypes.c_uint64),
+        ("string_capacity", ctypes.c_uint64),
+        ("nested_type_name", _Text),
+    ]
+
+
+class _Field(ctypes.Structure):
+    _fields_ = [("name", _Text), ("type", _FieldType), ("default", _Text)]
+
+
+class _Individual(ctypes.Structure):
+    _fields_ = [("type_name", _Text), ("fields", _Sequence)]
+
+
+class _Description(ctypes.Structure):
+    _fields_ = [("type", _Individual), ("referenced", _Sequence)]
+
+
+_FIND = ctypes.CFUNCTYPE(_POINTER, _POINTER, ctypes.c_char_p)
+_TELL = ctypes.CFUNCTYPE(_POINTER, _POINTER)
+_made: dict[tuple[str, bytes], Any] = {}
+
+
+class _Template(NamedTuple):
+    """What is taken from an installed type: addresses of identifiers and functions."""
+
+    any_c: int
+    fast_c: int
+    members_c: int
+    functions: tuple[int, ...]
+
+
+@cache
+def _template() -> _Template | None:
+    """Return what is taken from std_msgs/String.
+
+    None where the middleware is another one, or what is there is not laid out as known.
+    """
+    try:
+        from std_msgs.msg import String
+
+        if not _known_middleware():
+            return None
+        kind: Any = type(String)
+        if kind._TYPE_SUPPORT is None:
+            kind.__import_type_support__()
+        address = _python("PyCapsule_GetPointer", _POINTER, ctypes.py_object, ctypes.c_char_p)
+        at = address(kind._TYPE_SUPPORT, None)
+        support = _pointers(at, 3)
+        find = _FIND(support[2])
+        fast, members = (_pointers(find(at, name), 2) for name in (_FAST_C, _MEMBERS_C))
+        functions = _pointers(fast[1], 6)
+        told = [ctypes.cast(each, ctypes.c_char_p).value for each in (support[0], *functions[:2])]
+    except (ImportError, AttributeError, TypeError, ValueError):
+        return None
+    if told != [_ANY_C, b"std_msgs::msg", b"String"]:
+        return None
+    return _Template(support[0], fast[0], members[0], functions[2:])
+
+
+def _known_middleware() -> bool:
+    """Tell whether the middleware is rmw_fastrtps_cpp upon Fast DDS 2."""
+    from rclpy.utilities import get_rmw_implementation_identifier
+
+    # Kilted's Fast DDS 3 tells peers the type object, which would have to be a whole one.
+    if get_rmw_implementation_identifier() != "rmw_fastrtps_cpp":
+        return False
+    return fast_dds_profiles() == "FASTRTPS_DEFAULT_PROFILES_FILE"
+
+
+def _pointers(at: int, count: int) -> tuple[int, ...]:
+    if not at:
+        raise ValueError("a type support lacks a part")
+    return tuple(ctypes.cast(at, ctypes.POINTER(_POINTER * count)).contents)
+
+
+def _python(name: str, result: Any, *arguments: Any) -> Callable[..., Any]:
+    return ctypes.PYFUNCTYPE(result, *arguments)((name, ctypes.pythonapi))
+
+
+def _class(name: str, description: Any, digest: bytes, template: _Template) -> Any:
+    package, _, short = name.split("/")
+    keep: list[Any] = []
+
+    def text(words: str) -> _Text:
+        raw = words.encode()
+        keep.append(raw)
+        return _Text(raw, len(raw), len(raw) + 1)
+
+    def sequence(kind: Any, items: list[Any]) -> _Sequence:
+        array = (kind * len(items))(*items)
+        keep.append(array)
+        return _Sequence(ctypes.addressof(array) if items else None, len(items), len(items))
+
+    def field(each: Any) -> _Field:
+        kind = each["type"]
+        nested = text(kind["nested_type_name"])
+        numbers = kind["type_id"], kind["capacity"], kind["string_capacity"]
+        return _Field(text(each["name"]), _FieldType(*numbers, nested), text(""))
+
+    def individual(each: Any) -> _Individual:
+        fields = sequence(_Field, [field(one) for one in each["fields"]])
+        return _Individual(text(each["type_name"]), fields)
+
+    def teller(structure: Any) -> Any:
+        at = ctypes.addressof(structure)
+        function = _TELL(lambda _: at)
+        keep.extend((structure, function))
+        return ctypes.cast(function, _POINTER)
+
+    parts = [individual(each) for each in description["referenced_type_descriptions"]]
+    whole = _Description(individual(description["type_description"]), sequence(_Individual, parts))
+    callbacks = _Callbacks(f"{package}::msg".encode(), short.encode(), *template.functions)
+    members = _Members(f"{package}__msg".encode(), short.encode(), 0)
+    rest = (
+        teller(_Hash(1, (ctypes.c_uint8 * 32)(*digest))),
+        teller(whole),
+        teller(_Sequence()),
+    )
+    found: dict[bytes, int] = {}
+    find = _FIND(lambda _, identifier: found.get(identifier))
+    keep += [callbacks, members, find]
+
+    def support(identifier: int, data: Any) -> int:
+        at = ctypes.addressof(data) if data is not None else None
+        keep.append(_Support(identifier, at, ctypes.cast(find, _POINTER), *rest))
+        return ctypes.addressof(keep[-1])
+
+    found[_FAST_C] = support(template.fast_c, callbacks)
+    found[_MEMBERS_C] = support(template.members_c, members)
+    found[_ANY_C] = support(template.any_c, None)
+    capsule = _python("PyCapsule_New", ctypes.py_object, _POINTER, ctypes.c_char_p, _POINTER)
+
+    def refuse(self: Any, *_: Any, **__: Any) -> None:
+        raise TypeError(f"{name} goes as bytes only: the ROS package {package} is not installed")
+
+    # rclpy wants the other four to be there, and looks into them for a message that is no bytes.
+    unused = dict.fromkeys(
+        ("_CREATE_ROS_MESSAGE", "_CONVERT_FROM_PY", "_CONVERT_TO_PY", "_DESTROY_ROS_MESSAGE"), ""
+    )
+    given = {"_TYPE_SUPPORT": capsule(found[_ANY_C], None, None), "_keep": keep}
+    meta = type(f"Metaclass_{short}", (type,), {**unused, **given})
+    return meta(short, (), {"__init__": refuse, "__slots__": (), "__module__": f"{package}.msg"})
