@@ -54,7 +54,6 @@ DECLARED = (
 
 RANGES = {
     "rate": (0.0, 10_000.0),
-    "debug_rate": (0.1, 100.0),
     "stiffness_scale": (0.0, 2.0),
     "damping_scale": (0.1, 5.0),
     "max_vx": (0.0, NO_LIMIT),

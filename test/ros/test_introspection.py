@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -164,38 +165,36 @@ def test_a_paused_simulator_and_an_ended_run_are_quiet_or_alive(
         (debugged("joint_pos[FR]"), "has no element 'FR'"),
         (debugged("joint_pos["), "does not parse"),
         (debugged("=joint_pos"), "is not a state"),
-        (debugged(*["joint_pos"] * 3, rate="0.0"), "debug_rate is 0.0 Hz"),
-        (debugged("joint_pos", rate=".nan"), "debug_rate is nan Hz"),
-        (debugged("joint_pos", rate="often"), "debug_rate is 'often' Hz"),
-        (["-p", "debug_states:=true"], "debug_states is True; give names of states"),
-        (["-p", "debug_states:=[1, 2]"], "give names of states"),
+        (debugged(*["joint_pos"] * 3, rate="0.0"), "debug_rate is 0.0"),
+        (debugged("joint_pos", rate=".nan"), "debug_rate is nan"),
+        (debugged("joint_pos", rate="often"), "debug_rate is 'often'"),
+        (["-p", "debug_states:=true"], "debug_states is True; give"),
+        (["-p", "debug_states:=[1, 2]"], "debug_states is [1, 2]; give"),
     ],
 )
 def test_a_wrong_choice_is_one_line(react: Path, arguments: list[str], wrong: str) -> None:
-    session = RosSession(ros_args=arguments, warn=print)
-    program = load_workflow(react, hooks=[session.hook])
-    try:
-        with pytest.raises(UniconError) as told:
-            session.attach(SimpleNamespace(program=program))  # type: ignore[arg-type]
-        assert wrong in str(told.value)
-        assert "debug" in str(told.value)
-        assert "\n" not in str(told.value)
-    finally:
-        program.close()
-        session.close()
+    def attached() -> None:
+        with ExitStack() as rest:
+            session = rest.enter_context(closing(RosSession(ros_args=arguments, warn=print)))
+            program = rest.enter_context(closing(load_workflow(react, hooks=[session.hook])))
+            session.introspection.attach(program, [], session.arrays)
+
+    with pytest.raises(UniconError) as told:
+        attached()
+    assert wrong in str(told.value)
+    assert "debug" in str(told.value)
+    assert "\n" not in str(told.value)
 
 
-@pytest.mark.parametrize("value", ["[]", "['']", "''", "joint_pos"])
-def test_nothing_chosen_is_nothing_and_a_word_is_a_state(react: Path, value: str) -> None:
-    session = RosSession(ros_args=["-p", f"debug_states:={value}"], warn=print)
-    program = load_workflow(react, hooks=[session.hook])
-    try:
-        session.attach(SimpleNamespace(program=program))  # type: ignore[arg-type]
-        publishes = session.node.count_publishers("/unicon/debug")
-        assert publishes == (value == "joint_pos")
-    finally:
-        program.close()
-        session.close()
+@pytest.mark.parametrize("value", ["[]", "['']", "['joint_pos']"])
+def test_nothing_chosen_is_nothing(react: Path, value: str) -> None:
+    arguments = ["-p", f"debug_states:={value}"]
+    with ExitStack() as rest:
+        session = rest.enter_context(closing(RosSession(ros_args=arguments, warn=print)))
+        program = rest.enter_context(closing(load_workflow(react, hooks=[session.hook])))
+        session.introspection.attach(program, [], session.arrays)
+        publishers = session.node.count_publishers("/unicon/debug")
+        assert publishers == (value == "['joint_pos']")
 
 
 def test_numbers_of_any_size_have_room(tmp_path: Path) -> None:

@@ -81,11 +81,12 @@ class Introspection:
         self._text = layout_text(program, topics)
         self._latched = self._node.create_publisher(String, TOPIC, qos_profile(LATCHED))
         self._latched.publish(String(data=self._text))
-        wanted = self._node.get_parameter("debug_states").value or []
-        named = [wanted] if isinstance(wanted, str) else wanted
-        if isinstance(named, int | float) or not all(isinstance(text, str) for text in named):
+        wanted = self._node.get_parameter("debug_states").value
+        named = [wanted] if isinstance(wanted, str | int | float) else list(wanted or [])
+        if not all(isinstance(text, str) for text in named):
+            shown = wanted if isinstance(wanted, int | float) else named
             raise UniconError(
-                f"parameter debug_states is {wanted!r}; give names of states, such as ['joint_pos']"
+                f"parameter debug_states is {shown!r}; give names of states, such as ['joint_pos']"
             )
         chosen = [text for text in named if text]
         if chosen:
