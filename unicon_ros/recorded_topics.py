@@ -20,7 +20,7 @@ from unicon_ros.bridge.bindings import arrays_of, checked_prefix, names_of, vari
 from unicon_ros.bridge.qos import LATCHED
 from unicon_ros.bridge.robot_messages import RobotMessages
 from unicon_ros.bridge.ros_platform import RosPlatform
-from unicon_ros.bridge.session import CLOCK
+from unicon_ros.bridge.neighbours import CLOCK
 from unicon_ros.bridge.transforms import TF_MESSAGE
 
 if TYPE_CHECKING:
