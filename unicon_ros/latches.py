@@ -20,7 +20,7 @@ from pathlib import Path
 
 from unicon_core.outlet import Outlet
 
-__all__ = ["ESTOP", "FAULT", "Latch", "Latched", "boot_id", "latch_folder", "latches"]
+__all__ = ["ESTOP", "FAULT", "Latch", "Latched", "boot_id", "clearing", "latch_folder", "latches"]
 
 ESTOP, FAULT = "estop", "fault"
 """Kinds: no start at all before ~/clear_estop; no start by itself."""
@@ -71,6 +71,11 @@ def boot_id() -> str:
         return BOOT_ID.read_text("ascii").strip()
     except (OSError, ValueError):
         return ""
+
+
+def clearing(node: str) -> str:
+    """Return the command that lets go of the latches of a node."""
+    return f"unicon latches --clear {node}"
 
 
 def latches() -> list[tuple[Path, Latched]]:

@@ -33,7 +33,9 @@ def start(domain: None) -> Iterator[Callable[..., Host]]:
         arguments = ["--ros-args", *(part for text in given for part in ("-p", text))]
         if kind == "run":
             arguments = ["run", str(path), "--ros", "--quiet", *parameters]
-        hosts.append(Host(kind, *arguments))
+        if kind == "preflight":
+            arguments = [kind, str(path), "--seconds", "1", *parameters]
+        hosts.append(Host("node" if kind == "node" else "run", *arguments))
         return hosts[-1]
 
     yield make
@@ -132,6 +134,9 @@ def test_a_run_on_a_robot_is_refused_while_it_is_latched(
     assert "unicon latches --clear /unicon" in again.said
     for more in (["--dry"], ["--set", "platform=fake"]):  # nothing moves but in a simulation
         assert start(path, *more, "--duration", "0.2", kind="run").end() == 0
+    looked = start(path, "--ros", kind="preflight")
+    assert looked.end() == 1
+    assert "/unicon/estop: latched since 2" in looked.said
     node = start(path)
     wait_for(lambda: "not started by itself" in node.said, "why")
     assert node.interrupt() == 0

@@ -48,6 +48,7 @@ from unicon_ros.bridge.slack import SlackServer
 from unicon_ros.bridge.stamps import WallStamp
 from unicon_ros.bridge.topics_in import TopicIn
 from unicon_ros.bridge.topics_out import TopicOut
+from unicon_ros.latches import clearing
 
 __all__ = ["RosSession"]
 
@@ -294,7 +295,7 @@ class RosSession:
             name = self.node.get_fully_qualified_name()
             raise UniconError(
                 f"the emergency stop of {name} is latched (pressed {self.estop.restored}); when "
-                f"it is safe to start again: unicon latches --clear {name}"
+                f"it is safe to start again: {clearing(name)}"
             )
 
     def _runs(self) -> bool:

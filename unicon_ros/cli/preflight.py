@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from unicon_core.errors import CheckError, Fault, UniconError
 from unicon_ros.cli.workflow_arguments import add_workflow, positive
+from unicon_ros.latches import clearing
 
 if TYPE_CHECKING:
     from unicon_core.preflight.result import PreflightResult
@@ -108,7 +109,7 @@ def _looked(
                 result = look(program, arguments.seconds)
                 _static(program, result)
                 if session is not None:
-                    _estop(session, result)
+                    _estop(session, program, result)
             finally:
                 program.close()
                 guard.damp = None
@@ -133,11 +134,15 @@ def _static(program: Program, result: PreflightResult) -> None:
         result.add("check", None, line)
 
 
-def _estop(session: Any, result: PreflightResult) -> None:
-    latched = session.estop is not None and bool(session.estop.refusal())
-    name = f"{session.node.get_fully_qualified_name()}/estop"
-    told = "somebody presses it; let go, then call ~/clear_estop" if latched else "not pressed"
-    result.add("estop", not latched, f"{name}: {told}")
+def _estop(session: Any, program: Program, result: PreflightResult) -> None:
+    node = session.node.get_fully_qualified_name()
+    if not program.platform.facts.simulated:
+        session.estop.keep()  # as a run does
+    told = "somebody presses it; let go, then call ~/clear_estop"
+    if session.estop.restored:
+        told = f"latched since {session.estop.restored}; when it is safe: {clearing(node)}"
+    latched = bool(session.estop.refusal())
+    result.add("estop", not latched, f"{node}/estop: {told if latched else 'not pressed'}")
 
 
 def _wiggle(arguments: argparse.Namespace, document: WorkflowDocument, told: dict[str, Any]) -> int:
