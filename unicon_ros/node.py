@@ -367,6 +367,11 @@ class UniconNode(LifecycleNode):
         self._told_to_go = not self._starting
         return True, "started"
 
+    def _list_states(self) -> Answer:
+        if self.session is None:
+            return False, "no workflow is built; call ~/start, or configure the node"
+        return self.session.introspection.list_states()
+
     def _delegate(self, word: str) -> Callable[[], Answer]:
         def act() -> Answer:
             if self.session is None or not self._running:

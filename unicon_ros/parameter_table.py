@@ -9,6 +9,7 @@ __all__ = [
     "AT_ONCE",
     "DECLARED",
     "FRAMES",
+    "INTROSPECTION",
     "LIMITS",
     "NO_LIMIT",
     "RANGES",
@@ -26,6 +27,16 @@ FRAMES: tuple[tuple[str, Any, str], ...] = (
 )
 """Those that `unicon run --ros` has too, after --ros-args."""
 
+INTROSPECTION: tuple[tuple[str, Any, str], ...] = (
+    (
+        "debug_states",
+        [""],
+        "states to publish on ~/debug, such as joint_pos, action[0:3] or joint_*; empty: none",
+    ),
+    ("debug_rate", 10.0, "how often, in [Hz]"),
+)
+"""These too."""
+
 AT_CONFIGURE: tuple[tuple[str, Any, str], ...] = (
     ("workflow", "", "name in config/workflows/ or path of the workflow"),
     ("map", "", "name in config/maps/ or path of the message map; empty: the workflow's"),
@@ -40,6 +51,7 @@ AT_CONFIGURE: tuple[tuple[str, Any, str], ...] = (
     ("speed", "real", "real: by the wall clock; max: as fast as it can"),
     ("rate", 0.0, "ticks per second in [Hz], 0: the workflow's own"),
     *FRAMES,
+    *INTROSPECTION,
 )
 """Name, default and description of those that take effect when the node is configured."""
 AT_ONCE: tuple[tuple[str, Any, str], ...] = (

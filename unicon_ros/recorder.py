@@ -1,29 +1,28 @@
-"""Recorder: writes the messages of a map and every tick into MCAP, for `unicon run --record`.
+"""Recorder: writes the messages of a run and every tick into MCAP, for `unicon run --record`.
 
 `ros2 bag play`, rosbags and Foxglove read it; `open_record` reads the ticks to the bit. While it
 grows it is called `FILE.partial`; what a killed run left of that name is finished as
-`FILE.recovered-N.mcap` when the next one begins.
+`FILE.recovered-N.mcap`, or `FOLDER.recovered-N`, when the next one begins.
 """
 
 from __future__ import annotations
 
 import os
-import time
 from collections.abc import Callable, Mapping
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from unicon_core.errors import MissingDependencyError, UniconError
 from unicon_core.flow import Block, Stage
-from unicon_core.resources import find_config
-from unicon_msgs_map import Encoder, MapStateError, load_map
-from unicon_msgs_map.layout.messages import message_definition
+from unicon_msgs_map import Qos
+from unicon_msgs_map.layout.messages import Messages, shared_messages
 from unicon_ros.recorded_ticks import RecordedTicks
 from unicon_ros.recording import Background, McapFile, recover
 from unicon_ros.recording.bag_folder import BagFolder, Split
 from unicon_ros.recording.mcap_file import Buffer, Taken
+from unicon_ros.recording.offered_qos import offered_qos
 from unicon_ros.recording.records import Channel
+from unicon_ros.recording.recover import recover_aside
 from unicon_ros.recording.tick_message import Kept, tick_channel
 
 if TYPE_CHECKING:
@@ -63,22 +62,32 @@ class Recorder(Background):
             raise UniconError(
                 f"recording {path} is split into files of a folder: give a name without .mcap"
             )
+        self._clear(warn)
         if os.path.lexists(self.path):  # a link that points nowhere too
             raise UniconError(f"recording {path} exists; move it away or give another name")
-        super().__init__(self._create(warn), warn, patient)
+        super().__init__(self._create(), warn, patient)
 
-    def _create(self, warn: Callable[[str], None]) -> McapFile | BagFolder:
-        file: McapFile | BagFolder
+    def _clear(self, warn: Callable[[str], None]) -> None:
+        """Move what an earlier run was cut off at out of the way."""
         rest = self.path.with_name(f"{self.path.name}.partial")
+        found = None
+        try:
+            if self._folder and self.path.is_dir():
+                found = recover_aside(self.path)
+            elif not self._folder and rest.exists() and not os.path.lexists(self.path):
+                found = recover(rest)
+        except OSError as error:
+            raise self._cannot(error) from error
+        if found is not None:
+            warn(
+                f"an earlier run was cut off while it recorded to {self.path}; its "
+                f"{found[1]} messages are in {found[0]} now"
+            )
+
+    def _create(self) -> McapFile | BagFolder:
+        file: McapFile | BagFolder
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            if rest.exists():
-                found = recover(rest)
-                if found is not None:
-                    warn(
-                        f"an earlier run was cut off while it recorded to {self.path}; its "
-                        f"{found[1]} messages are in {found[0]} now"
-                    )
             file = BagFolder(self.path, self._split) if self._folder else McapFile(self.path)
         except Taken:
             raise UniconError(
@@ -99,18 +108,42 @@ class Recorder(Background):
             "with room"
         )
 
-    def channel(self, topic: str, kind: str) -> Callable[[int, Buffer], bool]:
+    def channel(
+        self,
+        topic: str,
+        kind: str,
+        messages: Messages | None = None,
+        qos: Qos | None = None,
+        latched: bytes = b"",
+    ) -> Callable[[int, Buffer], bool]:
         """Add a topic, before `start`, and return what takes its messages: `write(stamp_ns, cdr)`.
 
         Args:
-            topic: its name.
+            topic: its name, after namespace and remaps.
             kind: its message type, `sensor_msgs/msg/JointState`.
+            messages: where that type is defined; None for one of Jazzy or our own.
+            qos: of who publishes it; None where nobody does.
+            latched: a message that every later file of a bag folder begins with.
+
+        Raises:
+            MessageTypeError: the type is unknown.
+            UniconError: it cannot be written.
         """
-        known = message_definition(kind)
+        known = (messages or shared_messages()).definition(kind)
         number = self._file.channels + 1
-        name = f"/{topic.lstrip('/')}"
+        channel = Channel(
+            number,
+            f"/{topic.lstrip('/')}",
+            known.name,
+            known.text,
+            known.encoding,
+            known.rihs,
+            offered_qos(qos) if qos is not None else "",
+        )
+        if latched and isinstance(self._file, BagFolder):
+            self._file.latch(number, latched)
         try:
-            return self.add(Channel(number, name, kind, known.text, known.encoding, known.rihs))
+            return self.add(channel)
         except OSError as error:
             raise self._cannot(error) from error
 
@@ -123,7 +156,7 @@ class Recorder(Background):
 
 
 class Recording:
-    """Records what a map publishes, at its rates, after `send`, and every state of every tick.
+    """Records the messages of a run, what came in and what goes out, and every state of every tick.
 
         recording = Recording("walk.mcap")
         record = FaultRecord(recording=recording)
@@ -139,6 +172,8 @@ class Recording:
         warn: takes warnings, one line each, from a thread.
         patient: wait for a slow disk rather than drop messages: for runs at full speed.
         split: where a next file of a bag folder begins, such as `1GB` or `60s`; "" for nowhere.
+        namespace: of relative topics, where there is no session.
+        frame_prefix: of the names of frames, where there is no session.
 
     Raises:
         MissingDependencyError: rosbags is not installed.
@@ -153,6 +188,8 @@ class Recording:
         warn: Callable[[str], None] = print,
         patient: bool = False,
         split: str = "",
+        namespace: str = "",
+        frame_prefix: str = "",
     ) -> None:
         try:
             import rosbags  # noqa: F401  (the texts of the message types are its)
@@ -161,6 +198,7 @@ class Recording:
                 "--record", "rosbags", "pip install 'unicon_ros[bags]'"
             ) from error
         self._path, self._map_name, self._session = path, map_name, session
+        self._namespace, self._frame_prefix = namespace, frame_prefix
         self._warn, self._patient = warn, patient
         self._split = Split.of(split) if split else None
         self._recorder: Recorder | None = None
@@ -182,14 +220,17 @@ class Recording:
         """Return the block that records."""
         # A robot does not wait for a disk, however its run is paced.
         patient = self._patient and program.platform.facts.simulated
+        from unicon_ros.recorded_topics import RecordedTopics
+
         recorder = Recorder(self._path, self._warn, patient, self._split)
         try:
-            blocks = _blocks(recorder, program, self._map_name, self._session)
+            names = (self._namespace, self._frame_prefix)
+            topics = RecordedTopics(recorder, program, self._map_name, self._session, *names)
         except BaseException:
             recorder.close()
             raise
         self._recorder = recorder
-        return {Stage.OBSERVE: blocks}
+        return {Stage.OBSERVE: [topics.block]}
 
     def keep(self, ring: TickRing) -> None:
         """Record the ticks that a ring keeps; behind the hook."""
@@ -202,54 +243,3 @@ class Recording:
         if self._ticks is not None:
             self._ticks.attach(facts)
         self._recorder.start()
-
-
-def _blocks(
-    recorder: Recorder, program: Program, map_name: str | None, session: RosSession | None
-) -> list[Block]:
-    # Arrays, names and variables are the bridge's, so that bag and topics hold the same bytes.
-    from unicon_ros.bridge.bindings import arrays_of, names_of, variables_of
-
-    arrays = arrays_of(program)
-    variables = variables_of(program, session.frame_prefix if session is not None else "")
-    simulated, stamp = program.platform.facts.simulated, program.states["stamp_ns"].reshape(-1)
-
-    def now() -> int:
-        return int(stamp[0]) if simulated else time.time_ns()
-
-    leaving = {id(out.spec): out for out in session.outgoing} if session is not None else {}
-    due: list[tuple[int, Callable[[], bytes], Callable[[int, Buffer], bool]]] = []
-    reads: set[str] = set()
-    mapping = (
-        session.map if session is not None else load_map(find_config("maps", map_name or "default"))
-    )
-    for spec in mapping.publish:
-        if id(spec) in leaving:
-            write = recorder.channel(spec.topic, spec.type)
-            leaving[id(spec)].tap = partial(_stamped, write, now)
-            continue
-        try:
-            encoder = Encoder.build(spec, arrays, names_of(program), variables)
-        except MapStateError:
-            if not spec.optional:
-                raise
-            continue
-        write = recorder.channel(spec.topic, spec.type)
-        due.append((spec.every(program.period), encoder.encode, write))
-        reads.update(spec.states)
-    tick = 0
-
-    def record() -> None:
-        nonlocal tick
-        if not tick:
-            recorder.start()  # where nobody attached it to a runner
-        for every, encode, write in due:
-            if tick % every == 0:
-                write(now(), encode())
-        tick += 1
-
-    return [Block("recorder", record, reads=tuple(sorted(reads)), close=recorder.close)]
-
-
-def _stamped(write: Callable[[int, Buffer], bool], now: Callable[[], int], raw: bytes) -> None:
-    write(now(), raw)

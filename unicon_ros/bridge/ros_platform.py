@@ -262,6 +262,16 @@ class RosPlatform:
         self._wait_set.sleep(timeout)
         return first.prefetch()
 
+    @property
+    def incoming(self) -> Sequence[TopicIn]:
+        """The topics that it hears."""
+        return self._in
+
+    @property
+    def outgoing(self) -> Sequence[TopicOut]:
+        """The topics of its commands; none where it is silent."""
+        return self._out
+
     def arrivals(self) -> int:
         """Return how many messages of that topic have come so far."""
         return self._in[0].received

@@ -18,6 +18,8 @@ SERVICES = {
     "reset": "brings a simulator and the flow back to their beginning",
     "pause": "lets a simulator stand still until `~/start` or `~/step`",
     "step": "runs one tick of a simulator that stands still",
+    "list_states": "tells every state with its shape, unit and names, as the JSON that stands "
+    "latched on `~/layout`",
 }
 """Each `~/<name>`, and what it does."""
 

@@ -37,6 +37,7 @@ from unicon_ros.bridge.bindings import (
 from unicon_ros.bridge.controls import Controls
 from unicon_ros.bridge.diagnostics import Diagnostics
 from unicon_ros.bridge.estop import STOP_SERVICES, EmergencyStop
+from unicon_ros.bridge.introspection import Introspection
 from unicon_ros.bridge.middleware_threads import calm_middleware_threads
 from unicon_ros.bridge.neighbours import CLOCK, Neighbours
 from unicon_ros.bridge.own_node import OwnNode
@@ -111,15 +112,22 @@ class RosSession:
         self.incoming: list[TopicIn] = []
         self.skipped: list[str] = []
         self.trajectories: Trajectories | None = None
+        self.frames: RobotFrames | None = None
         self.neighbours = Neighbours(node, self.outgoing, self.incoming, warn)
         self._group = compat.polled_group()
+        self.introspection = Introspection(
+            node, self._group, lambda: self.controls.runner is not None
+        )
+        self.arrays: dict[str, Any] = {}  # the states as they are published
         self._others: list[Callable[[], None]] = []
         self._timers: list[Any] = []
         self._stamp: WallStamp | None = None
         self._closed = False
         self._started_ns = time.perf_counter_ns()
         if self._own is not None:
-            handlers = {n: getattr(self.controls, n) for n in SERVICES if n not in STOP_SERVICES}
+            acts = SERVICES.keys() - {*STOP_SERVICES, "list_states"}
+            handlers = {name: getattr(self.controls, name) for name in SERVICES if name in acts}
+            handlers["list_states"] = self.introspection.list_states
             add_services(node, handlers, warn)
 
     # -- hooks ----------------------------------------------------------------------------------
@@ -190,6 +198,7 @@ class RosSession:
         def build(spec: PublishSpec) -> Encoder:
             return Encoder.build(spec, arrays, names, variables)
 
+        self.arrays = arrays
         phases: dict[int, int] = {}
         for spec in self.map.publish:
             if spec.topic == CLOCK and not platform.facts.simulated:
@@ -208,7 +217,7 @@ class RosSession:
                 phases[every] = phase + 1
                 self.outgoing.append(topic)
                 blocks.append(topic.block)
-        frames = RobotFrames(
+        frames = self.frames = RobotFrames(
             self.node, program, arrays["stamp_ns"], self._group, self.warn, self.frame_prefix
         )
         self._others.append(frames.close)
@@ -224,6 +233,7 @@ class RosSession:
     def attach(self, runner: Runner) -> None:
         """Let services act on this runner, and its deadlines bound what they may take."""
         self.controls.runner = self.slack.runner = runner
+        self.introspection.attach(runner.program, self._topics(), self.arrays)
         calm_middleware_threads()
         if not self._timers:
             from rclpy.clock import Clock, ClockType
@@ -280,6 +290,7 @@ class RosSession:
                 rest.callback(self._own.close)
                 if self.estop is not None:
                     rest.callback(self.estop.close)
+            rest.callback(self.introspection.close)
             for close in self._others:
                 rest.callback(close)
             for topic in self._topics():

@@ -52,6 +52,7 @@ class TopicIn:
         decoder: tells too what was refused, and why.
         topic: full name, after namespace and remaps.
         events: what its QoS events told.
+        tap: gets the bytes of every message as it was taken, such as a recorder, or None.
         received: messages taken.
         dropped: of those, overtaken by later ones within the same tick, and never looked at.
         heard: a message was accepted.
@@ -93,6 +94,7 @@ class TopicIn:
             del options["callback_group"]
             self.subscription = self.events.watch(create)
         self.topic: str = self.subscription.topic_name
+        self.tap: Callable[[bytes], object] | None = None
         self.received = self.dropped = 0
         self.heard = self.stale = False
         self._latest = b""
@@ -146,6 +148,8 @@ class TopicIn:
         if raw is None:
             return False
         self.received += 1
+        if self.tap is not None:
+            self.tap(raw)
         self._ahead.append(raw)
         if len(self._ahead) > DRAIN:
             self.dropped += 1

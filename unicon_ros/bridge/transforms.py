@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 
 from unicon_core.models.links import Link
 from unicon_core.models.quaternions import multiply, rotate
-from unicon_msgs_map import Encoder, PublishSpec, parse_map
+from unicon_msgs_map import Encoder, FieldSpec, PublishSpec, Qos
+from unicon_msgs_map.layout.messages import shared_messages
+from unicon_msgs_map.layout.paths import parse_path, parse_reference
 
 __all__ = ["FOOTPRINT", "TF_MESSAGE", "LinkTransforms", "static_transforms", "tf_entry"]
 
@@ -85,31 +87,25 @@ def tf_entry(
         footprint: `base_footprint` too, below the root; read are `footprint_position` and
             `footprint_quat` then.
     """
-    lines = [
-        "publish:",
-        f"  - topic: {topic}",
-        f"    type: {TF_MESSAGE}",
-        "    qos: {depth: 1}",
-    ]
-    if rate is not None:
-        lines.append(f"    rate: {rate}")
-    lines.append("    fields:")
     rows = [
         (names[e.parent], e.name, f"positions[{3 * i}:{3 * i + 3}]", f"quats[{4 * i}:{4 * i + 4}]")
         for i, e in enumerate(links)
     ]
     if footprint:
         rows.append((names[0], FOOTPRINT, "footprint_position", "footprint_quat"))
+    fields: list[FieldSpec] = []
     for i, (parent, child, position, quat) in enumerate(rows):
-        at = f"      transforms[{i}]"
-        lines += [
-            f"{at}.header.stamp: stamp_ns",
-            f'{at}.header.frame_id: "={prefix}{parent}"',
-            f'{at}.child_frame_id: "={prefix}{child}"',
-            f"{at}.transform.translation: {position}",
-            f"{at}.transform.rotation: {quat}",
-        ]
-    return parse_map("\n".join(lines), name=topic).publish[0]
+        for path, source in (
+            ("header.stamp", "stamp_ns"),
+            ("header.frame_id", f"={prefix}{parent}"),
+            ("child_frame_id", f"={prefix}{child}"),
+            ("transform.translation", position),
+            ("transform.rotation", quat),
+        ):
+            whole = f"transforms[{i}].{path}"
+            fields.append(FieldSpec(whole, parse_path(whole), parse_reference(source), where=topic))
+    types, qos = shared_messages(), Qos(depth=1)
+    return PublishSpec(topic, TF_MESSAGE, tuple(fields), types, rate, qos, where=topic)
 
 
 def static_transforms(links: Sequence[Link], names: Sequence[str], prefix: str = "") -> bytes:

@@ -188,6 +188,8 @@ def _run(
                 console.warn,
                 patient,
                 arguments.record_split,
+                arguments.namespace or "",
+                arguments.frame_prefix,
             )
             hooks.append(recording.hook)
         if arguments.picture:

@@ -248,13 +248,14 @@ class Background:
             return
         rows = np.frombuffer(block.rows, ROW, last - first, first * _ROW.size).copy()
         rows["offset"] -= np.uint64(begin)
-        before = self._file.messages
+        before = self._file.messages - self._file.again
         try:
             self._file.write(memoryview(block.data)[begin:end], rows)
             if self._file.gone():
                 self._stop("", 0)
         except Exception as error:  # whatever it is, the run goes on
-            written = max(self._file.messages - before, 0)  # where some of them had room
+            # Where some of them had room.
+            written = max(self._file.messages - self._file.again - before, 0)
             lost = last - first - written
             self._stop(str(getattr(error, "strerror", None) or error), lost)
 
@@ -277,9 +278,14 @@ class Background:
         if not self._file.messages:
             self._file.discard()
             return self._error or "nothing was recorded"
+        before = self._file.messages
         try:
             self._discarded += self._file.finish()
         except OSError as error:
+            self._discarded += before - self._file.messages
+            if not self._file.messages:
+                self._file.discard()
+                return f"{error.strerror}: nothing was recorded"
             return f"{error.strerror}; what was recorded is in {self._file.partial}"
         return ""
 

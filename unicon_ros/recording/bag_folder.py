@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +21,14 @@ from numpy.typing import NDArray
 
 from unicon_core.errors import UniconError
 from unicon_ros.recording.mcap_file import Buffer, McapFile
-from unicon_ros.recording.records import METADATA, Channel, metadata
+from unicon_ros.recording.records import (
+    MESSAGE,
+    MESSAGE_HEAD,
+    METADATA,
+    ROW,
+    Channel,
+    metadata,
+)
 from unicon_ros.recording.tick_message import TOPIC
 
 __all__ = ["BagFile", "BagFolder", "Split", "write_metadata"]
@@ -91,6 +98,7 @@ class BagFolder:
         path: as given.
         messages: in whole chunks of all files.
         size: of all files in [bytes].
+        again: of the messages those that files begin with anew.
 
     Raises:
         OSError: it cannot be written.
@@ -100,8 +108,9 @@ class BagFolder:
         self.path, self._split = path, split
         self._channels: list[Channel] = []
         self._facts: list[bytes] = []
+        self._latched: list[tuple[int, bytes]] = []
         self._done: list[BagFile] = []
-        self._messages = self._size = self._ticks = 0
+        self._messages = self._size = self._ticks = self.again = 0
         self._began = 0  # time of the present file's first message in [ns]
         path.mkdir()
         try:
@@ -142,6 +151,10 @@ class BagFolder:
         self._present().add(channel)
         self._channels.append(channel)
 
+    def latch(self, channel: int, message: bytes) -> None:
+        """Let every next file begin with this message, as late joiners of its topic would."""
+        self._latched.append((channel, message))
+
     def add_record(self, written: bytes) -> None:
         """Add an attachment to the present file, or metadata, which the next ones have too."""
         self._present().add_record(written)
@@ -156,13 +169,13 @@ class BagFolder:
             (size and file.size + len(records) > size) or (time and last - self._began >= time)
         ):
             self._end()
-            self._next()
+            self._next(int(rows["time"].min()))
             file = self._present()
-        if not file.messages:
+        elif not file.messages:
             self._began = int(rows["time"].min())
         file.write(records, rows)
 
-    def _next(self) -> None:
+    def _next(self, began: int) -> None:
         file = self._file = self._opened(len(self._done))
         file.begin()
         for facts in self._facts:
@@ -170,19 +183,34 @@ class BagFolder:
         file.add_record(metadata("unicon", {"first_row": str(self._ticks)}))
         for channel in self._channels:
             file.add(channel)
+        self._began = began
+        records = bytearray()
+        places: list[tuple[int, int, int]] = []
+        for number, message in self._latched:
+            places.append((number, began, len(records)))
+            length = MESSAGE_HEAD.size - 9 + len(message)
+            records += MESSAGE_HEAD.pack(MESSAGE, length, number, 0, began, began) + message
+        if places:
+            file.write(records, np.array(places, ROW))
+            self.again += len(places)
 
     def _end(self) -> int:
         """Finish the present file; return how many messages that cost."""
         file = self._present()
         self._file = None
-        lost = file.finish()
+        try:
+            lost = file.finish()
+        except OSError:
+            self._messages += file.messages  # which are in its partial file
+            raise
         topics = {channel.number: channel.topic for channel in self._channels}
         counts = {topics[number]: count for number, count in file.counts().items()}
         self._done.append(BagFile(file.path.name, counts, file.span()))
         self._messages += file.messages
         self._size += file.size
         self._ticks += counts.get(TOPIC, 0)
-        write_metadata(self.path, self._done, {c.topic: c.type for c in self._channels})
+        told = {each.topic: (each.type, each.qos) for each in self._channels}
+        write_metadata(self.path, self._done, told)
         return lost
 
     def _present(self) -> McapFile:
@@ -233,13 +261,15 @@ class BagFolder:
             self.path.rmdir()
 
 
-def write_metadata(folder: Path, files: Sequence[BagFile], types: dict[str, str]) -> None:
+def write_metadata(
+    folder: Path, files: Sequence[BagFile], topics: Mapping[str, tuple[str, str]]
+) -> None:
     """Write `metadata.yaml` of a bag folder, in one go.
 
     Args:
         folder: with the files.
         files: in their order.
-        types: topic to its message type.
+        topics: each with its message type and its QoS, see `offered_qos`.
 
     Raises:
         OSError: it cannot be written.
@@ -247,17 +277,17 @@ def write_metadata(folder: Path, files: Sequence[BagFile], types: dict[str, str]
     counts: Counter[str] = Counter()
     for file in files:
         counts.update(file.counts)
-    topics = [
+    listed = [
         {
             "topic_metadata": {
                 "name": topic,
                 "type": kind,
                 "serialization_format": "cdr",
-                "offered_qos_profiles": "",
+                "offered_qos_profiles": qos,
             },
             "message_count": counts[topic],
         }
-        for topic, kind in types.items()
+        for topic, (kind, qos) in topics.items()
     ]
     spans = [file.span for file in files if file.span is not None]
     whole = (min(a for a, _ in spans), max(b for _, b in spans)) if spans else None
@@ -266,7 +296,7 @@ def write_metadata(folder: Path, files: Sequence[BagFile], types: dict[str, str]
         "storage_identifier": "mcap",
         **_times(whole),
         "message_count": counts.total(),
-        "topics_with_message_count": topics,
+        "topics_with_message_count": listed,
         "compression_format": "",
         "compression_mode": "",
         "relative_file_paths": [file.name for file in files],

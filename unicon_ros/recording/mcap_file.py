@@ -53,6 +53,7 @@ class McapFile:
         partial: where it grows.
         messages: in whole chunks.
         size: of the whole chunks and what stands before them in [bytes].
+        again: messages that were in a file before this one: none.
 
     Raises:
         OSError: it cannot be written.
@@ -62,7 +63,7 @@ class McapFile:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.partial = path.with_name(f"{path.name}.partial")
-        self.messages = self.size = 0
+        self.messages = self.size = self.again = 0
         self._schemas: list[bytes] = []
         self._channels: list[bytes] = []
         self._chunks: list[Chunk] = []
@@ -172,7 +173,7 @@ class McapFile:
 
         Raises:
             OSError: there is not even room for the summary, or the name is taken; what is written
-                stays in `FILE.partial`.
+                stays in `FILE.partial`, unless no message is left in it.
         """
         before = self.messages
         try:
@@ -184,6 +185,8 @@ class McapFile:
                     break
                 except OSError as error:
                     if error.errno not in FULL or not self._chunks:
+                        if not self.messages:  # nobody is helped by it
+                            self.discard()
                         raise
                     chunk = self._chunks.pop()
                     self.messages -= sum(chunk.counts.values())

@@ -60,6 +60,7 @@ class Channel:
         definition: text of the type with those of its parts.
         encoding: of the text, `ros2msg`.
         rihs: hash of the type, REP-2011.
+        qos: of its publisher, see `offered_qos`; "" where nobody published it.
     """
 
     number: int
@@ -68,6 +69,7 @@ class Channel:
     definition: str
     encoding: str
     rihs: str
+    qos: str = ""
 
     def schema(self) -> bytes:
         """Return the record of its type."""
@@ -76,7 +78,7 @@ class Channel:
 
     def channel(self) -> bytes:
         """Return the record of the topic; the type's comes first in the file."""
-        metadata = _map({"offered_qos_profiles": "[]", "topic_type_hash": self.rihs})
+        metadata = _map({"offered_qos_profiles": self.qos or "[]", "topic_type_hash": self.rihs})
         head = struct.pack("<HH", self.number, self.number)
         return record(CHANNEL, head + _text(self.topic) + _text("cdr") + metadata)
 

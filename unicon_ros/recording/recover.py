@@ -1,7 +1,6 @@
 """Recovery: finishes a recording that was cut off by a kill or a power loss.
 
-For `unicon bag recover`; `unicon run --record FILE.mcap` does so by itself when it finds one of
-that name.
+For `unicon bag recover`; `unicon run --record` does so by itself when it finds one of that name.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ from unicon_ros.recording.records import (
 )
 from unicon_ros.recording.scan import scan
 
-__all__ = ["recover", "recover_folder", "salvage"]
+__all__ = ["recover", "recover_aside", "recover_folder", "salvage"]
 
 LONGEST = 1 << 30
 """No record of ours is longer; a length beyond is rubble of a power loss."""
@@ -250,7 +249,7 @@ def recover_folder(folder: Path) -> list[tuple[Path, int]]:
         if path.suffix == ".partial":
             recover(path, final_name=True)
     files: list[BagFile] = []
-    types: dict[str, str] = {}
+    topics: dict[str, tuple[str, str]] = {}
     runs: set[str | None] = set()
     for path in files_of(folder):
         try:
@@ -265,15 +264,44 @@ def recover_folder(folder: Path) -> list[tuple[Path, int]]:
                 f"{path} is of another run than the files before it: a folder is one bag; move it "
                 "to a folder of its own"
             )
-        types |= dict(found.topics.values())
+        for topic, kind in found.topics.values():
+            topics[topic] = (kind, found.qos[topic])
         files.append(BagFile(path.name, found.messages(), found.span))
     try:
-        write_metadata(folder, files, types)
+        write_metadata(folder, files, topics)
     except OSError as error:
         raise UniconError(
             f"cannot write {folder / 'metadata.yaml'}: {error.strerror}; make room there"
         ) from error
     return [(folder / file.name, sum(file.counts.values())) for file in files]
+
+
+def recover_aside(folder: Path) -> tuple[Path, int] | None:
+    """Finish what a killed run left in a bag folder, and call it `FOLDER.recovered-N`.
+
+    A folder where no file has a message is deleted.
+
+    Returns:
+        Where it is now and its number of messages; None where nothing was left, or the folder is
+        another, which is left as it is.
+
+    Raises:
+        UniconError: as of `recover_folder`.
+        OSError: it cannot be renamed or deleted.
+    """
+    rest = [path for path in folder.iterdir() if path.name.endswith(".mcap.partial")]
+    for path in rest:
+        recover(path, final_name=True)
+    if not rest:
+        return None
+    if not any(folder.iterdir()):
+        folder.rmdir()
+        return None
+    files = recover_folder(folder)
+    number = 1
+    while (target := folder.with_name(f"{folder.name}.recovered-{number}")).exists():
+        number += 1
+    return folder.rename(target), sum(count for _, count in files)
 
 
 def _no_recording(path: Path) -> str:

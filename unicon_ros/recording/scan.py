@@ -47,6 +47,7 @@ class Scan:
         facts: of the metadata record `unicon`.
         files: name to content of the attachments.
         topics: number of a channel to its topic and type.
+        qos: topic to the QoS of its publisher, where the file tells it; see `offered_qos`.
         counts: number of a channel to its messages.
         ticks: where the bytes of each tick stand in the file, shape (ticks,).
         sizes: of each in [bytes], shape (ticks,).
@@ -58,6 +59,7 @@ class Scan:
     facts: dict[str, str] = field(default_factory=dict)
     files: dict[str, bytes] = field(default_factory=dict)
     topics: dict[int, tuple[str, str]] = field(default_factory=dict)
+    qos: dict[str, str] = field(default_factory=dict)
     counts: Counter[int] = field(default_factory=Counter)
     ticks: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
     sizes: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
@@ -128,7 +130,9 @@ def scan(path: Path) -> Scan:
             types[struct.unpack_from("<H", raw, begin)[0]] = _text(raw, begin + 2)[0]
         elif opcode == CHANNEL:
             number, schema = struct.unpack_from("<HH", raw, begin)
-            found.topics[number] = (_text(raw, begin + 4)[0], types.get(schema, ""))
+            topic, after = _text(raw, begin + 4)
+            found.topics[number] = (topic, types.get(schema, ""))
+            found.qos[topic] = _qos(raw[after:end])
         elif opcode == CHUNK:
             _, _, first, last, _, crc, named, _ = CHUNK_HEAD.unpack_from(raw, begin - 9)
             if named:
@@ -209,6 +213,15 @@ def _metadata(raw: memoryview) -> tuple[str, dict[str, str]]:
         key, at = _text(raw, at)
         values[key], at = _text(raw, at)
     return name, values
+
+
+def _qos(raw: memoryview) -> str:
+    """Return the QoS that a channel tells behind its topic; "" where it cannot be read."""
+    try:
+        told = _metadata(raw)[1].get("offered_qos_profiles", "")
+    except (ValueError, struct.error):  # messages can be read without it
+        return ""
+    return "" if told == "[]" else told
 
 
 def _attachment(raw: memoryview) -> tuple[str, bytes]:
