@@ -81,8 +81,8 @@ class Introspection:
         self._text = layout_text(program, topics)
         self._latched = self._node.create_publisher(String, TOPIC, qos_profile(LATCHED))
         self._latched.publish(String(data=self._text))
-        wanted = self._node.get_parameter("debug_states").value
-        named = [wanted] if isinstance(wanted, str | int | float) else list(wanted or [])
+        wanted: Any = self._node.get_parameter("debug_states").value
+        named: list[Any] = [wanted] if isinstance(wanted, str | int | float) else [*(wanted or ())]
         if not all(isinstance(text, str) for text in named):
             shown = wanted if isinstance(wanted, int | float) else named
             raise UniconError(
