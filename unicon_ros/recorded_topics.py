@@ -17,10 +17,10 @@ from unicon_core.flow import Block
 from unicon_core.resources import find_config
 from unicon_msgs_map import Encoder, MapStateError, MessageMap, load_map
 from unicon_ros.bridge.bindings import arrays_of, checked_prefix, names_of, variables_of
+from unicon_ros.bridge.neighbours import CLOCK
 from unicon_ros.bridge.qos import LATCHED
 from unicon_ros.bridge.robot_messages import RobotMessages
 from unicon_ros.bridge.ros_platform import RosPlatform
-from unicon_ros.bridge.neighbours import CLOCK
 from unicon_ros.bridge.transforms import TF_MESSAGE
 
 if TYPE_CHECKING:
