@@ -265,6 +265,11 @@ def plain_sender(kind: str, states: States, joints: int) -> Callable[[], Any]:
     stamp_ns = states["stamp_ns"]
     names = [f"joint_{i}" for i in range(joints)]
     quat, turn = states["base_quat"], states["base_ang_vel"]
+    # The default map's, made once.
+    of_orientation, of_turn, of_acceleration = (
+        np.diag(variances).ravel() for variances in ([1e-4, 1e-4, 1e-2], [4e-4] * 3, [9e-2] * 3)
+    )
+    of_truth = np.diag([1e-6] * 6).ravel()
 
     def stamped() -> Any:
         message = make()
@@ -286,6 +291,9 @@ def plain_sender(kind: str, states: States, joints: int) -> Callable[[], Any]:
         _fill(message.orientation, "wxyz", quat)
         _fill(message.angular_velocity, "xyz", turn)
         _fill(message.linear_acceleration, "xyz", states["base_lin_acc"])
+        message.orientation_covariance = of_orientation
+        message.angular_velocity_covariance = of_turn
+        message.linear_acceleration_covariance = of_acceleration
         return message
 
     def odometry() -> Any:
@@ -296,6 +304,7 @@ def plain_sender(kind: str, states: States, joints: int) -> Callable[[], Any]:
         _fill(message.pose.pose.orientation, "wxyz", quat)
         _fill(message.twist.twist.linear, "xyz", states["base_lin_vel"])
         _fill(message.twist.twist.angular, "xyz", turn)
+        message.pose.covariance = message.twist.covariance = of_truth
         return message
 
     short = kind.rpartition("/")[2]
