@@ -28,6 +28,7 @@ __all__ = [
     "list_config",
     "looked_in",
     "same_modules",
+    "user_folder",
 ]
 
 _SOURCE_TREE = Path(__file__).resolve().parent.parent
@@ -154,6 +155,21 @@ def assets_root() -> Path | None:
     given = os.environ.get("UNICON_ASSETS")
     path = Path(given).expanduser() if given else _SOURCE_TREE.parent / "shared" / "assets"
     return path if os.path.isdir(path) else None
+
+
+def user_folder(name: str, given: str = "") -> Path | None:
+    """Return where files of this user lie that outlive a run: a folder that is given, else ours.
+
+    That is `$XDG_STATE_HOME/unicon/NAME`, else `~/.local/state/unicon/NAME`; None for a user
+    without a home.
+    """
+    if given:
+        return Path(given).expanduser()
+    state = os.environ.get("XDG_STATE_HOME", "")
+    try:
+        return (Path(state) if state else Path.home() / ".local" / "state") / "unicon" / name
+    except RuntimeError:
+        return None
 
 
 def find_resource(

@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING
 
 from unicon_core.errors import UniconError
 from unicon_core.flow import Block, Stage
+from unicon_core.resources import user_folder
 from unicon_core.runtime.tick_ring import FEWEST, TickRing
 from unicon_ros.recording import McapFile, recover
 from unicon_ros.recording.facts import content_of, facts_of
@@ -53,14 +54,7 @@ def fault_folder(given: str | None = None) -> Path | None:
         given: a folder, or `off`.
     """
     named = given or os.environ.get("UNICON_FAULTS", "")
-    if named == OFF:
-        return None
-    if named:
-        return Path(named).expanduser()
-    state = os.environ.get("XDG_STATE_HOME", "")
-    with suppress(RuntimeError):  # a user without a home
-        return (Path(state) if state else Path.home() / ".local" / "state") / "unicon" / "faults"
-    return None
+    return None if named == OFF else user_folder("faults", named)
 
 
 class FaultRecord:

@@ -14,11 +14,11 @@ import json
 import os
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from unicon_core.outlet import Outlet
+from unicon_core.resources import user_folder
 
 __all__ = ["ESTOP", "FAULT", "Latch", "Latched", "boot_id", "clearing", "latch_folder", "latches"]
 
@@ -56,13 +56,7 @@ def latch_folder() -> Path | None:
 
     Like fault records: `$XDG_STATE_HOME/unicon/latches`, `~/.local/state/unicon/latches`.
     """
-    named = os.environ.get("UNICON_LATCHES", "")
-    if named:
-        return Path(named).expanduser()
-    state = os.environ.get("XDG_STATE_HOME", "")
-    with suppress(RuntimeError):  # a user without a home
-        return (Path(state) if state else Path.home() / ".local" / "state") / "unicon" / "latches"
-    return None
+    return user_folder("latches", os.environ.get("UNICON_LATCHES", ""))
 
 
 def boot_id() -> str:

@@ -31,6 +31,39 @@ def domain(monkeypatch: pytest.MonkeyPatch) -> int:
     return number
 
 
+def generated(package: str, kind: str) -> dict[str, str]:
+    """Return what to change in the environment of a process, so that it can import a package.
+
+    Skips the test where its type `kind` is not installed, and cannot be generated.
+    """
+    from unicon_ros import compat
+
+    if compat.message_class(kind) is not None:
+        return {}
+    sys.path.insert(0, str(ROOT / "tools" / "lib"))
+    from make_type_support import Unavailable, environment, type_support
+
+    try:
+        prefix = type_support({package: HERE / "interfaces" / package})
+    except Unavailable as error:
+        pytest.skip(f"not tried with generated code: {package} is absent, and {error}")
+    values = environment(prefix)
+    values["PYTHONPATH"] += f"{os.pathsep}{ROOT}"
+    return values
+
+
+@pytest.fixture(scope="module")
+def tf2_environment() -> dict[str, str]:
+    """What lets a process import tf2_msgs."""
+    return generated("tf2_msgs", "tf2_msgs/msg/TFMessage")
+
+
+@pytest.fixture(scope="module")
+def control_environment() -> dict[str, str]:
+    """What lets a process import control_msgs."""
+    return generated("control_msgs", "control_msgs/action/FollowJointTrajectory")
+
+
 @pytest.fixture
 def peers(processes: Callable[..., Peer]) -> Callable[..., Peer]:
     """Starts plain rclpy scripts of `peers/`."""

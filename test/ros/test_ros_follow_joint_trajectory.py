@@ -6,7 +6,6 @@ control_msgs is not among the wheels: its type support is generated, as that of 
 from __future__ import annotations
 
 import json
-import os
 import sys
 from collections.abc import Callable
 from itertools import pairwise
@@ -18,13 +17,10 @@ import pytest
 from peer import Peer
 
 from unicon_core.robots import load_robot
-from unicon_ros import compat
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.timeout(900)]
 
 HERE = Path(__file__).resolve().parent
-ROOT = HERE.parent.parent
-sys.path.insert(0, str(ROOT / "tools" / "lib"))
 
 GO2 = load_robot("go2")
 STAND = GO2.default_joint_pos.astype(float)
@@ -33,22 +29,6 @@ TICK_NS = 10_000_000
 STIFF = "flow.chain.1.forward_command.integral=0"
 """Targets that are what is commanded, to the bit."""
 GONE = "nobody follows any more: the flow went on, or the run ends"
-
-
-@pytest.fixture(scope="module")
-def control_environment() -> dict[str, str]:
-    """The environment of processes that can import control_msgs."""
-    if compat.message_class("control_msgs/action/FollowJointTrajectory") is not None:
-        return {}
-    from make_type_support import Unavailable, environment, type_support
-
-    try:
-        prefix = type_support({"control_msgs": HERE / "interfaces" / "control_msgs"})
-    except Unavailable as error:
-        pytest.skip(f"the action is not tested for real: control_msgs is absent, and {error}")
-    values = environment(prefix)
-    values["PYTHONPATH"] += f"{os.pathsep}{ROOT}"
-    return values
 
 
 @pytest.fixture

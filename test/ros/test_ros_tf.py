@@ -7,7 +7,6 @@ without, as a user of the wheels does.
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -18,29 +17,10 @@ import pytest
 from peer import Peer
 
 from unicon_core.models.quaternions import rotate
-from unicon_ros import compat
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.timeout(900)]
 
 HERE = Path(__file__).resolve().parent
-ROOT = HERE.parent.parent
-sys.path.insert(0, str(ROOT / "tools" / "lib"))
-
-
-@pytest.fixture(scope="module")
-def tf2_environment() -> dict[str, str]:
-    """What to change in the environment of a process, so that it can import tf2_msgs."""
-    if compat.message_class("tf2_msgs/msg/TFMessage") is not None:
-        return {}
-    from make_type_support import Unavailable, environment, type_support
-
-    try:
-        prefix = type_support({"tf2_msgs": HERE / "interfaces" / "tf2_msgs"})
-    except Unavailable as error:
-        pytest.skip(f"/tf is not heard by tf2_msgs's own code: it is absent, and {error}")
-    values = environment(prefix)
-    values["PYTHONPATH"] += f"{os.pathsep}{ROOT}"
-    return values
 
 
 @pytest.fixture
