@@ -20,7 +20,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from rclpy.clock import Clock, ClockType
 from rclpy.executors import ExternalShutdownException
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
@@ -88,9 +87,7 @@ class UniconNode(LifecycleNode):
         add_services(self, handlers, self.log.error)
         compat.answer_refused_transitions(self, self._transition_refused)
         self.diagnostics = Diagnostics(self, self.estop)
-        # The steady clock, so that diagnostics come even where nobody publishes /clock.
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._timer = self.create_timer(1.0, self.diagnostics.publish, clock=steady)
+        self._timer = compat.steady_timer(self, 1.0, self.diagnostics.publish)
 
     # -- the host's loop ------------------------------------------------------------------------
 

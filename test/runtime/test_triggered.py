@@ -280,3 +280,43 @@ def test_a_wait_that_raises_leaves_the_thread_free() -> None:
     with pytest.raises(RuntimeError, match="gone"):
         staying(gone)(0.1)
     assert os.sched_getaffinity(0) == everywhere
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="cores of Linux")
+def test_somebody_who_moves_the_process_between_two_waits_is_not_undone() -> None:
+    everywhere = os.sched_getaffinity(0)
+    if len(everywhere) < 2:
+        pytest.skip("one core")
+    wait = staying(lambda timeout_s: True)
+    try:
+        assert wait(0.1)
+        os.sched_setaffinity(0, {min(everywhere)})
+        assert wait(0.1)
+        assert os.sched_getaffinity(0) == {min(everywhere)}
+    finally:
+        os.sched_setaffinity(0, everywhere)
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="cores of Linux")
+@pytest.mark.parametrize("refused", [1, 2])
+def test_a_core_that_is_taken_away_does_not_end_the_wait(
+    monkeypatch: pytest.MonkeyPatch, refused: int
+) -> None:
+    everywhere = os.sched_getaffinity(0)
+    if len(everywhere) < 2:
+        pytest.skip("one core")
+    asked = []
+    move = os.sched_setaffinity
+
+    def put(process: int, cores: set[int]) -> None:
+        asked.append(cores)
+        if len(asked) == refused:
+            raise OSError(22, "Invalid argument")
+        move(process, cores)
+
+    monkeypatch.setattr(os, "sched_setaffinity", put)
+    try:
+        assert staying(lambda timeout_s: True)(0.1)
+        assert len(asked) == refused
+    finally:
+        move(0, everywhere)

@@ -14,6 +14,7 @@ import struct
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -203,23 +204,24 @@ def staying(wait: Callable[[float], bool]) -> Callable[[float], bool]:
     """
     try:
         here = ctypes.CDLL(None).sched_getcpu
-        anywhere = os.sched_getaffinity(0)
-        cores = {core: {core} for core in anywhere}
+        cores_of, put = os.sched_getaffinity, os.sched_setaffinity
     except (OSError, AttributeError):  # no such thing on this system
         return wait
-    if len(cores) < 2:
-        return wait
-    put = os.sched_setaffinity
 
     def stay(timeout: float) -> bool:
-        core = cores.get(here())
-        if not timeout or core is None:
+        anywhere = cores_of(0)  # each time: somebody may have moved the process
+        core = here()
+        if not timeout or len(anywhere) < 2 or core not in anywhere:
             return wait(timeout)
         try:
-            put(0, core)
+            put(0, {core})
+        except OSError:  # the core was taken away a moment ago
+            return wait(timeout)
+        try:
             return wait(timeout)
         finally:
-            put(0, anywhere)
+            with suppress(OSError):
+                put(0, anywhere)
 
     return stay
 

@@ -68,15 +68,12 @@ class DebugTopic:
             raise UniconError(
                 f"{PARAMETER} needs the type {TYPE}; install the ROS package diagnostic_msgs"
             )
-        from rclpy.clock import Clock, ClockType
 
         self._encode, self._running, self._node = encoder.encode, running, node
         self._publisher = node.create_publisher(message, TOPIC, qos_profile(encoder.spec.qos))
         self._publish, self._release = compat.raw_publish(self._publisher)
         self._encode()  # the first is cold
-        # The steady clock, so that it goes on where nobody publishes /clock.
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._timer = node.create_timer(1.0 / rate, self._look, group, steady)
+        self._timer = compat.steady_timer(node, 1.0 / rate, self._look, group)
 
     def _look(self) -> None:
         if self._running() and self._publisher.get_subscription_count():

@@ -236,11 +236,7 @@ class RosSession:
         self.introspection.attach(runner.program, self._topics(), self.arrays)
         calm_middleware_threads()
         if not self._timers:
-            from rclpy.clock import Clock, ClockType
-
-            # The steady clock, so that it goes on where nobody publishes /clock.
-            steady = Clock(clock_type=ClockType.STEADY_TIME)
-            make = partial(self.node.create_timer, 1.0, callback_group=self._group, clock=steady)
+            make = partial(compat.steady_timer, self.node, 1.0, group=self._group)
             self._timers.append(make(self._look))
             if self.diagnostics is not None:
                 self._timers.append(make(self.diagnostics.publish))

@@ -23,7 +23,7 @@ from unicon_ros.compat.raw import (
 )
 from unicon_ros.compat.services import Responses, answer_refused_transitions
 from unicon_ros.compat.serving import Piece, Serving
-from unicon_ros.compat.waiting import ReusedWaitSet
+from unicon_ros.compat.waiting import ReusedWaitSet, steady_timer
 
 __all__ = [
     "Piece",
@@ -45,6 +45,7 @@ __all__ = [
     "raw_take",
     "request_take",
     "requests_take",
+    "steady_timer",
     "wait_for_readers",
     "with_events",
 ]

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from unicon_core.errors import UniconError
 
-__all__ = ["ReusedWaitSet"]
+__all__ = ["ReusedWaitSet", "steady_timer"]
 
 
 class ReusedWaitSet:
@@ -58,3 +58,17 @@ class ReusedWaitSet:
         for handle in self._handles:
             handle.__exit__(None, None, None)
         self._handles = []
+
+
+def steady_timer(node: Any, period_s: float, call: Callable[[], object], group: Any = None) -> Any:
+    """Return a timer of a node that goes on where nobody publishes /clock.
+
+    Args:
+        node: rclpy node.
+        period_s: time between two calls in [s], of the steady clock.
+        call: what is called.
+        group: its callback group; None for the node's own.
+    """
+    from rclpy.clock import Clock, ClockType
+
+    return node.create_timer(period_s, call, group, Clock(clock_type=ClockType.STEADY_TIME))
