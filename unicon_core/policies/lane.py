@@ -48,8 +48,12 @@ class Lane:
         memory: outputs of the network and the inputs that they are fed back to.
         runs: calls of the network, one for all rows or one for each.
         published: views of states and the arrays here that are copied into them after a tick.
+        assemble: writes the inputs of this tick; until `advance` it may be done again and again.
+        finite: tells whether observation and other inputs hold neither NaN nor infinity.
         infer: runs the network on what is assembled; what it remembers stays as it is.
         action_finite: tells whether the output holds neither NaN nor infinity.
+        advance: goes on to the next tick: the history takes the frame, the network's memory is fed
+            back; with True, after a warm-up, it does nothing.
     """
 
     observation: Observation | None
@@ -69,13 +73,18 @@ class Lane:
         self._obs_finite = finite_check(self.obs)
         self.action_finite = finite_check(self.action)
         self._steps = 0.0
+        # What has neither inputs nor a memory skips them: what only the tick runs is cold then.
+        only = not self.inputs
+        self.assemble = self._write if only else self._assemble
+        self.finite = self._obs_finite if only else self._finite
+        nothing_kept = only and not self.memory and not self._remembering
+        self.advance = _keep if nothing_kept and self._advance is nothing else self._go_on
 
     def _run_rows(self) -> None:
         for run in self.runs:
             run()
 
-    def assemble(self) -> None:
-        """Write the inputs of this tick; until `advance` it may be done again and again."""
+    def _assemble(self) -> None:
         self._write()
         for item in self.inputs:
             if item.write is not None:
@@ -85,8 +94,7 @@ class Lane:
             if item.cast is not None:
                 np.copyto(item.cast, item.values, casting="unsafe")
 
-    def advance(self, warm_up: bool = False) -> None:
-        """Go on to the next tick: the history takes the frame, the network's memory is fed back."""
+    def _go_on(self, warm_up: bool = False) -> None:
         if warm_up:
             return
         self._advance()
@@ -122,9 +130,12 @@ class Lane:
         self.action[...] = 0.0
         self._steps = 0.0
 
-    def finite(self) -> bool:
-        """Whether observation and other inputs hold neither NaN nor infinity."""
+    def _finite(self) -> bool:
         return self._obs_finite() and all(item.finite() for item in self.inputs)
+
+
+def _keep(warm_up: bool = False) -> None:
+    """There is nothing to go on with."""
 
 
 def finite_check(array: NDArray[np.float32]) -> Callable[[], bool]:

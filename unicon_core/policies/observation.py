@@ -8,6 +8,7 @@ lays out the window. Nothing is looped over terms.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -155,7 +156,7 @@ class Observation:
         flat = out.reshape(-1)
         assemble = self._assembler()
         if self._history == 1:
-            return (lambda: assemble(flat)), nothing
+            return partial(assemble, flat), nothing
         index = self._window_index.reshape(-1)
 
         def write() -> None:
