@@ -122,8 +122,19 @@ def test_data_are_asked_for_without_a_pause_where_the_workflow_says_so(
     assert max(spins) == pytest.approx(most_ns, rel=0.1)  # half an interval at most
 
 
-def test_the_wait_is_asleep_unless_the_workflow_says_otherwise(tmp_path: Path) -> None:
-    _, stream, _ = streamed(tmp_path, 2_000_000, 0.2)
+@pytest.mark.parametrize(
+    ("extra", "awake"), [("pacing={trigger: state}", True), ("rate=100", False)]
+)
+def test_the_wait_is_awake_around_an_arrival_where_ticks_are_few(
+    tmp_path: Path, extra: str, awake: bool
+) -> None:
+    _, stream, _ = streamed(tmp_path, 2_000_000, 0.2, extra)
+    assert bool(stream.looks) == awake
+
+
+def test_the_wait_is_asleep_where_the_workflow_says_so(tmp_path: Path) -> None:
+    pacing = "pacing={trigger: state, arrival_spin_us: 0}"
+    _, stream, _ = streamed(tmp_path, 2_000_000, 0.2, pacing)
     assert not stream.looks
 
 
@@ -255,7 +266,8 @@ def test_the_thread_sleeps_where_it_warmed_up_and_is_free_in_its_tick(
     awake: list[set[int]] = []
 
     def wait(timeout_s: float) -> bool:
-        asleep.append(os.sched_getaffinity(0))
+        if timeout_s:
+            asleep.append(os.sched_getaffinity(0))
         return stream.wait(timeout_s)
 
     def recv() -> None:

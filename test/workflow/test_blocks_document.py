@@ -81,8 +81,10 @@ def test_the_pacing_example_names_every_option_with_its_default() -> None:
     values = yaml.safe_load(next(code for code in YAML if code.startswith("pacing:")))["pacing"]
     assert set(values) == set(Pacing.__dataclass_fields__)
     Pacing.from_dict(values)
-    for key in ("trigger", "overrun", "spin_us", "arrival_spin_us", "dry_run_us"):
+    for key in ("trigger", "overrun", "spin_us", "dry_run_us"):
         assert values[key] == getattr(Pacing(), key)
+    assert values["arrival_spin_us"] * 1000 == Pacing().arrival_spin_ns(20_000_000)
+    assert Pacing().arrival_spin_ns(15_000_000) == 0
 
 
 def test_the_tables_name_every_node_and_standard_state() -> None:

@@ -39,7 +39,8 @@ class Pacing:
             None: `HANG` or five periods, whichever is longer.
         spin_us: busy wait before the deadline in [µs].
         arrival_spin_us: with `state`, how long before and after the expected arrival to ask for
-            data without a pause in [µs], at most half the time between two; 0 for never.
+            data without a pause in [µs], at most half the time between two; 0 for never, None:
+            `ARRIVAL_SPIN_US` for periods of `SPUN_PERIOD_NS` and longer.
         dry_run_us: how long before the deadline the blocks warm up at most in [µs]; 0 for never.
         priority: SCHED_FIFO priority 1…99, or None: what helps where others want the cores.
         cpu: core to stay on, or None; without a priority it waits whenever that core is busy.
@@ -50,7 +51,7 @@ class Pacing:
     overrun: Literal["skip", "catch_up"] = "skip"
     hang: float | None = None
     spin_us: float = 100.0
-    arrival_spin_us: float = 0.0
+    arrival_spin_us: float | None = None
     dry_run_us: float = 1000.0
     priority: int | None = None
     cpu: int | None = None
@@ -87,6 +88,18 @@ class Pacing:
             return round(self.hang * 1e9)
         return max(round(HANG[simulated] * 1e9), 5 * period_ns)
 
+    def arrival_spin_ns(self, period_ns: int) -> int:
+        """Return how long before and after an expected arrival to stay awake, in [ns]."""
+        if self.arrival_spin_us is not None:
+            return round(self.arrival_spin_us * 1e3)
+        return round(ARRIVAL_SPIN_US * 1e3) if period_ns >= SPUN_PERIOD_NS else 0
+
+
+ARRIVAL_SPIN_US = 200.0
+"""Awake so long before and after the expected arrival unless told (see `awaited`)."""
+
+SPUN_PERIOD_NS = 16_000_000
+"""Shortest period of ticks for which that costs at most 2.5 % of a core."""
 
 CATCH_UP = 10
 """Most ticks that `catch_up` runs at once; what is missed beyond them is let go."""

@@ -214,7 +214,7 @@ class Ticker:
         until = self._warm_up(WallClock(round(self.pacing.spin_us * 1e3))).until
         if self.pacing.cpu is None:
             wait = staying(wait)
-        spin = round(self.pacing.arrival_spin_us * 1e3)
+        spin = self.pacing.arrival_spin_ns(period)
         patience = 3e-9 * period
         # A phase before may have measured it: while that is done nothing is sent.
         arrivals = self.arrivals = self.arrivals or self._arrivals(wait, patience)
