@@ -55,7 +55,9 @@ def _checked_entry(document: WorkflowDocument, name: str, entry: Any) -> dict[st
 
     values = {"path": entry} if isinstance(entry, str) else entry
     if not isinstance(values, dict) or not isinstance(values.get("path"), str):
-        raise wrong("needs a path, or a mapping {path: …, given: …}")
+        others = [str(other) for other in document.values["policies"] if other != name]
+        hint = f"; {alternatives(name, others)}" if others else ""
+        raise wrong(f"needs a path, or a mapping {{path: …, given: …}}{hint}")
     if not isinstance(values.get("given") or {}, dict):
         raise wrong(f"given is {values['given']!r}; write a mapping of facts", "given")
     for key in values:
