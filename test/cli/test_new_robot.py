@@ -20,6 +20,7 @@ URDF = """\
     iyz="0"/></inertial></link>
   <joint name="swing" type="revolute"><parent link="base"/><child link="tip"/><axis xyz="0 1 0"/>
     <limit lower="-1" upper="2" effort="30" velocity="7"/></joint>
+  <transmission name="t"><joint name="swing"/></transmission>
 </robot>
 """
 

@@ -278,7 +278,7 @@ def _speeds(path: Path) -> dict[str, float]:
     if path.suffix.lower() != ".urdf":
         return {}
     speeds = {}
-    for joint in ET.parse(path).getroot().iter("joint"):
+    for joint in ET.parse(path).getroot().findall("joint"):
         limit = joint.find("limit")
         try:
             speeds[joint.get("name", "")] = float(
