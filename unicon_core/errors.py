@@ -5,6 +5,7 @@
     ├── CheckError                 `unicon check` finds errors (lists them)
     ├── StateError                 a state is unknown, or its shape, dtype, unit or frame is wrong
     ├── RobotError                 a robot file is wrong, or lacks a fact that is needed
+    │   └── RobotFileError         it has several mistakes (lists them)
     ├── ModelError                 a simulator model is missing or lacks a joint, sensor or actuator
     ├── PolicyError                a policy or its contract is missing, incomplete or contradictory
     ├── PlatformError              a platform is unknown, unreachable or cannot do what is asked
@@ -13,7 +14,8 @@
     Fault                          raised inside a tick: the runner damps, closes, exit status 3
     └── Hung                       a tick took too long, or none ran: nothing that may hang is asked
 
-A message names the culprit, the alternatives and the remedy, in one line.
+A message names the culprit, the alternatives and the remedy, in one line; an error that lists what
+it found has a line for each.
 """
 
 from __future__ import annotations
@@ -29,6 +31,7 @@ __all__ = [
     "PlatformError",
     "PolicyError",
     "RobotError",
+    "RobotFileError",
     "StateError",
     "UniconError",
     "WorkflowError",
@@ -60,7 +63,7 @@ class WorkflowError(UniconError):
 
 
 class CheckError(UniconError):
-    """A workflow has errors that `unicon check` finds: the only error of several lines.
+    """A workflow has errors that `unicon check` finds: one line each.
 
     Args:
         message: that it is not run, and how to go on.
@@ -74,8 +77,7 @@ class CheckError(UniconError):
     def __str__(self) -> str:
         if len(self.findings) == 1:
             return f"{super().__str__()} {self.findings[0]}"
-        listed = (f"\n  {i}. {found}" for i, found in enumerate(self.findings, 1))
-        return super().__str__() + "".join(listed)
+        return super().__str__() + _numbered(self.findings)
 
 
 class StateError(UniconError):
@@ -84,6 +86,26 @@ class StateError(UniconError):
 
 class RobotError(UniconError):
     """A robot file is wrong or lacks a fact that is needed."""
+
+
+class RobotFileError(RobotError):
+    """A robot file has several mistakes: one line each.
+
+    Args:
+        path: the file.
+        problems: what was found, each with its line.
+    """
+
+    LISTED = 100
+
+    def __init__(self, path: object, problems: Sequence[UniconError]) -> None:
+        super().__init__(f"robot file {path} has {len(problems)} mistakes:")
+        self.problems = tuple(problems)
+
+    def __str__(self) -> str:
+        more = len(self.problems) - self.LISTED
+        cut = [f"… and {more} more"] if more > 0 else []
+        return super().__str__() + _numbered([*map(str, self.problems[: self.LISTED]), *cut])
 
 
 class ModelError(UniconError):
@@ -118,6 +140,10 @@ class Fault(Exception):
 
 class Hung(Fault):
     """A tick took too long, or the process stood still: what hung may do so again."""
+
+
+def _numbered(lines: Sequence[str]) -> str:
+    return "".join(f"\n  {i}. {line}" for i, line in enumerate(lines, 1))
 
 
 def alternatives(wrong: str, known: Iterable[str], *, limit: int = 24) -> str:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import sys
 import threading
+import weakref
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from queue import SimpleQueue
@@ -99,6 +100,7 @@ def to_stderr() -> Callable[[str], None]:
         while rest:
             rest = rest[os.write(handle, rest) :]
 
+    weakref.finalize(write, os.close, handle).atexit = False
     return write
 
 
@@ -166,3 +168,6 @@ def relayed_stderr() -> Iterator[None]:
         if drained.wait(1.0) and select([], [kept], [], 0.0)[1]:
             os.dup2(kept, STDERR)  # which closes the pipe, so that the thread ends
             thread.join(1.0)
+            if not thread.is_alive():  # a child may still hold the pipe
+                os.close(out)
+                os.close(kept)

@@ -109,8 +109,15 @@ def test_a_missing_package_is_told_with_its_install_command(
     ("override", "line"),
     [
         ("platform", "--set 'platform' has no '='; write --set path=value, as platform=mujoco"),
-        ("safety.7=x", "--set safety.7: '7' is no place in a list of 2; give a number from 0 to 1"),
-        ("rate.x=1", "--set rate.x: rate is 50, which has no parts"),
+        (
+            "safety.7=x",
+            "--set safety.7: '7' is no place in a list of 2; give a number from 0 to 1: "
+            "0 (finite), 1 (joint_limits)",
+        ),
+        (
+            "rate.x=1",
+            "--set rate.x: rate is 50, which has no parts; set it whole: --set rate=VALUE",
+        ),
         (
             "platform={",
             "--set platform: '{' is not valid YAML: "

@@ -93,7 +93,7 @@ def main(kind: str, seed: int, first: int, count: int, out: str) -> None:
     from kinds import KINDS
     from mutate import SENTINEL
 
-    from unicon_core.errors import UniconError
+    from unicon_core.errors import RobotFileError, UniconError
 
     make = KINDS[kind]
     watch = Watch()
@@ -130,7 +130,8 @@ def main(kind: str, seed: int, first: int, count: int, out: str) -> None:
                 read()
             except UniconError as error:
                 verdict = "refused"
-                if "\n" in str(error).strip():
+                each = error.problems if isinstance(error, RobotFileError) else (error,)
+                if any("\n" in str(one).strip() for one in each):
                     verdict, detail = "several lines", str(error)
             except Hang:
                 verdict, detail = "hang", traceback.format_exc()

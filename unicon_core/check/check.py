@@ -24,6 +24,7 @@ from unicon_core.errors import (
     PlatformError,
     PolicyError,
     RobotError,
+    RobotFileError,
     UniconError,
     WorkflowError,
     alternatives,
@@ -81,7 +82,8 @@ def check_workflow(
         subject = build_subject(document, hooks)
     except UniconError as error:
         culprit = next(name for kind, name in _CULPRITS if isinstance(error, kind))
-        result.find_error("build", culprit, error)
+        for each in error.problems if isinstance(error, RobotFileError) else (error,):
+            result.find_error("build", culprit, each)
         return result
     try:
         platform = subject.platform

@@ -19,6 +19,7 @@ TOLD = {
     "safety.none": "commands are sent as they are, also those that are not finite or beyond the "
     "limits of a joint",
     "safety.less": "",
+    "joints.welded": "",
     "start.gates": "the robot is moved whatever it tells of itself",
 }
 """Notes that every start tells, and what each means where its evidence does not say it."""

@@ -47,6 +47,12 @@ def check_joints(subject: Subject, result: CheckResult) -> None:
         if held:
             evidence = f"does not move {listed(held)}; they are held at their default"
             policy.note("joints.held", "", evidence)
+    if model is not None and model.welded:
+        result.note(
+            "joints.welded",
+            f"model {model.path.name}",
+            f"it lacks {listed(model.welded)}, which no policy moves: they are taken as welded",
+        )
     result.table("Joints", columns, rows, lines)
     if subject.platform.simulated:
         return

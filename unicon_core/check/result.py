@@ -20,6 +20,7 @@ CODES = {
     "build": "the workflow cannot be built",
     "graph": "the graph of blocks is wrong",
     "joints.held": "joints that no policy moves (a note)",
+    "joints.welded": "the simulated model lacks joints that no policy moves (a note)",
     "joints.motors": "motor slots do not fit the joints",
     "gains.differ": "the policy's gains are not the robot file's (a note)",
     "gains.symmetry": "left and right joints have different gains",

@@ -15,6 +15,7 @@ from unicon_core.models.bounded import refuse_endless, refuse_not_finite
 from unicon_core.models.joints import find_joints
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.models.urdf_repair import repaired_urdf
+from unicon_core.models.welded import weld_absent
 from unicon_core.robots import Robot
 
 __all__ = ["load_model"]
@@ -35,7 +36,7 @@ def load_model(
     Visual and collision meshes whose files are absent are left out with one warning; mistakes of
     public URDF files that ROS reads over are mended. A URDF of a robot that walks gets a free
     joint; a walking robot without surroundings gets a floor; a robot joint without a motor gets
-    one.
+    one. Joints that the robot calls weldable may be absent: they stand still.
 
     Args:
         path: MJCF or URDF file.
@@ -75,12 +76,16 @@ def load_model(
         prepare(spec)
     with _told(path):
         model = spec.compile()
+    welded = weld_absent(mujoco, spec, model, robot, notes) if robot.weldable else ()
+    if welded:
+        with _told(path):
+            model = spec.compile()
     joints = find_joints(mujoco, model, robot, path)
     if mend_actuators(mujoco, spec, model, joints, robot.joint_names, notes):
         with _told(path):
             model = spec.compile()
     refuse_not_finite(path, model)
-    return LoadedModel(model, path, joints, notes)
+    return LoadedModel(model, path, joints, notes, welded)
 
 
 def _read(mujoco: Any, path: Path, text: str | None) -> Any:

@@ -79,12 +79,14 @@ class LoadedModel:
         path: its file.
         joints: joint id of each robot joint, in the robot's order, length n.
         notes: what was changed or left out, one line each.
+        welded: joints of the robot that the model lacks and that stand still.
     """
 
     model: Any
     path: Path
     joints: list[int]
     notes: list[str] = field(default_factory=list)
+    welded: tuple[str, ...] = ()
 
     @property
     def base(self) -> int | None:

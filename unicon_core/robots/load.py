@@ -14,7 +14,7 @@ from unicon_core.located_yaml import Located, read_yaml
 from unicon_core.resources import find_config, list_config
 from unicon_core.robots.poses import joints_like
 from unicon_core.robots.robot import JOINT_FIELDS, Imu, Robot
-from unicon_core.robots.validate import is_overlay, validate, validate_overlay
+from unicon_core.robots.validate import is_overlay, refuse, validate, validate_overlay
 
 __all__ = ["load_robot", "robot_names"]
 
@@ -31,8 +31,8 @@ def load_robot(name_or_path: str | Path) -> Robot:
         name_or_path: a name (`go2`), or a path to a robot file.
 
     Raises:
-        RobotError: no such robot, or the file is wrong; one line with file, line, culprit and
-            remedy.
+        RobotError: no such robot, or the file is wrong: file, line, culprit and remedy; a
+            `RobotFileError` where it has several mistakes, with a line for each.
     """
     path = find_config("robots", name_or_path, ".yaml", error=RobotError)
     located = read_yaml(path, RobotError)
@@ -86,11 +86,13 @@ def _extended(located: Located) -> Robot:
             ("extends",), f"extends names {path}, an overlay itself (of {named!r}); extend a robot"
         )
     robot = _robot(extended)
+    absent = []
     for pattern in simulated:
         try:
             joints_like(pattern, robot)
         except WorkflowError as error:
-            raise located.error(("simulated", pattern), str(error)) from error
+            absent.append(located.error(("simulated", pattern), str(error)))
+    refuse(located, absent)
     both = dict(robot.simulated) | simulated
     return replace(robot, simulated=both, overlay=located.path)
 

@@ -96,6 +96,9 @@ class Robot:
     members: Mapping[str, Robot] = field(default_factory=dict)
     """Name to robot, of a robot made of robots, in the order of the joints; see `compose`."""
 
+    weldable: frozenset[str] = frozenset()
+    """Joints that no policy of the workflow moves: a simulated model may lack them."""
+
     @property
     def num_joints(self) -> int:
         """Number of joints, n."""

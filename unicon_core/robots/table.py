@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from unicon_core.aligned import aligned
-from unicon_core.errors import RobotError
+from unicon_core.errors import RobotError, one_line
 from unicon_core.robots.load import load_robot, robot_names
 from unicon_core.robots.robot import JOINT_FIELDS, Robot
 
@@ -36,7 +36,7 @@ def robots_table() -> str:
         try:
             robot = load_robot(name)
         except RobotError as error:
-            rows.append((name, "-", "-", "-", "-", f"file is wrong: {error}"))
+            rows.append((name, "-", "-", "-", "-", f"file is wrong: {one_line(error)}"))
             continue
         missing = robot.missing_facts()
         ready = f"missing: {', '.join(missing)}" if missing else "complete"

@@ -5,14 +5,16 @@ The JSON Schema is for editors.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from pathlib import PurePath
 from typing import Any
 
-from unicon_core.errors import alternatives
+from unicon_core.errors import RobotFileError, UniconError, alternatives
 from unicon_core.located_yaml import Located, Where
 from unicon_core.robots.checks import (
     IMU_KEYS,
     NOT_NEGATIVE,
+    Problems,
     check_command_ranges,
     check_contacts,
     check_imu,
@@ -27,7 +29,7 @@ from unicon_core.robots.checks import (
 from unicon_core.robots.joint_physics import wrong_physics
 from unicon_core.robots.robot import JOINT_FIELDS, MODEL_FORMATS
 
-__all__ = ["COMMANDS", "KINDS", "SCHEMA", "is_overlay", "validate", "validate_overlay"]
+__all__ = ["COMMANDS", "KINDS", "SCHEMA", "is_overlay", "refuse", "validate", "validate_overlay"]
 
 SCHEMA = "unicon.robot/1"
 KINDS = ("quadruped", "humanoid", "hand", "arm")
@@ -52,36 +54,47 @@ _OVERLAY = ("schema", "extends", "simulated")
 
 
 def validate(located: Located) -> None:
-    """Check a robot file, the first finding is raised.
+    """Check a robot file; all that is found is raised at once, in the order of its lines.
 
     Raises:
-        RobotError: `file:line: ` and the culprit, the alternatives and the remedy.
+        RobotError: `file:line: ` and the culprit, the alternatives and the remedy; of several
+            mistakes a `RobotFileError`.
     """
+    refuse(located, _problems(located))
+
+
+def _problems(located: Located) -> Problems:
     document = located.value
     if not isinstance(document, dict):
-        raise located.error((), "a robot file is a mapping; begin with `schema: unicon.robot/1`")
-    check_keys(located, (), document, _REQUIRED, _OPTIONAL)
-    _schema(located, document)
-    for key in ("name", "description", "manufacturer"):
-        check_text(located, (key,), document[key])
-    check_name(located, ("base_frame",), document["base_frame"])
-    if document["name"] != located.path.stem:
-        raise wrong(
-            located,
-            ("name",),
-            f"{document['name']!r} differs from the file's name; "
-            f"write `name: {located.path.stem}` or rename the file",
-        )
-    _one_of(located, ("kind",), document["kind"], KINDS)
-    _models(located, document["models"])
-    check_joints(located, document["joints"])
-    check_imu(located, document["imu"])
-    check_contacts(located, document)
-    check_command_ranges(located, document.get("command_ranges"))
-    _transport(located, document["transport"])
-    _simulated(located, document.get("simulated"))
-    _unknown(located, document)
-    _sources(located, document)
+        yield located.error((), "a robot file is a mapping; begin with `schema: unicon.robot/1`")
+        return
+    yield from check_keys(located, (), document, _REQUIRED, _OPTIONAL)
+    for key, check in _CHECKS.items():
+        if key in document:
+            yield from check(located, document[key])
+    if document.get("kind") in KINDS:
+        yield from check_contacts(located, document)
+    yield from _unknown(located, document)
+    yield from _sources(located, document)
+
+
+def refuse(located: Located, problems: Iterable[UniconError]) -> None:
+    """Raise what was found in a file, if anything; one in another version is told that alone."""
+    found = list(problems)
+    if found and _is_of_another_schema(located.value):
+        found = list(_schema(located, located.value["schema"]))
+    if len(found) == 1:
+        raise found[0]
+    if found:
+        raise RobotFileError(located.path, sorted(found, key=_line))
+
+
+def _line(problem: UniconError) -> int:
+    return int((problem.where or ":0").rpartition(":")[2])
+
+
+def _is_of_another_schema(document: Any) -> bool:
+    return isinstance(document, dict) and document.get("schema", SCHEMA) != SCHEMA
 
 
 def is_overlay(located: Located) -> bool:
@@ -90,159 +103,245 @@ def is_overlay(located: Located) -> bool:
 
 
 def validate_overlay(located: Located) -> None:
-    """Check an overlay: `extends` and `simulated`; the first finding is raised.
+    """Check an overlay: `extends` and `simulated`; all that is found is raised at once.
 
     Raises:
-        RobotError: `file:line: ` and the culprit, the alternatives and the remedy.
+        RobotError: as of `validate`.
     """
+    refuse(located, _overlay_problems(located))
+
+
+def _overlay_problems(located: Located) -> Problems:
     document = located.value
-    check_keys(located, (), document, _OVERLAY, ("description",))
-    _schema(located, document)
-    check_text(located, ("extends",), document["extends"])
+    yield from check_keys(located, (), document, _OVERLAY, ("description",))
+    yield from check_text(located, ("extends",), document["extends"])
     if document.get("description") is not None:
-        check_text(located, ("description",), document["description"])
-    _simulated(located, document["simulated"])
+        yield from check_text(located, ("description",), document["description"])
+    for key, check in (("schema", _schema), ("simulated", _simulated)):
+        if key in document:
+            yield from check(located, document[key])
 
 
-def _schema(located: Located, document: dict[str, Any]) -> None:
-    if document["schema"] != SCHEMA:
-        raise wrong(
-            located, ("schema",), f"{document['schema']!r} is not known; write `schema: {SCHEMA}`"
+def _text(key: str) -> Check:
+    return lambda located, value: check_text(located, (key,), value)
+
+
+def _schema(located: Located, schema: Any) -> Problems:
+    if schema != SCHEMA:
+        yield wrong(located, ("schema",), f"{schema!r} is not known; write `schema: {SCHEMA}`")
+
+
+def _name(located: Located, name: Any) -> Problems:
+    if not isinstance(name, str) or not name.strip():
+        yield from check_text(located, ("name",), name)
+    elif name != located.path.stem:
+        yield wrong(
+            located,
+            ("name",),
+            f"{name!r} differs from the file's name; "
+            f"write `name: {located.path.stem}` or rename the file",
         )
 
 
-def _simulated(located: Located, simulated: Any) -> None:
-    found = None if simulated is None else wrong_physics(simulated)
-    if found is not None:
-        raise located.error(("simulated",), f"simulated: {found}")
+def _kind(located: Located, kind: Any) -> Problems:
+    yield from _one_of(located, ("kind",), kind, KINDS)
 
 
-def _one_of(located: Located, where: Where, value: Any, known: tuple[str, ...]) -> None:
+def _base_frame(located: Located, frame: Any) -> Problems:
+    yield from check_name(located, ("base_frame",), frame)
+
+
+def _simulated(located: Located, simulated: Any) -> Problems:
+    if simulated is None:
+        return
+    if not isinstance(simulated, dict):
+        yield located.error(("simulated",), f"simulated: {wrong_physics(simulated)}")
+        return
+    for joint, figures in simulated.items():
+        each: list[tuple[Where, Any]] = [(("simulated", joint), figures)]
+        if isinstance(figures, dict):
+            each = [(("simulated", joint, w), {w: figure}) for w, figure in figures.items()]
+        for where, said in each:
+            found = wrong_physics({joint: said})
+            if found is not None:
+                yield located.error(where, f"simulated: {found}")
+
+
+def _one_of(located: Located, where: Where, value: Any, known: tuple[str, ...]) -> Problems:
     if value not in known:
-        raise wrong(located, where, f"{value!r} is not known; {alternatives(str(value), known)}")
+        yield wrong(located, where, f"{value!r} is not known; {alternatives(str(value), known)}")
 
 
-def _models(located: Located, models: Any) -> None:
+def _models(located: Located, models: Any) -> Problems:
     """Paths below the file's folder or a configuration folder; a workflow may name any."""
     remedy = "write {mjcf: PATH, urdf: PATH}, {} where there is none"
-    check_mapping(located, ("models",), models, remedy)
-    check_keys(located, ("models",), models, (), MODEL_FORMATS)
-    for kind, model in models.items():
-        check_text(located, ("models", kind), model)
-        path = PurePath(model.removeprefix("assets:"))
-        if path.is_absolute() or ".." in path.parts or model.startswith("~"):
-            raise wrong(
-                located,
-                ("models", kind),
-                f"{model!r} leads out of its folder; put it beside the robot file, or let the "
-                "workflow name it: scene: {model: PATH}",
-            )
-        if path.suffix and (path.suffix.lower() == ".urdf") != (kind == "urdf"):
-            other = "mjcf" if kind == "urdf" else "urdf"
-            raise wrong(located, ("models", kind), f"{model!r} does not look so; write {other}: …")
+    if not isinstance(models, dict):
+        yield from check_mapping(located, ("models",), models, remedy)
+        return
+    yield from check_keys(located, ("models",), models, (), MODEL_FORMATS)
+    for kind in MODEL_FORMATS:
+        if kind in models:
+            yield from _model(located, kind, models[kind])
 
 
-def _transport(located: Located, transport: Any) -> None:
-    check_mapping(located, ("transport",), transport, "write {protocol: …, …}")
+def _model(located: Located, kind: str, model: Any) -> Problems:
+    where: Where = ("models", kind)
+    if not isinstance(model, str) or not model.strip():
+        yield from check_text(located, where, model)
+        return
+    path = PurePath(model.removeprefix("assets:"))
+    if path.is_absolute() or ".." in path.parts or model.startswith("~"):
+        yield wrong(
+            located,
+            where,
+            f"{model!r} leads out of its folder; put it beside the robot file, or let the "
+            "workflow name it: scene: {model: PATH}",
+        )
+    if path.suffix and (path.suffix.lower() == ".urdf") != (kind == "urdf"):
+        other = "mjcf" if kind == "urdf" else "urdf"
+        yield wrong(located, where, f"{model!r} does not look so; write {other}: …")
+
+
+def _transport(located: Located, transport: Any) -> Problems:
+    if not isinstance(transport, dict):
+        yield from check_mapping(located, ("transport",), transport, "write {protocol: …, …}")
+        return
     if "protocol" not in transport:
-        raise located.error(
+        yield located.error(
             ("transport",), "transport: missing key 'protocol'; add it, null where not known"
         )
-    if transport["protocol"] is not None:
-        check_text(located, ("transport", "protocol"), transport["protocol"])
-    _one_of(located, ("transport", "command"), transport.get("command", "torque"), COMMANDS)
-    _finite(located, ("transport",), transport)
+    elif transport["protocol"] is not None:
+        yield from check_text(located, ("transport", "protocol"), transport["protocol"])
+    command = transport.get("command", "torque")
+    yield from _one_of(located, ("transport", "command"), command, COMMANDS)
+    yield from _finite(located, ("transport",), transport)
     motors = transport.get("motors")
     numbers = isinstance(motors, list) and all(type(n) is int and n >= 0 for n in motors)
     if motors is not None and not numbers:
-        raise wrong(
+        yield wrong(
             located,
             ("transport", "motors"),
             f"is {str(motors)[:60]}; write the motor number of each joint, or null if not known",
         )
     rate = transport.get("rate_hz")
-    check_number(located, ("transport", "rate_hz"), rate)
-    if rate is not None and rate <= 0:
-        raise wrong(
+    is_number = isinstance(rate, (int, float)) and not isinstance(rate, bool)
+    if rate is not None and not is_number:
+        yield from check_number(located, ("transport", "rate_hz"), rate)
+    elif rate is not None and rate <= 0:
+        yield wrong(
             located, ("transport", "rate_hz"), f"{rate} is not above 0; write null if not known"
         )
 
 
-def _finite(located: Located, where: Where, value: Any) -> None:
+def _finite(located: Located, where: Where, value: Any) -> Problems:
     """No figure of a transport is NaN or infinite, however deep: it would go to the motors."""
     if isinstance(value, dict):
         for key, part in value.items():
-            _finite(located, (*where, key), part)
+            yield from _finite(located, (*where, key), part)
     elif isinstance(value, list):
         for i, part in enumerate(value):
-            _finite(located, (*where, i), part)
+            yield from _finite(located, (*where, i), part)
     elif isinstance(value, float):
-        check_number(located, where, value)
+        yield from check_number(located, where, value)
+
+
+Check = Callable[[Located, Any], Problems]
+
+_CHECKS: dict[str, Check] = {
+    "schema": _schema,
+    "name": _name,
+    "description": _text("description"),
+    "manufacturer": _text("manufacturer"),
+    "kind": _kind,
+    "models": _models,
+    "base_frame": _base_frame,
+    "joints": check_joints,
+    "imu": check_imu,
+    "command_ranges": check_command_ranges,
+    "transport": _transport,
+    "simulated": _simulated,
+}
+"""Key to the check of its value, where it stands."""
+
+
+def _joints(document: dict[str, Any]) -> list[dict[str, Any]]:
+    joints = document.get("joints")
+    return [j for j in joints if isinstance(j, dict)] if isinstance(joints, list) else []
 
 
 def _nulls(document: dict[str, Any]) -> list[str]:
     """The dotted facts that a file leaves open and that its `unknown` has to name."""
-    transport = document["transport"]
-    walks = document["kind"] in ("quadruped", "humanoid")
-    fields = [key for key in JOINT_FIELDS if any(j[key] is None for j in document["joints"])]
+    transport = document.get("transport")
+    transport = transport if isinstance(transport, dict) else {}
+    joints, imu = _joints(document), document.get("imu")
+    fields = [key for key in JOINT_FIELDS if any(j.get(key, 0) is None for j in joints)]
     if transport.get("command") == "position":
         # The vendor closes the loop: there are no gains to be found.
         fields = [key for key in fields if key not in ("stiffness", "damping")]
     nulls = [f"joints.{key}" for key in fields]
-    if document["imu"] is None:
-        nulls += ["imu"] if walks else []
-    else:
-        nulls += [f"imu.{key}" for key in IMU_KEYS if document["imu"][key] is None]
+    if "imu" in document and imu is None:
+        nulls += ["imu"] if document.get("kind") in ("quadruped", "humanoid") else []
+    elif isinstance(imu, dict):
+        nulls += [f"imu.{key}" for key in IMU_KEYS if imu.get(key, 0) is None]
     nulls += [key for key in ("feet", "fingertips") if document.get(key) == []]
     return nulls + [f"transport.{key}" for key, value in transport.items() if value is None]
 
 
-def _unknown(located: Located, document: dict[str, Any]) -> None:
+def _unknown(located: Located, document: dict[str, Any]) -> Problems:
     unknown = document.get("unknown")
     if unknown is None:
         unknown = []
     if not isinstance(unknown, list) or not all(isinstance(fact, str) for fact in unknown):
-        raise wrong(located, ("unknown",), f"is {unknown!r}; write a list of facts")
+        yield wrong(located, ("unknown",), f"is {unknown!r}; write a list of facts")
+        return
     nulls = _nulls(document)
-    for fact in nulls:
-        if fact not in unknown:
-            raise located.error(
-                _place(document, fact),
-                f"{fact} is not given, and 'unknown' does not name it; add {fact!r} to unknown",
-            )
     for i, fact in enumerate(unknown):
         if fact != "joint_order" and fact not in nulls:
             known = alternatives(fact, [*nulls, "joint_order"])
-            raise located.error(
+            yield located.error(
                 ("unknown", i), f"unknown names {fact!r}, which is given or no fact; {known}"
             )
         if fact in unknown[:i]:
-            raise located.error(("unknown", i), f"unknown names {fact!r} twice; remove one")
+            yield located.error(("unknown", i), f"unknown names {fact!r} twice; remove one")
+    for fact in nulls:
+        if fact not in unknown:
+            yield located.error(
+                _place(document, fact),
+                f"{fact} is not given, and 'unknown' does not name it; add {fact!r} to unknown",
+            )
 
 
 def _place(document: dict[str, Any], fact: str) -> Where:
-    parts = fact.split(".", 1)
-    if parts[0] == "joints":
-        first = next(i for i, joint in enumerate(document["joints"]) if joint[parts[1]] is None)
-        return ("joints", first, parts[1])
-    return tuple(parts)
+    part, _, key = fact.partition(".")
+    if part == "joints":
+        all_joints = enumerate(document["joints"])
+        first = next(i for i, j in all_joints if isinstance(j, dict) and j.get(key, 0) is None)
+        return ("joints", first, key)
+    return (part, key) if key else (part,)
 
 
-def _sources(located: Located, document: dict[str, Any]) -> None:
+def _sources(located: Located, document: dict[str, Any]) -> Problems:
     """Every group of figures that the file gives says where it was taken from."""
+    if "sources" not in document:
+        return
     sources = document["sources"]
-    check_mapping(located, ("sources",), sources, "write one entry per group of facts")
+    if not isinstance(sources, dict):
+        yield from check_mapping(
+            located, ("sources",), sources, "write one entry per group of facts"
+        )
+        return
     for key, text in sources.items():
         if not isinstance(key, str):
-            raise located.error(("sources", key), f"sources: {key!r} is no group; write a word")
-        check_text(located, ("sources", key), text)
-    joints = document["joints"]
+            yield located.error(("sources", key), f"sources: {key!r} is no group; write a word")
+        else:
+            yield from check_text(located, ("sources", key), text)
+    joints = _joints(document)
     given = {
         "joints": True,
-        "gains": any(j[key] is not None for j in joints for key in NOT_NEGATIVE),
-        "default": any(j["default"] is not None for j in joints),
-        "rest": any(j["rest"] is not None for j in joints),
-        "imu": document["imu"] is not None,
+        "gains": any(j.get(key) is not None for j in joints for key in NOT_NEGATIVE),
+        "default": any(j.get("default") is not None for j in joints),
+        "rest": any(j.get("rest") is not None for j in joints),
+        "imu": document.get("imu") is not None,
         "feet": bool(document.get("feet")),
         "fingertips": bool(document.get("fingertips")),
         "command_ranges": bool(document.get("command_ranges")),
@@ -250,7 +349,7 @@ def _sources(located: Located, document: dict[str, Any]) -> None:
     }
     for group, needed in given.items():
         if needed and group not in sources:
-            raise located.error(
+            yield located.error(
                 ("sources",),
                 f"sources does not say where {group!r} was taken from; add `{group}: …`",
             )

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from unicon_core.bounded_yaml import MAX_DEPTH, YamlError
 from unicon_core.errors import WorkflowError, alternatives
-from unicon_core.located_yaml import Located, parse_value, read_yaml
+from unicon_core.located_yaml import Located, read_yaml
 from unicon_core.resources import find_config, list_config
+from unicon_core.workflow.overrides import set_value, split_setting
 from unicon_core.workflow.settings import check_settings
 
 __all__ = [
@@ -20,7 +20,6 @@ __all__ = [
     "document_at",
     "document_of",
     "load_document",
-    "split_setting",
     "workflow_names",
 ]
 
@@ -66,7 +65,7 @@ class WorkflowDocument:
         name: name of the workflow.
         values: the document with overrides applied.
         located: the file, for `file:line`.
-        overridden: dotted paths that `--set` changed.
+        overridden: paths that `--set` changed, keys with dots between them.
     """
 
     name: str
@@ -84,6 +83,9 @@ class WorkflowDocument:
         dotted = ".".join(map(str, path))
         if any(f"{dotted}.".startswith(f"{set_path}.") for set_path in self.overridden):
             return f"--set {dotted}"
+        if path and path not in self.located.lines:  # made on the way to what was set
+            made = (each for each in self.overridden if each.startswith(f"{dotted}."))
+            return next((f"--set {each}" for each in made), self.located.where(path))
         return self.located.where(path)
 
     def error(self, message: str, *path: str | int) -> WorkflowError:
@@ -142,8 +144,7 @@ def document_at(
     changed = []
     pairs = overrides.items() if isinstance(overrides, Mapping) else map(split_setting, overrides)
     for dotted, value in pairs:
-        _set(values, dotted, value)
-        changed.append(dotted)
+        changed.append(set_value(values, dotted, value))
     return _checked(WorkflowDocument(path.stem, values, located, tuple(changed)))
 
 
@@ -180,53 +181,3 @@ def _checked(document: WorkflowDocument) -> WorkflowDocument:
     document.name = str(document.get("name", str, document.name))
     check_settings(document)
     return document
-
-
-def split_setting(text: str) -> tuple[str, Any]:
-    """Return path and value of a text as of `--set path=value`.
-
-    Raises:
-        WorkflowError: it has no `=`, or its value is not valid YAML.
-    """
-    dotted, equals, value = text.partition("=")
-    if not equals or not dotted:
-        raise WorkflowError(
-            f"--set {text!r} has no '='; write --set path=value, as platform=mujoco"
-        )
-    try:
-        return dotted.strip(), parse_value(value)
-    except YamlError as error:
-        shown = value if len(value) <= 60 else f"{value[:60]}…"
-        raise WorkflowError(
-            f"--set {dotted}: {shown!r} is not valid YAML: {error.problem}"
-        ) from error
-
-
-def _set(values: dict[str, Any], dotted: str, value: Any) -> None:
-    """Set a value at a dotted path; missing mappings are made, list items go by number."""
-    here: Any = values
-    keys = dotted.split(".")
-    if len(keys) > MAX_DEPTH:
-        raise WorkflowError(
-            f"--set {dotted[:60]}…: the path has {len(keys)} steps; at most {MAX_DEPTH} are read"
-        )
-    for depth, key in enumerate(keys):
-        last = depth == len(keys) - 1
-        if isinstance(here, list):
-            if not key.isdigit() or int(key) >= len(here):
-                raise WorkflowError(
-                    f"--set {dotted}: {key!r} is no place in a list of {len(here)}; "
-                    f"give a number from 0 to {len(here) - 1}"
-                )
-            place: Any = int(key)
-        elif isinstance(here, dict):
-            place = key
-        else:
-            parent = ".".join(keys[:depth])
-            raise WorkflowError(f"--set {dotted}: {parent} is {here!r}, which has no parts")
-        if last:
-            here[place] = value
-        else:
-            if isinstance(here, dict) and here.get(place) is None:
-                here[place] = {}
-            here = here[place]

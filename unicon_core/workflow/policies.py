@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +17,16 @@ from unicon_core.robots import Robot
 from unicon_core.states import StateSpec
 from unicon_core.workflow.autowire import BuildContext
 from unicon_core.workflow.document import WorkflowDocument
+from unicon_core.workflow.platforms import facts_of_all, find_platforms
 from unicon_core.workflow.uses import Use
 
-__all__ = ["controllers_reading", "declared_states", "load_policies", "policy_factory"]
+__all__ = [
+    "controllers_reading",
+    "declared_states",
+    "load_policies",
+    "policy_factory",
+    "with_weldable",
+]
 
 
 def load_policies(document: WorkflowDocument, robot: Robot) -> dict[str, PolicyContract]:
@@ -55,13 +63,27 @@ def _checked_entry(document: WorkflowDocument, name: str, entry: Any) -> dict[st
 
     values = {"path": entry} if isinstance(entry, str) else entry
     if not isinstance(values, dict) or not isinstance(values.get("path"), str):
-        raise wrong("needs a path, or a mapping {path: …, given: …}")
+        others = [str(other) for other in document.values["policies"] if other != name]
+        hint = f"; {alternatives(name, others)}" if others else ""
+        raise wrong(f"needs a path, or a mapping {{path: …, given: …}}{hint}")
     if not isinstance(values.get("given") or {}, dict):
         raise wrong(f"given is {values['given']!r}; write a mapping of facts", "given")
     for key in values:
         if key not in ("path", "given"):
             raise wrong(f"unknown key {key!r}; known: path, given", key)
     return values
+
+
+def with_weldable(
+    document: WorkflowDocument, robot: Robot, policies: Mapping[str, PolicyContract]
+) -> Robot:
+    """Return a robot that says which joints no policy moves: a simulated model may lack them."""
+    moved = {name for contract in policies.values() for name in contract.action.joints}
+    held = frozenset(robot.joint_names) - moved
+    if not policies or not held or robot.members:
+        return robot
+    simulated = facts_of_all(find_platforms(document)).simulated
+    return replace(robot, weldable=held) if simulated else robot
 
 
 def used_policy(use: Use, policies: Mapping[str, Any]) -> str:

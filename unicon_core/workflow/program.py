@@ -41,7 +41,7 @@ from unicon_core.workflow.live_twin import build_twin, twin_of
 from unicon_core.workflow.members import load_robot_of
 from unicon_core.workflow.parts import read_parts, read_store
 from unicon_core.workflow.platforms import build_platform
-from unicon_core.workflow.policies import load_policies
+from unicon_core.workflow.policies import load_policies, with_weldable
 from unicon_core.workflow.safety_set import completed, left_out
 from unicon_core.workflow.settings import pacing_of, safety_of, start_of
 from unicon_core.workflow.silent import refuse_parts, withheld
@@ -133,6 +133,7 @@ class Program:
         self.document, self.name, self.dry, self.silent = document, document.name, dry, silent
         self.robot = load_robot_of(document)
         self.policies = load_policies(document, self.robot)
+        self.robot = with_weldable(document, self.robot, self.policies)
         self.period = period_of(document, self.policies)
         self.duration: float | None = document.get("duration", (int, float))
         self.pacing: Pacing = pacing_of(document)

@@ -7,7 +7,7 @@ import inspect
 from typing import TYPE_CHECKING, Any
 
 from unicon_core.aligned import aligned
-from unicon_core.errors import PlatformError, PolicyError, UniconError, WorkflowError
+from unicon_core.errors import PlatformError, PolicyError, RobotError, UniconError, WorkflowError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -18,7 +18,11 @@ __all__ = ["add"]
 def add(commands: Any) -> None:
     """Add the commands to the parser."""
     for name, function, what in (
-        ("robots", _robots, "robots and their joints, gains, limits and sources"),
+        (
+            "robots",
+            _robots,
+            "robots and their joints, gains, limits and sources; `new MODEL` writes a file",
+        ),
         ("policies", _policies, "policies and their contracts; `import X --out DIR` converts one"),
         ("platforms", _platforms, "platforms and their options"),
         ("faces", _faces, "faces of emulated robots, by protocol, and their options"),
@@ -27,6 +31,11 @@ def add(commands: Any) -> None:
     ):
         parser = commands.add_parser(name, help=f"list the {what}")
         parser.add_argument("name", nargs="?", metavar="NAME", help="show this one in full")
+        if name == "robots":
+            parser.add_argument(
+                "model", nargs="?", metavar="MODEL", help="with `new`: MJCF or URDF"
+            )
+            parser.add_argument("--out", metavar="FILE", help="with `new`: where to write")
         if name == "policies":
             parser.add_argument(
                 "source", nargs="?", metavar="X", help="with `import`: what to read"
@@ -39,6 +48,19 @@ def add(commands: Any) -> None:
 def _robots(arguments: argparse.Namespace) -> int:
     from unicon_core.robots import load_robot, robot_table, robots_table
 
+    model, out = arguments.model, arguments.out
+    if arguments.name == "new":
+        if not model:
+            raise RobotError("robots new: give the model: unicon robots new MODEL [--out FILE]")
+        from unicon_ros.cli.new_robot import new_robot
+
+        print(new_robot(model, out))
+        return 0
+    if model or out:
+        raise RobotError(
+            f"robots: {model or '--out'} goes with new; write unicon robots NAME, or "
+            "unicon robots new MODEL --out FILE"
+        )
     print(robot_table(load_robot(arguments.name)) if arguments.name else robots_table())
     return 0
 

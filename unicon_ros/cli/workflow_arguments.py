@@ -21,7 +21,8 @@ def add_overrides(parser: argparse.ArgumentParser) -> None:
         default=[],
         metavar="PATH=VALUE",
         dest="overrides",
-        help="override a value, such as platform=fake or policies.walk.path=FILE (repeatable)",
+        help="override a value, such as platform=fake, safety.0=finite or "
+        "policies.walk.given.action.scale=0.5 (repeatable)",
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,7 +51,8 @@ def start_of(robot: Robot, scene: Scene) -> Start:
         ModelError: the model is missing or wrong, or lacks a joint.
         PlatformError: no such pose.
     """
-    loaded = load_model(scene.model_path(robot), robot)
+    # No stand-ins for absent joints: other engines know neither armature nor implicit damping.
+    loaded = load_model(scene.model_path(robot), replace(robot, weldable=frozenset()))
     base, qpos = loaded.base, initial_positions(loaded, robot, scene)
     pose = np.array((0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0))
     if base is not None:

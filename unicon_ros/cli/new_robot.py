@@ -1,0 +1,352 @@
+"""`unicon robots new MODEL [--out FILE]`: a robot file of what an MJCF or URDF knows."""
+
+from __future__ import annotations
+
+import json
+import re
+import xml.etree.ElementTree as ET
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.bounds import DAMPING, EFFORT, POSITION, STIFFNESS, VELOCITY
+from unicon_core.check.model_facts import model_joints
+from unicon_core.errors import ModelError, RobotError
+from unicon_core.located_yaml import parse_yaml
+from unicon_core.models.find import find_model
+from unicon_core.models.joints import drives, is_simple
+from unicon_core.models.load import load_model
+from unicon_core.models.loaded import LoadedModel, import_mujoco
+from unicon_core.robots import Robot
+from unicon_core.robots.robot import JOINT_FIELDS
+from unicon_core.robots.validate import SCHEMA, validate
+
+__all__ = ["new_robot"]
+
+Float = NDArray[np.float64]
+
+_FOOT = re.compile(r"foot|feet|toe", re.IGNORECASE)
+_ANKLE = re.compile(r"ankle", re.IGNORECASE)
+_FINGER = re.compile(r"thumb|finger|palm", re.IGNORECASE)
+_IMU = re.compile(r"(^|_)imu", re.IGNORECASE)
+_STANDING = re.compile(r"home|stand|default|init", re.IGNORECASE)
+_LYING = re.compile(r"rest|lie|lying|prone|crouch|sit", re.IGNORECASE)
+_LARGEST = {
+    "lower": POSITION,
+    "upper": POSITION,
+    "velocity": VELOCITY,
+    "effort": EFFORT,
+    "default": POSITION,
+    "rest": POSITION,
+    "stiffness": STIFFNESS,
+    "damping": DAMPING,
+}
+
+
+@dataclass
+class _Facts:
+    """What was found: figures by key of a joint, shape (n,), NaN where it is not said."""
+
+    name: str
+    kind: str
+    base: str
+    joints: tuple[str, ...]
+    figures: dict[str, Float]
+    imu: tuple[str, Float, Float] | None
+    feet: list[str]
+    sources: dict[str, str]
+
+
+def new_robot(model: str, out: str | None) -> str:
+    """Write a robot file of what a model knows; return what was written and what is not known.
+
+    Args:
+        model: path, `assets:PATH` or `robot_descriptions:NAME` of an MJCF or a URDF.
+        out: the file; NAME.yaml of the model's file where it is None.
+
+    Raises:
+        ModelError: there is no such model, or it has no joints.
+        RobotError: the file exists, or cannot be written.
+    """
+    path = find_model(model, Path.cwd())
+    file = Path(out) if out else Path(re.sub(r"[^A-Za-z0-9_]", "_", path.stem) + ".yaml")
+    if file.suffix != ".yaml":
+        raise RobotError(f"robots new: {file} is not a .yaml file; give --out NAME.yaml")
+    if file.exists():
+        raise RobotError(f"robots new: {file} exists; remove it, or give another one: --out FILE")
+    facts = _facts(path, file.stem)
+    models, named = _models(model, path, file)
+    text = _text(facts, models)
+    validate(parse_yaml(text, file, RobotError))
+    try:
+        with file.open("x", encoding="utf-8") as stream:
+            stream.write(text)
+    except OSError as error:
+        raise RobotError(
+            f"robots new: cannot write {file}: {error.strerror}; give --out FILE in a writable "
+            "folder"
+        ) from error
+    unknown = _unknown(facts)
+    lines = [
+        f"{file}: {facts.kind} (told from its names: correct it if it is not), "
+        f"{len(facts.joints)} joints of {path}",
+        f"not known: {', '.join(unknown)}" if unknown else "not known: nothing",
+        "look at all of it, correct what your robot has otherwise, and take from unknown what you "
+        "give, with its source",
+    ]
+    return "\n".join([*lines, *named])
+
+
+def _facts(path: Path, name: str) -> _Facts:
+    bare = load_model(path, _robot(path, (), "arm"), quiet=True)
+    model = bare.model
+    names = [model.joint(i).name for i in _simple(model)]
+    if not all(names) or not names:
+        what = "a joint without a name" if names else "no joint that turns or slides"
+        raise ModelError(f"model {path}: it has {what}; name the joints of the robot in the model")
+    joints, order = _ordered(path, model, names)
+    kind = _kind(model, joints)
+    loaded = load_model(path, _robot(path, joints, kind), quiet=True)
+    model = loaded.model
+    feet = _feet(model) if kind in ("quadruped", "humanoid") else []
+    base = _base(loaded)
+    figures, sources = _figures(loaded, joints, path)
+    imu = _imu(model, base)
+    sources = {"joints": f"{path.name}: names, limits, effort, velocity; order: {order}"} | sources
+    if imu is not None:
+        sources["imu"] = f"{path.name}: {imu[0]}"
+    if feet:
+        sources["feet"] = f"{path.name}: names"
+    sources["transport"] = "not known"
+    return _Facts(name, kind, model.body(base).name, joints, figures, imu, feet, sources)
+
+
+def _simple(model: Any) -> list[int]:
+    """Return the joints with one axis of the tree that has most of them: others are no robot's."""
+    mujoco = import_mujoco()
+    joints = [i for i in range(model.njnt) if is_simple(mujoco, model, i)]
+    roots = [int(model.body_rootid[model.jnt_bodyid[i]]) for i in joints]
+    most = max(roots, key=roots.count, default=0)
+    return [i for i, root in zip(joints, roots) if root == most]
+
+
+def _robot(path: Path, joints: tuple[str, ...], kind: str) -> Robot:
+    """A robot that the model's loader takes: nothing is known of it but its joints' names."""
+    nothing: Any = {
+        field: np.full(len(joints), np.nan, np.float32) for field in JOINT_FIELDS.values()
+    }
+    return Robot(
+        name=path.stem,
+        description="",
+        manufacturer="",
+        kind=kind,
+        path=path,
+        models={},
+        base_frame="",
+        joint_names=joints,
+        imu=None,
+        feet=(),
+        transport={},
+        sources={},
+        unknown=(),
+        **nothing,
+    )
+
+
+def _ordered(path: Path, model: Any, names: list[str]) -> tuple[tuple[str, ...], str]:
+    """Return the joints in the order of the actuators where each has its own, and what was taken.
+
+    The vendor's motor order may be another one.
+    """
+    driven = drives(import_mujoco(), model)
+    first = {model.joint(j).name: min(ids) for j, ids in driven.items()}
+    if path.suffix.lower() != ".urdf" and set(names) <= set(first):
+        return tuple(sorted(names, key=first.__getitem__)), "its actuators"
+    return tuple(names), "its joints"
+
+
+def _named(model: Any, kind: str) -> list[str]:
+    counts = {"body": model.nbody, "site": model.nsite, "geom": model.ngeom}
+    return [getattr(model, kind)(i).name for i in range(counts[kind])]
+
+
+def _kind(model: Any, joints: Sequence[str]) -> str:
+    if any(_FINGER.search(name) for name in joints):
+        legs = [name for name in joints if _ANKLE.search(name) or "hip" in name.lower()]
+        if not legs:
+            return "hand"
+    hips = sum("hip" in name.lower() or "leg" in name.lower() for name in joints)
+    if not hips:
+        return "arm"
+    humanlike = any(re.search(r"ankle|shoulder|waist|torso", name, re.I) for name in joints)
+    return "humanoid" if humanlike else "quadruped"
+
+
+def _feet(model: Any) -> list[str]:
+    """Return bodies, else sites, else geoms called feet; else the last links behind the ankles."""
+    for kind in ("body", "site", "geom"):
+        found = [name for name in _named(model, kind) if name and _FOOT.search(name)]
+        if found:
+            return list(dict.fromkeys(found))
+    legs = [name for name in _named(model, "geom") if re.fullmatch("[FR][LR]", name)]
+    if legs:
+        return legs
+    parents = set(map(int, model.body_parentid))
+    bodies = enumerate(_named(model, "body"))
+    return [name for i, name in bodies if i not in parents and _ANKLE.search(name)]
+
+
+def _base(loaded: LoadedModel) -> int:
+    """Return the body that carries the robot: of the free joint, else the first one."""
+    free = loaded.base
+    if free is not None:
+        return int(loaded.model.jnt_bodyid[free])
+    body = int(loaded.model.jnt_bodyid[loaded.joints[0]])
+    while int(loaded.model.body_parentid[body]):
+        body = int(loaded.model.body_parentid[body])
+    return body
+
+
+def _imu(model: Any, base: int) -> tuple[str, Float, Float] | None:
+    """Return name, position [m] and quaternion wxyz of an IMU that is fixed to the base."""
+    mujoco = import_mujoco()
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    weld = model.body_weldid[base]
+    turn = np.array(data.xmat[base]).reshape(3, 3)
+    sites = ((i, "site", model.site_bodyid[i]) for i in range(model.nsite))
+    bodies = ((i, "body", i) for i in range(1, model.nbody))
+    for i, kind, body in (*sites, *bodies):
+        name = getattr(model, kind)(i).name
+        if model.body_weldid[body] != weld or not _IMU.search(name):
+            continue
+        at, matrix = (data.site_xpos, data.site_xmat) if kind == "site" else (data.xpos, data.xmat)
+        quat = np.zeros(4)
+        mujoco.mju_mat2Quat(quat, (turn.T @ np.array(matrix[i]).reshape(3, 3)).ravel())
+        return name, turn.T @ (at[i] - data.xpos[base]), quat
+    return None
+
+
+def _figures(
+    loaded: LoadedModel, joints: tuple[str, ...], path: Path
+) -> tuple[dict[str, Float], dict[str, str]]:
+    said = model_joints(loaded)
+    assert said is not None  # there is a model
+    speeds = _speeds(path)
+    poses = loaded.key_poses()
+    nothing = np.full(len(joints), np.nan)
+    stand = next((key for key in poses if _STANDING.search(key)), None)
+    rest = next((key for key in poses if _LYING.search(key)), None)
+    if stand is None:
+        stand = next((key for key in poses if key != rest), None)
+    figures = {
+        "lower": said.lower,
+        "upper": said.upper,
+        "velocity": np.array([speeds.get(name, np.nan) for name in joints]),
+        "effort": said.effort,
+        "default": nothing if stand is None else poses[stand],
+        "rest": nothing if rest is None else poses[rest],
+        "stiffness": said.stiffness,
+        "damping": np.where(said.damping > 0.0, said.damping, np.nan),
+    }
+    for key, values in figures.items():
+        figures[key] = np.where(np.abs(values) <= _LARGEST[key], values, np.nan)
+    for key in ("velocity", "effort"):
+        figures[key] = np.where(figures[key] > 0.0, figures[key], np.nan)
+    wrong = figures["lower"] >= figures["upper"]
+    for key in ("lower", "upper"):
+        figures[key] = np.where(wrong, np.nan, figures[key])
+    for key in ("default", "rest"):  # a key frame on a limit may lie beyond it by rounding
+        beyond = (figures[key] < figures["lower"] - 1e-4) | (figures[key] > figures["upper"] + 1e-4)
+        inside = np.fmax(np.fmin(figures[key], figures["upper"]), figures["lower"])
+        figures[key] = np.where(beyond | np.isnan(figures[key]), np.nan, inside)
+    sources = {}
+    if not np.isnan([figures["stiffness"], figures["damping"]]).all():
+        sources["gains"] = f"{path.name}: position actuators"
+    for key, frame in (("default", stand), ("rest", rest)):
+        if not np.isnan(figures[key]).all():
+            sources[key] = f"{path.name}: key frame {frame!r}"
+    return figures, sources
+
+
+def _speeds(path: Path) -> dict[str, float]:
+    """Return joint to largest speed [rad/s] of a URDF, which MuJoCo does not keep."""
+    if path.suffix.lower() != ".urdf":
+        return {}
+    speeds = {}
+    for joint in ET.parse(path).getroot().findall("joint"):
+        limit = joint.find("limit")
+        try:
+            speeds[joint.get("name", "")] = float(
+                "nan" if limit is None else limit.get("velocity", "nan")
+            )
+        except ValueError:
+            continue
+    return speeds
+
+
+def _unknown(facts: _Facts) -> list[str]:
+    unknown = ["joint_order"]
+    unknown += [f"joints.{key}" for key, each in facts.figures.items() if np.isnan(each).any()]
+    walks = facts.kind in ("quadruped", "humanoid")
+    unknown += ["imu"] if walks and facts.imu is None else []
+    if not facts.feet:
+        unknown += ["feet"] if walks else ["fingertips"] if facts.kind == "hand" else []
+    return [*unknown, "transport.protocol"]
+
+
+def _models(model: str, path: Path, file: Path) -> tuple[dict[str, str], list[str]]:
+    """Return what the file says under `models`, and a line where it cannot name the model."""
+    kind = "urdf" if path.suffix.lower() == ".urdf" else "mjcf"
+    if model.startswith(("assets:", "robot_descriptions:")):
+        return {kind: model}, []
+    try:
+        return {kind: path.resolve().relative_to(file.resolve().parent).as_posix()}, []
+    except ValueError:
+        line = f"the model does not lie beside {file}: let the workflow name it, scene: {{model: "
+        return {}, [f"{line}{path}}}"]
+
+
+def _text(facts: _Facts, models: dict[str, str]) -> str:
+    quoted = json.dumps  # a string of JSON is one of YAML
+    width = max(map(len, facts.joints)) + 1
+    rows = []
+    for i, name in enumerate(facts.joints):
+        said = (f"{key}: {_figure(values[i])}" for key, values in facts.figures.items())
+        rows.append(f"  - {{name: {name + ',':<{width}} {', '.join(said)}}}")
+    imu = "null"
+    if facts.imu is not None:
+        frame, position, quat = facts.imu
+        imu = f"{{frame: {frame}, position: {_list(position)}, quat: {_list(quat)}}}"
+    contacts = {"hand": "fingertips", "arm": ""}.get(facts.kind, "feet")
+    named = ", ".join(f"{kind}: {quoted(each)}" for kind, each in models.items())
+    lines = [
+        f"schema: {SCHEMA}",
+        f"name: {quoted(facts.name)}",
+        f"description: {quoted(f'{facts.name}, with {len(facts.joints)} joints, of its model')}",
+        "manufacturer: unknown",
+        f"kind: {facts.kind}",
+        f"models: {{{named}}}",
+        f"base_frame: {facts.base or 'base'}",
+        "joints: # rad, rad/s, N·m, N·m/rad, N·m·s/rad; bring them into the vendor's motor order",
+        *rows,
+        f"imu: {imu}",
+        *([f"{contacts}: [{', '.join(map(quoted, facts.feet))}]"] if contacts else []),
+        "transport: {protocol: null}",
+        "sources:",
+        *(f"  {group}: {quoted(text)}" for group, text in facts.sources.items()),
+        f"unknown: [{', '.join(_unknown(facts))}]",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _figure(value: float) -> str:
+    return "null" if np.isnan(value) else repr(round(float(value), 6) + 0.0)
+
+
+def _list(values: Float) -> str:
+    return f"[{', '.join(map(_figure, values))}]"
