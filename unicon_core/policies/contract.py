@@ -138,6 +138,7 @@ class PolicyContract:
         phase: the gait clock, or None.
         robot: the robot it was trained for, for information.
         sha256: of the network's file, or None.
+        provider: where ONNX Runtime runs the network: `cpu`, `cuda` or `tensorrt`.
         source: the format that it came from.
         notes: what whoever runs it should know, such as rounding of the source.
     """
@@ -161,6 +162,7 @@ class PolicyContract:
     phase: PhaseSpec | None = None
     robot: str | None = None
     sha256: str | None = None
+    provider: Literal["cpu", "cuda", "tensorrt"] = "cpu"
     source: str = "policy.yaml"
     notes: tuple[str, ...] = ()
 

@@ -176,6 +176,8 @@ def _main_file(folder: Path) -> Path | None:
 def _read(reference: str | Path, robot: Robot | None, given: Mapping[str, Any]) -> Facts:
     path = _locate(reference)
     facts = _facts_of(path, robot, given)
+    if "provider" in given:  # of the machine that runs it, so the workflow may say another
+        facts.values.pop("provider", None)
     merge_given(facts, given)
     for key in ("onnx", "torchscript"):
         if isinstance(given.get(key), str):  # of the workflow, which may name any file

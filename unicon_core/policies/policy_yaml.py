@@ -117,6 +117,7 @@ def contract_values(contract: PolicyContract) -> dict[str, Any]:
         "name": contract.name,
         "torchscript" if contract.is_torchscript else "onnx": contract.model.name,
         "sha256": contract.sha256,
+        "provider": None if contract.provider == "cpu" else contract.provider,
         "period": contract.period,
         "robot": contract.robot,
         "joints": list(contract.joints),

@@ -15,4 +15,6 @@ def open_network(contract: PolicyContract) -> Network:
         PolicyError: its file is missing or broken.
         MissingDependencyError: that runtime is not installed.
     """
-    return TorchNetwork(contract) if contract.is_torchscript else OnnxNetwork(contract.model)
+    if contract.is_torchscript:
+        return TorchNetwork(contract)
+    return OnnxNetwork(contract.model, contract.provider)
