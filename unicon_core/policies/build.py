@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from unicon_core.bounds import ACTION_SCALE, DAMPING, POSITION, SCALE, STIFFNESS
 from unicon_core.errors import PolicyError, alternatives
 from unicon_core.located_yaml import Where
+from unicon_core.policies.chain_facts import chain_facts
 from unicon_core.policies.contract import (
     ActionSpec,
     ObservationSpec,
@@ -31,7 +32,8 @@ SCHEMA = "unicon.policy/1"
 _KEYS = (
     "schema", "name", "description", "onnx", "torchscript", "sha256", "period", "robot", "joints",
     "default_joint_pos", "action", "stiffness", "damping", "observation", "inputs", "outputs",
-    "recurrent", "command_ranges", "phase", "provider", "sources",
+    "recurrent", "command_ranges", "phase", "provider", "networks",
+    "feeds", "sources",
 )  # fmt: skip
 _ACTION = ("scale", "offset", "clip", "joints", "feedback")
 _OBSERVATION = ("terms", "layout", "newest", "start")
@@ -70,6 +72,7 @@ def build_contract(facts: Facts) -> PolicyContract:
     provider = root.choice("provider", "cpu", "cuda", "tensorrt")
     if provider != "cpu" and "torchscript" in facts.values:
         raise root.at("provider").refuse("TorchScript runs on the cpu; export the network as ONNX")
+    networks, feeds = chain_facts(facts)
     robot = root.at("robot").value
     return PolicyContract(
         name=str(root.at("name").value or facts.path.parent.name or facts.path.stem),
@@ -92,6 +95,8 @@ def build_contract(facts: Facts) -> PolicyContract:
         robot=None if robot is None else str(robot),
         sha256=None if sha256 is None else sha256.lower(),
         provider=provider,
+        networks=networks,
+        feeds=feeds,
         source=facts.source,
         notes=tuple(facts.notes),
     )
