@@ -65,7 +65,7 @@ def load_session(path: Path, provider: str = "cpu") -> Any:
         reason = " ".join(str(error).split())[:200]
         where = "" if provider == "cpu" else f" for provider {provider}"
         raise PolicyError(f"{path}: onnxruntime cannot load it{where}: {reason}") from error
-    if name not in session.get_providers():
+    if provider != "cpu" and name not in session.get_providers():
         raise PolicyError(
             f"{path}: provider {provider} does not start on this machine, its driver or libraries "
             f"are missing; install them ({install}), or write provider: cpu"
