@@ -142,3 +142,34 @@ def test_what_does_not_fit_is_named(folder: Path, changes: dict[str, Any], messa
     write_toy(folder, chained(**changes))
     with pytest.raises(PolicyError, match=message.replace("[", r"\[")):
         policy_of(folder)
+
+
+@pytest.mark.parametrize("batch", ["n", 1])
+def test_several_robots_get_what_each_would_alone(tmp_path: Path, batch: int | str) -> None:
+    write_linear(tmp_path / "encoder.onnx", 15, 5, batch=batch, names=("history", "latent"))
+    write_linear(tmp_path / "policy.onnx", 17, 4, batch=batch)
+    write_toy(tmp_path, chained(recurrent=None))
+    contract, machine = load_policy(tmp_path), robot()
+    specs = standard_states(machine.joint_names) | policy_states(contract, machine.joint_names)
+    many, one = States(specs, 3), States(specs)
+    all_at_once, alone = Policy(contract, many, machine), Policy(contract, one, machine)
+    many["joint_vel"][...] = np.random.default_rng(0).normal(size=(3, 4))
+    all_at_once()
+    for row in range(3):
+        alone.reset()
+        one["joint_vel"][...] = many["joint_vel"][row]
+        alone()
+        np.testing.assert_allclose(many["action"][row], one["action"], rtol=1e-5, atol=1e-6)
+
+
+def test_a_tensor_without_a_batch_axis_is_refused(folder: Path) -> None:
+    weight = numpy_helper.from_array(np.ones((15, 5), np.float32), "w")
+    flat = [
+        helper.make_tensor_value_info(name, TensorProto.FLOAT, [size])
+        for name, size in (("history", 15), ("latent", 5))
+    ]
+    node = helper.make_node("MatMul", ["history", "w"], ["latent"])
+    save(folder / "encoder.onnx", helper.make_graph([node], "flat", flat[:1], flat[1:], [weight]))
+    write_toy(folder, chained(recurrent=None))
+    with pytest.raises(PolicyError, match="is not \\(batch × width\\) of float32"):
+        policy_of(folder)

@@ -83,21 +83,26 @@ class ChainedNetworks:
     def _fail(self, message: str) -> PolicyError:
         return PolicyError(f"policy {self._name}: {message}")
 
+    def _row(self, tensor: Tensor) -> int:
+        """Return the width of a tensor that is (batch, width)."""
+        width = tensor.width
+        if tensor.dtype != "float32" or len(tensor.shape) != 2 or not isinstance(width, int):
+            raise self._fail(f"feeds: {tensor} is not (batch × width) of float32; export it so")
+        return width
+
     def _check(self, tensor: Tensor, feeds: tuple[Feed, ...], made: Mapping[str, Tensor]) -> None:
         """Refuse parts that do not fill an input; note how wide the observation must be."""
-        if tensor.dtype != "float32" or not isinstance(tensor.width, int):
-            raise self._fail(f"feeds: {tensor} needs a fixed width of float32; export it so")
+        self._row(tensor)
         total = 0
         for feed in feeds:
             if feed.source == OBSERVATION:
-                stop = tensor.width if feed.stop is None else feed.stop
+                stop = self._row(tensor) if feed.stop is None else feed.stop
                 self._width = max(self._width, stop)
             elif feed.source in made:
                 source = made[feed.source]
-                if source.dtype != "float32" or not isinstance(source.width, int):
-                    raise self._fail(f"feeds: {source} needs a fixed width of float32")
-                stop = source.width if feed.stop is None else feed.stop
-                if stop > source.width:
+                width = self._row(source)
+                stop = width if feed.stop is None else feed.stop
+                if stop > width:
                     raise self._fail(f"feeds of {tensor.name}: {feed} is beyond {source}")
             else:
                 known = (OBSERVATION, *made)
