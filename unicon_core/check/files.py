@@ -23,6 +23,10 @@ def check_files(subject: Subject, result: CheckResult) -> None:
         files.append((f"policy {key}", contract.path))
         if contract.model != contract.path:
             files.append((f"network {key}", contract.model))
+        for part in contract.networks:
+            files.append((f"network {key}.{part.name}", part.model))
+            if part.sha256 is not None:
+                expected[part.model] = part.sha256
         if contract.sha256 is not None:
             expected[contract.model] = contract.sha256
         if not contract.is_torchscript:

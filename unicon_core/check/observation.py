@@ -77,7 +77,7 @@ def _sizes(policy: PolicyResult, slices: tuple[TermSlice, ...]) -> None:
         rows.append([part.term.name, f"{width} × {frames}", f"[{start}:{stop}]"])
         start = stop
     tensor = None
-    if not contract.is_torchscript:
+    if not contract.is_torchscript and not contract.networks:
         tensors = {tensor.name: tensor for tensor in read_onnx(contract.model).inputs}
         tensor = tensors.get(contract.inputs.get("observation", ""))
     said = f"{contract.model.name} takes {tensor}" if tensor else "the network says no size"

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from unicon_core.bounds import ACTION_SCALE, DAMPING, POSITION, SCALE, STIFFNESS
 from unicon_core.errors import PolicyError, alternatives
 from unicon_core.located_yaml import Where
+from unicon_core.policies.chain_facts import chain_facts
 from unicon_core.policies.contract import (
     ActionSpec,
     ObservationSpec,
@@ -31,7 +32,8 @@ SCHEMA = "unicon.policy/1"
 _KEYS = (
     "schema", "name", "description", "onnx", "torchscript", "sha256", "period", "robot", "joints",
     "default_joint_pos", "action", "stiffness", "damping", "observation", "inputs", "outputs",
-    "recurrent", "command_ranges", "phase", "sources",
+    "recurrent", "command_ranges", "phase", "provider", "networks",
+    "feeds", "sources",
 )  # fmt: skip
 _ACTION = ("scale", "offset", "clip", "joints", "feedback")
 _OBSERVATION = ("terms", "layout", "newest", "start")
@@ -67,6 +69,10 @@ def build_contract(facts: Facts) -> PolicyContract:
     sha256 = root.at("sha256").value
     if sha256 is not None and not (isinstance(sha256, str) and len(sha256) == 64):
         raise root.at("sha256").refuse("give the 64 digits of 'sha256sum'")
+    provider = root.choice("provider", "cpu", "cuda", "tensorrt")
+    if provider != "cpu" and "torchscript" in facts.values:
+        raise root.at("provider").refuse("TorchScript runs on the cpu; export the network as ONNX")
+    networks, feeds = chain_facts(facts)
     robot = root.at("robot").value
     return PolicyContract(
         name=str(root.at("name").value or facts.path.parent.name or facts.path.stem),
@@ -88,6 +94,9 @@ def build_contract(facts: Facts) -> PolicyContract:
         phase=_phase(root.at("phase")),
         robot=None if robot is None else str(robot),
         sha256=None if sha256 is None else sha256.lower(),
+        provider=provider,
+        networks=networks,
+        feeds=feeds,
         source=facts.source,
         notes=tuple(facts.notes),
     )

@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 
 __all__ = [
     "ActionSpec",
+    "Feed",
+    "NetworkPart",
     "ObservationSpec",
     "ObservationTerm",
     "PhaseSpec",
@@ -98,6 +100,40 @@ class Recurrent:
 
 
 @dataclass(frozen=True)
+class Feed:
+    """What fills a part of a network's input: `source[start:stop]`.
+
+    Attributes:
+        source: `observation`, or `NAME.output` of an earlier network.
+        start, stop: elements; `stop` is None for all.
+    """
+
+    source: str
+    start: int = 0
+    stop: int | None = None
+
+    def __str__(self) -> str:
+        return self.source if self.stop is None else f"{self.source}[{self.start}:{self.stop}]"
+
+
+@dataclass(frozen=True)
+class NetworkPart:
+    """A network that runs before the one that gives the action, such as an encoder.
+
+    Attributes:
+        name: of the part; its tensors are called `NAME.tensor`.
+        model: its ONNX file.
+        feeds: input of it -> what fills it, one after the other.
+        sha256: of its file, or None.
+    """
+
+    name: str
+    model: Path
+    feeds: Mapping[str, tuple[Feed, ...]]
+    sha256: str | None = None
+
+
+@dataclass(frozen=True)
 class PhaseSpec:
     """The gait clock behind `gait_phase_sin` and `gait_phase_cos`.
 
@@ -138,6 +174,9 @@ class PolicyContract:
         phase: the gait clock, or None.
         robot: the robot it was trained for, for information.
         sha256: of the network's file, or None.
+        provider: where ONNX Runtime runs the network: `cpu`, `cuda` or `tensorrt`.
+        networks: what runs before the network in `model`, in order.
+        feeds: input of the network in `model` -> what fills it, where there are `networks`.
         source: the format that it came from.
         notes: what whoever runs it should know, such as rounding of the source.
     """
@@ -161,6 +200,9 @@ class PolicyContract:
     phase: PhaseSpec | None = None
     robot: str | None = None
     sha256: str | None = None
+    provider: Literal["cpu", "cuda", "tensorrt"] = "cpu"
+    networks: tuple[NetworkPart, ...] = ()
+    feeds: Mapping[str, tuple[Feed, ...]] = field(default_factory=lambda: MappingProxyType({}))
     source: str = "policy.yaml"
     notes: tuple[str, ...] = ()
 

@@ -13,6 +13,7 @@ from unicon_core.errors import PolicyError, alternatives
 from unicon_core.located_yaml import read_yaml
 from unicon_core.policies.agree import check_agreement
 from unicon_core.policies.build import build_contract
+from unicon_core.policies.chain_facts import check_chain
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.facts import Facts, merge_given, missing_facts
 from unicon_core.policies.importers.deploy_yaml import deploy_yaml_facts, is_deploy_yaml
@@ -176,6 +177,8 @@ def _main_file(folder: Path) -> Path | None:
 def _read(reference: str | Path, robot: Robot | None, given: Mapping[str, Any]) -> Facts:
     path = _locate(reference)
     facts = _facts_of(path, robot, given)
+    if "provider" in given:  # of the machine that runs it, so the workflow may say another
+        facts.values.pop("provider", None)
     merge_given(facts, given)
     for key in ("onnx", "torchscript"):
         if isinstance(given.get(key), str):  # of the workflow, which may name any file
@@ -264,6 +267,8 @@ def _name_of(path: Path) -> str:
 def _name_tensors(facts: Facts, onnx: OnnxFile) -> None:
     """Fill in the names of inputs and outputs where there is no choice; else they are asked for."""
     values = facts.values
+    if values.get("networks"):  # the observation is split among them by 'feeds'
+        values.setdefault("inputs", {"observation": "observation"})
     pairs = values.get("recurrent")
     listed = pairs if isinstance(pairs, (list, tuple)) else []
     recurrent = [pair for pair in listed if isinstance(pair, Mapping)]
@@ -291,6 +296,7 @@ def _contract(facts: Facts) -> PolicyContract:
         raise facts.error(
             where, f"no such file {contract.model}; put the network there or correct the path"
         )
+    check_chain(facts, contract)
     if contract.sha256 is not None:
         digest = hashlib.sha256(contract.model.read_bytes()).hexdigest()
         if digest != contract.sha256:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from math import prod
 
 from unicon_core.policies.contract import PolicyContract
-from unicon_core.policies.networks.onnx_file import read_onnx
+from unicon_core.policies.networks.chain import chained_outputs
 from unicon_core.policies.observation import Observation
 from unicon_core.states import States, StateSpec, standard_states
 
@@ -45,7 +45,7 @@ def _motion_states(contract: PolicyContract) -> dict[str, StateSpec]:
     states = {}
     more = {name: out for name, out in contract.outputs.items() if name != "action"}
     if more and not contract.is_torchscript:
-        tensors = {tensor.name: tensor for tensor in read_onnx(contract.model).outputs}
+        tensors = chained_outputs(contract)
         for name, output in more.items():
             tensor = tensors.get(output)
             axes = () if tensor is None else tensor.shape[1:]

@@ -56,7 +56,10 @@ def write_policy_yaml(contract: PolicyContract, out_dir: str | Path) -> Path:
     """
     values = contract_values(contract)
     values["sha256"] = hashlib.sha256(contract.model.read_bytes()).hexdigest()
-    return _write(Path(out_dir), _dump(values), contract.model)
+    path = _write(Path(out_dir), _dump(values), contract.model)
+    for part in contract.networks:
+        _copy_model(part.model, path.parent)
+    return path
 
 
 def write_partial_yaml(facts: Facts, missing: Mapping[str, str], out_dir: str | Path) -> Path:
@@ -117,6 +120,17 @@ def contract_values(contract: PolicyContract) -> dict[str, Any]:
         "name": contract.name,
         "torchscript" if contract.is_torchscript else "onnx": contract.model.name,
         "sha256": contract.sha256,
+        "networks": {
+            part.name: {
+                "onnx": part.model.name,
+                "sha256": hashlib.sha256(part.model.read_bytes()).hexdigest(),
+                "feeds": {key: list(map(str, feeds)) for key, feeds in part.feeds.items()},
+            }
+            for part in contract.networks
+        }
+        or None,
+        "feeds": {key: list(map(str, feeds)) for key, feeds in contract.feeds.items()} or None,
+        "provider": None if contract.provider == "cpu" else contract.provider,
         "period": contract.period,
         "robot": contract.robot,
         "joints": list(contract.joints),

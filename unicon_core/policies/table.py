@@ -53,6 +53,7 @@ def policy_table(contract: PolicyContract, robot: Robot | None = None) -> str:
     lines = [
         f"policy {contract.name}  ({contract.source}: {contract.path})",
         f"network      {contract.model}",
+        *(f"  after      {part.name}: {part.model}" for part in contract.networks),
         f"period       {contract.period:g} s ({1.0 / contract.period:g} Hz)",
         f"robot        {contract.robot or 'not said'}",
         f"inputs       {_pairs(contract.inputs.items())}",

@@ -6,6 +6,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from unicon_core.errors import MissingDependencyError
 from unicon_core.policies import PolicyContract, load_policy
@@ -29,13 +30,16 @@ CLIP = 100.0
 """legged_gym's bound of an observation."""
 
 
-def random_policy(folder: Path, robot: Robot, history: int = 1) -> PolicyContract:
+def random_policy(
+    folder: Path, robot: Robot, history: int = 1, recurrent: bool = False
+) -> PolicyContract:
     """Write and load a multilayer perceptron with ELU layers and a dynamic batch axis.
 
     Args:
         folder: where its two files go.
         robot: its joints are the policy's, in their order.
         history: frames of every term.
+        recurrent: whether the last hidden layer adds a product with what it was a tick before.
 
     Raises:
         MissingDependencyError: the package onnx, which writes the file, is absent.
@@ -56,13 +60,25 @@ def random_policy(folder: Path, robot: Robot, history: int = 1) -> PolicyContrac
         out = f"h{i}" if i < len(HIDDEN) else "actions"
         nodes.append(helper.make_node("Gemm", [last, f"w{i}", f"b{i}"], [out]))
         if i < len(HIDDEN):
+            if recurrent and i == len(HIDDEN) - 1:
+                weights.append(numpy_helper.from_array(_random_square(columns), "u"))
+                nodes.append(helper.make_node("MatMul", ["h_in", "u"], ["before"]))
+                nodes.append(helper.make_node("Add", [out, "before"], ["sum"]))
+                out = "sum"
             nodes.append(helper.make_node("Elu", [out], [f"e{i}"]))
             last = f"e{i}"
+    memory: list[list[object]] = [[], []]
+    if recurrent:
+        nodes.append(helper.make_node("Identity", [last], ["h_out"]))
+        memory = [
+            [helper.make_tensor_value_info(name, TensorProto.FLOAT, [1, HIDDEN[-1]])]
+            for name in ("h_in", "h_out")
+        ]
     graph = helper.make_graph(
         nodes,
         "mlp",
-        [helper.make_tensor_value_info("obs", TensorProto.FLOAT, ["batch", sizes[0]])],
-        [helper.make_tensor_value_info("actions", TensorProto.FLOAT, ["batch", n])],
+        [helper.make_tensor_value_info("obs", TensorProto.FLOAT, ["batch", sizes[0]]), *memory[0]],
+        [helper.make_tensor_value_info("actions", TensorProto.FLOAT, ["batch", n]), *memory[1]],
         weights,
     )
     opsets = [helper.make_opsetid("", 17)]
@@ -81,9 +97,16 @@ def random_policy(folder: Path, robot: Robot, history: int = 1) -> PolicyContrac
         f"damping: {[1.0] * n}",
         "inputs: {observation: obs}",
         "outputs: {action: actions}",
+        *(["recurrent: [{input: h_in, output: h_out}]"] if recurrent else []),
         "observation:",
         "  terms:",
         *(f"    - {term}{frames}" for term in TERMS),
     ]
     (folder / "policy.yaml").write_text("\n".join(lines) + "\n", encoding="utf-8")
     return load_policy(folder, robot=robot)
+
+
+def _random_square(size: int) -> NDArray[np.float32]:
+    """Return a random matrix that shrinks what it is multiplied with, shape (size, size)."""
+    random = np.random.default_rng(1)
+    return random.normal(0.0, 0.5 / np.sqrt(size), (size, size)).astype(np.float32)

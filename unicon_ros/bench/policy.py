@@ -45,6 +45,7 @@ def run(rounds: int | None = None) -> Bench:
         longer = random_policy(Path(folder) / "history", robot, history=HISTORY)
         _observations(bench, rounds, robot, contract, longer)
         _ticks(bench, rounds, robot, contract)
+        _memory(bench, rounds, robot, contract, Path(folder) / "recurrent")
     return bench
 
 
@@ -129,6 +130,23 @@ def _ticks(bench: Bench, rounds: int, robot: Robot, contract: PolicyContract) ->
         bench.case(f"policy tick, {name}: share of a core [%]", shares.of(name))
     bench.ratio("policy_tick_p50", times.ratio("unicon", "usual"), 0.1)
     bench.ratio("policy_tick_p99", times.ratio("unicon", "usual", percent=99), 0.2)
+
+
+def _memory(
+    bench: Bench, rounds: int, robot: Robot, contract: PolicyContract, folder: Path
+) -> None:
+    """A recurrent policy beside the same network without its memory, in turns and warm."""
+    recurrent = random_policy(folder, robot, recurrent=True)
+    calls: dict[str, Step] = {
+        "policy call": Policy(contract, _states(contract, robot), robot),
+        "policy call, recurrent": Policy(recurrent, _states(recurrent, robot), robot),
+    }
+    times = Samples()
+    for _ in range(rounds):
+        times.take(calls, WARM_CALLS // 20, 20)
+    for name in calls:
+        bench.case(name, times.of(name))
+    bench.ratio("policy_recurrent", times.ratio("policy call, recurrent", "policy call"), 1.3)
 
 
 def _usual_loop(robot: Robot, contract: PolicyContract) -> Callable[[int], Paced]:

@@ -1,6 +1,7 @@
 """Networks: what loads and runs the network of a policy, one module for each runtime."""
 
 from unicon_core.policies.contract import PolicyContract
+from unicon_core.policies.networks.chain import ChainedNetworks
 from unicon_core.policies.networks.network import Network, Remembering, Tensor
 from unicon_core.policies.networks.onnx import OnnxNetwork
 from unicon_core.policies.networks.torch import TorchNetwork
@@ -15,4 +16,8 @@ def open_network(contract: PolicyContract) -> Network:
         PolicyError: its file is missing or broken.
         MissingDependencyError: that runtime is not installed.
     """
-    return TorchNetwork(contract) if contract.is_torchscript else OnnxNetwork(contract.model)
+    if contract.is_torchscript:
+        return TorchNetwork(contract)
+    if contract.networks:
+        return ChainedNetworks(contract)
+    return OnnxNetwork(contract.model, contract.provider)

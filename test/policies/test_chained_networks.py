@@ -1,0 +1,175 @@
+"""An encoder and an actor in one policy give, bit for bit, what a plain loop of both gives."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from onnx import TensorProto, helper, numpy_helper
+from policy_helpers import robot, save, toy_values, write_linear, write_toy
+
+from unicon_core.errors import PolicyError
+from unicon_core.policies import Policy, import_policy, load_policy, policy_states
+from unicon_core.states import States, standard_states
+
+onnxruntime: Any = pytest.importorskip("onnxruntime", reason="the networks are ONNX")
+
+FEEDS = {"obs": ["observation[3:15]", "encoder.latent"]}
+ENCODER = {"onnx": "encoder.onnx", "feeds": {"history": ["observation"]}}
+
+
+def write_encoder(path: Path) -> None:
+    """Write `latent, h_out = tanh(history · w + h_in · u)`, an encoder with a memory."""
+    random = np.random.default_rng(3)
+    weights = {"w": random.normal(size=(15, 5)), "u": random.normal(size=(5, 5))}
+
+    def value(name: str, width: int) -> Any:
+        return helper.make_tensor_value_info(name, TensorProto.FLOAT, [1, width])
+
+    graph = helper.make_graph(
+        [
+            helper.make_node("MatMul", ["history", "w"], ["a"]),
+            helper.make_node("MatMul", ["h_in", "u"], ["b"]),
+            helper.make_node("Add", ["a", "b"], ["c"]),
+            helper.make_node("Tanh", ["c"], ["latent"]),
+            helper.make_node("Identity", ["latent"], ["h_out"]),
+        ],
+        "encoder",
+        [value("history", 15), value("h_in", 5)],
+        [value("latent", 5), value("h_out", 5)],
+        [numpy_helper.from_array(w.astype(np.float32), name) for name, w in weights.items()],
+    )
+    save(path, graph)
+
+
+def chained(**changes: Any) -> dict[str, Any]:
+    """Values of a policy of both networks."""
+    values = {
+        "networks": {"encoder": ENCODER},
+        "feeds": FEEDS,
+        "recurrent": [{"input": "encoder.h_in", "output": "encoder.h_out"}],
+        "outputs": {"action": "actions", "latent": "encoder.latent"},
+    }
+    return toy_values(**{**values, **changes})
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """The two networks and their policy.yaml."""
+    write_encoder(tmp_path / "encoder.onnx")
+    write_linear(tmp_path / "policy.onnx", 17, 4)
+    write_toy(tmp_path, chained())
+    return tmp_path
+
+
+def policy_of(folder: Path) -> tuple[Policy, States]:
+    contract, machine = load_policy(folder), robot()
+    specs = standard_states(machine.joint_names) | policy_states(contract, machine.joint_names)
+    states = States(specs)
+    return Policy(contract, states, machine), states
+
+
+def test_it_is_bit_equal_to_a_plain_loop(folder: Path) -> None:
+    policy, states = policy_of(folder)
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1
+    encoder, actor = (
+        onnxruntime.InferenceSession(
+            str(folder / f"{name}.onnx"), options, providers=["CPUExecutionProvider"]
+        )
+        for name in ("encoder", "policy")
+    )
+    random, memory = np.random.default_rng(0), np.zeros((1, 5), np.float32)
+    for _ in range(50):
+        for name in ("base_ang_vel", "joint_pos", "joint_vel"):
+            states[name][...] = random.normal(size=states[name].shape)
+        policy.warm_up()  # must not move the memory
+        policy()
+        vector = states["observation"][None]
+        latent, memory = encoder.run(["latent", "h_out"], {"history": vector, "h_in": memory})
+        joined = np.concatenate([vector[:, 3:15], latent], axis=1)
+        (action,) = actor.run(["actions"], {"obs": joined})
+        assert states["action"].tobytes() == action.tobytes()
+        assert states["latent"].tobytes() == latent.tobytes()
+    assert np.abs(memory).max() > 0.0
+
+
+def test_reset_forgets_the_memory_of_each_network(folder: Path) -> None:
+    policy, states = policy_of(folder)
+    states["joint_vel"][...] = 1.0
+    policy()
+    first = states["action"].copy()
+    policy()
+    assert (states["action"] != first).any()
+    policy.reset()
+    policy()
+    assert states["action"].tobytes() == first.tobytes()
+
+
+def test_an_import_takes_all_networks_and_pins_each(folder: Path, tmp_path: Path) -> None:
+    import_policy(folder, tmp_path / "out")
+    contract = load_policy(tmp_path / "out")
+    (part,) = contract.networks
+    assert part.sha256 is not None
+    assert contract.sha256 is not None
+    assert list(map(str, contract.feeds["obs"])) == FEEDS["obs"]
+    write_linear(tmp_path / "out" / "encoder.onnx", 15, 5)
+    with pytest.raises(PolicyError, match=r"encoder.onnx has sha256 .* import it again"):
+        load_policy(tmp_path / "out")
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"feeds": {"obs": ["observation[4:15]", "encoder.latent"]}}, "has 16 values and obs"),
+        ({"feeds": {"obs": ["observation[3:15]", "encoder.latnt"]}}, "nothing before it is called"),
+        ({"feeds": {"odd": ["observation"]}}, "has no input 'odd'"),
+        ({"feeds": {"obs": ["observation[3:15]", "encoder.latent[0:9]"]}}, "is beyond"),
+        ({"feeds": None}, "feeds needs"),
+        ({"feeds": {"obs": ["observation[9:3]"]}}, "which is empty"),
+        ({"feeds": {"obs": [3]}}, "write observation"),
+        ({"networks": None}, "feeds goes with 'networks'"),
+        ({"networks": {"encoder": {**ENCODER, "onnx": "absent.onnx"}}}, "no such file"),
+        ({"networks": {"encoder": {**ENCODER, "onnx": "../encoder.onnx"}}}, "is not in the folder"),
+        ({"networks": {"encoder": {**ENCODER, "gain": 1}}}, "no key 'gain'"),
+        ({"networks": {"a.b": ENCODER}}, "is not a name"),
+        ({"recurrent": None}, "nothing feeds input encoder.h_in"),
+    ],
+)
+def test_what_does_not_fit_is_named(folder: Path, changes: dict[str, Any], message: str) -> None:
+    write_toy(folder, chained(**changes))
+    with pytest.raises(PolicyError, match=message.replace("[", r"\[")):
+        policy_of(folder)
+
+
+@pytest.mark.parametrize("batch", ["n", 1])
+def test_several_robots_get_what_each_would_alone(tmp_path: Path, batch: int | str) -> None:
+    write_linear(tmp_path / "encoder.onnx", 15, 5, batch=batch, names=("history", "latent"))
+    write_linear(tmp_path / "policy.onnx", 17, 4, batch=batch)
+    write_toy(tmp_path, chained(recurrent=None))
+    contract, machine = load_policy(tmp_path), robot()
+    specs = standard_states(machine.joint_names) | policy_states(contract, machine.joint_names)
+    many, one = States(specs, 3), States(specs)
+    all_at_once, alone = Policy(contract, many, machine), Policy(contract, one, machine)
+    many["joint_vel"][...] = np.random.default_rng(0).normal(size=(3, 4))
+    all_at_once()
+    for row in range(3):
+        alone.reset()
+        one["joint_vel"][...] = many["joint_vel"][row]
+        alone()
+        np.testing.assert_allclose(many["action"][row], one["action"], rtol=1e-5, atol=1e-6)
+
+
+def test_a_tensor_without_a_batch_axis_is_refused(folder: Path) -> None:
+    weight = numpy_helper.from_array(np.ones((15, 5), np.float32), "w")
+    flat = [
+        helper.make_tensor_value_info(name, TensorProto.FLOAT, [size])
+        for name, size in (("history", 15), ("latent", 5))
+    ]
+    node = helper.make_node("MatMul", ["history", "w"], ["latent"])
+    save(folder / "encoder.onnx", helper.make_graph([node], "flat", flat[:1], flat[1:], [weight]))
+    write_toy(folder, chained(recurrent=None))
+    with pytest.raises(PolicyError, match="is not \\(batch × width\\) of float32"):
+        policy_of(folder)
