@@ -50,6 +50,7 @@ class Lane:
         published: views of states and the arrays here that are copied into them after a tick.
         infer: runs the network on what is assembled; what it remembers stays as it is.
         action_finite: tells whether the output holds neither NaN nor infinity.
+        first_step: what an input that counts the calls begins with; see `reset`.
     """
 
     observation: Observation | None
@@ -68,7 +69,7 @@ class Lane:
             self._write, self._advance = self.observation.bind_parts(self.obs)
         self._obs_finite = finite_check(self.obs)
         self.action_finite = finite_check(self.action)
-        self._steps = 0.0
+        self._steps = self.first_step = 0.0
 
     def _run_rows(self) -> None:
         for run in self.runs:
@@ -99,12 +100,18 @@ class Lane:
             run.commit()
         self._steps += 1.0
 
-    def step_zero(self) -> None:
-        """Run the network on a zero observation, as step 0 of its motion; its action is dropped."""
+    def at_step(self, step: float) -> None:
+        """Run the network on a zero observation at a step of its motion; nothing is kept of it."""
         self.obs[...] = 0.0
         for item in self.inputs:
-            item.values[...] = 0.0
+            item.values[...] = step if item.write is None else 0.0
+            if item.cast is not None:
+                np.copyto(item.cast, item.values, casting="unsafe")
         self.infer()
+
+    def step_zero(self) -> None:
+        """Run the network at the first step of its motion; its action is dropped."""
+        self.at_step(self.first_step)
         self._remember()
         self.action[...] = 0.0
         for view, values in self.published:
@@ -120,7 +127,7 @@ class Lane:
         for run in self._remembering:
             run.reset()
         self.action[...] = 0.0
-        self._steps = 0.0
+        self._steps = self.first_step
 
     def finite(self) -> bool:
         """Whether observation and other inputs hold neither NaN nor infinity."""
