@@ -92,7 +92,7 @@ def test_new_mjlab_keys_say_scales_clips_and_histories(tmp_path: Path) -> None:
     assert states.observation.size == 93
 
 
-def test_beyondmimic_names_its_motion_inputs_and_asks_for_the_anchor(tmp_path: Path) -> None:
+def test_beyondmimic_names_its_motion_inputs_and_its_anchor(tmp_path: Path) -> None:
     metadata = {
         **OLD,
         "command_names": "motion",
@@ -124,17 +124,13 @@ def test_beyondmimic_names_its_motion_inputs_and_asks_for_the_anchor(tmp_path: P
     )
     path = tmp_path / "dance.onnx"
     save(path, graph, list(metadata.items()))
-    with pytest.raises(PolicyError, match=r"observation\.terms\.motion_anchor_ori_b\.state"):
+    with pytest.raises(PolicyError, match=r"does not say period .*; observation\.scale"):
         load_policy(path)
-    contract = load_policy(
-        path,
-        given={
-            "period": 0.02,
-            "observation": {"scale": 1.0, "terms": {"motion_anchor_ori_b": {"state": "anchor"}}},
-        },
-    )
+    contract = load_policy(path, given={"period": 0.02, "observation.scale": 1.0})
     assert contract.source == "BeyondMimic metadata"
     assert contract.terms[0].state == "motion_command"
+    assert contract.terms[1].state == "motion_anchor_ori_b"
+    assert contract.motion is None  # the network tells no joint velocities to follow
     assert dict(contract.inputs) == {"observation": "obs", "time_step": "time_step"}
     assert dict(contract.outputs) == {"action": "actions", "motion_joint_pos": "joint_pos"}
 

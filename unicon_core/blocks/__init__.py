@@ -26,6 +26,7 @@ BUILTIN: dict[str, str] = {
         "safety.stops": ("finite", "height_stop", "stale_stop", "tilt_stop", "velocity_stop"),
         "safety.stuck": ("encoder_stop", "imu_stop"),
         "safety.twin_stop": ("twin_stop",),
+        "blend_in": ("blend_in",),
         "fade_in": ("fade_in",),
         "forward_command": ("forward_command",),
         "odometry.leg_odometry": ("leg_odometry",),

@@ -2,6 +2,7 @@
 
 from unicon_core.policies.contract import (
     ActionSpec,
+    MotionSpec,
     ObservationSpec,
     ObservationTerm,
     PhaseSpec,
@@ -26,6 +27,7 @@ __all__ = [
     "ActionSpec",
     "GaitPhase",
     "ImportReport",
+    "MotionSpec",
     "Observation",
     "ObservationSpec",
     "ObservationTerm",

@@ -23,6 +23,7 @@ from unicon_core.policies.contract import (
     Recurrent,
 )
 from unicon_core.policies.facts import Facts, dotted, missing_facts
+from unicon_core.policies.motion.spec import motion_spec
 from unicon_core.robots import joint_index
 
 __all__ = ["build_contract"]
@@ -32,7 +33,7 @@ SCHEMA = "unicon.policy/1"
 _KEYS = (
     "schema", "name", "description", "onnx", "torchscript", "sha256", "period", "robot", "joints",
     "default_joint_pos", "action", "stiffness", "damping", "observation", "inputs", "outputs",
-    "recurrent", "command_ranges", "phase", "provider", "networks",
+    "recurrent", "command_ranges", "phase", "motion", "provider", "networks",
     "feeds", "sources",
 )  # fmt: skip
 _ACTION = ("scale", "offset", "clip", "joints", "feedback")
@@ -92,6 +93,7 @@ def build_contract(facts: Facts) -> PolicyContract:
         recurrent=_recurrent(root.at("recurrent")),
         command_ranges=MappingProxyType(_ranges(root.at("command_ranges"))),
         phase=_phase(root.at("phase")),
+        motion=motion_spec(facts),
         robot=None if robot is None else str(robot),
         sha256=None if sha256 is None else sha256.lower(),
         provider=provider,

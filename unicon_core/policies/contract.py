@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 __all__ = [
     "ActionSpec",
     "Feed",
+    "MotionSpec",
     "NetworkPart",
     "ObservationSpec",
     "ObservationTerm",
@@ -152,6 +153,35 @@ class PhaseSpec:
     command: str = "velocity_command"
 
 
+@dataclass(frozen=True)
+class MotionSpec:
+    """The motion that a policy is to follow, and the body by which the robot is compared with it.
+
+    Attributes:
+        anchor_body: such as `torso_link`; a body of the robot's model.
+        file: `.npz` or `.csv`, or None: outputs of the network are the reference.
+        bodies: of the outputs `motion_body_pos_w` and `motion_body_quat_w`, in their order.
+        align: `yaw` turns the motion about the vertical and shifts it, so that it begins where the
+            robot stands; `none` leaves it in the robot's world.
+        start: of what is played of it in [s].
+        end: of what is played in [s], or None for all.
+        fps: frames in a second of a file, or None: as the file says, 30 of a `.csv`.
+        joints: the file's joints in order, `policy`, `robot`, or None: as its format has it.
+        chain: joint to axis (`x`, `-y`, …) from the base to the anchor, for a robot without a
+            model; empty: as the model has it.
+    """
+
+    anchor_body: str
+    file: Path | None = None
+    bodies: tuple[str, ...] = ()
+    align: Literal["yaw", "none"] = "yaw"
+    start: float = 0.0
+    end: float | None = None
+    fps: float | None = None
+    joints: str | tuple[str, ...] | None = None
+    chain: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
+
+
 @dataclass(frozen=True, eq=False)
 class PolicyContract:
     """A network and everything that is needed to run it as it was trained.
@@ -172,6 +202,7 @@ class PolicyContract:
         recurrent: state tensors that are fed back.
         command_ranges: `lin_vel_x`, … -> lowest and highest trained command.
         phase: the gait clock, or None.
+        motion: what it follows, or None.
         robot: the robot it was trained for, for information.
         sha256: of the network's file, or None.
         provider: where ONNX Runtime runs the network: `cpu`, `cuda` or `tensorrt`.
@@ -198,6 +229,7 @@ class PolicyContract:
         default_factory=lambda: MappingProxyType({})
     )
     phase: PhaseSpec | None = None
+    motion: MotionSpec | None = None
     robot: str | None = None
     sha256: str | None = None
     provider: Literal["cpu", "cuda", "tensorrt"] = "cpu"

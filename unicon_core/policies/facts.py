@@ -37,6 +37,9 @@ _STATES: dict[str, tuple[str, ...]] = {
     "gait_phase": ("gait_phase",),
     "gait_phase_sin": ("sin_phase",),
     "gait_phase_cos": ("cos_phase",),
+    "motion_command": ("motion_command",),
+    "motion_anchor_ori_b": ("motion_anchor_ori_b", "motion_ref_ori_b"),
+    "motion_anchor_pos_b": ("motion_anchor_pos_b", "motion_ref_pos_b"),
 }
 _TERMS: dict[str, dict[str, Any]] = {
     **{name: {"state": state} for state, names in _STATES.items() for name in names},
@@ -80,6 +83,7 @@ class Facts:
         tolerance: relative and absolute rounding of the source's numbers.
         network: the network's file where the importer found it or the workflow names it; None
             where the source names it, which then lies in the source's folder.
+        clip: the motion's file, likewise.
     """
 
     path: Path
@@ -91,6 +95,7 @@ class Facts:
     notes: list[str] = field(default_factory=list)
     tolerance: tuple[float, float] = (1e-6, 1e-9)
     network: Path | None = None
+    clip: Path | None = None
 
     def model(self) -> Path:
         """Return the network's file, which need not exist.

@@ -54,6 +54,7 @@ class Lane:
         action_finite: tells whether the output holds neither NaN nor infinity.
         advance: goes on to the next tick: the history takes the frame, the network's memory is fed
             back; with True, after a warm-up, it does nothing.
+        first_step: what an input that counts the calls begins with; see `reset`.
     """
 
     observation: Observation | None
@@ -72,7 +73,7 @@ class Lane:
             self._write, self._advance = self.observation.bind_parts(self.obs)
         self._obs_finite = finite_check(self.obs)
         self.action_finite = finite_check(self.action)
-        self._steps = 0.0
+        self._steps = self.first_step = 0.0
         # What has neither inputs nor a memory skips them: what only the tick runs is cold then.
         only = not self.inputs
         self.assemble = self._write if only else self._assemble
@@ -107,12 +108,18 @@ class Lane:
             run.commit()
         self._steps += 1.0
 
-    def step_zero(self) -> None:
-        """Run the network on a zero observation, as step 0 of its motion; its action is dropped."""
+    def at_step(self, step: float) -> None:
+        """Run the network on a zero observation at a step of its motion; nothing is kept of it."""
         self.obs[...] = 0.0
         for item in self.inputs:
-            item.values[...] = 0.0
+            item.values[...] = step if item.write is None else 0.0
+            if item.cast is not None:
+                np.copyto(item.cast, item.values, casting="unsafe")
         self.infer()
+
+    def step_zero(self) -> None:
+        """Run the network at the first step of its motion; its action is dropped."""
+        self.at_step(self.first_step)
         self._remember()
         self.action[...] = 0.0
         for view, values in self.published:
@@ -128,7 +135,7 @@ class Lane:
         for run in self._remembering:
             run.reset()
         self.action[...] = 0.0
-        self._steps = 0.0
+        self._steps = self.first_step
 
     def _finite(self) -> bool:
         return self._obs_finite() and all(item.finite() for item in self.inputs)

@@ -20,6 +20,7 @@ from unicon_core.policies.importers.deploy_yaml import deploy_yaml_facts, is_dep
 from unicon_core.policies.importers.env_yaml import env_yaml_facts, is_env_yaml
 from unicon_core.policies.importers.legged_gym import is_legged_gym, legged_gym_facts
 from unicon_core.policies.importers.metadata import has_metadata, metadata_facts
+from unicon_core.policies.motion.spec import given_clip
 from unicon_core.policies.networks.onnx_file import OnnxFile, read_onnx
 from unicon_core.policies.policy_yaml import (
     policy_yaml_facts,
@@ -184,6 +185,7 @@ def _read(reference: str | Path, robot: Robot | None, given: Mapping[str, Any]) 
         if isinstance(given.get(key), str):  # of the workflow, which may name any file
             named = Path(os.path.expanduser(given[key]))
             facts.network = named if named.is_absolute() else facts.path.parent / named
+    given_clip(facts, given)
     facts.values.setdefault("name", _name_of(path))
     if "onnx" in facts.values and "torchscript" not in facts.values:
         onnx = read_onnx(facts.model())

@@ -5,7 +5,7 @@ Observation → network → check → targets; a NaN or infinity is a Fault befo
 
 from __future__ import annotations
 
-from typing import Any
+from pathlib import Path
 
 import numpy as np
 
@@ -13,6 +13,8 @@ from unicon_core.errors import Fault, PolicyError
 from unicon_core.policies.action_map import ActionMap
 from unicon_core.policies.bind import Binding
 from unicon_core.policies.contract import PolicyContract
+from unicon_core.policies.motion.follow import own_reference, tracker_of
+from unicon_core.policies.motion.tracker import MotionTracker
 from unicon_core.policies.networks import Network, open_network
 from unicon_core.policies.phase import GaitPhase
 from unicon_core.policies.prefixed import PackedStates, PrefixedStates
@@ -33,6 +35,7 @@ class Policy:
         robot: the robot that is to move; joints are aligned by name.
         prefix: of the policy's own states, as given to `policy_states`.
         network: another one than that of the contract.
+        model: the robot's model file, in which a motion's anchor is found.
 
     Attributes:
         name: of the policy.
@@ -40,6 +43,8 @@ class Policy:
         writes: states that are written.
         action_map: what turns the action into targets.
         lane: arrays and bound calls.
+        tracker: of the motion that it follows, or None.
+        endless: it is never done, as it follows no motion, or one without an end.
 
     Raises:
         PolicyError: states, joints or sizes that do not fit, or missing files.
@@ -54,6 +59,7 @@ class Policy:
         *,
         prefix: str = "",
         network: Network | None = None,
+        model: Path | None = None,
     ) -> None:
         if prefix:
             states = PrefixedStates(states, prefix)
@@ -92,12 +98,18 @@ class Policy:
         self.phase: GaitPhase | None = None
         if contract.phase is not None and "gait_phase" in states:
             self.phase = GaitPhase(contract.phase, states, contract.period)
-        self._motion = _motion(states) if "motion_command" in states else ()
+        self.model = model
+        self.tracker = tracker_of(contract, states, robot, self.lane, model)
+        self.endless = self.tracker is None or self.tracker.ticks is None
+        self._motion = own_reference(contract, states)
         self._begun = False
-        self.reads, self.writes = _reads_writes(contract, states, self.phase)
+        self.reads, self.writes = _reads_writes(contract, states, self.phase, self.tracker)
 
-    def __call__(self, warm_up: bool = False) -> None:
+    def __call__(self, warm_up: bool = False) -> bool:
         """Run one tick, or take its path and discard the result.
+
+        Returns:
+            Whether the motion that it follows, if any, has shown its last frame.
 
         Raises:
             Fault: the observation or the action holds a NaN or infinity; no target is written.
@@ -111,15 +123,17 @@ class Policy:
                 lane.step_zero()
                 self._reference()
                 self._begun = True
+            if self.tracker is not None:
+                self.tracker()
         lane.assemble()
         if not lane.finite():
             if warm_up:
-                return
+                return False
             raise Fault(self._blame_observation())
         lane.infer()
         if not lane.action_finite():
             if warm_up:
-                return
+                return False
             raise Fault(self._blame_action())
         self._command()
         for state, values in self._discarded if warm_up else self._published:
@@ -127,6 +141,7 @@ class Policy:
         lane.advance(warm_up)
         if self._motion and not warm_up:
             self._reference()
+        return self.tracker is not None and self.tracker.done
 
     def warm_up(self) -> None:
         """Take the path of a tick and discard the result: caches get warm, nothing changes.
@@ -143,6 +158,8 @@ class Policy:
         self._begun = False
         if self.phase is not None:
             self.phase.reset()
+        if self.tracker is not None:
+            self.tracker.reset()
 
     def _reference(self) -> None:
         for part, source in self._motion:
@@ -172,29 +189,20 @@ class Policy:
         return f" of robot {row}" if self._states.num_robots else ""
 
 
-def _motion(states: PackedStates) -> tuple[tuple[Any, Any], ...]:
-    """The command of a motion policy is its own reference: positions, then velocities.
-
-    From HybridRobotics/motion_tracking_controller, `src/MotionCommand.cpp` (getValue) and
-    `src/MotionPolicy.cpp` (reset runs step 0 on a zero observation; the step then counts on).
-    """
-    command = states["motion_command"]
-    position, velocity = states["motion_joint_pos"], states["motion_joint_vel"]
-    n = position.shape[-1]
-    return ((command[..., :n], position), (command[..., n:], velocity))
-
-
 def _reads_writes(
     contract: PolicyContract,
     states: PackedStates,
     phase: GaitPhase | None,
+    tracker: MotionTracker | None,
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Names as they are declared: what the policy takes from others, and what it writes."""
     own = [name for name in ("observation", "action") if name in states]
     own += [] if phase is None else phase.writes
     own += [name for name in contract.outputs if name in states and name != "action"]
     own += ["motion_command"] if "motion_command" in states else []
+    own += [] if tracker is None else tracker.writes
     read = [] if phase is None else list(phase.reads)
+    read += [] if tracker is None else tracker.reads
     read += [term.state for term in contract.terms if "observation" in contract.inputs]
     read += [name for name in contract.inputs if name != "observation" and name in states]
 

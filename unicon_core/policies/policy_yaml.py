@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from unicon_core.errors import PolicyError
 from unicon_core.located_yaml import read_yaml
 from unicon_core.policies.build import SCHEMA
-from unicon_core.policies.contract import ObservationTerm, PolicyContract
+from unicon_core.policies.contract import MotionSpec, ObservationTerm, PolicyContract
 from unicon_core.policies.facts import Facts
 from unicon_core.policies.networks.onnx_file import read_onnx
 
@@ -59,6 +59,8 @@ def write_policy_yaml(contract: PolicyContract, out_dir: str | Path) -> Path:
     path = _write(Path(out_dir), _dump(values), contract.model)
     for part in contract.networks:
         _copy_model(part.model, path.parent)
+    if contract.motion is not None and contract.motion.file is not None:
+        _copy(contract.motion.file, Path(out_dir) / contract.motion.file.name)
     return path
 
 
@@ -107,9 +109,13 @@ def _copy_model(model: Path, folder: Path) -> None:
             raise PolicyError(
                 f"{source}: no such file; {model.name} needs its weights, put it there"
             )
-        if not os.path.exists(target) or not os.path.samefile(source, target):
-            target.parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(source, target)
+        _copy(source, target)
+
+
+def _copy(source: Path, target: Path) -> None:
+    if not os.path.exists(target) or not os.path.samefile(source, target):
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(source, target)
 
 
 def contract_values(contract: PolicyContract) -> dict[str, Any]:
@@ -155,10 +161,26 @@ def contract_values(contract: PolicyContract) -> dict[str, Any]:
         "recurrent": [asdict(pair) for pair in contract.recurrent] or None,
         "command_ranges": {k: list(v) for k, v in contract.command_ranges.items()} or None,
         "phase": phase and asdict(phase) | {"offsets": list(phase.offsets)},
+        "motion": contract.motion and _motion(contract.motion),
     }
     if not observation.terms:
         del values["observation"]
     return _without_none(**values)
+
+
+def _motion(motion: MotionSpec) -> dict[str, Any]:
+    joints = motion.joints
+    return _without_none(
+        anchor_body=motion.anchor_body,
+        file=None if motion.file is None else motion.file.name,
+        bodies=list(motion.bodies) or None,
+        align=motion.align,
+        start=motion.start,
+        end=motion.end,
+        fps=motion.fps,
+        joints=list(joints) if isinstance(joints, tuple) else joints,
+        chain=dict(motion.chain) or None,
+    )
 
 
 def _term(term: ObservationTerm) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from typing import Any, get_type_hints
 
 from unicon_core.errors import StateError, UniconError, WorkflowError, alternatives
 from unicon_core.flow.block import Block, Bundle, as_block
+from unicon_core.platforms.kit.damping import LastSent
 from unicon_core.platforms.platform import Platform
 from unicon_core.robots import Robot
 from unicon_core.states import States
@@ -39,6 +40,7 @@ class BuildContext:
         dry: no device may be opened.
         tell: takes what a block tells while it ticks, one line.
         driving: whether commands have left.
+        sent: what has left last, or None where nothing is ever sent.
 
     A parameter `context` gets all of it, one of the names in `PARTS` that attribute.
     """
@@ -52,6 +54,7 @@ class BuildContext:
     dry: bool = False
     tell: Callable[[str], None] = print
     driving: Callable[[], bool] = lambda: True
+    sent: LastSent | None = None
 
 
 PARTS = ("states", "robot", "period", "relative_to")

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from unicon_core.errors import PolicyError, WorkflowError, alternatives
+from unicon_core.errors import ModelError, PolicyError, WorkflowError, alternatives
 from unicon_core.flow import Block
+from unicon_core.models.find import model_of
 from unicon_core.policies import Policy, PolicyContract, load_policy, policy_states
 from unicon_core.policies.action_map import lacking_joints
 from unicon_core.policies.controller import ControllerContract, controller_contract
@@ -147,7 +149,11 @@ def policy_factory(use: Use, policies: Mapping[str, Any]) -> Callable[..., Any]:
     contract, prefix = policies[name], _prefix(name, policies)
 
     def policy(context: BuildContext, use: str = "") -> Any:
-        return Policy(contract, context.states, context.robot, prefix=prefix)
+        model = None
+        if contract.motion is not None and not contract.motion.chain:
+            with suppress(ModelError):  # told where it is needed
+                model = model_of(context.platform, context.robot)
+        return Policy(contract, context.states, context.robot, prefix=prefix, model=model)
 
     # Annotations are text here; the autowiring evaluates them in this module.
     return policy

@@ -167,6 +167,7 @@ class Program:
             dry=dry,
             tell=self.tell,
             driving=lambda: self.gate.sent.any,
+            sent=self.gate.sent,
         )
         # Imported here: the runner's package imports this one.
         from unicon_core.runtime.report import Monitor

@@ -43,9 +43,9 @@ class _Counted:
     def __init__(self, policy: Policy) -> None:
         self.policy, self.calls = policy, 0
 
-    def __call__(self) -> None:
+    def __call__(self) -> bool:
         self.calls += 1
-        self.policy()
+        return self.policy()
 
 
 @runtime_checkable
@@ -197,7 +197,10 @@ class TwinSession:
             running = policy
             if contract is not None and used == key:
                 states, network = program.states, policy.network
-                running = Policy(contract, states, program.robot, prefix=prefix, network=network)
+                robot, model = program.robot, policy.model
+                running = Policy(
+                    contract, states, robot, prefix=prefix, network=network, model=model
+                )
             tick = counted.setdefault(used, _Counted(running))
             block.tick, block.reset, block.warm_up = tick, running.reset, None
         return counted

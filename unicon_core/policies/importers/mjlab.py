@@ -57,6 +57,10 @@ def mjlab_facts(onnx: OnnxFile) -> Facts:
         facts.keys[("action", "scale")] = "action_scale"
     _observation(reader, motion)
     _tensors(facts, onnx, motion)
+    if "anchor_body_name" in metadata and facts.values.get("outputs", {}).get("motion_joint_vel"):
+        facts.values["motion"] = {"anchor_body": metadata["anchor_body_name"].strip()}
+        if "body_names" in metadata:
+            facts.values["motion"]["bodies"] = reader.words("body_names")
     _rounding(reader)
     return facts
 

@@ -1,0 +1,75 @@
+"""Block `blend_in`: lets what begins in a chain come in without a jump of the commands."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.blocks.joint_command import ticks_of
+from unicon_core.flow.block import Amends
+from unicon_core.workflow.autowire import BuildContext
+
+__all__ = ["BlendIn", "blend_in"]
+
+
+def blend_in(
+    joint_pos_target: Amends,
+    joint_stiffness: Amends,
+    joint_damping: Amends,
+    *,
+    context: BuildContext,
+    duration: float = 0.5,
+) -> BlendIn:
+    """Blend from the command that was sent last to the present one, then leave it alone.
+
+    Stands behind a policy, in a zip: with K ticks, tick k = 1 … K after the entry sends
+    (1 − w) · held + w · present, w = k / (K + 1), of targets and gains. Where nothing was sent
+    before, nothing is blended.
+
+    Args:
+        joint_pos_target: in [rad], shape (..., n).
+        joint_stiffness: in [N·m/rad], shape (..., n).
+        joint_damping: in [N·m·s/rad], shape (..., n).
+        duration: in [s].
+    """
+    live = (joint_pos_target, joint_stiffness, joint_damping)
+    ticks = ticks_of(duration, context.period, "duration") or 1
+    return BlendIn(context, live, ticks)
+
+
+class BlendIn:
+    """The tick of `blend_in`."""
+
+    def __init__(
+        self, context: BuildContext, live: tuple[NDArray[np.float32], ...], ticks: int
+    ) -> None:
+        self._sent, self._live, self._ticks, self._tick = context.sent, live, ticks, 0
+        self._held, self._own, self._mixed = ([array.copy() for array in live] for _ in range(3))
+        names = ("joint_pos_target", "joint_stiffness", "joint_damping")
+        last = self._sent
+        self._last = [] if last is None else [last.states[name] for name in names]
+
+    def __call__(self) -> None:
+        """Blend, for as many ticks as it lasts."""
+        if self._tick >= self._ticks:
+            return
+        if self._tick == 0:
+            if self._sent is None or not self._sent.any:
+                self._tick = self._ticks
+                return
+            for held, last, mixed in zip(self._held, self._last, self._mixed):
+                held[...] = last
+                mixed[...] = np.nan
+        self._tick += 1
+        share = np.float32(self._tick / (self._ticks + 1))
+        for live, held, own, mixed in zip(self._live, self._held, self._own, self._mixed):
+            # A policy that does not run in every tick leaves what was mixed: not once more.
+            np.copyto(own, live, where=live != mixed)
+            np.subtract(own, held, out=live)
+            live *= share
+            live += held
+            mixed[...] = live
+
+    def reset(self) -> None:
+        """Blend anew."""
+        self._tick = 0

@@ -1,0 +1,290 @@
+"""Motion files: BeyondMimic's and mjlab's `.npz`, and retargeted `.csv`, brought to one form.
+
+From HybridRobotics/whole_body_tracking `scripts/csv_to_npz.py` and unitreerobotics/unitree_rl_mjlab
+`scripts/csv_to_npz.py`: the `.npz` has `fps` (one number), `joint_pos`, `joint_vel` (frames, n) in
+the simulator's joint order, and `body_pos_w`, `body_quat_w` (wxyz), `body_lin_vel_w`,
+`body_ang_vel_w` (frames, bodies, …) with the base first; it names neither joints nor bodies. A
+`.csv` row is the base's position [m], its quaternion **xyzw** and the joints [rad], without a head;
+between frames positions are interpolated, then differentiated.
+"""
+
+from __future__ import annotations
+
+import warnings
+import zipfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.errors import PolicyError, alternatives
+from unicon_core.policies.contract import MotionSpec, PolicyContract
+from unicon_core.policies.motion.anchor import Chain
+
+__all__ = ["Clip", "read_clip"]
+
+Float = NDArray[np.float64]
+
+MOST_BYTES = 1 << 30
+"""Most that a motion file may hold: a day of a humanoid at 50 Hz is less."""
+MOST_FRAMES = 1_000_000
+NEAR, TURNED = 0.03, 0.1
+"""How far forward kinematics may put the anchor from where the file has it, in [m] and [rad]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Clip:
+    """A motion as the policy is shown it: one row for each of its control periods, K of them.
+
+    Attributes:
+        joint_pos: in policy order, [rad], shape (K, n).
+        joint_vel: in policy order, [rad/s], shape (K, n).
+        anchor_pos: in the motion's world, [m], shape (K, 3), or None where it is not known.
+        anchor_quat: anchor to the motion's world, wxyz, shape (K, 4).
+    """
+
+    joint_pos: NDArray[np.float32]
+    joint_vel: NDArray[np.float32]
+    anchor_pos: Float | None
+    anchor_quat: Float
+
+
+@dataclass
+class _Frames:
+    fps: float
+    joint_pos: Float
+    joint_vel: Float | None
+    base_pos: Float
+    base_quat: Float
+    bodies: tuple[Float, Float] | None = None
+
+
+def read_clip(
+    spec: MotionSpec, contract: PolicyContract, robot_joints: Sequence[str], chain: Chain
+) -> Clip:
+    """Read a motion file and bring it to the policy's rate and joint order.
+
+    Args:
+        spec: of the contract, with a file.
+        contract: gives the period and the joint order.
+        robot_joints: the robot's joint order.
+        chain: from the base to the anchor.
+
+    Raises:
+        PolicyError: the file is not a motion of these joints; names what does not fit.
+    """
+    path = spec.file
+    assert path is not None
+    frames = _read_npz(path, spec.fps) if path.suffix == ".npz" else _read_csv(path, spec.fps)
+    order = _joint_order(path, spec, contract, robot_joints, frames.joint_pos.shape[1])
+    last = (len(frames.joint_pos) - 1) / frames.fps
+    end = last if spec.end is None else spec.end
+    if not 0.0 <= spec.start < end <= last + 1e-6:
+        raise PolicyError(
+            f"{path}: it lasts {last:g} s, and motion says from {spec.start:g} to {end:g} s; "
+            "correct motion.start and motion.end"
+        )
+    count = int(np.floor((end - spec.start) / contract.period + 1e-6)) + 1
+    at = (spec.start + np.arange(count) * contract.period) * frames.fps
+    first = np.minimum(np.floor(at + 1e-9).astype(np.intp), len(frames.joint_pos) - 2)
+    share = np.clip(at - first, 0.0, 1.0)
+
+    def between(values: Float) -> Float:
+        ratio = share[:, None]
+        mixed: Float = values[first] * (1.0 - ratio) + values[first + 1] * ratio
+        return mixed
+
+    joint_pos, base_pos = between(frames.joint_pos), between(frames.base_pos)
+    base_quat = _slerp(frames.base_quat[first], frames.base_quat[first + 1], share)
+    if frames.joint_vel is not None:
+        joint_vel = between(frames.joint_vel)
+    elif count > 1:
+        joint_vel = np.gradient(joint_pos, contract.period, axis=0)
+    else:
+        joint_vel = np.zeros_like(joint_pos)
+    robot_from_file = [order.index(name) if name in order else -1 for name in robot_joints]
+    padded = np.concatenate((joint_pos, np.zeros((count, 1))), axis=1)[:, robot_from_file]
+    anchor_pos, anchor_quat = _anchors(chain, base_pos, base_quat, padded)
+    if frames.bodies is not None:
+        _agree(path, spec, frames, chain, robot_from_file)
+    policy_from_file = [order.index(name) for name in contract.joints]
+    return Clip(
+        np.ascontiguousarray(joint_pos[:, policy_from_file], np.float32),
+        np.ascontiguousarray(joint_vel[:, policy_from_file], np.float32),
+        anchor_pos if chain.placed else None,
+        anchor_quat,
+    )
+
+
+def _anchors(chain: Chain, base_pos: Float, base_quat: Float, joints: Float) -> tuple[Float, Float]:
+    rows = zip(base_pos.tolist(), base_quat.tolist(), joints.tolist())
+    poses = [chain(tuple(pos), tuple(quat), row) for pos, quat, row in rows]
+    return np.array([pos for pos, _ in poses]), np.array([quat for _, quat in poses])
+
+
+def _agree(
+    path: Path, spec: MotionSpec, frames: _Frames, chain: Chain, robot_from_file: list[int]
+) -> None:
+    """Refuse a file none of whose bodies is where its joints put the anchor: a wrong order."""
+    assert frames.bodies is not None
+    places = np.linspace(0, len(frames.joint_pos) - 1, min(len(frames.joint_pos), 50)).astype(int)
+    joints = np.concatenate((frames.joint_pos, np.zeros((len(frames.joint_pos), 1))), axis=1)
+    own = joints[places][:, robot_from_file]
+    pos, quat = _anchors(chain, frames.base_pos[places], frames.base_quat[places], own)
+    body_pos, body_quat = (part[places] for part in frames.bodies)
+    cosine = np.clip(np.abs(np.einsum("kbi,ki->kb", body_quat, quat)), 0.0, 1.0)
+    angle = (2.0 * np.arccos(cosine)).max(axis=0)
+    away = np.linalg.norm(body_pos - pos[:, None], axis=2).max(axis=0)
+    near = (angle < TURNED) & (away < NEAR if chain.placed else True)
+    if not near.any():
+        nearest = int(np.argmin(angle))
+        raise PolicyError(
+            f"{path}: no body of it is where its joints put {spec.anchor_body} (the nearest is "
+            f"body {nearest}, {angle[nearest]:.2f} rad and {away[nearest]:.2f} m off); give the "
+            "order of its joints as motion.joints, and the anchor of training as motion.anchor_body"
+        )
+
+
+def _joint_order(
+    path: Path,
+    spec: MotionSpec,
+    contract: PolicyContract,
+    robot_joints: Sequence[str],
+    count: int,
+) -> list[str]:
+    said = spec.joints if spec.joints is not None or path.suffix == ".csv" else "policy"
+    if said is None:
+        raise PolicyError(
+            f"{path}: a .csv does not name its joints; give motion.joints: robot (the order of the "
+            f"robot file), policy, or the list of its {count} joints"
+        )
+    named = {"policy": contract.joints, "robot": tuple(robot_joints)}
+    order = list(named[said] if isinstance(said, str) else said)
+    if len(order) != count:
+        what = f"motion.joints: {said}" if isinstance(said, str) else "motion.joints"
+        raise PolicyError(
+            f"{path}: it has {count} joints and {what} has {len(order)}; give the list of its "
+            "joints as motion.joints"
+        )
+    for name in contract.joints:
+        if name not in order:
+            known = alternatives(name, order)
+            raise PolicyError(f"{path}: it lacks joint {name!r} of the policy; {known}")
+    return order
+
+
+def _read_npz(path: Path, fps: float | None) -> _Frames:
+    try:
+        with zipfile.ZipFile(path) as parts:
+            if sum(part.file_size for part in parts.infolist()) > MOST_BYTES:
+                raise PolicyError(f"{path}: it holds more than 1 GiB; cut the motion")
+        with np.load(path, allow_pickle=False) as file:
+            keys = list(file.keys())
+            needed = ("fps", "joint_pos", "joint_vel", "body_pos_w", "body_quat_w")
+            for key in needed if fps is None else needed[1:]:
+                if key not in keys:
+                    raise PolicyError(
+                        f"{path}: it has no {key!r}; {alternatives(key, keys)}; write it with "
+                        "csv_to_npz.py of BeyondMimic or mjlab"
+                    )
+            arrays = {key: np.asarray(file[key], np.float64) for key in needed if key in keys}
+    except PolicyError:
+        raise
+    except Exception as error:  # whatever its reader finds: zip, header, objects
+        reason = " ".join(str(error).split())[:120]
+        raise PolicyError(f"{path}: not a motion in .npz: {reason}; export it again") from error
+    joint_pos, joint_vel = arrays["joint_pos"], arrays["joint_vel"]
+    pos, quat = arrays["body_pos_w"], arrays["body_quat_w"]
+    count, bodies = (joint_pos.shape[0] if joint_pos.ndim else 0), (*pos.shape, 0, 0)[1]
+    shapes = {
+        "joint_pos": (joint_pos, (count, (*joint_pos.shape, 0, 0)[1])),
+        "joint_vel": (joint_vel, joint_pos.shape),
+        "body_pos_w": (pos, (count, bodies, 3)),
+        "body_quat_w": (quat, (count, bodies, 4)),
+    }
+    for key, (array, shape) in shapes.items():
+        if array.shape != shape or 0 in shape:
+            raise PolicyError(
+                f"{path}: {key} has shape {array.shape}, not (frames, n) or (frames, bodies, …) "
+                "as the others; export it again"
+            )
+    said = arrays.get("fps", np.zeros(0)).reshape(-1)
+    rate = fps if fps is not None else float(said[0]) if said.size == 1 else float("nan")
+    frames = _Frames(rate, joint_pos, joint_vel, pos[:, 0], quat[:, 0], (pos, quat))
+    return _sound(path, frames)
+
+
+def _read_csv(path: Path, fps: float | None) -> _Frames:
+    try:
+        if path.stat().st_size > MOST_BYTES:
+            raise PolicyError(f"{path}: it holds more than 1 GiB; cut the motion")
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # that it is empty: told below
+            rows: Any = np.loadtxt(path, delimiter=",", ndmin=2, dtype=np.float64)
+    except (OSError, ValueError) as error:
+        reason = " ".join(str(error).split())[:120]
+        raise PolicyError(
+            f"{path}: not a motion in .csv: {reason}; give rows of numbers"
+        ) from error
+    if rows.shape[1] < 8:
+        raise PolicyError(
+            f"{path}: a row has {rows.shape[1]} numbers; give base position (3), quaternion x, y, "
+            "z, w (4) and the joints"
+        )
+    quat = rows[:, [6, 3, 4, 5]]
+    frames = _Frames(30.0 if fps is None else fps, rows[:, 7:], None, rows[:, :3], quat)
+    return _sound(path, frames)
+
+
+def _sound(path: Path, frames: _Frames) -> _Frames:
+    """Refuse what no motion is; make quaternions go on without a change of sign."""
+    arrays = [frames.joint_pos, frames.base_pos, frames.base_quat]
+    arrays += [] if frames.joint_vel is None else [frames.joint_vel]
+    arrays += list(frames.bodies or ())
+    for array in arrays:
+        bad = np.argwhere(~np.isfinite(array))
+        if bad.size:
+            raise PolicyError(
+                f"{path}: frame {int(bad[0][0])} holds a number that is not finite; mend the motion"
+            )
+    count = len(frames.joint_pos)
+    if not 2 <= count <= MOST_FRAMES:
+        raise PolicyError(f"{path}: it has {count} frames; give 2 to {MOST_FRAMES}")
+    if not 1.0 <= frames.fps <= 10_000.0:
+        raise PolicyError(f"{path}: {frames.fps:g} frames per second; give motion.fps")
+    length = np.linalg.norm(frames.base_quat, axis=1)
+    off = np.flatnonzero(np.abs(length - 1.0) > 0.02)
+    if off.size:
+        raise PolicyError(
+            f"{path}: the base's quaternion of frame {int(off[0])} has length "
+            f"{length[off[0]]:.2f}, not 1; correct the columns"
+        )
+    quat = frames.base_quat / length[:, None]
+    flips = np.where((quat[1:] * quat[:-1]).sum(axis=1) < 0.0, -1.0, 1.0)
+    quat[1:] *= np.cumprod(flips)[:, None]
+    up = 1.0 - 2.0 * (quat[0, 1] ** 2 + quat[0, 2] ** 2)
+    if up < -0.5:
+        order = "x, y, z, w" if path.suffix == ".csv" else "w, x, y, z"
+        raise PolicyError(
+            f"{path}: its first frame stands upside down; its quaternions must be {order}"
+        )
+    frames.base_quat = quat
+    return frames
+
+
+def _slerp(a: Float, b: Float, share: Float) -> Float:
+    """Return what is between quaternions at shares from 0 to 1, shape (K, 4)."""
+    cosine = (a * b).sum(axis=1)
+    b = np.where(cosine[:, None] < 0.0, -b, b)
+    angle = np.arccos(np.clip(np.abs(cosine), 0.0, 1.0))
+    sine = np.sin(angle)
+    small = sine < 1e-6
+    safe = np.where(small, 1.0, sine)
+    wa = np.where(small, 1.0 - share, np.sin((1.0 - share) * angle) / safe)
+    wb = np.where(small, share, np.sin(share * angle) / safe)
+    mixed = wa[:, None] * a + wb[:, None] * b
+    normed: Float = mixed / np.linalg.norm(mixed, axis=1, keepdims=True)
+    return normed
