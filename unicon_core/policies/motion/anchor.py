@@ -1,7 +1,7 @@
 """Where a robot has the body by which motions are compared: forward kinematics from its base.
 
 A humanoid measures the orientation of its pelvis, and motions are compared by the torso: three
-joints are between. In a tick these are plain floats, 10 µs; NumPy takes 60 for arrays so small.
+joints are between. In a tick these are plain floats: NumPy takes longer for arrays so small.
 """
 
 from __future__ import annotations
