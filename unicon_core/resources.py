@@ -10,6 +10,7 @@ where `pathlib` raises.
 
 from __future__ import annotations
 
+import hashlib
 import os
 import sys
 from collections.abc import Iterator
@@ -237,6 +238,11 @@ def file_beside(file: Path, reference: str | Path, what: str, *, error: type[Uni
     if not text or Path(text).is_absolute() or ".." in Path(text).parts or not inside:
         raise error(f"{what} {text[:80]!r} is not in the folder of {file.name}; {remedy}")
     return path
+
+
+def sha256_of(path: Path) -> str:
+    """Return the SHA-256 of a file's bytes, 64 digits, as `sha256sum` tells it."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def same_modules() -> dict[str, str]:

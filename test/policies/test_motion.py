@@ -27,7 +27,7 @@ from unicon_core.policies import Policy, load_policy, policy_states, write_polic
 from unicon_core.states import Layout, States, standard_states
 
 pytest.importorskip("mujoco", reason="anchors are found in a model")
-ort = pytest.importorskip("onnxruntime")
+ort = pytest.importorskip("onnxruntime", reason="the networks are ONNX")
 
 TERMS = [
     {"name": "command", "state": "motion_command"},

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import hashlib
-
 from unicon_core.check.result import CheckResult
 from unicon_core.check.subject import Subject, listed
 from unicon_core.policies.networks.onnx_file import read_onnx
+from unicon_core.resources import sha256_of
 from unicon_core.robots import robot_files
 
 __all__ = ["check_files", "check_robot"]
@@ -34,7 +33,7 @@ def check_files(subject: Subject, result: CheckResult) -> None:
             files += [(f"weights {key}", contract.model.parent / name) for name in external]
     rows = []
     for role, path in files:
-        digest = hashlib.sha256(path.read_bytes()).hexdigest()
+        digest = sha256_of(path)
         said = "as the contract says" if expected.get(path) == digest else ""
         rows.append([role, str(path), f"{path.stat().st_size / 1024:.0f}", digest[:16], said])
     result.table("Files", ["what", "file", "KiB", "sha256", ""], rows)

@@ -16,7 +16,7 @@ from unicon_core.models.loaded import LoadedModel
 from unicon_core.platforms.platform import Facts
 from unicon_core.policies import PolicyContract
 from unicon_core.policies.controller import controller_contract
-from unicon_core.policies.prefixed import PackedStates, PrefixedStates
+from unicon_core.policies.prefixed import PackedStates, PrefixedStates, prefix_of
 from unicon_core.robots import Robot
 from unicon_core.workflow import Hook, Program
 from unicon_core.workflow.document import WorkflowDocument
@@ -64,7 +64,8 @@ class Subject:
     def states_of(self, key: str) -> PackedStates:
         """Return the states as one policy sees them: with several, each has its own `action`."""
         states = self.program.states
-        return states if len(self.program.policies) < 2 else PrefixedStates(states, f"{key}_")
+        prefix = prefix_of(key, self.program.policies)
+        return PrefixedStates(states, prefix) if prefix else states
 
     @cached_property
     def blocks(self) -> list[Block]:

@@ -37,7 +37,7 @@ def weld_absent(
             there.append(ids[joint_index([name], names, loose=True)[0]])
         except RobotError:
             absent.append(name)
-    if not there or not robot.weldable.issuperset(absent):
+    if not absent or not there or not robot.weldable.issuperset(absent):
         return ()
     root = int(model.body_rootid[model.jnt_bodyid[there[0]]])
     base = spec.body(model.body(root).name)
@@ -49,12 +49,11 @@ def weld_absent(
         body.add_joint(
             name=name, type=mujoco.mjtJoint.mjJNT_HINGE, armature=_ARMATURE, damping=_DAMPING
         )
-    for key in list(spec.keys) if absent else ():
+    for key in list(spec.keys):
         if last and len(key.qpos) == model.nq:  # the new joints come behind all others
             key.qpos = [*key.qpos, *[0.0] * len(absent)]
             key.qvel = []
         else:
             spec.delete(key)
-    if absent:
-        notes.append(f"the model lacks {', '.join(absent)}: taken as welded")
+    notes.append(f"the model lacks {', '.join(absent)}: taken as welded")
     return tuple(absent)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import re
 from collections.abc import Mapping
@@ -14,7 +13,7 @@ from unicon_core.located_yaml import Where
 from unicon_core.policies.contract import Feed, NetworkPart, PolicyContract
 from unicon_core.policies.facts import Facts
 from unicon_core.policies.networks.onnx_file import read_onnx
-from unicon_core.resources import file_beside
+from unicon_core.resources import file_beside, sha256_of
 
 __all__ = ["chain_facts", "check_chain"]
 
@@ -100,7 +99,7 @@ def check_chain(facts: Facts, contract: PolicyContract) -> None:
         lost = read_onnx(part.model).missing_external()
         if lost:
             raise facts.error(where, f"its weights are in {lost[0].name}; put it beside it")
-        digest = hashlib.sha256(part.model.read_bytes()).hexdigest()
+        digest = sha256_of(part.model)
         if part.sha256 is not None and digest != part.sha256:
             raise facts.error(
                 where,

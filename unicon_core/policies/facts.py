@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -96,6 +97,14 @@ class Facts:
     tolerance: tuple[float, float] = (1e-6, 1e-9)
     network: Path | None = None
     clip: Path | None = None
+
+    def beside(self, named: str) -> Path:
+        """Return the file that a workflow names, which may be any: relative ones beside the source.
+
+        Args:
+            named: a path, `~` for the home folder.
+        """
+        return self.path.parent / os.path.expanduser(named)
 
     def model(self) -> Path:
         """Return the network's file, which need not exist.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -29,7 +28,7 @@ from unicon_core.policies.policy_yaml import (
 )
 from unicon_core.policies.registered import registered_policy
 from unicon_core.registered import registered
-from unicon_core.resources import config_roots, find_resource, list_config, looked_in
+from unicon_core.resources import config_roots, find_resource, list_config, looked_in, sha256_of
 from unicon_core.robots import Robot, load_robot
 
 __all__ = ["ImportReport", "import_policy", "load_policy", "policy_names"]
@@ -183,8 +182,7 @@ def _read(reference: str | Path, robot: Robot | None, given: Mapping[str, Any]) 
     merge_given(facts, given)
     for key in ("onnx", "torchscript"):
         if isinstance(given.get(key), str):  # of the workflow, which may name any file
-            named = Path(os.path.expanduser(given[key]))
-            facts.network = named if named.is_absolute() else facts.path.parent / named
+            facts.network = facts.beside(given[key])
     given_clip(facts, given)
     facts.values.setdefault("name", _name_of(path))
     if "onnx" in facts.values and "torchscript" not in facts.values:
@@ -300,7 +298,7 @@ def _contract(facts: Facts) -> PolicyContract:
         )
     check_chain(facts, contract)
     if contract.sha256 is not None:
-        digest = hashlib.sha256(contract.model.read_bytes()).hexdigest()
+        digest = sha256_of(contract.model)
         if digest != contract.sha256:
             raise facts.error(
                 ("sha256",),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import shutil
 from collections.abc import Mapping
@@ -20,6 +19,7 @@ from unicon_core.policies.build import SCHEMA
 from unicon_core.policies.contract import MotionSpec, ObservationTerm, PolicyContract
 from unicon_core.policies.facts import Facts
 from unicon_core.policies.networks.onnx_file import read_onnx
+from unicon_core.resources import sha256_of
 
 __all__ = [
     "contract_values",
@@ -55,7 +55,7 @@ def write_policy_yaml(contract: PolicyContract, out_dir: str | Path) -> Path:
         PolicyError: the network or one of its files is missing, or the folder cannot be written.
     """
     values = contract_values(contract)
-    values["sha256"] = hashlib.sha256(contract.model.read_bytes()).hexdigest()
+    values["sha256"] = sha256_of(contract.model)
     path = _write(Path(out_dir), _dump(values), contract.model)
     for part in contract.networks:
         _copy_model(part.model, path.parent)
@@ -129,7 +129,7 @@ def contract_values(contract: PolicyContract) -> dict[str, Any]:
         "networks": {
             part.name: {
                 "onnx": part.model.name,
-                "sha256": hashlib.sha256(part.model.read_bytes()).hexdigest(),
+                "sha256": sha256_of(part.model),
                 "feeds": {key: list(map(str, feeds)) for key, feeds in part.feeds.items()},
             }
             for part in contract.networks

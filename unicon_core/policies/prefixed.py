@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sized
 from typing import Any, TypeAlias
 
 from numpy.typing import NDArray
 
 from unicon_core.states import States, StateSpec, standard_states
 
-__all__ = ["PackedStates", "PrefixedStates"]
+__all__ = ["PackedStates", "PrefixedStates", "prefix_of"]
 
 
 class PrefixedStates:
@@ -62,3 +62,13 @@ class PrefixedStates:
 
 PackedStates: TypeAlias = States | PrefixedStates
 """What is asked for: views by name, their specifications and the packed buffer."""
+
+
+def prefix_of(key: str, policies: Sized) -> str:
+    """Return what the names of a policy's own states begin with: nothing where it is the only one.
+
+    Args:
+        key: under `policies:` of a workflow.
+        policies: all that stand there.
+    """
+    return f"{key}_" if len(policies) > 1 else ""

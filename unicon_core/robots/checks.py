@@ -18,6 +18,7 @@ from unicon_core.robots.robot import JOINT_FIELDS
 
 __all__ = [
     "IMU_KEYS",
+    "LARGEST",
     "NOT_NEGATIVE",
     "Problems",
     "check_command_ranges",
@@ -40,14 +41,14 @@ IMU_KEYS = ("frame", "position", "quat")
 NOT_NEGATIVE = ("stiffness", "damping")
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_./:+-]*")
 _NULLABLE = ("imu", "position", "quat", *JOINT_FIELDS)
-# The largest plausible size of each figure of a joint.
-_LARGEST = {
+LARGEST = {
     **dict.fromkeys(("lower", "upper", "default", "rest"), POSITION),
     "velocity": VELOCITY,
     "effort": EFFORT,
     "stiffness": STIFFNESS,
     "damping": DAMPING,
 }
+"""Key to the largest plausible size of a joint's figure, in SI units."""
 
 
 def wrong(located: Located, where: Where, finding: str) -> UniconError:
@@ -173,11 +174,11 @@ def _joint(located: Located, where: Where, joint: dict[str, Any]) -> Problems:
             continue
         if not _is_finite(figure):
             yield from check_number(located, (*where, key), figure)
-        elif abs(figure) > _LARGEST[key]:
+        elif abs(figure) > LARGEST[key]:
             yield wrong(
                 located,
                 (*where, key),
-                f"{figure!r:.20} is beyond ±{_LARGEST[key]:.4g}, the largest plausible figure "
+                f"{figure!r:.20} is beyond ±{LARGEST[key]:.4g}, the largest plausible figure "
                 "in SI units; correct it, or write null if not known",
             )
         else:

@@ -50,11 +50,12 @@ def show_text(
     ]
     if policies:
         from unicon_core.policies import joint_table, observation_table
-        from unicon_core.policies.prefixed import PrefixedStates
+        from unicon_core.policies.prefixed import PrefixedStates, prefix_of
 
         for name, contract in policies.items():
             parts += [f"joints of policy {name}", joint_table(contract, robot)]
-            seen = PrefixedStates(states, f"{name}_") if len(policies) > 1 else states
+            prefix = prefix_of(name, policies)
+            seen = PrefixedStates(states, prefix) if prefix else states
             table = observation_table(contract, robot, seen)
             parts += [f"observation of policy {name}", table]
     return "\n\n".join(parts)

@@ -15,6 +15,7 @@ from unicon_core.models.find import model_of
 from unicon_core.policies import Policy, PolicyContract, load_policy, policy_states
 from unicon_core.policies.action_map import lacking_joints
 from unicon_core.policies.controller import ControllerContract, controller_contract
+from unicon_core.policies.prefixed import prefix_of
 from unicon_core.robots import Robot
 from unicon_core.states import StateSpec
 from unicon_core.workflow.autowire import BuildContext
@@ -135,18 +136,13 @@ def declared_states(
         extra: the workflow's own states, which terms may read.
     """
     name = used_policy(use, policies)
-    return policy_states(policies[name], robot.joint_names, extra, prefix=_prefix(name, policies))
-
-
-def _prefix(name: str, policies: Mapping[str, Any]) -> str:
-    """Return what the states of a policy begin with: nothing where it is the only one."""
-    return f"{name}_" if len(policies) > 1 else ""
+    return policy_states(policies[name], robot.joint_names, extra, prefix=prefix_of(name, policies))
 
 
 def policy_factory(use: Use, policies: Mapping[str, Any]) -> Callable[..., Any]:
     """Return the factory of the block that runs the mentioned policy."""
     name = used_policy(use, policies)
-    contract, prefix = policies[name], _prefix(name, policies)
+    contract, prefix = policies[name], prefix_of(name, policies)
 
     def policy(context: BuildContext, use: str = "") -> Any:
         model = None

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.bounds import DAMPING, EFFORT, POSITION, STIFFNESS, VELOCITY
 from unicon_core.check.model_facts import model_joints
 from unicon_core.errors import ModelError, RobotError
 from unicon_core.located_yaml import parse_yaml
@@ -22,6 +21,7 @@ from unicon_core.models.joints import drives, is_simple
 from unicon_core.models.load import load_model
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.robots import Robot
+from unicon_core.robots.checks import LARGEST
 from unicon_core.robots.robot import JOINT_FIELDS
 from unicon_core.robots.validate import SCHEMA, validate
 
@@ -35,16 +35,6 @@ _FINGER = re.compile(r"thumb|finger|palm", re.IGNORECASE)
 _IMU = re.compile(r"(^|_)imu", re.IGNORECASE)
 _STANDING = re.compile(r"home|stand|default|init", re.IGNORECASE)
 _LYING = re.compile(r"rest|lie|lying|prone|crouch|sit", re.IGNORECASE)
-_LARGEST = {
-    "lower": POSITION,
-    "upper": POSITION,
-    "velocity": VELOCITY,
-    "effort": EFFORT,
-    "default": POSITION,
-    "rest": POSITION,
-    "stiffness": STIFFNESS,
-    "damping": DAMPING,
-}
 
 
 @dataclass
@@ -254,7 +244,7 @@ def _figures(
         "damping": np.where(said.damping > 0.0, said.damping, np.nan),
     }
     for key, values in figures.items():
-        figures[key] = np.where(np.abs(values) <= _LARGEST[key], values, np.nan)
+        figures[key] = np.where(np.abs(values) <= LARGEST[key], values, np.nan)
     for key in ("velocity", "effort"):
         figures[key] = np.where(figures[key] > 0.0, figures[key], np.nan)
     wrong = figures["lower"] >= figures["upper"]

@@ -20,6 +20,7 @@ from unicon_core.models.kinematic_tree import read_tree
 from unicon_core.models.load import load_model
 from unicon_core.platforms.platform import info_of
 from unicon_core.policies import Policy, PolicyContract
+from unicon_core.policies.prefixed import prefix_of
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import Program
 from unicon_core.workflow.document import WorkflowDocument
@@ -191,7 +192,7 @@ class TwinSession:
 
     def _exchange(self, key: str, contract: PolicyContract | None) -> dict[str, _Counted]:
         program = self.program
-        prefix = f"{key}_" if len(program.policies) > 1 else ""
+        prefix = prefix_of(key, program.policies)
         counted: dict[str, _Counted] = {}
         for used, block, policy in self._uses:
             running = policy

@@ -15,6 +15,7 @@ from typing import TypeAlias
 from unicon_core.errors import PolicyError, alternatives
 from unicon_core.models.kinematic_tree import BASE, frame_of, read_tree
 from unicon_core.models.load import load_model
+from unicon_core.policies.motion.spec import AXES
 from unicon_core.robots import Robot
 
 __all__ = ["Chain", "Quat", "Step", "Vector", "chain_in_model", "chain_of_axes"]
@@ -22,11 +23,6 @@ __all__ += ["conjugate", "multiply", "rotate", "turned", "yaw_of"]
 
 Quat: TypeAlias = tuple[float, float, float, float]
 Vector: TypeAlias = tuple[float, float, float]
-
-AXES: dict[str, Vector] = {
-    "x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0),
-    "-x": (-1.0, 0.0, 0.0), "-y": (0.0, -1.0, 0.0), "-z": (0.0, 0.0, -1.0),
-}  # fmt: skip
 
 
 def multiply(a: Quat, b: Quat) -> Quat:

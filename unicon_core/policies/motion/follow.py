@@ -97,7 +97,9 @@ def _length(lane: Lane, states: PackedStates, contract: PolicyContract) -> int |
     """
     names = ("motion_joint_pos", "motion_joint_vel")
     shown: list[NDArray[np.float32]] = [
-        values for view, values in lane.published if any(_same(view, states[n]) for n in names)
+        values
+        for view, values in lane.published
+        if any(np.shares_memory(view, states[name]) for name in names)
     ]
 
     def reference(step: int) -> bytes:
@@ -119,10 +121,6 @@ def _length(lane: Lane, states: PackedStates, contract: PolicyContract) -> int |
         return None
     finally:
         lane.reset()
-
-
-def _same(a: NDArray[np.float32], b: NDArray[np.float32]) -> bool:
-    return bool(np.shares_memory(a, b))
 
 
 def own_reference(contract: PolicyContract, states: PackedStates) -> tuple[tuple[Any, Any], ...]:

@@ -13,10 +13,14 @@ from unicon_core.policies.contract import MotionSpec
 from unicon_core.policies.facts import Facts, dig
 from unicon_core.resources import file_beside, find_resource
 
-__all__ = ["given_clip", "motion_spec"]
+__all__ = ["AXES", "given_clip", "motion_spec"]
 
 _KEYS = ("anchor_body", "file", "bodies", "align", "start", "end", "fps", "joints", "chain")
-_AXES = ("x", "y", "z", "-x", "-y", "-z")
+AXES = {
+    "x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0),
+    "-x": (-1.0, 0.0, 0.0), "-y": (0.0, -1.0, 0.0), "-z": (0.0, 0.0, -1.0),
+}  # fmt: skip
+"""Word of `motion.chain` to the unit vector that it means."""
 _FORMATS = (".npz", ".csv")
 LONGEST = 86_400.0
 """Longest motion in [s]."""
@@ -39,8 +43,7 @@ def given_clip(facts: Facts, given: Mapping[str, Any]) -> None:
     if said.startswith("assets:"):
         facts.clip = find_resource(said, "motion", error=PolicyError)
         return
-    path = Path(os.path.expanduser(said))
-    facts.clip = path if path.is_absolute() else facts.path.parent / path
+    facts.clip = facts.beside(said)
 
 
 def motion_spec(facts: Facts) -> MotionSpec | None:
@@ -89,7 +92,7 @@ def motion_spec(facts: Facts) -> MotionSpec | None:
     if isinstance(joints, str) and joints not in ("policy", "robot"):
         raise wrong("joints", f".joints is {joints!r}; known: policy, robot, or a list of joints")
     chain = value.get("chain") or {}
-    if not isinstance(chain, Mapping) or not all(axis in _AXES for axis in chain.values()):
+    if not isinstance(chain, Mapping) or not all(axis in AXES for axis in chain.values()):
         raise wrong(
             "chain", f".chain is {chain!r}; give {{JOINT: AXIS}}, with x, y, z, -x, -y or -z"
         )
