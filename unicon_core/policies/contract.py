@@ -141,16 +141,21 @@ class PhaseSpec:
     Attributes:
         period: of the gait in [s].
         offsets: start of each phase in [rad], such as (0, π) for two legs.
-        stand: value of all phases while the command is zero in [rad], or None to keep running.
+        stand: what the phases are while the command is zero: a value of all of them in [rad],
+            `freeze` where they are, or `zero`, where sine and cosine are both 0; None: they run on.
         stand_below: the command counts as zero below this ([m/s] and [rad/s]).
         command: state with vx, vy, wz.
+        resume: where they go on once the command is no longer zero: at the `offsets`, from where
+            they `stand`, or where the `clock` is, which ran on meanwhile; None: the usual one of
+            `stand`, which are these in turn for a value, `freeze` and `zero`.
     """
 
     period: float
     offsets: tuple[float, ...] = (0.0, float(np.pi))
-    stand: float | None = None
+    stand: float | Literal["freeze", "zero"] | None = None
     stand_below: float = 0.01
     command: str = "velocity_command"
+    resume: Literal["offsets", "stand", "clock"] | None = None
 
 
 @dataclass(frozen=True)

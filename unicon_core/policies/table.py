@@ -70,7 +70,8 @@ def policy_table(contract: PolicyContract, robot: Robot | None = None) -> str:
     if contract.phase is not None:
         offsets = ", ".join(f"{offset:.4g}" for offset in contract.phase.offsets)
         stand = contract.phase.stand
-        still = "keeps running" if stand is None else f"stands at {stand:.4g} rad"
+        words = {"None": "keeps running", "freeze": "stands still", "zero": "sine and cosine are 0"}
+        still = words.get(str(stand)) or f"stands at {stand:.4g} rad"
         lines.append(
             f"gait phase   period {contract.phase.period:g} s, offsets {offsets} rad, "
             f"{still} without a command"
