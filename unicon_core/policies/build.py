@@ -7,13 +7,17 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from unicon_core.bounds import ACTION_SCALE, DAMPING, POSITION, SCALE, STIFFNESS
-from unicon_core.errors import PolicyError, alternatives
+from unicon_core.bounds import POSITION, SCALE
+from unicon_core.errors import PolicyError
+from unicon_core.policies.action_facts import (
+    action_spec,
+    command_spec,
+    filter_spec,
+    joint_gains,
+)
 from unicon_core.policies.chain_facts import chain_facts
 from unicon_core.policies.contract import (
-    ActionSpec,
     ObservationSpec,
     ObservationTerm,
     PhaseSpec,
@@ -24,7 +28,6 @@ from unicon_core.policies.fact_value import FactValue as _Value
 from unicon_core.policies.fact_value import is_whole
 from unicon_core.policies.facts import Facts, missing_facts
 from unicon_core.policies.motion.spec import motion_spec
-from unicon_core.robots import joint_index
 
 __all__ = ["build_contract"]
 
@@ -33,12 +36,11 @@ SCHEMA = "unicon.policy/1"
 _KEYS = (
     "schema", "name", "description", "onnx", "torchscript", "sha256", "period", "robot", "joints",
     "default_joint_pos", "action", "stiffness", "damping", "observation", "inputs", "outputs",
-    "recurrent", "command_ranges", "phase", "motion", "provider", "networks",
+    "recurrent", "command", "command_ranges", "phase", "motion", "provider", "networks",
     "feeds", "sources",
 )  # fmt: skip
-_ACTION = ("scale", "offset", "clip", "joints", "feedback")
 _OBSERVATION = ("terms", "layout", "newest", "start")
-_TERM = ("name", "state", "index", "subtract", "scale", "clip", "history")
+_TERM = ("name", "state", "index", "subtract", "scale", "clip", "history", "filter")
 _PHASE = ("period", "offsets", "stand", "resume", "stand_below", "command")
 
 
@@ -64,8 +66,9 @@ def build_contract(facts: Facts) -> PolicyContract:
     joints = root.at("joints").names()
     count = len(joints)
     default = root.at("default_joint_pos").vector(-POSITION, POSITION, count)
-    stiffness = root.at("stiffness").vector(0.0, STIFFNESS, count)
-    damping = root.at("damping").vector(0.0, DAMPING, count)
+    period = root.at("period").positive("the control period in [s]")
+    action = action_spec(root.at("action"), joints, default, period)
+    stiffness, damping = joint_gains(root, joints, action)
     inputs, outputs = (_tensors(root.at(key)) for key in ("inputs", "outputs"))
     sha256 = root.at("sha256").value
     if sha256 is not None and not (isinstance(sha256, str) and len(sha256) == 64):
@@ -74,25 +77,30 @@ def build_contract(facts: Facts) -> PolicyContract:
     if provider != "cpu" and "torchscript" in facts.values:
         raise root.at("provider").refuse("TorchScript runs on the cpu; export the network as ONNX")
     networks, feeds = chain_facts(facts)
+    observation = _observation(
+        root.at("observation"), period, optional=bool(inputs) and "observation" not in inputs
+    )
+    phase = _phase(root.at("phase"))
+    reads = {*inputs, *(term.state for term in observation.terms)}
+    reads |= set() if phase is None or phase.stand is None else {phase.command}
     robot = root.at("robot").value
     return PolicyContract(
         name=str(root.at("name").value or facts.path.parent.name or facts.path.stem),
         path=facts.path,
         model=facts.model(),
-        period=root.at("period").positive("the control period in [s]"),
+        period=period,
         joints=joints,
         default_joint_pos=default,
-        action=_action(root.at("action"), joints, default),
+        action=action,
         stiffness=stiffness,
         damping=damping,
-        observation=_observation(
-            root.at("observation"), optional=bool(inputs) and "observation" not in inputs
-        ),
+        observation=observation,
         inputs=MappingProxyType(inputs),
         outputs=MappingProxyType(outputs),
         recurrent=_recurrent(root.at("recurrent")),
         command_ranges=MappingProxyType(_ranges(root.at("command_ranges"))),
-        phase=_phase(root.at("phase")),
+        phase=phase,
+        command=command_spec(root.at("command"), reads),
         motion=motion_spec(facts),
         robot=None if robot is None else str(robot),
         sha256=None if sha256 is None else sha256.lower(),
@@ -108,34 +116,13 @@ def _tensors(names: _Value) -> dict[str, str]:
     return {str(k): str(v) for k, v in names.entries().items()} if names.value else {}
 
 
-def _action(action: _Value, joints: tuple[str, ...], default: NDArray[np.float32]) -> ActionSpec:
-    action.mapping(_ACTION)
-    listed, offset = action.at("joints"), action.at("offset")
-    moved = joints if listed.value is None else listed.names()
-    for name in moved:
-        if name not in joints:
-            raise listed.fail(
-                f"names {name!r}, which is not in joints; {alternatives(name, joints)}"
-            )
-    count = len(moved)
-    scale = action.at("scale").vector(-ACTION_SCALE, ACTION_SCALE, count)
-    if offset.value is None:
-        offsets = default[joint_index(moved, joints)]
-    else:
-        offsets = offset.vector(-POSITION, POSITION, count)
-    clip = action.at("clip").clip(count)
-    if clip is not None:
-        clip = np.array(np.broadcast_to(clip, (2, count)))
-    return ActionSpec(moved, scale, offsets, clip, action.choice("feedback", "raw", "clipped"))
-
-
-def _observation(observation: _Value, optional: bool) -> ObservationSpec:
+def _observation(observation: _Value, period: float, optional: bool) -> ObservationSpec:
     if observation.value is None and optional:
         return ObservationSpec(())
     listed = observation.mapping(_OBSERVATION).at("terms")
     if not isinstance(listed.value or [], (list, tuple)):
         raise listed.fail("is no list; give '- {name: …, state: …}'")
-    terms = tuple(_term(listed.at(i)) for i in range(len(listed.value or ())))
+    terms = tuple(_term(listed.at(i), period) for i in range(len(listed.value or ())))
     layout = observation.choice("layout", "term_major", "frame_major")
     odd = [term for term in terms if term.history != terms[0].history]
     if layout == "frame_major" and odd:
@@ -152,7 +139,7 @@ def _observation(observation: _Value, optional: bool) -> ObservationSpec:
     )
 
 
-def _term(term: _Value) -> ObservationTerm:
+def _term(term: _Value, period: float) -> ObservationTerm:
     if not isinstance(term.value, Mapping) or not isinstance(term.value.get("name"), str):
         raise term.fail("has no name; give 'name:' and 'state:'")
     term.mapping(_TERM)
@@ -180,6 +167,7 @@ def _term(term: _Value) -> ObservationTerm:
         np.ones(1, np.float32) if scale.value is None else scale.vector(-SCALE, SCALE),
         term.at("clip").clip(),
         history.value,
+        filter_spec(term.at("filter"), period, "first"),
     )
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from unicon_core.errors import Fault, PolicyError
 from unicon_core.policies.action_map import ActionMap
 from unicon_core.policies.bind import Binding
+from unicon_core.policies.command_slew import COMMAND, SLEWED, CommandSlew
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.motion.follow import own_reference, tracker_of
 from unicon_core.policies.motion.tracker import MotionTracker
@@ -23,6 +24,7 @@ from unicon_core.robots import Robot
 __all__ = ["Policy"]
 
 _TARGETS = ("joint_pos_target", "joint_stiffness", "joint_damping")
+_RATES = ("joint_vel_target", "joint_effort_ff")
 
 
 class Policy:
@@ -31,11 +33,14 @@ class Policy:
     Args:
         contract: the policy.
         states: packed states; `joint_pos_target`, `joint_stiffness` and `joint_damping` are
-            written, `observation` and `action` too where they are declared.
+            written, `observation` and `action` too where they are declared, and
+            `joint_vel_target` and `joint_effort_ff` where its actions are such.
         robot: the robot that is to move; joints are aligned by name.
         prefix: of the policy's own states, as given to `policy_states`.
         network: another one than that of the contract.
         model: the robot's model file, in which a motion's anchor is found.
+        every_target: write `joint_vel_target` and `joint_effort_ff` whatever its actions are: as
+            another policy does, which may have run before.
 
     Attributes:
         name: of the policy.
@@ -60,8 +65,15 @@ class Policy:
         prefix: str = "",
         network: Network | None = None,
         model: Path | None = None,
+        every_target: bool = False,
     ) -> None:
-        if prefix:
+        self.slew: CommandSlew | None = None
+        if contract.command is not None:
+            self.slew = CommandSlew(
+                contract.command, PrefixedStates(states, prefix), contract.period
+            )
+            states = PrefixedStates(states, prefix, {COMMAND: SLEWED})
+        elif prefix:
             states = PrefixedStates(states, prefix)
         self.name = contract.name
         self.contract = contract
@@ -71,20 +83,33 @@ class Policy:
         self.lane = Binding(contract, states, robot.joint_names, self.network).lane()
         self.action_map = ActionMap(contract, robot, rows)
         n = robot.num_joints
-        for name in _TARGETS:
+        self.every_target = every_target or not self.action_map.positions_only
+        targets = (*_TARGETS, *_RATES) if self.every_target else _TARGETS
+        for name in targets:
             if name not in states or states[name].size != rows * n:
                 raise PolicyError(
                     f"policy {contract.name}: state {name!r} must hold {n} joints of robot "
                     f"{robot.name}; declare the standard states of this robot"
                 )
-        target, stiffness, damping = (states[name].reshape(rows, n) for name in _TARGETS)
+        target, stiffness, damping, *rates = (states[name].reshape(rows, n) for name in targets)
         computed = np.zeros_like(target)
-        self._command = self.action_map.bind(self.lane.action, computed)
+        velocity, torque = np.zeros_like(target), np.zeros_like(target)
+        smooth = self.action_map.filter
+        if self.action_map.positions_only and smooth is None:
+            self._command = self.action_map.bind(self.lane.action, computed)
+        else:
+            measured = states["joint_pos"].reshape(rows, n)
+            self._command = self.action_map.bind_all(
+                self.lane.action, computed, velocity, torque, measured
+            )
+        if smooth is not None:
+            self.lane.behind(smooth)
         self._published = (
             *self.lane.published,
             (target, computed),
             (stiffness.reshape(-1), np.tile(self.action_map.stiffness, rows)),
             (damping.reshape(-1), np.tile(self.action_map.damping, rows)),
+            *zip(rates, (velocity, torque)),
         )
         # A warm-up does these copies instead, which fetch both sides: what is behind the network
         # costs 17 µs when it is cold, as much as the network.
@@ -98,12 +123,19 @@ class Policy:
         self.phase: GaitPhase | None = None
         if contract.phase is not None and "gait_phase" in states:
             self.phase = GaitPhase(contract.phase, states, contract.period)
+        self._before = self.phase if self.slew is None else self._slew_and_phase
         self.model = model
         self.tracker = tracker_of(contract, states, robot, self.lane, model)
         self.endless = self.tracker is None or self.tracker.ticks is None
         self._motion = own_reference(contract, states)
         self._begun = False
         self.reads, self.writes = _reads_writes(contract, states, self.phase, self.tracker)
+        if self.every_target:
+            self.writes += _RATES
+        if not self.action_map.positions_only:
+            self.reads = tuple(dict.fromkeys((*self.reads, "joint_pos")))
+        if self.slew is not None:
+            self.reads = tuple(dict.fromkeys((*self.reads, *self.slew.reads)))
 
     def __call__(self, warm_up: bool = False) -> bool:
         """Run one tick, or take its path and discard the result.
@@ -116,8 +148,8 @@ class Policy:
         """
         lane = self.lane
         if not warm_up:
-            if self.phase is not None:
-                self.phase()
+            if self._before is not None:
+                self._before()
             if self._motion and not self._begun:
                 # The reference of step 0 is an output of the network: run it once to read it.
                 lane.step_zero()
@@ -156,10 +188,18 @@ class Policy:
         for action in self._actions:
             action[...] = 0.0
         self._begun = False
+        if self.slew is not None:
+            self.slew.reset()
         if self.phase is not None:
             self.phase.reset()
         if self.tracker is not None:
             self.tracker.reset()
+
+    def _slew_and_phase(self) -> None:
+        if self.slew is not None:
+            self.slew()
+        if self.phase is not None:
+            self.phase()
 
     def _reference(self) -> None:
         for part, source in self._motion:
@@ -197,6 +237,7 @@ def _reads_writes(
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Names as they are declared: what the policy takes from others, and what it writes."""
     own = [name for name in ("observation", "action") if name in states]
+    own += [] if contract.command is None else CommandSlew.writes
     own += [] if phase is None else phase.writes
     own += [name for name in contract.outputs if name in states and name != "action"]
     own += ["motion_command"] if "motion_command" in states else []
