@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import runpy
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 
 pytest.importorskip("mujoco")
 pytest.importorskip("onnxruntime")
@@ -28,23 +30,28 @@ HERE = Path(__file__).resolve().parents[2] / "examples" / "rover"
 WORKFLOW = HERE / "drive.yaml"
 KEPT = (
     *("joint_pos", "joint_vel", "base_lin_vel", "base_ang_vel", "velocity_command"),
-    *("slewed_command", "joint_pos_target", "joint_vel_target", "joint_effort_ff"),
-    *("joint_stiffness", "joint_damping", "action", "projected_gravity"),
+    *("joint_pos_target", "joint_vel_target", "joint_effort_ff"),
+    *("joint_stiffness", "joint_damping", "joint_effort", "projected_gravity"),
 )
 
 
 def driven(
-    spoil: Any = None, speed: str = "max", **overrides: Any
+    spoil: Any = None,
+    speed: str = "max",
+    workflow: Path = WORKFLOW,
+    own: tuple[str, ...] = ("action", "slewed_command"),
+    **overrides: Any,
 ) -> tuple[Any, dict[str, np.ndarray]]:
     """The report of a run, and its states in every tick; `spoil` gets tick and states before it."""
-    rows: dict[str, list[Any]] = {name: [] for name in KEPT}
+    kept = (*KEPT, *own)
+    rows: dict[str, list[Any]] = {name: [] for name in kept}
 
     def hook(program: Program) -> dict[Stage, list[Block]]:
         states = program.states
 
         def before() -> None:
             if spoil is not None:
-                spoil(len(rows["action"]), states)
+                spoil(len(rows["joint_pos"]), states)
 
         def look() -> None:
             for name, row in rows.items():
@@ -56,7 +63,7 @@ def driven(
             Stage.OBSERVE: [Block("look", look, endless=True)],
         }
 
-    program = Program(load_document(WORKFLOW, overrides), hooks=[hook])
+    program = Program(load_document(workflow, overrides), hooks=[hook])
     report = Runner(program, RunOptions(speed=speed, warn=str)).run()
     return report, {name: np.array(row) for name, row in rows.items()}
 
@@ -234,19 +241,63 @@ def test_what_check_finds(overrides: dict[str, Any], code: str, message: str) ->
     assert message in str(found[0])
 
 
+def changed(folder: Path, *changes: tuple[str, str]) -> Path:
+    """A rover with other facts in its contract; return its workflow."""
+    shutil.copytree(HERE, folder / "rover")
+    path = folder / "rover" / "policy" / "policy.yaml"
+    text = path.read_text("utf-8")
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    path.write_text(text, "utf-8")
+    return folder / "rover" / "drive.yaml"
+
+
 def test_wheels_that_are_told_too_much_are_a_finding(tmp_path: Path) -> None:
-    folder = tmp_path / "rover"
-    folder.mkdir()
-    for name in ("rover.yaml", "rover.xml", "drive.yaml", "policy/policy.yaml"):
-        (folder / name).parent.mkdir(exist_ok=True)
-        text = (HERE / name).read_text("utf-8").replace("[12.5, 12.5, 1.0]", "[25, 25, 1.0]")
-        (folder / name).write_text(text, "utf-8")
-    (folder / "policy" / "policy.onnx").write_bytes((HERE / "policy/policy.onnx").read_bytes())
+    workflow = changed(tmp_path, ("[12.5, 12.5, 1.0]", "[25, 25, 1.0]"))
     bare = {"safety": ["finite", "joint_limits"]}
-    found = {each.code: str(each) for each in check_workflow(folder / "drive.yaml", bare).findings}
+    found = {each.code: str(each) for each in check_workflow(workflow, bare).findings}
     assert "beyond the velocity limits of left_wheel_joint, right_wheel_joint" in str(found)
     assert "add velocity_limits to safety" in found["action.reach"]
-    assert not check_workflow(folder / "drive.yaml").findings
+    assert not check_workflow(workflow).findings
+
+
+def test_a_torque_reaches_the_joint_within_its_limit(tmp_path: Path) -> None:
+    workflow = changed(
+        tmp_path,
+        ('{"*_wheel_joint": velocity}', '{"*_wheel_joint": velocity, mast_joint: torque}'),
+        ("[12.5, 12.5, 1.0]", "[12.5, 12.5, 7.0]"),
+        ("stiffness: [0.0, 0.0, 10.0]", "stiffness: 10.0"),
+        ("damping: [0.8, 0.8, 0.5]", "damping: 0.8"),
+    )
+    _, told = driven(workflow=workflow, duration=5)
+    assert not told["joint_stiffness"].any()
+    np.testing.assert_allclose(told["joint_damping"][:, 2], 0.0)
+    torque, applied = told["joint_effort_ff"][:, 2], told["joint_effort"][:, 2]
+    wanted = 7.0 * told["action"][:, 2]
+    np.testing.assert_array_equal(torque, np.clip(wanted, -2.0, 2.0).astype(np.float32))
+    assert wanted.max() == pytest.approx(2.8)  # beyond: the limit cuts it off
+    np.testing.assert_allclose(applied[401:], torque[400:-1], atol=1e-5)
+
+
+def test_a_policy_of_positions_leaves_no_velocity_behind(tmp_path: Path) -> None:
+    drive = changed(tmp_path)
+    park = yaml.safe_load((HERE / "policy" / "policy.yaml").read_text("utf-8"))
+    park |= {"name": "park", "action": {"scale": [0.0, 0.0, 0.1]}}
+    shutil.copytree(HERE / "policy", tmp_path / "park")
+    (tmp_path / "park" / "policy.yaml").write_text(yaml.safe_dump(park), "utf-8")
+    flow = [{"loop": {"do": {"policy": "drive"}, "until": {"elapsed": 3.0}}}, {"policy": "park"}]
+    report, told = driven(
+        workflow=drive,
+        duration=5,
+        policies={"drive": "./policy", "park": str(tmp_path / "park")},
+        flow={"chain": flow},
+        own=("drive_action", "park_action"),
+    )
+    assert not report.faults
+    assert told["joint_vel_target"][299, :2].min() > 9.0
+    assert not told["joint_vel_target"][301:].any()
+    assert abs(told["base_lin_vel"][-1, 0]) < 0.1
 
 
 def test_the_network_is_what_its_program_writes(tmp_path: Path) -> None:
