@@ -10,15 +10,14 @@ from pathlib import Path
 import numpy as np
 
 from unicon_core.errors import Fault, PolicyError
+from unicon_core.policies.access import in_order, own_states, reads_writes
 from unicon_core.policies.action_map import ActionMap
 from unicon_core.policies.bind import Binding
-from unicon_core.policies.command_slew import COMMAND, SLEWED, CommandSlew
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.motion.follow import own_reference, tracker_of
-from unicon_core.policies.motion.tracker import MotionTracker
 from unicon_core.policies.networks import Network, open_network
 from unicon_core.policies.phase import GaitPhase
-from unicon_core.policies.prefixed import PackedStates, PrefixedStates
+from unicon_core.policies.prefixed import PackedStates
 from unicon_core.robots import Robot
 
 __all__ = ["Policy"]
@@ -67,14 +66,7 @@ class Policy:
         model: Path | None = None,
         every_target: bool = False,
     ) -> None:
-        self.slew: CommandSlew | None = None
-        if contract.command is not None:
-            self.slew = CommandSlew(
-                contract.command, PrefixedStates(states, prefix), contract.period
-            )
-            states = PrefixedStates(states, prefix, {COMMAND: SLEWED})
-        elif prefix:
-            states = PrefixedStates(states, prefix)
+        states, self.slew = own_states(contract, states, prefix)
         self.name = contract.name
         self.contract = contract
         self.network = open_network(contract) if network is None else network
@@ -123,19 +115,15 @@ class Policy:
         self.phase: GaitPhase | None = None
         if contract.phase is not None and "gait_phase" in states:
             self.phase = GaitPhase(contract.phase, states, contract.period)
-        self._before = self.phase if self.slew is None else self._slew_and_phase
+        self._before = in_order(self.slew, self.phase)
         self.model = model
         self.tracker = tracker_of(contract, states, robot, self.lane, model)
         self.endless = self.tracker is None or self.tracker.ticks is None
         self._motion = own_reference(contract, states)
         self._begun = False
-        self.reads, self.writes = _reads_writes(contract, states, self.phase, self.tracker)
-        if self.every_target:
-            self.writes += _RATES
-        if not self.action_map.positions_only:
-            self.reads = tuple(dict.fromkeys((*self.reads, "joint_pos")))
-        if self.slew is not None:
-            self.reads = tuple(dict.fromkeys((*self.reads, *self.slew.reads)))
+        self.reads, self.writes = reads_writes(
+            contract, states, (self.slew, self.phase, self.tracker), targets
+        )
 
     def __call__(self, warm_up: bool = False) -> bool:
         """Run one tick, or take its path and discard the result.
@@ -195,12 +183,6 @@ class Policy:
         if self.tracker is not None:
             self.tracker.reset()
 
-    def _slew_and_phase(self) -> None:
-        if self.slew is not None:
-            self.slew()
-        if self.phase is not None:
-            self.phase()
-
     def _reference(self) -> None:
         for part, source in self._motion:
             part[...] = source
@@ -227,29 +209,3 @@ class Policy:
 
     def _of_robot(self, row: int) -> str:
         return f" of robot {row}" if self._states.num_robots else ""
-
-
-def _reads_writes(
-    contract: PolicyContract,
-    states: PackedStates,
-    phase: GaitPhase | None,
-    tracker: MotionTracker | None,
-) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names as they are declared: what the policy takes from others, and what it writes."""
-    own = [name for name in ("observation", "action") if name in states]
-    own += [] if contract.command is None else CommandSlew.writes
-    own += [] if phase is None else phase.writes
-    own += [name for name in contract.outputs if name in states and name != "action"]
-    own += ["motion_command"] if "motion_command" in states else []
-    own += [] if tracker is None else tracker.writes
-    read = [] if phase is None else list(phase.reads)
-    read += [] if tracker is None else tracker.reads
-    read += [term.state for term in contract.terms if "observation" in contract.inputs]
-    read += [name for name in contract.inputs if name != "observation" and name in states]
-
-    def actual(name: str) -> str:
-        return states.actual(name) if isinstance(states, PrefixedStates) else name
-
-    writes = tuple(dict.fromkeys([*map(actual, own), *_TARGETS]))
-    reads = tuple(name for name in dict.fromkeys(map(actual, read)) if name not in writes)
-    return reads, writes
