@@ -21,6 +21,7 @@ BLOCKS: dict[str, dict[str, Any]] = {
     "joint_limits": {},
     "effort_limits": {"scale": 0.3},
     "rate_limit": {},
+    "velocity_limits": {"scale": 0.02},
     "fade_in": {},
     "forward_command": {"integral": 2.0},
     "projected_gravity": {},

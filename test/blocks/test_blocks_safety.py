@@ -20,6 +20,7 @@ SAFETY = (
     "joint_limits",
     "effort_limits",
     "rate_limit",
+    "velocity_limits",
     "finite",
     "tilt_stop",
     "velocity_stop",
@@ -114,6 +115,57 @@ def test_fade_in_scales_the_stiffness_then_stops(bench: Build) -> None:
         block.tick()
         scales.append(float(it.states.joint_stiffness[3]))
     np.testing.assert_allclose(scales, [5 * min(k, 10) for k in range(1, 13)], rtol=1e-6)
+
+
+def test_fade_in_scales_velocities_and_torques_once(bench: Build) -> None:
+    it = bench()
+    block = it.block("fade_in", duration=0.1)
+    names = ("joint_vel_target", "joint_effort_ff")
+    seen = []
+    for tick in range(7):
+        if tick % 2 == 0:  # a policy that runs in every other tick
+            for name in names:
+                it.states[name] = 10.0
+        block.tick()
+        assert it.states[names[0]].tolist() == it.states[names[1]].tolist()
+        seen.append(float(it.states[names[0]][3]))
+    np.testing.assert_allclose(seen, [2.0, 4.0, 6.0, 8.0, 10.0, 10.0, 10.0], rtol=1e-6)
+    block.reset()
+    block.tick()
+    assert it.states[names[0]][3] == pytest.approx(2.0)
+
+
+def test_velocity_limits_clamp_or_trip(bench: Build) -> None:
+    it = bench()
+    block, stop = it.block("velocity_limits"), it.block("velocity_limits", beyond="trip")
+    limit = it.robot.velocity_limit
+    it.states.joint_vel_target = 0.5 * limit
+    stop.tick()
+    block.tick()
+    assert it.states.joint_vel_target.tolist() == (np.float32(0.5) * limit).tolist()
+    for beyond in (1.1, -1.1):
+        it.states.joint_vel_target = 0.5 * limit
+        it.states.joint_vel_target[2] = beyond * limit[2]
+        with pytest.raises(Fault, match="joint FR_calf_joint is sent a velocity of"):
+            stop.tick()
+        block.tick()
+        assert it.states.joint_vel_target[2] == np.sign(beyond) * limit[2]
+    it.states.joint_vel_target[2] = -1e4
+    with pytest.raises(Fault) as error:
+        stop.tick()
+    assert str(error.value) == (
+        f"joint FR_calf_joint is sent a velocity of -10000.00 rad/s, allowed are {limit[2]:.2f}"
+    )
+    block.tick()
+    assert it.states.joint_vel_target[2] == -limit[2]
+    stop.tick()
+    it.states.joint_vel_target[2] = np.nan
+    with pytest.raises(Fault, match="FR_calf_joint is sent a velocity of nan rad/s"):
+        stop.tick()
+    with pytest.raises(
+        WorkflowError, match=r"scale is 1.5; give a number above 0 to 1; to run wit"
+    ):
+        it.block("velocity_limits", scale=1.5)
 
 
 @pytest.mark.filterwarnings("ignore:overflow encountered")

@@ -195,6 +195,9 @@ def test_actuators_are_enabled_limp_where_they_are_and_then_obey(pair: Pair) -> 
     states["joint_damping"][3] = 0.0
     with pytest.raises(Fault, match="left_knee_pitch_joint shall have stiffness without damping"):
         pair.wire.put()
+    states["joint_damping"][3], states["joint_stiffness"][3] = 3.0, 0.0
+    with pytest.raises(Fault, match="left_knee_pitch_joint shall turn at a velocity without stif"):
+        pair.wire.put()
     for name in ("joint_pos_target", "joint_effort_ff", "joint_stiffness", "joint_damping"):
         states[name][...] = 1e38
     pair.wire.put()

@@ -10,6 +10,7 @@ from policy_helpers import JOINTS, robot, toy_values, write_linear, write_toy
 
 from unicon_core.errors import PolicyError
 from unicon_core.policies import GaitPhase, PhaseSpec, Policy, load_policy, policy_states
+from unicon_core.policies.policy_yaml import write_policy_yaml
 from unicon_core.states import States, StateSpec, standard_states
 
 
@@ -70,6 +71,98 @@ def test_one_phase_follows_unitree() -> None:
         expected = [np.sin(2 * np.pi * phase), np.cos(2 * np.pi * phase)]
         np.testing.assert_allclose(states.gait_phase, expected, atol=1e-5)
     assert clock.reads == ()
+
+
+STAND_AND_RESUME = [
+    (np.pi, None),
+    (np.pi, "stand"),
+    (np.pi, "clock"),
+    ("freeze", None),
+    ("freeze", "offsets"),
+    ("freeze", "clock"),
+    ("zero", None),
+    ("zero", "stand"),
+    ("zero", "offsets"),
+]
+
+
+class SwitchedClock:
+    """A clock of one robot in words: what it shows while the command is zero, and after that."""
+
+    def __init__(self, stand: float | str, resume: str | None, step: float) -> None:
+        self.start, self.step = [0.0, np.pi], step
+        self.shown, self.clock, self.was = list(self.start), list(self.start), False
+        self.stand = stand
+        self.resume = resume or {"freeze": "stand", "zero": "clock"}.get(str(stand), "offsets")
+
+    def __call__(self, command: np.ndarray) -> tuple[list[float], list[float]]:
+        still = np.hypot(command[0], command[1]) < 0.01 and abs(command[2]) < 0.01
+        self.clock = [phase + self.step for phase in self.clock]
+        if still:
+            if not isinstance(self.stand, str):
+                self.shown = [self.stand] * 2
+        elif self.was and self.resume == "offsets":
+            self.shown = list(self.start)
+        elif self.resume == "clock":
+            self.shown = self.clock
+        else:
+            self.shown = [phase + self.step for phase in self.shown]
+        self.was = still
+        lit = 0.0 if still and self.stand == "zero" else 1.0
+        return [lit * np.sin(p) for p in self.shown], [lit * np.cos(p) for p in self.shown]
+
+
+@pytest.mark.parametrize(("stand", "resume"), STAND_AND_RESUME)
+def test_a_clock_is_switched_off_with_the_command(stand: float | str, resume: str | None) -> None:
+    states = states_of(2, 3)
+    clock = GaitPhase(PhaseSpec(0.7, stand=stand, resume=resume), states, 0.02)
+    rng = np.random.default_rng(5)
+    for _ in range(2):  # and the same again behind a reset
+        twins = [SwitchedClock(stand, resume, 2 * np.pi * 0.02 / 0.7) for _ in range(3)]
+        for tick in range(200):
+            if tick % 13 == 0:
+                states.velocity_command = rng.choice([0.0, 0.005, 0.5], size=(3, 3))
+            clock()
+            for k, twin in enumerate(twins):
+                sines, cosines = twin(states.velocity_command[k])
+                np.testing.assert_allclose(states.gait_phase_sin[k], sines, atol=1e-6)
+                np.testing.assert_allclose(states.gait_phase_cos[k], cosines, atol=1e-6)
+                np.testing.assert_allclose(states.gait_phase[k], [*sines, *cosines], atol=1e-6)
+        clock.reset()
+
+
+@pytest.mark.parametrize(
+    ("phase", "message"),
+    [
+        ({"stand": "stop"}, "phase.stand is 'stop'; give a phase in [rad], freeze or zero"),
+        ({"stand": [1.0, 2.0]}, "phase.stand has 2 values; give one number"),
+        ({"stand": "zero", "resume": "go"}, "phase.resume is 'go'; known: offsets, stand, clock"),
+        (
+            {"resume": "clock"},
+            "phase.resume says where the phases go on, and stand: does not say that they stand; "
+            "add stand: a phase in [rad], freeze or zero",
+        ),
+        (
+            {"stand": 0.0, "stand_below": 0.0},
+            "phase.stand_below is 0.0; give a speed above 0 in [m/s] and [rad/s]: no command is "
+            "below it",
+        ),
+    ],
+)
+def test_a_wrong_switch_of_the_clock_is_told(tmp_path: Path, phase: dict, message: str) -> None:
+    path = write_toy(tmp_path, toy_values(phase={"period": 1.0, **phase}))
+    with pytest.raises(PolicyError) as caught:
+        load_policy(path)
+    assert str(caught.value).endswith(f": {message}")
+
+
+def test_the_switch_survives_being_written(tmp_path: Path) -> None:
+    phase = {"period": 1.0, "stand": "zero", "resume": "stand", "stand_below": 0.1}
+    contract = load_policy(write_toy(tmp_path / "a", toy_values(phase=phase)))
+    again = load_policy(write_policy_yaml(contract, tmp_path / "b"))
+    assert again.phase == contract.phase
+    assert again.phase is not None
+    assert (again.phase.stand, again.phase.resume) == ("zero", "stand")
 
 
 def test_a_long_run_does_not_drift() -> None:

@@ -6,13 +6,15 @@ import json
 import re
 import shlex
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
 from policy_helpers import write_linear
 
 from unicon_core.check import CODES, check_workflow
-from unicon_core.policies import load_policy
+from unicon_core.policies import PolicyContract, load_policy
+from unicon_core.policies.contract import CommandSpec, FilterSpec
 from unicon_core.robots import load_robot
 from unicon_ros.cli.main import main
 
@@ -40,6 +42,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
             path.parent.mkdir(exist_ok=True)
             path.write_text(body, encoding="utf-8")
     write_linear(tmp_path / "my_walk" / "policy.onnx", 45, 12)
+    (tmp_path / "examples").symlink_to(ROOT / "examples")
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -54,6 +57,27 @@ def test_the_policy_is_whole(folder: Path) -> None:
     assert contract.period == 0.02
     assert contract.stiffness.tolist() == [40.0] * 12
     assert len(contract.terms) == 6
+
+
+def test_what_an_action_and_an_observation_may_be(folder: Path) -> None:
+    whole = yaml.safe_load(TITLED["my_walk/policy.yaml"])
+
+    def contract(title: str, **more: Any) -> PolicyContract:
+        said = yaml.safe_load(TITLED[title]) | more
+        path = folder / "my_walk" / "policy.yaml"
+        path.write_text(yaml.safe_dump(whole | said), encoding="utf-8")
+        return load_policy(path)
+
+    wheels = ["hip", "thigh", "a_knee_joint", "left_wheel_joint", "right_wheel_joint"]
+    mixed = contract("wheels.yaml", joints=wheels, default_joint_pos=[0.0] * 5)
+    assert mixed.action.kinds == ("position", "position", "torque", "velocity", "velocity")
+    filtered = contract("filters.yaml")
+    assert filtered.action.filter == FilterSpec(low_pass=5.0, start="zeros")
+    assert filtered.terms[0].filter == FilterSpec(moving_average=3, start="first")
+    assert filtered.command == CommandSpec((1.0, 0.5, 2.0))
+    clock = contract("clock.yaml").phase
+    assert clock is not None
+    assert (clock.stand, clock.resume, clock.stand_below) == ("zero", "clock", pytest.approx(0.1))
 
 
 def test_the_robot_file_fits_loader_and_schema(folder: Path) -> None:

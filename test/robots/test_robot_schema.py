@@ -18,7 +18,8 @@ from unicon_core.robots.validate import _OPTIONAL, _OVERLAY, _REQUIRED, COMMANDS
 HERE = Path(__file__).parent
 ROBOTS = HERE.parents[1] / "config" / "robots"
 ROBOT_SCHEMA: dict[str, Any] = json.loads((ROBOTS / "robot.schema.json").read_text("utf-8"))
-GOOD = sorted(ROBOTS.glob("*.yaml"))
+WHEELED = HERE.parents[1] / "examples" / "rover" / "rover.yaml"
+GOOD = [*sorted(ROBOTS.glob("*.yaml")), WHEELED]
 BAD = sorted((HERE / "bad").glob("*.yaml"))
 
 # Broken in a way that YAML itself refuses, or that takes arithmetic or a comparison of two places.

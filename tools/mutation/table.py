@@ -139,6 +139,25 @@ ROWS = [
         ("rate_limit", "rate * np.float32(period)", "rate * np.float32(10 * period)"),
     ),
     *_rows(
+        "blocks/safety/speeds.py",
+        BLOCKS,
+        ("VelocityLimits.__call__", REMOVED),
+        (
+            "VelocityLimits.__call__",
+            "np.maximum(self._target, self._lower, out=self._target)",
+            "pass",
+        ),
+        (
+            "VelocityLimits.__call__",
+            "np.minimum(self._target, self._upper, out=self._target)",
+            "pass",
+        ),
+        ("VelocityLimitStop.__call__", REMOVED),
+        ("VelocityLimitStop.__call__", "(self._target >= self._lower) & ", ""),
+        ("VelocityLimitStop.__call__", " & (self._target <= self._upper)", ""),
+        ("velocity_limits", "np.float32(scale)", "np.float32(10 * scale)"),
+    ),
+    *_rows(
         "blocks/safety/ranges.py",
         BLOCKS,
         ("RangeStop.__call__", REMOVED),
@@ -169,7 +188,8 @@ ROWS = [
         ("command_stop", "(0.0, damping)", "(0.0, 10 * damping)"),
         ("command_stop", "(-speed, speed)", "(-10 * speed, 10 * speed)"),
         ("command_stop", "(-effort, effort)", "(-10 * effort, 10 * effort)"),
-        ("command_stop", "-2.0 * POSITION, 2.0 * POSITION", "-20.0 * POSITION, 20.0 * POSITION"),
+        ("command_stop", "np.float32(2.0 * POSITION)", "np.float32(20.0 * POSITION)"),
+        ("command_stop", "np.where(robot.endless, ", "np.where(robot.endless | True, "),
         ("command_stop", "factor: float = 2.0", "factor: float = 10.0"),
     ),
     *_rows(
@@ -384,7 +404,7 @@ ROWS = [
         (*BEGINNING, *PHASES),
         (
             "beginning",
-            "measured[own] = np.where(np.isnan(default), measured[own], default)",
+            "measured[own] = np.where(stays, measured[own], default)",
             "pass",
         ),
         ("beginning", "stiffness = np.zeros_like(stiffness)", "pass"),

@@ -23,6 +23,7 @@ BUILTIN: dict[str, str] = {
         "safety.overrun": ("overrun_stop",),
         "safety.ranges": ("command_stop", "range_stop"),
         "safety.servo_stops": ("power_stop", "tracking_stop"),
+        "safety.speeds": ("velocity_limits",),
         "safety.stops": ("finite", "height_stop", "stale_stop", "tilt_stop", "velocity_stop"),
         "safety.stuck": ("encoder_stop", "imu_stop"),
         "safety.twin_stop": ("twin_stop",),

@@ -11,11 +11,15 @@ from unicon_core.workflow.autowire import BuildContext
 
 __all__ = ["BlendIn", "blend_in"]
 
+RATES = ("joint_vel_target", "joint_effort_ff")
+
 
 def blend_in(
     joint_pos_target: Amends,
     joint_stiffness: Amends,
     joint_damping: Amends,
+    joint_vel_target: Amends,
+    joint_effort_ff: Amends,
     *,
     context: BuildContext,
     duration: float = 0.5,
@@ -30,9 +34,11 @@ def blend_in(
         joint_pos_target: in [rad], shape (..., n).
         joint_stiffness: in [N·m/rad], shape (..., n).
         joint_damping: in [N·m·s/rad], shape (..., n).
+        joint_vel_target: in [rad/s], shape (..., n).
+        joint_effort_ff: in [N·m], shape (..., n).
         duration: in [s].
     """
-    live = (joint_pos_target, joint_stiffness, joint_damping)
+    live = (joint_pos_target, joint_stiffness, joint_damping, joint_vel_target, joint_effort_ff)
     ticks = ticks_of(duration, context.period, "duration") or 1
     return BlendIn(context, live, ticks)
 

@@ -1,4 +1,4 @@
-"""Block `fade_in`: blends the stiffness in, so that no joint jumps when a controller starts."""
+"""Block `fade_in`: blends commands in, so that no joint jumps when a controller starts."""
 
 from __future__ import annotations
 
@@ -12,14 +12,24 @@ from unicon_core.flow.stage import Stage
 __all__ = ["FadeIn", "fade_in"]
 
 
-def fade_in(joint_stiffness: Amends, *, period: float, duration: float = 1.0) -> FadeIn:
-    """Scale the stiffness from 0 to 1 over a time, then leave it alone.
+def fade_in(
+    joint_stiffness: Amends,
+    joint_vel_target: Amends,
+    joint_effort_ff: Amends,
+    *,
+    period: float,
+    duration: float = 1.0,
+) -> FadeIn:
+    """Scale stiffness, velocity target and torque from 0 to 1 over a time, then leave them alone.
 
     Args:
         joint_stiffness: in [N·m/rad], shape (..., n).
+        joint_vel_target: in [rad/s], shape (..., n).
+        joint_effort_ff: in [N·m], shape (..., n).
         duration: in [s].
     """
-    return FadeIn(joint_stiffness, ticks_of(duration, period, "duration") or 1)
+    faded = (joint_stiffness, joint_vel_target, joint_effort_ff)
+    return FadeIn(faded, ticks_of(duration, period, "duration") or 1)
 
 
 class FadeIn:
@@ -27,18 +37,20 @@ class FadeIn:
 
     stage = Stage.SAFETY
 
-    def __init__(self, stiffness: NDArray[np.float32], ticks: int) -> None:
-        self._stiffness, self._ticks, self._tick = stiffness, ticks, 0
-        self._whole, self._faded = stiffness.copy(), np.full_like(stiffness, np.nan)
+    def __init__(self, faded: tuple[NDArray[np.float32], ...], ticks: int) -> None:
+        self._ticks, self._tick = ticks, 0
+        # What is there, what it was whole, and what was left of it in the tick before.
+        self._views = [(live, live.copy(), np.full_like(live, np.nan)) for live in faded]
 
     def __call__(self) -> None:
         if self._tick < self._ticks:
             self._tick += 1
-            live = self._stiffness
-            # A policy that does not run in every tick leaves what was faded: not once more.
-            np.copyto(self._whole, live, where=live != self._faded)
-            np.multiply(self._whole, np.float32(self._tick / self._ticks), out=live)
-            self._faded[...] = live
+            share = np.float32(self._tick / self._ticks)
+            for live, whole, left in self._views:
+                # A policy that does not run in every tick leaves what was faded: not once more.
+                np.copyto(whole, live, where=live != left)
+                np.multiply(whole, share, out=live)
+                left[...] = live
 
     def reset(self) -> None:
         """Fade in anew."""

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from unicon_core.check.action_rates import check_rates
 from unicon_core.check.mirror import check_mirrored
 from unicon_core.check.result import CheckResult, PolicyResult
 from unicon_core.check.safety import limits_targets
@@ -48,12 +49,20 @@ def _action(subject: Subject, policy: PolicyResult) -> None:
     clip = np.where(wide, bound, clip)
     low, high = np.sort(offset + scale * clip, axis=0)
     own = joint_index(joints, robot.joint_names)
-    lower, upper, effort = (
-        values[own].astype(np.float64) for values in (robot.lower, robot.upper, robot.effort_limit)
+    speed, effort = (
+        values[own].astype(np.float64) for values in (robot.velocity_limit, robot.effort_limit)
     )
+    position, velocity = action.of_kind("position"), action.of_kind("velocity")
+    most = np.where(velocity, speed, effort)
+    lower = np.where(position, robot.lower[own].astype(np.float64), -most)
+    upper = np.where(position, robot.upper[own].astype(np.float64), most)
     span = upper - lower
-    stiffness = contract.stiffness[joint_index(joints, contract.joints)].astype(np.float64)
-    share = np.abs(scale) * stiffness / effort
+    at = joint_index(joints, contract.joints)
+    stiffness, damping = (
+        gain[at].astype(np.float64) for gain in (contract.stiffness, contract.damping)
+    )
+    unit = np.where(position, stiffness, np.where(velocity, damping, 1.0))
+    share = np.abs(scale) * unit / effort
     outside = (low < lower - ROUNDING) | (high > upper + ROUNDING)
     rows = [
         [
@@ -69,10 +78,17 @@ def _action(subject: Subject, policy: PolicyResult) -> None:
         for i, name in enumerate(joints)
     ]
     columns = ["joint", "offset", "scale", "action", "reach [rad]", "limits [rad]", "torque/unit"]
+    if action.kinds:
+        rows = [[row[0], kind, *row[1:]] for row, kind in zip(rows, action.kinds)]
+        columns = ["joint", "target", *columns[1:4], "reach", "limits", "torque/unit"]
     lines = [f"target = offset + scale · action; last action is the {action.feedback} one"]
     if action.clip is None or wide.any():
         lines.append(f"no clip that binds: shown is an action of ±{PLAUSIBLE_ACTION:g}")
-    lines.append("torque/unit: stiffness · scale as a share of the effort limit")
+    if action.kinds:
+        lines.append("position in [rad], velocity in [rad/s], torque in [N·m]")
+        lines.append("torque/unit: scale · stiffness (velocity: · damping), of the effort limit")
+    else:
+        lines.append("torque/unit: stiffness · scale as a share of the effort limit")
     policy.result.table(f"Action of policy {policy.key}", [*columns, ""], rows, lines)
     idle = scale == 0.0
     if idle.all():
@@ -85,7 +101,7 @@ def _action(subject: Subject, policy: PolicyResult) -> None:
     elif idle.any():
         evidence = f"0 at {listed(compress(joints, idle))}: they stay at their offset"
         policy.note("action.scale", "action.scale", evidence)
-    jumps = np.flatnonzero(np.abs(scale) > span)
+    jumps = np.flatnonzero(position & (np.abs(scale) > span))
     if jumps.size:
         i = jumps[0]
         # An action in radians (scale 1) may well span more than a narrow joint's range.
@@ -97,7 +113,7 @@ def _action(subject: Subject, policy: PolicyResult) -> None:
             "give the scale that it was trained with, in [rad]",
             error=bool((np.abs(scale[jumps]) > LARGEST_SCALE + 1e-6).any()),
         )
-    strong = np.flatnonzero(share > UNIT_TORQUE)
+    strong = np.flatnonzero(position & (share > UNIT_TORQUE))
     if strong.size:
         i = strong[0]
         policy.note(
@@ -107,7 +123,8 @@ def _action(subject: Subject, policy: PolicyResult) -> None:
             f"{stiffness[i] * scale[i]:.3g} N·m, and its effort limit is {effort[i]:g} "
             f"({strong.size} joints)",
         )
-    beyond = np.flatnonzero((offset < lower - ROUNDING) | (offset > upper + ROUNDING))
+    strange = (offset < lower - ROUNDING) | (offset > upper + ROUNDING)
+    beyond = np.flatnonzero(position & strange)
     if beyond.size:
         i = beyond[0]
         policy.find(
@@ -117,6 +134,9 @@ def _action(subject: Subject, policy: PolicyResult) -> None:
             f"[{lower[i]:.4g}, {upper[i]:.4g}]",
             "correct the offset (the default pose) or the robot's limits",
         )
+    if action.kinds:
+        check_rates(subject, policy, outside)
+    outside &= position
     if outside.any():
         far = listed(compress(joints, outside))
         text = f"actions within the table reach beyond the limits of {far}"

@@ -108,7 +108,9 @@ def _plausible(robot: Robot, policy: PolicyResult, model: ModelJoints | None) ->
             f"N·m within {effort[i] / kp[i]:.2g} rad ({hard.size} joints)",
             f"correct stiffness, or joints.effort in {robot.path.name}",
         )
-    stiffer = np.flatnonzero(kd > kp)
+    action = policy.contract.action
+    turned = dict(zip(action.joints, ~action.of_kind("position")))  # they need no stiffness
+    stiffer = np.flatnonzero((kd > kp) & ~np.array([turned.get(name, False) for name in joints]))
     if stiffer.size > len(kp) // 2:
         i = stiffer[0]
         policy.find(

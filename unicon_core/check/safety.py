@@ -12,7 +12,7 @@ from unicon_core.flow import Block, Chain, Every, Loop, Node, Switch, When, bloc
 from unicon_core.flow.nodes import children_of
 from unicon_core.flow.stage import Stage
 
-__all__ = ["check_safety", "limits_targets"]
+__all__ = ["check_safety", "has_limits", "limits_targets"]
 
 TARGET = "joint_pos_target"
 """What limits are for."""
@@ -25,8 +25,13 @@ def limits_targets(subject: Subject) -> bool:
 
     A part without the platform sends nothing: the first part's blocks do.
     """
+    return has_limits(subject, JointLimits)
+
+
+def has_limits(subject: Subject, limits: type) -> bool:
+    """Whether a safety block of this class amends what is sent; see `limits_targets`."""
     return not subject.program.has_platform or any(
-        isinstance(block.tick, JointLimits) and set(block.amends) & _sent(subject)
+        isinstance(block.tick, limits) and set(block.amends) & _sent(subject)
         for block in _safety(subject)
     )
 
@@ -107,8 +112,9 @@ def _blind(block: Block, sent: set[str], told: set[str]) -> str:
     clamps = getattr(block.tick, "clamps", False)
     if block.amends and not sent & set(block.amends):
         return f"it changes {listed(block.amends)}, which is not sent"
-    if clamps and TARGET not in block.amends:
-        return f"it changes {listed(block.amends)}, not {TARGET}"
+    target = getattr(block.tick, "limits", TARGET)
+    if clamps and target not in block.amends:
+        return f"it changes {listed(block.amends)}, not {target}"
     silent = [name for name in block.reads if name not in told]
     if silent and (clamps or len(silent) == len(block.reads)):
         return f"nothing writes {listed(silent)}, which it reads"

@@ -46,8 +46,9 @@ class Target:
 def beginning(program: Program) -> Target:
     """Return where the flow of a program begins, from the present states on.
 
-    A controller begins at its default pose with its gains; joints that it does not know stay where
-    they were measured, with the robot file's. `pose` and `hold` begin wherever the robot is, and
+    A controller begins at its default pose with its gains; joints to which it gives no stiffness,
+    such as wheels, stay where they were measured, and so do those that it does not know, with the
+    robot file's gains. `pose` and `hold` begin wherever the robot is, and
     `damp` without stiffness. Of any other block it is the first command.
 
     Args:
@@ -75,7 +76,8 @@ def beginning(program: Program) -> Target:
         if said is not None:
             gains[own] = said
     default = np.asarray(contract.default_joint_pos, np.float32)
-    measured[own] = np.where(np.isnan(default), measured[own], default)
+    stays = np.isnan(default) | ((stiffness[own] == 0.0) & ~robot.by_position[own])
+    measured[own] = np.where(stays, measured[own], default)
     return Target(measured, stiffness, damping, f"the default pose of {contract.name!r}")
 
 

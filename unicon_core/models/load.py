@@ -53,7 +53,7 @@ def load_model(
     refuse_endless(path)
     is_urdf = path.suffix.lower() == ".urdf"
     spec = _read(mujoco, path, repaired_urdf(path, notes) if is_urdf else None)
-    absent = drop_absent_meshes(spec, path, robot.walks)
+    absent = drop_absent_meshes(spec, path, robot.floats)
     for note in () if quiet else absent:
         warnings.warn(f"model {path}: {note}", stacklevel=3)
     notes += [*absent, *drop_absent_textures(spec, path)]
@@ -62,11 +62,11 @@ def load_model(
         spec.option.timestep = _URDF_TIMESTEP
         # A URDF has no armature: with Euler's step the vendor's damping blows an A1 up.
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-        if robot.walks:
+        if robot.floats:
             _add_free_joint(mujoco, spec, notes)
     if timestep is not None:
         spec.option.timestep = float(timestep)
-    if robot.walks and not list(spec.worldbody.geoms):
+    if robot.floats and not list(spec.worldbody.geoms):
         spec.worldbody.add_geom(
             name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 0.05]
         )

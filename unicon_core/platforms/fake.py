@@ -61,7 +61,8 @@ def make_robot(
 class FakePlatform:
     """Joints that approach their targets within the robot's limits; the base stands still.
 
-    A joint without stiffness stays where it is. `joint_effort` is the servo's torque
+    A joint without stiffness turns at its velocity target as long as it has damping, and else stays
+    where it is. `joint_effort` is the servo's torque
     kp (q* - q) + kd (qd* - qd) + tau_ff, clipped to the effort limits.
     """
 
@@ -88,6 +89,7 @@ class FakePlatform:
         shape = states["joint_pos_target"].shape
         self._pos, self._vel = (np.zeros(shape, np.float32) for _ in range(2))
         self._next, self._gain = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+        self._still = bytes(self._pos.nbytes)
         self._stamp = states["stamp_ns"] if "stamp_ns" in writes else np.zeros((), np.int64)
         self._outputs = [
             (states[name], value)
@@ -123,12 +125,15 @@ class FakePlatform:
             Fault: a command is not finite.
         """
         self._command.take()
-        target, _, _, stiffness, _ = self._command.rows
+        target, speed, _, stiffness, damping = self._command.rows
         self._servo(self._pos, self._vel)
         new = self._next
         np.subtract(target, self._pos, out=new)
         np.greater(stiffness, 0.0, out=self._gain, casting="unsafe")
         new *= self._gain
+        if speed.tobytes() != self._still:
+            turned = np.where((stiffness <= 0.0) & (damping > 0.0), speed, np.float32(0.0))
+            new += turned * np.float32(self._period)
         new *= self._share
         new += self._pos
         np.clip(new, self._lower, self._upper, out=new)

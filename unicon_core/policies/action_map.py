@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from unicon_core.errors import PolicyError, alternatives
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.controller import ControllerContract
+from unicon_core.policies.filters import Filter, make_filter
 from unicon_core.robots import Robot, joint_index
 
 __all__ = ["ActionMap", "lacking_joints"]
@@ -37,7 +38,7 @@ def lacking_joints(contract: ControllerContract, robot: Robot) -> str:
 
 
 class ActionMap:
-    """`joint_pos_target = offset + scale · clip(action)`; other joints are held at default.
+    """`target = offset + scale · filter(clip(action))`; other joints are held at default.
 
     Args:
         contract: the policy.
@@ -47,6 +48,8 @@ class ActionMap:
     Attributes:
         stiffness: gain of every joint in the robot's order in [N·m/rad], shape (n,).
         damping: likewise in [N·m·s/rad].
+        positions_only: all that it gives are positions.
+        filter: of the clipped action, shape (rows, m), or None.
 
     Raises:
         PolicyError: a joint the robot has not, or a held joint whose pose or gains are unknown.
@@ -62,7 +65,9 @@ class ActionMap:
         n, m = robot.num_joints, len(action.joints)
         offset = robot.default_joint_pos.astype(np.float32)
         offset[robot_from_policy] = contract.default_joint_pos
-        offset[robot_from_action] = action.offset
+        by_position = action.of_kind("position")
+        self.positions_only = bool(by_position.all())
+        offset[robot_from_action[by_position]] = action.offset[by_position]
         self.stiffness = robot.joint_stiffness.astype(np.float32)
         self.stiffness[robot_from_policy] = contract.stiffness
         self.damping = robot.joint_damping.astype(np.float32)
@@ -84,14 +89,87 @@ class ActionMap:
         index = np.zeros(n, dtype=np.intp)
         index[robot_from_action] = np.arange(m)
         scale = np.zeros(n, np.float32)
-        scale[robot_from_action] = action.scale
+        scale[robot_from_action[by_position]] = action.scale[by_position]
         self._index = (index[None, :] + np.arange(rows)[:, None] * m).reshape(-1)
         self._scale, self._offset = np.tile(scale, rows), np.tile(offset, rows)
         self._feed_clipped = action.feedback == "clipped"
+        self.filter: Filter | None = None
+        if action.filter is not None:
+            self.filter = make_filter(action.filter, (rows, m), contract.period)
+        self._spec, self._rows = action, rows
+        if not self.positions_only:
+            self._closed_loops(contract, robot)
+        # Of velocities and torques as of positions: figures of all joints, 0 where they are none.
+        self._rates = []
+        for kind in ("velocity", "torque"):
+            at, figures = action.of_kind(kind), np.zeros((2, n), np.float32)
+            figures[:, robot_from_action[at]] = action.scale[at], action.offset[at]
+            self._rates.append(np.tile(figures, rows))
+        limp = np.zeros(n, np.bool_)
+        limp[robot_from_action[~by_position]] = True
+        self._limp = limp & (self.stiffness == 0.0)
         self._clip: Floats | None = None
         if action.clip is not None:
             sides = action.clip if self._feed_clipped else action.clip[:, index]
             self._clip = np.tile(sides, rows)
+
+    def _closed_loops(self, contract: PolicyContract, robot: Robot) -> None:
+        closed = dict(zip(robot.joint_names, robot.by_position))
+        for name, kind in zip(contract.action.joints, contract.action.kinds):
+            if kind != "position" and closed[name]:
+                raise PolicyError(
+                    f"policy {contract.name} gives joint {name!r} a {kind}, and robot {robot.name} "
+                    "takes positions alone; choose a policy that gives positions"
+                )
+
+    def bind_all(
+        self,
+        action: Floats,
+        position: Floats,
+        velocity: Floats,
+        torque: Floats,
+        measured: Floats,
+    ) -> Callable[[], None]:
+        """Return a function that writes the targets of a tick of any kind.
+
+        A joint without stiffness that is given a velocity or torque has its measured position as
+        target: whatever gives it stiffness later, such as a blend, holds it where it is.
+
+        Args:
+            action: the network's output, shape (rows, m), to be finite when called; replaced by
+                what was clipped or filtered of it where that is fed back.
+            position: targets in the robot's order in [rad], shape (rows, n).
+            velocity: likewise in [rad/s].
+            torque: likewise in [N·m].
+            measured: joint positions in [rad], shape (rows, n).
+        """
+        spec, index, smooth = self._spec, self._index, self.filter
+        work, limp = np.zeros_like(action), np.tile(self._limp, (self._rows, 1))
+        source = work.reshape(-1)
+        rates = [
+            (out.reshape(-1), *figures) for out, figures in zip((velocity, torque), self._rates)
+        ]
+        places = position.reshape(-1), self._scale, self._offset
+        outs = [places] if self.positions_only else [places, *rates]
+
+        def all_kinds() -> None:
+            work[...] = action
+            if spec.clip is not None:
+                np.maximum(work, spec.clip[0], out=work)
+                np.minimum(work, spec.clip[1], out=work)
+            if spec.feedback == "clipped":
+                action[...] = work
+            if smooth is not None:
+                smooth(work)
+            if spec.feedback == "filtered":
+                action[...] = work
+            for out, scale, offset in outs:
+                source.take(index, None, out, "clip")
+                np.multiply(out, scale, out=out)
+                np.add(out, offset, out=out)
+            np.copyto(position, measured, where=limp)
+
+        return all_kinds
 
     def bind(self, action: Floats, target: Floats) -> Callable[[], None]:
         """Return a function that writes the targets of a tick.

@@ -3,28 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from unicon_core.bounds import ACTION_SCALE, DAMPING, POSITION, SCALE, STIFFNESS
-from unicon_core.errors import PolicyError, alternatives
-from unicon_core.located_yaml import Where
+from unicon_core.bounds import POSITION, SCALE
+from unicon_core.errors import PolicyError
+from unicon_core.policies.action_facts import (
+    action_spec,
+    command_spec,
+    filter_spec,
+    joint_gains,
+)
 from unicon_core.policies.chain_facts import chain_facts
 from unicon_core.policies.contract import (
-    ActionSpec,
     ObservationSpec,
     ObservationTerm,
     PhaseSpec,
     PolicyContract,
     Recurrent,
 )
-from unicon_core.policies.facts import Facts, dotted, missing_facts
+from unicon_core.policies.fact_value import FactValue as _Value
+from unicon_core.policies.fact_value import is_whole
+from unicon_core.policies.facts import Facts, missing_facts
 from unicon_core.policies.motion.spec import motion_spec
-from unicon_core.robots import joint_index
 
 __all__ = ["build_contract"]
 
@@ -33,13 +36,12 @@ SCHEMA = "unicon.policy/1"
 _KEYS = (
     "schema", "name", "description", "onnx", "torchscript", "sha256", "period", "robot", "joints",
     "default_joint_pos", "action", "stiffness", "damping", "observation", "inputs", "outputs",
-    "recurrent", "command_ranges", "phase", "motion", "provider", "networks",
+    "recurrent", "command", "command_ranges", "phase", "motion", "provider", "networks",
     "feeds", "sources",
 )  # fmt: skip
-_ACTION = ("scale", "offset", "clip", "joints", "feedback")
 _OBSERVATION = ("terms", "layout", "newest", "start")
-_TERM = ("name", "state", "index", "subtract", "scale", "clip", "history")
-_PHASE = ("period", "offsets", "stand", "stand_below", "command")
+_TERM = ("name", "state", "index", "subtract", "scale", "clip", "history", "filter")
+_PHASE = ("period", "offsets", "stand", "resume", "stand_below", "command")
 
 
 def build_contract(facts: Facts) -> PolicyContract:
@@ -64,8 +66,9 @@ def build_contract(facts: Facts) -> PolicyContract:
     joints = root.at("joints").names()
     count = len(joints)
     default = root.at("default_joint_pos").vector(-POSITION, POSITION, count)
-    stiffness = root.at("stiffness").vector(0.0, STIFFNESS, count)
-    damping = root.at("damping").vector(0.0, DAMPING, count)
+    period = root.at("period").positive("the control period in [s]")
+    action = action_spec(root.at("action"), joints, default, period)
+    stiffness, damping = joint_gains(root, joints, action)
     inputs, outputs = (_tensors(root.at(key)) for key in ("inputs", "outputs"))
     sha256 = root.at("sha256").value
     if sha256 is not None and not (isinstance(sha256, str) and len(sha256) == 64):
@@ -74,25 +77,30 @@ def build_contract(facts: Facts) -> PolicyContract:
     if provider != "cpu" and "torchscript" in facts.values:
         raise root.at("provider").refuse("TorchScript runs on the cpu; export the network as ONNX")
     networks, feeds = chain_facts(facts)
+    observation = _observation(
+        root.at("observation"), period, optional=bool(inputs) and "observation" not in inputs
+    )
+    phase = _phase(root.at("phase"))
+    reads = {*inputs, *(term.state for term in observation.terms)}
+    reads |= set() if phase is None or phase.stand is None else {phase.command}
     robot = root.at("robot").value
     return PolicyContract(
         name=str(root.at("name").value or facts.path.parent.name or facts.path.stem),
         path=facts.path,
         model=facts.model(),
-        period=root.at("period").positive("the control period in [s]"),
+        period=period,
         joints=joints,
         default_joint_pos=default,
-        action=_action(root.at("action"), joints, default),
+        action=action,
         stiffness=stiffness,
         damping=damping,
-        observation=_observation(
-            root.at("observation"), optional=bool(inputs) and "observation" not in inputs
-        ),
+        observation=observation,
         inputs=MappingProxyType(inputs),
         outputs=MappingProxyType(outputs),
         recurrent=_recurrent(root.at("recurrent")),
         command_ranges=MappingProxyType(_ranges(root.at("command_ranges"))),
-        phase=_phase(root.at("phase")),
+        phase=phase,
+        command=command_spec(root.at("command"), reads),
         motion=motion_spec(facts),
         robot=None if robot is None else str(robot),
         sha256=None if sha256 is None else sha256.lower(),
@@ -108,34 +116,13 @@ def _tensors(names: _Value) -> dict[str, str]:
     return {str(k): str(v) for k, v in names.entries().items()} if names.value else {}
 
 
-def _action(action: _Value, joints: tuple[str, ...], default: NDArray[np.float32]) -> ActionSpec:
-    action.mapping(_ACTION)
-    listed, offset = action.at("joints"), action.at("offset")
-    moved = joints if listed.value is None else listed.names()
-    for name in moved:
-        if name not in joints:
-            raise listed.fail(
-                f"names {name!r}, which is not in joints; {alternatives(name, joints)}"
-            )
-    count = len(moved)
-    scale = action.at("scale").vector(-ACTION_SCALE, ACTION_SCALE, count)
-    if offset.value is None:
-        offsets = default[joint_index(moved, joints)]
-    else:
-        offsets = offset.vector(-POSITION, POSITION, count)
-    clip = action.at("clip").clip(count)
-    if clip is not None:
-        clip = np.array(np.broadcast_to(clip, (2, count)))
-    return ActionSpec(moved, scale, offsets, clip, action.choice("feedback", "raw", "clipped"))
-
-
-def _observation(observation: _Value, optional: bool) -> ObservationSpec:
+def _observation(observation: _Value, period: float, optional: bool) -> ObservationSpec:
     if observation.value is None and optional:
         return ObservationSpec(())
     listed = observation.mapping(_OBSERVATION).at("terms")
     if not isinstance(listed.value or [], (list, tuple)):
         raise listed.fail("is no list; give '- {name: …, state: …}'")
-    terms = tuple(_term(listed.at(i)) for i in range(len(listed.value or ())))
+    terms = tuple(_term(listed.at(i), period) for i in range(len(listed.value or ())))
     layout = observation.choice("layout", "term_major", "frame_major")
     odd = [term for term in terms if term.history != terms[0].history]
     if layout == "frame_major" and odd:
@@ -152,7 +139,7 @@ def _observation(observation: _Value, optional: bool) -> ObservationSpec:
     )
 
 
-def _term(term: _Value) -> ObservationTerm:
+def _term(term: _Value, period: float) -> ObservationTerm:
     if not isinstance(term.value, Mapping) or not isinstance(term.value.get("name"), str):
         raise term.fail("has no name; give 'name:' and 'state:'")
     term.mapping(_TERM)
@@ -162,7 +149,7 @@ def _term(term: _Value) -> ObservationTerm:
         raise state.refuse("name it")
     listed = index.value if isinstance(index.value, (list, tuple)) else [index.value]
     for place in () if index.value is None else listed:
-        if not _is_whole(place, 0):
+        if not is_whole(place, 0):
             raise index.fail(f"has {place!r}; give whole numbers from 0")
     taken = subtract.value
     if isinstance(taken, str):
@@ -170,7 +157,7 @@ def _term(term: _Value) -> ObservationTerm:
             raise subtract.refuse("known: default_joint_pos, or numbers")
     elif taken is not None:
         taken = subtract.finite()
-    if not _is_whole(history.value, 1):
+    if not is_whole(history.value, 1):
         raise history.refuse("give a whole number from 1")
     return ObservationTerm(
         term.value["name"],
@@ -180,6 +167,7 @@ def _term(term: _Value) -> ObservationTerm:
         np.ones(1, np.float32) if scale.value is None else scale.vector(-SCALE, SCALE),
         term.at("clip").clip(),
         history.value,
+        filter_spec(term.at("filter"), period, "first"),
     )
 
 
@@ -206,142 +194,37 @@ def _phase(phase: _Value) -> PhaseSpec | None:
     if phase.value is None:
         return None
     offsets = phase.mapping(_PHASE).at("offsets", [0.0, np.pi]).finite()
-    stand = phase.at("stand")
     return PhaseSpec(
         phase.at("period").positive("the gait's period in [s]"),
         tuple(float(offset) for offset in offsets),
-        None if stand.value is None else float(stand.numbers()[0]),
-        float(phase.at("stand_below", 0.01).numbers()[0]),
+        _stand(phase.at("stand")),
+        _threshold(phase.at("stand_below", 0.01)),
         str(phase.at("command", "velocity_command").value),
+        _resume(phase),
     )
 
 
-def _is_whole(value: object, least: int) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and value >= least
+def _stand(stand: _Value) -> Any:
+    if isinstance(stand.value, str):
+        if stand.value not in ("freeze", "zero"):
+            raise stand.refuse("give a phase in [rad], freeze or zero")
+        return stand.value
+    return None if stand.value is None else stand.single()
 
 
-@dataclass(frozen=True)
-class _Value:
-    """A value of the facts and its place; every check raises PolicyError with that place."""
+def _threshold(below: _Value) -> float:
+    number = below.single()
+    if not number > 0.0:
+        raise below.refuse("give a speed above 0 in [m/s] and [rad/s]: no command is below it")
+    return number
 
-    facts: Facts
-    where: Where
-    value: Any
 
-    def part(self, key: str | int, value: Any) -> _Value:
-        return _Value(self.facts, (*self.where, key), value)
-
-    def at(self, key: str | int, default: Any = None) -> _Value:
-        """What stands under a key of a mapping, or at a place of a list."""
-        value = self.value[key] if isinstance(key, int) else self.value.get(key, default)
-        return self.part(key, value)
-
-    def fail(self, rest: str) -> PolicyError:
-        return self.facts.error(self.where, f"{dotted(self.where)} {rest}")
-
-    def refuse(self, remedy: str) -> PolicyError:
-        return self.fail(f"is {self.value!r}; {remedy}")
-
-    def mapping(self, known: tuple[str, ...]) -> _Value:
-        """Itself, checked: a mapping of known keys."""
-        for key in self.entries():
-            if key not in known:
-                inside = f" in {dotted(self.where)}" if self.where else ""
-                raise self.facts.error(
-                    (*self.where, key),
-                    f"unknown key {key!r}{inside}; {alternatives(str(key), known)}",
-                )
-        return self
-
-    def entries(self) -> Mapping[str, Any]:
-        if not isinstance(self.value, Mapping):
-            raise self.refuse("give a mapping")
-        return self.value
-
-    def choice(self, key: str, *known: str) -> Any:
-        """The word under a key; the first known one where it is not said."""
-        word = self.at(key, known[0])
-        if word.value not in known:
-            raise word.refuse(f"known: {', '.join(known)}")
-        return word.value
-
-    def names(self) -> tuple[str, ...]:
-        value = self.value
-        if not isinstance(value, (list, tuple)) or not all(isinstance(v, str) for v in value):
-            raise self.refuse("give a list of joint names")
-        if not value:
-            raise self.fail("is empty; name at least one joint")
-        for name in value:
-            if value.count(name) > 1:
-                raise self.facts.error(
-                    self.where,
-                    f"joint {name!r} stands twice in {dotted(self.where)}; name each joint once",
-                )
-        return tuple(value)
-
-    def positive(self, what: str) -> float:
-        value = self.value
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value < 1e6:
-            raise self.refuse(f"give {what}, above 0")
-        return float(value)
-
-    def numbers(self) -> NDArray[np.float32]:
-        """One number or a list of numbers, as float32 of shape (k,)."""
-        value = self.value
-        listed = list(value) if isinstance(value, (list, tuple, np.ndarray)) else [value]
-        for i, item in enumerate(listed):
-            number = self.part(i, item) if len(listed) > 1 else _Value(self.facts, self.where, item)
-            if isinstance(item, bool) or not isinstance(item, (int, float, np.number)):
-                raise number.refuse("give a number")
-            if np.isnan(float(item)):
-                raise number.fail("is nan; give a number")
-        if not listed:
-            raise self.fail("is empty; give one number or a list")
-        array = np.array(listed, dtype=np.float32)
-        array.flags.writeable = False
-        return array
-
-    def finite(self) -> NDArray[np.float32]:
-        array = self.numbers()
-        bad = np.flatnonzero(~np.isfinite(array))
-        if bad.size:
-            number = self.part(int(bad[0]), None) if array.size > 1 else self
-            raise number.fail(f"is {array[bad[0]]}; give a finite number")
-        return array
-
-    def vector(
-        self, lowest: float, highest: float, count: int | None = None
-    ) -> NDArray[np.float32]:
-        """Numbers within bounds; with a count one for each joint, or one for all of them."""
-        array = self.finite()
-        if count is not None and array.size == 1:
-            array = np.full(count, array[0], np.float32)
-        if count is not None and array.size != count:
-            raise self.fail(
-                f"has {array.size} values for {count} joints; give one for each joint in policy "
-                "order"
-            )
-        bad = np.flatnonzero((array < lowest) | (array > np.float32(highest)))
-        if bad.size:
-            i = int(bad[0])
-            bound = f"at least {lowest:g}" if array[i] < lowest else f"at most {highest:g}"
-            raise self.part(i, None).fail(f"is {array[i]}; it must be {bound}")
-        return array
-
-    def clip(self, count: int | None = None) -> NDArray[np.float32] | None:
-        """`[lowest, highest]`, each one number or a list; shape (2, 1) or (2, count)."""
-        if self.value is None:
-            return None
-        if not isinstance(self.value, (list, tuple)) or len(self.value) != 2:
-            raise self.refuse("give [lowest, highest] or null")
-        sides = [self.at(i).numbers() for i in range(2)]
-        width = max(side.size for side in sides)
-        for i, side in enumerate(sides):
-            if side.size not in (1, width) or (count is not None and side.size not in (1, count)):
-                raise self.at(i).fail(f"has {side.size} values; give 1 or {count or width}")
-        array = np.stack([np.broadcast_to(side, (width,)) for side in sides])
-        bad = np.flatnonzero(array[0] > array[1])
-        if bad.size:
-            low, high = array[:, bad[0]]
-            raise self.fail(f"is [{low:g}, {high:g}]; the lowest must come first")
-        return array
+def _resume(phase: _Value) -> Any:
+    if phase.value.get("resume") is None:
+        return None
+    if phase.value.get("stand") is None:
+        raise phase.at("resume").fail(
+            "says where the phases go on, and stand: does not say that they stand; add stand: "
+            "a phase in [rad], freeze or zero"
+        )
+    return phase.choice("resume", "offsets", "stand", "clock")

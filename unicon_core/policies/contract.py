@@ -1,8 +1,8 @@
 """PolicyContract: what a trained network leaves unsaid, for the policy block, checks and tables.
 
 The canonical form of `policy.yaml`; every importer ends here. One observation term is
-`scale · clip(state[index] − subtract)`; the command is
-`joint_pos_target = offset + scale · clip(action)`.
+`scale · clip(filter(state[index]) − subtract)`; the command is
+`joint_pos_target = offset + scale · filter(clip(action))`, or a velocity or torque likewise.
 """
 
 from __future__ import annotations
@@ -11,14 +11,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import Literal
+from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 __all__ = [
+    "ActionKind",
     "ActionSpec",
+    "CommandSpec",
     "Feed",
+    "FilterSpec",
     "MotionSpec",
     "NetworkPart",
     "ObservationSpec",
@@ -29,11 +32,36 @@ __all__ = [
 ]
 
 Floats = NDArray[np.float32]
+ActionKind: TypeAlias = Literal["position", "velocity", "torque"]
+
+
+@dataclass(frozen=True)
+class FilterSpec:
+    """A filter over the ticks of a policy; one of the first three is given.
+
+    Attributes:
+        low_pass: cut-off frequency of a first-order low pass in [Hz].
+        alpha: the same by the weight of the newest sample, above 0 and at most 1.
+        moving_average: number of samples whose mean is taken, at least 2.
+        start: what it has seen before its first sample: the `first` one, or `zeros`.
+    """
+
+    low_pass: float | None = None
+    alpha: float | None = None
+    moving_average: int | None = None
+    start: Literal["first", "zeros"] = "first"
+
+    def __str__(self) -> str:
+        if self.moving_average is not None:
+            return f"mean of {self.moving_average}"
+        if self.low_pass is not None:
+            return f"low pass {self.low_pass:g} Hz"
+        return f"low pass, alpha {self.alpha:g}"
 
 
 @dataclass(frozen=True, eq=False)
 class ObservationTerm:
-    """A part of the network's input: `scale · clip(state[index] − subtract)`.
+    """A part of the network's input: `scale · clip(filter(state[index]) − subtract)`.
 
     Attributes:
         name: the training side's name.
@@ -44,6 +72,7 @@ class ObservationTerm:
         scale: factor after clipping, shape (1,) or (d,).
         clip: lowest and highest value before scaling, shape (2, 1) or (2, d), or None.
         history: number of frames that the network sees, at least 1.
+        filter: of the state's elements, before anything else; or None.
     """
 
     name: str
@@ -53,6 +82,7 @@ class ObservationTerm:
     scale: Floats = field(default_factory=lambda: np.ones(1, np.float32))
     clip: Floats | None = None
     history: int = 1
+    filter: FilterSpec | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,22 +104,43 @@ class ObservationSpec:
 
 @dataclass(frozen=True, eq=False)
 class ActionSpec:
-    """What the network's output means: `joint_pos_target = offset + scale · clip(action)`.
+    """What the network's output means: `target = offset + scale · filter(clip(action))`.
 
     Attributes:
         joints: the joints that are moved, in output order; a subset of the policy's joints.
-        scale: in [rad] for one unit of action, shape (m,).
-        offset: in [rad], shape (m,).
+        scale: for one unit of action, shape (m,), in the unit of each joint's kind.
+        offset: in the same units, shape (m,).
         clip: lowest and highest action, shape (2, m), or None.
         feedback: what the state `action`, and so the term `last_action`, holds: the network's
-            `raw` output or the `clipped` one.
+            `raw` output, the `clipped` one, or the `filtered` one, which was clipped before.
+        kinds: what each joint is given: a `position` in [rad], a `velocity` in [rad/s] or a
+            `torque` in [N·m]; empty where all are positions.
+        filter: of the clipped action, or None.
     """
 
     joints: tuple[str, ...]
     scale: Floats
     offset: Floats
     clip: Floats | None = None
-    feedback: Literal["raw", "clipped"] = "raw"
+    feedback: Literal["raw", "clipped", "filtered"] = "raw"
+    kinds: tuple[ActionKind, ...] = ()
+    filter: FilterSpec | None = None
+
+    def of_kind(self, kind: ActionKind) -> NDArray[np.bool_]:
+        """Return which joints are given this kind of target, shape (m,)."""
+        kinds = self.kinds or ("position",) * len(self.joints)
+        return np.array([each == kind for each in kinds], np.bool_)
+
+
+@dataclass(frozen=True)
+class CommandSpec:
+    """The velocity command as the policy and its gait clock see it.
+
+    Attributes:
+        slew: largest change of vx, vy, wz in [m/s², m/s², rad/s²]; infinite for any.
+    """
+
+    slew: tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -141,16 +192,21 @@ class PhaseSpec:
     Attributes:
         period: of the gait in [s].
         offsets: start of each phase in [rad], such as (0, π) for two legs.
-        stand: value of all phases while the command is zero in [rad], or None to keep running.
+        stand: what the phases are while the command is zero: a value of all of them in [rad],
+            `freeze` where they are, or `zero`, where sine and cosine are both 0; None: they run on.
         stand_below: the command counts as zero below this ([m/s] and [rad/s]).
         command: state with vx, vy, wz.
+        resume: where they go on once the command is no longer zero: at the `offsets`, from where
+            they `stand`, or where the `clock` is, which ran on meanwhile; None: the usual one of
+            `stand`, which are these in turn for a value, `freeze` and `zero`.
     """
 
     period: float
     offsets: tuple[float, ...] = (0.0, float(np.pi))
-    stand: float | None = None
+    stand: float | Literal["freeze", "zero"] | None = None
     stand_below: float = 0.01
     command: str = "velocity_command"
+    resume: Literal["offsets", "stand", "clock"] | None = None
 
 
 @dataclass(frozen=True)
@@ -202,6 +258,7 @@ class PolicyContract:
         recurrent: state tensors that are fed back.
         command_ranges: `lin_vel_x`, … -> lowest and highest trained command.
         phase: the gait clock, or None.
+        command: how fast the velocity command may change that it sees, or None.
         motion: what it follows, or None.
         robot: the robot it was trained for, for information.
         sha256: of the network's file, or None.
@@ -229,6 +286,7 @@ class PolicyContract:
         default_factory=lambda: MappingProxyType({})
     )
     phase: PhaseSpec | None = None
+    command: CommandSpec | None = None
     motion: MotionSpec | None = None
     robot: str | None = None
     sha256: str | None = None

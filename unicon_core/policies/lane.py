@@ -15,6 +15,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from unicon_core.policies.filters import Filter
 from unicon_core.policies.networks import Remembering
 from unicon_core.policies.observation import Observation, nothing
 
@@ -74,6 +75,7 @@ class Lane:
         self._obs_finite = finite_check(self.obs)
         self.action_finite = finite_check(self.action)
         self._steps = self.first_step = 0.0
+        self._smooth: Filter | None = None
         # What has neither inputs nor a memory skips them: what only the tick runs is cold then.
         only = not self.inputs
         self.assemble = self._write if only else self._assemble
@@ -108,6 +110,17 @@ class Lane:
             run.commit()
         self._steps += 1.0
 
+    def behind(self, smooth: Filter) -> None:
+        """Let a filter of the action go on with `advance`, and forget with `reset`."""
+        advance, self._smooth = self.advance, smooth
+
+        def go_on(warm_up: bool = False) -> None:
+            advance(warm_up)
+            if not warm_up:
+                smooth.advance()
+
+        self.advance = go_on
+
     def at_step(self, step: float) -> None:
         """Run the network on a zero observation at a step of its motion; nothing is kept of it."""
         self.obs[...] = 0.0
@@ -134,6 +147,8 @@ class Lane:
             target[...] = 0
         for run in self._remembering:
             run.reset()
+        if self._smooth is not None:
+            self._smooth.reset()
         self.action[...] = 0.0
         self._steps = self.first_step
 

@@ -1,19 +1,21 @@
 """The observation as one gather over the packed state buffer, for the policy block.
 
-Per call: one `take` of every element of every term, one subtraction, one clip and one scaling, each
-skipped where it changes nothing; then, with a history, one copy into a ring and one `take` that
-lays out the window. Nothing is looped over terms.
+Per call: one `take` of every element of every term, the filters of terms that have some, then one
+subtraction, one clip and one scaling, each skipped where it changes nothing; then, with a history,
+one copy into a ring and one `take` that lays out the window. Nothing else is looped over terms.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.policies.contract import ObservationSpec, PolicyContract
+from unicon_core.policies.filters import make_filter
 from unicon_core.policies.prefixed import PackedStates
 from unicon_core.policies.terms import TermSlice, term_slices
 
@@ -85,6 +87,12 @@ class Observation:
         self._history = max((part.term.history for part in self.slices), default=1)
         self._zeros = spec.start == "zeros"
         self._fresh = True
+        # Columns of a frame and the filter of them.
+        self._filters = tuple(
+            (slice(p.start, p.stop), make_filter(f, (rows, p.elements.size), contract.period))
+            for p in self.slices
+            if (f := p.term.filter) is not None
+        )
         if self._history > 1:
             self._make_ring(spec, rows)
 
@@ -127,6 +135,8 @@ class Observation:
     def reset(self) -> None:
         """Forget the history: the next call fills it with its own frame, or leaves zeros."""
         self._fresh = True
+        for _, each in self._filters:
+            each.reset()
 
     def bind(self, out: Floats) -> Callable[[], None]:
         """Return a function that writes the observation of a tick to `out`.
@@ -135,7 +145,7 @@ class Observation:
             out: contiguous, shape (num_robots or 1, size).
         """
         write, advance = self.bind_parts(out)
-        if self._history == 1:
+        if advance is nothing:
             return write
 
         def both() -> None:
@@ -156,7 +166,7 @@ class Observation:
         flat = out.reshape(-1)
         assemble = self._assembler()
         if self._history == 1:
-            return partial(assemble, flat), nothing
+            return partial(assemble, flat), self._filters_on if self._filters else nothing
         index = self._window_index.reshape(-1)
 
         def write() -> None:
@@ -174,16 +184,26 @@ class Observation:
             self._head = head if head < self._history else 0
             self._fresh = False
 
-        return write, advance
+        def both() -> None:
+            advance()
+            self._filters_on()
+
+        return write, both if self._filters else advance
+
+    def _filters_on(self) -> None:
+        for _, each in self._filters:
+            each.advance()
 
     def _assembler(self) -> Callable[[Floats], None]:
         """Return the straight-line function that writes one frame to a flat array."""
         # mode "clip": the indices are known to fit, and "raise" would go through a buffer.
-        take, index = self._buffer.take, self._index.reshape(-1)
+        take: Any = self._buffer.take
+        index = self._index.reshape(-1)
         minus, scale, clip = self._subtract, self._scale, self._clip
         subtract, multiply = np.subtract, np.multiply
-
-        if clip is None and minus is not None and scale is not None:
+        if self._filters:
+            take = self._filtered
+        elif clip is None and minus is not None and scale is not None:
 
             def usual(out: Floats) -> None:
                 take(index, None, out, "clip")
@@ -192,7 +212,7 @@ class Observation:
 
             return usual
 
-        if clip is not None and clip[1].size == index.size:
+        elif clip is not None and clip[1].size == index.size:
             _, low, high = clip
             maximum, minimum = np.maximum, np.minimum
 
@@ -220,6 +240,13 @@ class Observation:
                 multiply(out, scale, out)
 
         return general
+
+    def _filtered(self, index: NDArray[np.intp], _: None, out: Floats, mode: Any) -> None:
+        """Take a frame and filter it."""
+        self._buffer.take(index, None, out, mode)
+        frame = out.reshape(self.shape[0], -1)
+        for columns, each in self._filters:
+            each(frame[:, columns])
 
     def place_of(self, position: int) -> str:
         """Return what stands at a place of the observation, for messages.

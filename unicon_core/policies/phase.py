@@ -4,12 +4,16 @@ From amazon-far/holosoma, `holosoma_inference/policies/locomotion.py` and `base.
 inference every phase φ advances by 2π · dt / period and is wrapped as fmod(φ + π, 2π) − π; two legs
 start at 0 and π; while the command is zero (|v_xy| and |w_z| below 0.01) both stand at π, and when
 it is no longer zero they start over from 0 and π.
+From google-deepmind/mujoco_playground, joystick tasks: both stand at π, and go on from there.
 From unitreerobotics/unitree_rl_lab, `mdp/observations.h`: one phase, no standing, [sin, cos].
+From BoosterRobotics/booster_gym, T1: one phase, fmod(time · frequency, 1); while the command is
+zero, sine and cosine are 0; the time runs on meanwhile in deployment, and stands in training.
 """
 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from unicon_core.errors import PolicyError
 from unicon_core.policies.contract import PhaseSpec
@@ -55,6 +59,11 @@ class GaitPhase:
         )
         self._stand = spec.stand
         self._below = spec.stand_below
+        usual = {"freeze": "stand", "zero": "clock"}.get(str(spec.stand), "offsets")
+        self._resume = spec.resume or usual
+        # The clock that runs on while the phases stand; the phases themselves where none does.
+        runs_on = spec.stand is not None and self._resume == "clock"
+        self._clock = self.phase.copy() if runs_on else self.phase
         self._standing = np.zeros(rows, bool)
         if spec.stand is not None:
             if spec.command not in states or states[spec.command].size != rows * 3:
@@ -67,28 +76,36 @@ class GaitPhase:
 
     def reset(self) -> None:
         """Start all phases at their offsets."""
-        self.phase[...] = self._start
+        self.phase[...] = self._clock[...] = self._start
         self._standing[...] = False
 
     def __call__(self) -> None:
         """Advance by one control period and write the states."""
-        phase = self.phase
-        phase += self._step + np.pi
-        np.fmod(phase, 2.0 * np.pi, out=phase)
-        phase -= np.pi
-        if self._stand is not None:
-            command = self._command
-            still = (np.hypot(command[:, 0], command[:, 1]) < self._below) & (
-                np.abs(command[:, 2]) < self._below
-            )
-            again = self._standing & ~still
-            if again.any():
-                phase[again] = self._start[again]
-            if still.any():
-                phase[still] = self._stand
-            self._standing[...] = still
+        phase, clock = self.phase, self._clock
+        before = None if self._stand is None else phase.copy()
+        clock += self._step + np.pi
+        np.fmod(clock, 2.0 * np.pi, out=clock)
+        clock -= np.pi
+        if before is not None:
+            self._stand_still(before)
         count = phase.shape[1]
         np.sin(phase, out=self._both[:, :count], casting="same_kind")
         np.cos(phase, out=self._both[:, count:], casting="same_kind")
+        if self._stand == "zero":
+            self._both[self._standing] = 0.0
         self._sin[...] = self._both[:, :count]
         self._cos[...] = self._both[:, count:]
+
+    def _stand_still(self, before: NDArray[np.float64]) -> None:
+        """Put the phases of robots without a command where they stand."""
+        phase, command = self.phase, self._command
+        still = (np.hypot(command[:, 0], command[:, 1]) < self._below) & (
+            np.abs(command[:, 2]) < self._below
+        )
+        phase[...] = self._clock
+        again = self._standing & ~still
+        if self._resume == "offsets" and again.any():
+            phase[again] = self._start[again]
+        if still.any():
+            phase[still] = before[still] if isinstance(self._stand, str) else self._stand
+        self._standing[...] = still

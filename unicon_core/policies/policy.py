@@ -10,19 +10,20 @@ from pathlib import Path
 import numpy as np
 
 from unicon_core.errors import Fault, PolicyError
+from unicon_core.policies.access import in_order, own_states, reads_writes
 from unicon_core.policies.action_map import ActionMap
 from unicon_core.policies.bind import Binding
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.motion.follow import own_reference, tracker_of
-from unicon_core.policies.motion.tracker import MotionTracker
 from unicon_core.policies.networks import Network, open_network
 from unicon_core.policies.phase import GaitPhase
-from unicon_core.policies.prefixed import PackedStates, PrefixedStates
+from unicon_core.policies.prefixed import PackedStates
 from unicon_core.robots import Robot
 
 __all__ = ["Policy"]
 
 _TARGETS = ("joint_pos_target", "joint_stiffness", "joint_damping")
+_RATES = ("joint_vel_target", "joint_effort_ff")
 
 
 class Policy:
@@ -31,11 +32,14 @@ class Policy:
     Args:
         contract: the policy.
         states: packed states; `joint_pos_target`, `joint_stiffness` and `joint_damping` are
-            written, `observation` and `action` too where they are declared.
+            written, `observation` and `action` too where they are declared, and
+            `joint_vel_target` and `joint_effort_ff` where its actions are such.
         robot: the robot that is to move; joints are aligned by name.
         prefix: of the policy's own states, as given to `policy_states`.
         network: another one than that of the contract.
         model: the robot's model file, in which a motion's anchor is found.
+        every_target: write `joint_vel_target` and `joint_effort_ff` whatever its actions are: as
+            another policy does, which may have run before.
 
     Attributes:
         name: of the policy.
@@ -60,9 +64,9 @@ class Policy:
         prefix: str = "",
         network: Network | None = None,
         model: Path | None = None,
+        every_target: bool = False,
     ) -> None:
-        if prefix:
-            states = PrefixedStates(states, prefix)
+        states, self.slew = own_states(contract, states, prefix)
         self.name = contract.name
         self.contract = contract
         self.network = open_network(contract) if network is None else network
@@ -71,20 +75,33 @@ class Policy:
         self.lane = Binding(contract, states, robot.joint_names, self.network).lane()
         self.action_map = ActionMap(contract, robot, rows)
         n = robot.num_joints
-        for name in _TARGETS:
+        self.every_target = every_target or not self.action_map.positions_only
+        targets = (*_TARGETS, *_RATES) if self.every_target else _TARGETS
+        for name in targets:
             if name not in states or states[name].size != rows * n:
                 raise PolicyError(
                     f"policy {contract.name}: state {name!r} must hold {n} joints of robot "
                     f"{robot.name}; declare the standard states of this robot"
                 )
-        target, stiffness, damping = (states[name].reshape(rows, n) for name in _TARGETS)
+        target, stiffness, damping, *rates = (states[name].reshape(rows, n) for name in targets)
         computed = np.zeros_like(target)
-        self._command = self.action_map.bind(self.lane.action, computed)
+        velocity, torque = np.zeros_like(target), np.zeros_like(target)
+        smooth = self.action_map.filter
+        if self.action_map.positions_only and smooth is None:
+            self._command = self.action_map.bind(self.lane.action, computed)
+        else:
+            measured = states["joint_pos"].reshape(rows, n)
+            self._command = self.action_map.bind_all(
+                self.lane.action, computed, velocity, torque, measured
+            )
+        if smooth is not None:
+            self.lane.behind(smooth)
         self._published = (
             *self.lane.published,
             (target, computed),
             (stiffness.reshape(-1), np.tile(self.action_map.stiffness, rows)),
             (damping.reshape(-1), np.tile(self.action_map.damping, rows)),
+            *zip(rates, (velocity, torque)),
         )
         # A warm-up does these copies instead, which fetch both sides: what is behind the network
         # costs 17 µs when it is cold, as much as the network.
@@ -98,12 +115,15 @@ class Policy:
         self.phase: GaitPhase | None = None
         if contract.phase is not None and "gait_phase" in states:
             self.phase = GaitPhase(contract.phase, states, contract.period)
+        self._before = in_order(self.slew, self.phase)
         self.model = model
         self.tracker = tracker_of(contract, states, robot, self.lane, model)
         self.endless = self.tracker is None or self.tracker.ticks is None
         self._motion = own_reference(contract, states)
         self._begun = False
-        self.reads, self.writes = _reads_writes(contract, states, self.phase, self.tracker)
+        self.reads, self.writes = reads_writes(
+            contract, states, (self.slew, self.phase, self.tracker), targets
+        )
 
     def __call__(self, warm_up: bool = False) -> bool:
         """Run one tick, or take its path and discard the result.
@@ -116,8 +136,8 @@ class Policy:
         """
         lane = self.lane
         if not warm_up:
-            if self.phase is not None:
-                self.phase()
+            if self._before is not None:
+                self._before()
             if self._motion and not self._begun:
                 # The reference of step 0 is an output of the network: run it once to read it.
                 lane.step_zero()
@@ -156,6 +176,8 @@ class Policy:
         for action in self._actions:
             action[...] = 0.0
         self._begun = False
+        if self.slew is not None:
+            self.slew.reset()
         if self.phase is not None:
             self.phase.reset()
         if self.tracker is not None:
@@ -187,28 +209,3 @@ class Policy:
 
     def _of_robot(self, row: int) -> str:
         return f" of robot {row}" if self._states.num_robots else ""
-
-
-def _reads_writes(
-    contract: PolicyContract,
-    states: PackedStates,
-    phase: GaitPhase | None,
-    tracker: MotionTracker | None,
-) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names as they are declared: what the policy takes from others, and what it writes."""
-    own = [name for name in ("observation", "action") if name in states]
-    own += [] if phase is None else phase.writes
-    own += [name for name in contract.outputs if name in states and name != "action"]
-    own += ["motion_command"] if "motion_command" in states else []
-    own += [] if tracker is None else tracker.writes
-    read = [] if phase is None else list(phase.reads)
-    read += [] if tracker is None else tracker.reads
-    read += [term.state for term in contract.terms if "observation" in contract.inputs]
-    read += [name for name in contract.inputs if name != "observation" and name in states]
-
-    def actual(name: str) -> str:
-        return states.actual(name) if isinstance(states, PrefixedStates) else name
-
-    writes = tuple(dict.fromkeys([*map(actual, own), *_TARGETS]))
-    reads = tuple(name for name in dict.fromkeys(map(actual, read)) if name not in writes)
-    return reads, writes

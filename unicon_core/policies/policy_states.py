@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from math import prod
 
+from unicon_core.policies.command_slew import COMMAND, SLEWED
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.networks.chain import chained_outputs
 from unicon_core.policies.observation import Observation
@@ -106,6 +108,10 @@ def _own_states(contract: PolicyContract) -> dict[str, StateSpec]:
             (len(joints),), names=joints, description="the network's last output, policy order"
         )
     }
+    if contract.command is not None:
+        states[SLEWED] = replace(
+            standard_states(joints)[COMMAND], description="velocity_command as the policy sees it"
+        )
     if contract.phase is not None:
         count = len(contract.phase.offsets)
         states["gait_phase_sin"] = StateSpec((count,), description="sine of the gait phases")

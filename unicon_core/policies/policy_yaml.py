@@ -16,7 +16,12 @@ from numpy.typing import NDArray
 from unicon_core.errors import PolicyError
 from unicon_core.located_yaml import read_yaml
 from unicon_core.policies.build import SCHEMA
-from unicon_core.policies.contract import MotionSpec, ObservationTerm, PolicyContract
+from unicon_core.policies.contract import (
+    FilterSpec,
+    MotionSpec,
+    ObservationTerm,
+    PolicyContract,
+)
 from unicon_core.policies.facts import Facts
 from unicon_core.policies.networks.onnx_file import read_onnx
 from unicon_core.resources import sha256_of
@@ -143,9 +148,11 @@ def contract_values(contract: PolicyContract) -> dict[str, Any]:
         "default_joint_pos": _plain(contract.default_joint_pos),
         "action": _without_none(
             joints=list(action.joints) if action.joints != contract.joints else None,
+            kind=list(action.kinds) or None,
             scale=_plain(action.scale),
             offset=_plain(action.offset),
             clip=None if action.clip is None else _plain(action.clip),
+            filter=_filter(action.filter),
             feedback=action.feedback,
         ),
         "stiffness": _plain(contract.stiffness),
@@ -160,7 +167,8 @@ def contract_values(contract: PolicyContract) -> dict[str, Any]:
         "outputs": dict(contract.outputs) or None,
         "recurrent": [asdict(pair) for pair in contract.recurrent] or None,
         "command_ranges": {k: list(v) for k, v in contract.command_ranges.items()} or None,
-        "phase": phase and asdict(phase) | {"offsets": list(phase.offsets)},
+        "command": contract.command and {"slew": list(contract.command.slew)},
+        "phase": phase and _without_none(**asdict(phase) | {"offsets": list(phase.offsets)}),
         "motion": contract.motion and _motion(contract.motion),
     }
     if not observation.terms:
@@ -193,7 +201,12 @@ def _term(term: ObservationTerm) -> dict[str, Any]:
         scale=None if (term.scale == 1.0).all() else _scalar_or_list(term.scale),
         clip=None if clip is None else [_scalar_or_list(side) for side in clip],
         history=None if term.history == 1 else term.history,
+        filter=_filter(term.filter),
     )
+
+
+def _filter(spec: FilterSpec | None) -> dict[str, Any] | None:
+    return None if spec is None else _without_none(**asdict(spec))
 
 
 def _without_none(**values: Any) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sized
+from collections.abc import Iterator, Mapping, Sized
 from typing import Any, TypeAlias
 
 from numpy.typing import NDArray
@@ -21,15 +21,20 @@ class PrefixedStates:
     Args:
         states: the states of the workflow.
         prefix: such as `walk_`.
+        instead: names that mean another one, before it is prefixed.
     """
 
-    def __init__(self, states: PackedStates, prefix: str) -> None:
+    def __init__(
+        self, states: PackedStates, prefix: str, instead: Mapping[str, str] | None = None
+    ) -> None:
         self._states = states
         self._prefix = prefix
+        self._instead = instead or {}
         self._standard = frozenset(standard_states(["joint"]))
 
     def actual(self, name: str) -> str:
         """Return the name under which a state is declared."""
+        name = self._instead.get(name, name)
         prefixed = f"{self._prefix}{name}"
         return prefixed if name not in self._standard and prefixed in self._states else name
 

@@ -62,15 +62,23 @@ def policy_table(contract: PolicyContract, robot: Robot | None = None) -> str:
     if contract.recurrent:
         lines.append(f"recurrent    {_pairs((r.output, r.input) for r in contract.recurrent)}")
     value = "action" if action.clip is None else "clip(action)"
+    if action.filter is not None:
+        value = f"filter({value})"
     lines.append(
         f"action       target = offset + scale · {value}; last action is the {action.feedback} one"
     )
+    if action.filter is not None:
+        lines.append(f"filter       {action.filter}, begins with {action.filter.start}")
+    if contract.command is not None:
+        slew = ", ".join(f"{rate:g}" for rate in contract.command.slew)
+        lines.append(f"command      changes by at most {slew} [m/s², m/s², rad/s²] (slew)")
     for name, (low, high) in contract.command_ranges.items():
         lines.append(f"command      {name} from {low:g} to {high:g}")
     if contract.phase is not None:
         offsets = ", ".join(f"{offset:.4g}" for offset in contract.phase.offsets)
         stand = contract.phase.stand
-        still = "keeps running" if stand is None else f"stands at {stand:.4g} rad"
+        words = {"None": "keeps running", "freeze": "stands still", "zero": "sine and cosine are 0"}
+        still = words.get(str(stand)) or f"stands at {stand:.4g} rad"
         lines.append(
             f"gait phase   period {contract.phase.period:g} s, offsets {offsets} rad, "
             f"{still} without a command"
@@ -92,7 +100,10 @@ def joint_table(contract: PolicyContract, robot: Robot | None = None) -> str:
     """
     action = contract.action
     place = {} if robot is None else {name: i for i, name in enumerate(robot.joint_names)}
-    head = ["#", "joint", "kp", "kd", "default [rad]", "scale", "offset [rad]", "clip"]
+    unit = "" if action.kinds else " [rad]"
+    head = ["#", "joint", "kp", "kd", "default [rad]", "scale", f"offset{unit}", "clip"]
+    head += ["target"] if action.kinds else []
+    more = ["-"] if action.kinds else []
     rows = [[*head[:2], "robot", *head[2:]] if robot is not None else head]
     for i, name in enumerate(contract.joints):
         row = [str(i), name]
@@ -107,12 +118,13 @@ def joint_table(contract: PolicyContract, robot: Robot | None = None) -> str:
             j = action.joints.index(name)
             clip = "-" if action.clip is None else _range(*action.clip[:, j])
             row += [f"{action.scale[j]:g}", f"{action.offset[j]:g}", clip]
+            row += [action.kinds[j]] if action.kinds else []
         else:
-            row += ["held", "-", "-"]
+            row += ["held", "-", "-", *more]
         rows.append(row)
     own = ["robot's"] * 3
     rows += [
-        ["-", name, str(place[name]), *own, "held", "-", "-"]
+        ["-", name, str(place[name]), *own, "held", "-", "-", *more]
         for name in place
         if name not in contract.joints
     ]
@@ -165,13 +177,16 @@ def observation_table(
     layout = contract.observation
     history = any(part.term.history > 1 for part in slices)
     order = f"{layout.layout}, newest {layout.newest}" if history else "no history"
-    tail = f"{start} values, {order}; term = scale · clip(state − subtract)"
+    filtered = any(part.term.filter is not None for part in slices)
+    state = "filter(state)" if filtered else "state"
+    tail = f"{start} values, {order}; term = scale · clip({state} − subtract)"
     return "\n".join([*aligned(rows), tail])
 
 
 def _source(part: TermSlice) -> str:
     index = part.term.index
-    return part.term.state + ("" if index is None else f"[{','.join(map(str, index))}]")
+    source = part.term.state + ("" if index is None else f"[{','.join(map(str, index))}]")
+    return source if part.term.filter is None else f"{source}, {part.term.filter}"
 
 
 def _values(values: NDArray[np.float32], same: str, neutral: float) -> str:

@@ -177,7 +177,7 @@ def _posture(program: Program) -> str:
     robot, pos = program.robot, program.states["joint_pos"]
     room = np.fmin(pos - robot.lower, robot.upper - pos)  # NaN where no limit is known
     order = np.argsort(np.nan_to_num(room, nan=np.inf))[:NEAREST]
-    named = [f"{robot.joint_names[i]} {room[i]:.2f} rad" for i in order if not np.isnan(room[i])]
+    named = [f"{robot.joint_names[i]} {room[i]:.2f} rad" for i in order if np.isfinite(room[i])]
     return f"nearest to a limit: {', '.join(named)}" if named else ""
 
 

@@ -40,6 +40,7 @@ COMMAND_AXES = ("vx", "vy", "wz")
 IMU_KEYS = ("frame", "position", "quat")
 NOT_NEGATIVE = ("stiffness", "damping")
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_./:+-]*")
+_ENDLESS = ("lower", "upper")
 _NULLABLE = ("imu", "position", "quat", *JOINT_FIELDS)
 LARGEST = {
     **dict.fromkeys(("lower", "upper", "default", "rest"), POSITION),
@@ -163,6 +164,11 @@ def check_joints(located: Located, joints: Any) -> Problems:
         seen.setdefault(name, i)
 
 
+def _endless(joint: dict[str, Any]) -> bool:
+    """Whether a joint says that it turns without end, as a wheel does."""
+    return (joint.get("lower"), joint.get("upper")) == (-math.inf, math.inf)
+
+
 def _joint(located: Located, where: Where, joint: dict[str, Any]) -> Problems:
     def bad(key: str, finding: str) -> UniconError:
         return wrong(located, (*where, key), f"{joint[key]} {finding}")
@@ -170,7 +176,7 @@ def _joint(located: Located, where: Where, joint: dict[str, Any]) -> Problems:
     given: dict[str, float] = {}
     for key in JOINT_FIELDS:
         figure = joint.get(key)
-        if figure is None:
+        if figure is None or (key in _ENDLESS and _endless(joint)):
             continue
         if not _is_finite(figure):
             yield from check_number(located, (*where, key), figure)

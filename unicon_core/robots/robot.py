@@ -53,7 +53,7 @@ class Robot:
     description: str
     manufacturer: str
     kind: str
-    """quadruped, humanoid, hand or arm."""
+    """quadruped, humanoid, wheeled, hand or arm."""
     path: Path
     """The file that it was read from."""
     models: Mapping[str, str]
@@ -63,9 +63,9 @@ class Robot:
     joint_names: tuple[str, ...]
     """The joints in the vendor's motor order; every array below is in this order."""
     lower: NDArray[np.float32]
-    """Smallest allowed position in [rad] ([m] for sliding joints)."""
+    """Smallest allowed position in [rad] ([m] for sliding joints); -inf of a wheel."""
     upper: NDArray[np.float32]
-    """Largest allowed position in [rad]."""
+    """Largest allowed position in [rad]; inf of a wheel."""
     velocity_limit: NDArray[np.float32]
     """Largest allowed speed in [rad/s]."""
     effort_limit: NDArray[np.float32]
@@ -108,6 +108,16 @@ class Robot:
     def walks(self) -> bool:
         """Whether it has feet and a base that floats."""
         return self.kind in ("quadruped", "humanoid")
+
+    @property
+    def floats(self) -> bool:
+        """Whether its base moves about: it walks, or has wheels."""
+        return self.walks or self.kind == "wheeled"
+
+    @property
+    def endless(self) -> NDArray[np.bool_]:
+        """Joints that turn without end, such as wheels, shape (n,)."""
+        return np.isinf(self.lower) & np.isinf(self.upper)
 
     @property
     def position_controlled(self) -> bool:

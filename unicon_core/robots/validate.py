@@ -32,7 +32,7 @@ from unicon_core.robots.robot import JOINT_FIELDS, MODEL_FORMATS
 __all__ = ["COMMANDS", "KINDS", "SCHEMA", "is_overlay", "refuse", "validate", "validate_overlay"]
 
 SCHEMA = "unicon.robot/1"
-KINDS = ("quadruped", "humanoid", "hand", "arm")
+KINDS = ("quadruped", "humanoid", "wheeled", "hand", "arm")
 # position: the vendor closes the loop, so that there are no gains to give.
 COMMANDS = ("position", "torque")
 

@@ -149,7 +149,15 @@ def policy_factory(use: Use, policies: Mapping[str, Any]) -> Callable[..., Any]:
         if contract.motion is not None and not contract.motion.chain:
             with suppress(ModelError):  # told where it is needed
                 model = model_of(context.platform, context.robot)
-        return Policy(contract, context.states, context.robot, prefix=prefix, model=model)
+        others = [each for each in policies.values() if each.action.kinds]
+        return Policy(
+            contract,
+            context.states,
+            context.robot,
+            prefix=prefix,
+            model=model,
+            every_target=bool(others),
+        )
 
     # Annotations are text here; the autowiring evaluates them in this module.
     return policy

@@ -67,7 +67,7 @@ class Camera:
         handle: NDArray[np.int64],
         options: dict[str, Any],
     ) -> None:
-        if not robot.walks:  # its base stands where the model has it
+        if not robot.floats:  # its base stands where the model has it
             self.reads = ("joint_pos", "stamp_ns")
         kind, size = options["kind"], (options["width"], options["height"])
         self.message = frame_message(kind, *size, options["frame_id"])

@@ -120,7 +120,7 @@ def body_of(
 def random_posture(robot: Robot, random: np.random.Generator) -> NDArray[np.float32]:
     """Return joint positions within the limits in [rad], shape (n,); default where unknown."""
     spare = SPARE * (robot.upper - robot.lower)
-    known = ~np.isnan(spare)
+    known = np.isfinite(spare)
     lower = np.where(known, robot.lower + spare, robot.default_joint_pos)
     upper = np.where(known, robot.upper - spare, robot.default_joint_pos)
     return np.nan_to_num(random.uniform(lower, upper)).astype(np.float32)
@@ -134,8 +134,9 @@ class JointsAlone(FakePlatform):
 
     def __init__(self, states: States, robot: Robot, period: float, scene: Scene) -> None:
         super().__init__(states, robot, period, replace(scene, model=None), TIME_CONSTANT)
-        middle = 0.5 * (robot.lower + robot.upper)
-        self._middle = np.where(np.isnan(middle), self._pos, middle)
+        ends = np.stack((robot.lower, robot.upper))
+        known = np.isfinite(ends).all(axis=0)
+        self._middle = np.where(known, 0.5 * ends.sum(axis=0, where=known), self._pos)
         self._sunk = np.float32(-math.expm1(-period / SINKING))
         self._step_most = np.nan_to_num(robot.velocity_limit * np.float32(period), nan=np.inf)
         self._before = self._pos.copy()

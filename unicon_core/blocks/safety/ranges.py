@@ -103,11 +103,13 @@ def command_stop(
     factor = within(factor, "factor", "", 10.0, what=what)
     speed = np.nan_to_num(robot.velocity_limit * factor, nan=VELOCITY)
     effort = np.nan_to_num(robot.effort_limit * factor, nan=EFFORT)
+    # A wheel without stiffness has its own position as target, and that grows and grows.
+    target = np.where(robot.endless, np.float32(UNBOUNDED), np.float32(2.0 * POSITION))
     bounds = dict(
         zip(
             COMMAND_STATES,
             (
-                (-2.0 * POSITION, 2.0 * POSITION),
+                (-target, target),
                 (-speed, speed),
                 (-effort, effort),
                 (0.0, stiffness),

@@ -164,8 +164,8 @@ class Recorder:
         error = velocity - command
         from_start = error[min(round(START / period), max(len(error) - 1, 0)) :]
         squared = (from_start**2).sum(axis=1)
-        rates = np.diff(target, axis=0) / period
-        rate = float(np.sqrt((rates**2).mean())) if len(rates) else 0.0
+        rates = np.diff(target[:, ~robot.endless], axis=0) / period
+        rate = float(np.sqrt((rates**2).mean())) if rates.size else 0.0
         use = np.sqrt((effort**2).mean(axis=0)) / self._effort
         worst = int(np.argmax(use))
         hits = (pos <= robot.lower + AT_LIMIT) | (pos >= robot.upper - AT_LIMIT)

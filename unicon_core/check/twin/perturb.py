@@ -119,7 +119,12 @@ def permuted(contract: PolicyContract, names: Sequence[str]) -> PolicyContract:
 
     clip = None if action.clip is None else action.clip[:, at]
     changed = replace(
-        action, joints=tuple(moved), scale=action.scale[at], offset=action.offset[at], clip=clip
+        action,
+        joints=tuple(moved),
+        scale=action.scale[at],
+        offset=action.offset[at],
+        clip=clip,
+        kinds=tuple(action.kinds[i] for i in at) if action.kinds else (),
     )
     return replace(
         with_terms(contract, map(reordered, contract.terms)),

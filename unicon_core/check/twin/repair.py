@@ -108,6 +108,7 @@ def _actions(
         default = np.array([pose[joint] for joint in contract.joints], np.float32)
         offset = np.array([pose[joint] for joint in action.joints], np.float32)
         if np.isfinite(default).all():
+            offset = np.where(action.of_kind("position"), offset, action.offset)
             moved = replace(action, offset=offset)
             changed = replace(contract, default_joint_pos=default, action=moved)
             yield Change(name, "default_joint_pos", changed)

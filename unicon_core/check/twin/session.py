@@ -200,7 +200,13 @@ class TwinSession:
                 states, network = program.states, policy.network
                 robot, model = program.robot, policy.model
                 running = Policy(
-                    contract, states, robot, prefix=prefix, network=network, model=model
+                    contract,
+                    states,
+                    robot,
+                    prefix=prefix,
+                    network=network,
+                    model=model,
+                    every_target=policy.every_target,
                 )
             tick = counted.setdefault(used, _Counted(running))
             block.tick, block.reset, block.warm_up = tick, running.reset, None

@@ -176,7 +176,8 @@ class Fsa1Wire(ActuatorWire):
         """See `Wire`; target speeds are not sent, since the unit of their field is not known.
 
         Raises:
-            Fault: stiffness without damping is asked for; or the network does not take it.
+            Fault: stiffness without damping is asked for, or a velocity without stiffness; or the
+                network does not take it.
         """
         states, servos = self._states, self._servos
         stiffness, damping = states["joint_stiffness"], states["joint_damping"]
@@ -185,6 +186,12 @@ class Fsa1Wire(ActuatorWire):
             raise Fault(
                 f"fourier: {servos.names[loose[0]]} shall have stiffness without damping, which "
                 "the position loop of FSA v1 cannot; give it a damping above 0"
+            )
+        turned = np.flatnonzero((stiffness <= 0.0) & (states["joint_vel_target"] != 0.0))
+        if len(turned):
+            raise Fault(
+                f"fourier: {servos.names[turned[0]]} shall turn at a velocity without stiffness, "
+                "which the position loop of FSA v1 cannot; command it a position"
             )
         position, speed = servos.gains(stiffness, damping)
         wanted = {
