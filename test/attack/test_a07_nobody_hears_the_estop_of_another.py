@@ -13,7 +13,7 @@ from unicon_ros.bench import domains
 
 ASK = """\
 import random, sys
-random.SystemRandom.sample = lambda *_: [97, 98]
+random.SystemRandom.sample = lambda *_: [97, 98, *range(40, 90)]
 from unicon_ros.bench.domains import free_domain
 print(free_domain(), flush=True)
 sys.stdin.read()

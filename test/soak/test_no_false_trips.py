@@ -24,6 +24,7 @@ def test_a_soak_has_every_safety_block_that_can_see_something() -> None:
         "height_stop",  # likewise
         "rate_limit",  # a policy's steps are as large as it was trained to make them
         "button_stop",  # nobody presses one
+        "velocity_limits",  # for wheels
         "twin_stop",  # needs a `twin:`; test/examples counts its flags in sound runs
     }
 
