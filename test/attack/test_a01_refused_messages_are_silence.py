@@ -54,7 +54,13 @@ def test_a_walking_go2_stops_half_a_second_after_its_driver_sends_only_garbage(
     assert len([warning for warning in run.warnings if "was refused" in warning]) == 1
 
 
-@pytest.mark.parametrize("lie", ["nan joints", "few joints", "nan imu"])
+@pytest.mark.parametrize(
+    "lie",
+    [
+        "nan joints",
+        *(pytest.param(lie, marks=pytest.mark.slow) for lie in ("few joints", "nan imu")),
+    ],
+)
 def test_a_robot_that_sends_only_garbage_is_a_fault(lie: str, tmp_path: Path) -> None:
     with robot(lie, 0.5) as peer:
         run = Run(behind_topics(tmp_path, "finite, tilt_stop")).start()

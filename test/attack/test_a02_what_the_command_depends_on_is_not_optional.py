@@ -21,7 +21,13 @@ pytestmark = [
 TILT = "finite, tilt_stop"
 
 
-@pytest.mark.parametrize("lie", ["no imu", "zero quat", "no orientation"])
+@pytest.mark.parametrize(
+    "lie",
+    [
+        "no orientation",
+        *(pytest.param(lie, marks=pytest.mark.slow) for lie in ("no imu", "zero quat")),
+    ],
+)
 def test_an_optional_imu_that_tells_no_orientation_any_more_is_a_fault(
     lie: str, tmp_path: Path
 ) -> None:
@@ -44,7 +50,7 @@ def test_an_optional_imu_that_tells_no_orientation_any_more_is_a_fault(
 @pytest.mark.parametrize(
     ("lie", "said"),
     [
-        ("no imu", ""),
+        pytest.param("no imu", "", marks=pytest.mark.slow),
         ("zero quat", "the quaternion's norm is 0, not 1"),
         ("no orientation", "orientation_covariance[0] is -1: it has no orientation"),
     ],

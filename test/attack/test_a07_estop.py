@@ -169,7 +169,7 @@ def test_a_press_while_nothing_runs_is_not_lost(
     assert host.interrupt() == 0
 
 
-@pytest.mark.parametrize("kind", ["run", "node"])
+@pytest.mark.parametrize("kind", ["node", pytest.param("run", marks=pytest.mark.slow)])
 def test_a_press_while_it_builds_holds_the_start_off(
     start: Start, caller: Caller, tmp_path: Path, kind: str
 ) -> None:

@@ -304,9 +304,8 @@ def test_names_of_cases_are_unique_and_the_document_has_a_row_for_each() -> None
     assert absent == []
 
 
+@pytest.mark.slow
 @pytest.mark.ros
-@pytest.mark.alone
-@pytest.mark.timeout(300)  # what a busy machine holds up is repeated
 def test_a_handful_of_faults_ends_as_it_must(tmp_path: Path) -> None:
     assert told(tmp_path, "--quick") == {}
 

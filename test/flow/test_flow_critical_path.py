@@ -218,7 +218,7 @@ def run(parts: Any, after: int, move: bool) -> tuple[Any, CriticalPath]:
     return (seen, ended, memory), found
 
 
-@settings(max_examples=1200)
+@settings(max_examples=400)
 @given(described, st.integers(0, 2))
 def test_every_block_sees_the_same_values_as_without_putting_off(parts: Any, after: int) -> None:
     assert run(parts, after, True)[0] == run(parts, after, False)[0]

@@ -174,7 +174,7 @@ def test_a_plain_subscriber_sees_the_sky_above_and_the_floor_below(
 
 
 @pytest.mark.usefixtures("gl")
-@pytest.mark.parametrize("kind", ["depth", "cloud"])
+@pytest.mark.parametrize("kind", ["cloud", pytest.param("depth", marks=pytest.mark.slow)])
 def test_depths_are_where_the_floor_is(
     kind: str, write: Callable[..., Path], viewer: Callable[[str, str], subprocess.Popen[str]]
 ) -> None:

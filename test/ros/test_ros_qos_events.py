@@ -119,6 +119,7 @@ def heard(run_with: Callable[..., Run], twists: Callable[..., Twists]) -> tuple[
     return run, topic, peer
 
 
+@pytest.mark.slow
 def test_a_late_publisher_is_told_once_for_each_episode(heard: tuple[Run, Any, Twists]) -> None:
     run, topic, peer = heard
     assert not told(run, "deadline")

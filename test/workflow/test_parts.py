@@ -162,7 +162,9 @@ def test_silence_can_be_a_fault(tmp_path, build):
         tick(robot)
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+@pytest.mark.parametrize(
+    "number", [signal.SIGKILL, pytest.param(signal.SIGSTOP, marks=pytest.mark.slow)]
+)
 def test_processes_come_and_go(workflow, number):
     robot = start(workflow, "robot")
     until(lambda: any(f.name == f"{NAME}-robot" for f in segments()))

@@ -119,7 +119,9 @@ def test_a_robot_has_what_its_workflow_does_not_list(
     assert simulated.safety_left_out == {}
 
 
-@pytest.mark.parametrize("safety", ["none", {"only": ["finite", "joint_limits"]}])
+@pytest.mark.parametrize(
+    "safety", [pytest.param("none", marks=pytest.mark.slow), {"only": ["finite", "joint_limits"]}]
+)
 def test_what_is_left_out_is_told_at_every_start_and_in_the_report(
     tmp_path: Path, safety: Any, capsys: pytest.CaptureFixture[str]
 ) -> None:
