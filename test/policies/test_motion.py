@@ -183,6 +183,17 @@ def test_it_is_done_with_the_last_frame_and_begins_anew(folder: Path, source: st
         folder, "plain" if source != "outputs" else "telling", motion={**spec, "end": 0.2}
     )
     assert [short() for _ in range(6)] == [False] * 5 + [True]
+    held = policy_of(
+        folder,
+        "plain" if source != "outputs" else "telling",
+        motion={**spec, "end": 0.2, "hold": 0.06},
+    )
+    for _ in range(2):
+        for frame, done in zip([5, 5, 5, 5, 6, 7, 8, 9, 10], [False] * 8 + [True]):
+            assert held() is done
+            shown = held._states["observation"][:4]
+            np.testing.assert_allclose(shown, moved["joint_pos"][frame], atol=1e-6)
+        held.reset()
 
 
 def test_frames_between_are_interpolated_and_velocities_differentiated(folder: Path) -> None:

@@ -18,7 +18,7 @@ pytest.importorskip("onnxruntime", reason="the policies need onnxruntime")
 NOISE = (
     "scene.noise={joint_pos: 0.005, joint_vel: 0.1, base_ang_vel: 0.05, projected_gravity: 0.02}"
 )
-ALONE = ["flow={policy: dance}", "scene.initial_pose=policy:dance", "duration=30.0"]
+ALONE = ["flow={policy: dance}", "scene.initial_pose=policy:dance", "duration=34.0"]
 
 
 def run(overrides: Sequence[str] = ()) -> tuple[Report, Program]:
@@ -34,17 +34,18 @@ def test_the_import_has_at_most_twelve_lines() -> None:
     assert 5 < len(given) <= 12
 
 
-def test_the_dance_stays_upright_for_thirty_seconds(assets: Path) -> None:
-    """With the noise of a robot; the joints follow within 0.2 rad, the torso within 0.15."""
-    program = load_workflow("g1_dance", [*ALONE, NOISE, "policies.dance.given.motion.end=40.0"])
+@pytest.mark.parametrize("noise", [(), (NOISE,)], ids=["ideal", "noise"])
+def test_the_dance_stays_upright_for_thirty_seconds(noise: tuple[str, ...], assets: Path) -> None:
+    """The joints follow within 0.2 rad, the torso within 0.15; beyond the leap at 29 s."""
+    program = load_workflow("g1_dance", [*ALONE, *noise, "policies.dance.given.motion.end=40.0"])
     errors = []
     runner = Runner(program, RunOptions(speed="max"))
     runner.reset()
-    while len(errors) < 1500 and not runner.tick(0):
+    while len(errors) < 1700 and not runner.tick(0):
         errors.append(program.states["dance_motion_error"].copy())
         assert program.states["projected_gravity"][2] < -0.5
     program.close()
-    assert len(errors) == 1500
+    assert len(errors) == 1700
     joints, anchor = np.mean(errors, axis=0)
     assert 0.02 < joints < 0.2
     assert 0.01 < anchor < 0.15
@@ -60,7 +61,7 @@ def test_stand_walk_dance_walk_does_not_fall_in_twenty_seeds(assets: Path) -> No
         assert not report.faults, (seed, report.faults)
         assert not report.fell, seed
         assert report.ended == "done", seed
-        assert report.duration_s == pytest.approx(41.0, abs=0.1)
+        assert report.duration_s == pytest.approx(41.5, abs=0.1)
         assert float(program.states["dance_motion_time"]) == pytest.approx(27.0, abs=0.021)
         assert report.base_displacement_m[0] > 2.0  # both walks
 
@@ -69,7 +70,8 @@ def test_dance_and_return_come_in_without_a_jump(assets: Path) -> None:
     """At each change of policy the targets go on as before, and by far more without the block."""
 
     def jumps(overrides: Sequence[str]) -> list[float]:
-        program = load_workflow("g1_dance", [*overrides, "policies.dance.given.motion.end=0.6"])
+        motion = [f"policies.dance.given.motion.{said}" for said in ("hold=0", "end=0.6")]
+        program = load_workflow("g1_dance", [*overrides, *motion])
         states = program.states
         runner = Runner(program, RunOptions(speed="max"))
         runner.reset()

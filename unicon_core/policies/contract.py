@@ -221,6 +221,8 @@ class MotionSpec:
             robot stands; `none` leaves it in the robot's world.
         start: of what is played of it in [s].
         end: of what is played in [s], or None for all.
+        hold: for so long in [s] the first frame is shown before the motion goes on; those who train
+            with it hold it (amazon-far/holosoma: `freeze_at_timestep_zero_prob`).
         fps: frames in a second of a file, or None: as the file says, 30 of a `.csv`.
         joints: the file's joints in order, `policy`, `robot`, or None: as its format has it.
         chain: joint to axis (`x`, `-y`, …) from the base to the anchor, for a robot without a
@@ -233,6 +235,7 @@ class MotionSpec:
     align: Literal["yaw", "none"] = "yaw"
     start: float = 0.0
     end: float | None = None
+    hold: float = 0.0
     fps: float | None = None
     joints: str | tuple[str, ...] | None = None
     chain: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))

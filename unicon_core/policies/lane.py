@@ -56,6 +56,7 @@ class Lane:
         advance: goes on to the next tick: the history takes the frame, the network's memory is fed
             back; with True, after a warm-up, it does nothing.
         first_step: what an input that counts the calls begins with; see `reset`.
+        held: for so many calls after `step_zero` it stays at that.
     """
 
     observation: Observation | None
@@ -74,7 +75,7 @@ class Lane:
             self._write, self._advance = self.observation.bind_parts(self.obs)
         self._obs_finite = finite_check(self.obs)
         self.action_finite = finite_check(self.action)
-        self._steps = self.first_step = 0.0
+        self._steps = self.first_step = self.held = 0.0
         self._smooth: Filter | None = None
         # What has neither inputs nor a memory skips them: what only the tick runs is cold then.
         only = not self.inputs
@@ -93,7 +94,7 @@ class Lane:
             if item.write is not None:
                 item.write()
             else:
-                item.values[...] = self._steps
+                item.values[...] = max(self._steps, self.first_step)
             if item.cast is not None:
                 np.copyto(item.cast, item.values, casting="unsafe")
 
@@ -134,6 +135,7 @@ class Lane:
         """Run the network at the first step of its motion; its action is dropped."""
         self.at_step(self.first_step)
         self._remember()
+        self._steps -= self.held
         self.action[...] = 0.0
         for view, values in self.published:
             view[...] = values

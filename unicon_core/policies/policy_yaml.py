@@ -185,6 +185,7 @@ def _motion(motion: MotionSpec) -> dict[str, Any]:
         align=motion.align,
         start=motion.start,
         end=motion.end,
+        hold=motion.hold or None,
         fps=motion.fps,
         joints=list(joints) if isinstance(joints, tuple) else joints,
         chain=dict(motion.chain) or None,

@@ -66,6 +66,7 @@ def tracker_of(
             )
     found = _chain(contract, robot, model) if wanted.intersection(_ANCHORED) else None
     lane.first_step = float(round(spec.start / contract.period))
+    lane.held = float(round(spec.hold / contract.period))
     lane.reset()
     length = None
     if spec.end is not None:

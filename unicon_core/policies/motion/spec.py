@@ -15,7 +15,7 @@ from unicon_core.resources import file_beside, find_resource
 
 __all__ = ["AXES", "given_clip", "motion_spec"]
 
-_KEYS = ("anchor_body", "file", "bodies", "align", "start", "end", "fps", "joints", "chain")
+_KEYS = ("anchor_body", "file", "bodies", "align", "start", "end", "hold", "fps", "joints", "chain")
 AXES = {
     "x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0),
     "-x": (-1.0, 0.0, 0.0), "-y": (0.0, -1.0, 0.0), "-z": (0.0, 0.0, -1.0),
@@ -106,6 +106,7 @@ def motion_spec(facts: Facts) -> MotionSpec | None:
         align=align,
         start=start,
         end=end,
+        hold=number("hold", 0.0, LONGEST) or 0.0,
         fps=number("fps", 1.0, 10_000.0),
         joints=joints if isinstance(joints, str) else names("joints") or None,
         chain=MappingProxyType({str(joint): axis for joint, axis in chain.items()}),

@@ -1,9 +1,9 @@
 """The motion that a policy follows, tick by tick: its reference, and the robot compared with it.
 
-In tick k the observation holds the reference of frame k, as in training: BeyondMimic's and mjlab's
-command managers advance before they observe. Where the network itself gives the reference, that is
-what its run of the tick before told (HybridRobotics/motion_tracking_controller
-`src/MotionPolicy.cpp`), and step 0 is run once to begin.
+In tick k, counted from the end of `hold`, the observation holds the reference of frame k, as in
+training: BeyondMimic's and mjlab's command managers advance before they observe. Where the network
+itself gives the reference, that is what its run of the tick before told
+(HybridRobotics/motion_tracking_controller `src/MotionPolicy.cpp`), and step 0 is run once to begin.
 
 The anchor is compared as in HybridRobotics/whole_body_tracking `mdp/observations.py`: the
 reference's pose in the frame of the robot's anchor, its rotation as the first two columns of the
@@ -78,7 +78,9 @@ class MotionTracker:
         assert spec is not None
         self._period, self._start, self._align = contract.period, spec.start, spec.align == "yaw"
         self._clip, self._chain = clip, chain
-        self.ticks, self.done, self._tick = length, False, 0
+        self._hold = hold = round(spec.hold / contract.period)
+        self.ticks = None if length is None else length + hold
+        self.done, self._tick = False, 0
         rows = self._rows = states.num_robots or 1
 
         def view(name: str) -> Array:
@@ -125,7 +127,7 @@ class MotionTracker:
 
     def __call__(self) -> None:
         """Write the reference of this tick, and how the robot stands to it."""
-        tick, clip = self._tick, self._clip
+        tick, clip = max(self._tick - self._hold, 0), self._clip
         pos, vel = self._reference
         if clip is not None:
             frame = min(tick, len(clip.joint_pos) - 1)
@@ -140,7 +142,7 @@ class MotionTracker:
             for row in range(self._rows):
                 self._compare(row, self._chain, *self._pose(row, tick))
             self._begun = True
-        self._tick = tick + 1
+        self._tick += 1
         self.done = self.ticks is not None and self._tick >= self.ticks
 
     def _pose(self, row: int, tick: int) -> tuple[Vector, Quat]:
