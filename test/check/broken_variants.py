@@ -1,8 +1,8 @@
 """Makes broken variants of the assets' policies and of our own, for the tests of `unicon check`.
 
 Each variant is the good workflow with one mistake that people make; `python broken_variants.py DIR`
-writes them all. `culprit` must stand in a finding's culprit or evidence; `twin` says that only a
-run in MuJoCo can show the mistake.
+writes them all. `culprit` must be named by the first finding; `twin` says that only a run in MuJoCo
+can show the mistake.
 """
 
 from __future__ import annotations
@@ -424,7 +424,7 @@ def _listed() -> Iterator[Variant]:
     yield from of(
         "mjlab",
         ("order", "joint order", True, deploy_order),
-        ("names_only", "default_joint_pos", False, deploy_names_only),
+        ("names_only", "joints", False, deploy_names_only),
         ("left_right", "joint order", True, deploy_left_right),
         ("gains_permuted", "stiffness", False, deploy_gains),
         ("gains_swapped", "stiffness and damping", False, deploy_swapped_gains),
@@ -437,12 +437,12 @@ def _listed() -> Iterator[Variant]:
         ("extra_term", "base_lin_vel", False, deploy_extra_term),
         ("terms_order", "base_ang_vel", True, deploy_terms),
         ("no_weights", "policy.onnx.data", False, deploy_no_weights),
-        ("low_effort", "effort", False, low_effort),
+        ("low_effort", "effort of ", False, low_effort),
     )
     yield from of(
         "go1",
         ("order", "joint order", True, given_order),
-        ("names_only", "default_joint_pos", False, given_names_only),
+        ("names_only", "joints", False, given_names_only),
         ("left_right", "joint order", True, given_left_right),
         ("front_rear", "joint order", True, given_front_rear),
         ("gravity", "projected_gravity", True, given_gravity),
@@ -459,7 +459,7 @@ def _listed() -> Iterator[Variant]:
         ("gains_swapped", "stiffness and damping", False, given_swapped_gains),
         ("stiff", "stiffness", False, given_stiff),
         ("metadata_twice", "joint_names", False, metadata_twice),
-        ("low_effort", "effort", False, low_effort),
+        ("low_effort", "effort of ", False, low_effort),
     )
     yield from of(
         "holosoma",
@@ -480,7 +480,7 @@ def _listed() -> Iterator[Variant]:
         ("no_phase", "phase", False, given_no_phase),
         ("absolute", "dof_pos", True, given_absolute),
         ("metadata_twice", "kp", False, metadata_twice),
-        ("low_effort", "effort", False, low_effort),
+        ("low_effort", "effort of ", False, low_effort),
     )
 
     yield from of(
@@ -504,7 +504,7 @@ def _listed() -> Iterator[Variant]:
         ("gains_swapped", "stiffness", False, given_swapped_gains),
         ("stiff", "stiffness", False, given_stiff),
         ("other_network", "sha256", False, other_network),
-        ("low_effort", "effort", False, low_effort),
+        ("low_effort", "effort of ", False, low_effort),
     )
 
 

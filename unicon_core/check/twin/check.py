@@ -99,6 +99,7 @@ class _Twin:
                     suspects.append((policy, broken, measures))
         self.verdict(given)
         if given.stands and (not given.tracks or given.tracking >= POOR):
+            suspects.sort(key=lambda suspect: -suspect[2].score)
             for policy, broken, measures in suspects:
                 # Scales of 1 have been left out by nobody, and who only stands up does so anyhow.
                 policy.find(

@@ -11,16 +11,15 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from unicon_core.check.mirror import mirror_pairs
+from unicon_core.check.order import other_order
 from unicon_core.policies.contract import ObservationTerm, PolicyContract
 from unicon_core.robots import joint_index
 
 __all__ = [
     "Change",
     "exchanged",
-    "other_order",
     "per_joint",
     "permuted",
     "perturbations",
@@ -175,22 +174,6 @@ def _order(contract: PolicyContract, depths: Sequence[int]) -> Change:
         why = "breadth-first and depth-first are the same for these joints"
         return Change(name, culprit, None, why)
     return Change(name, culprit, renamed(contract, names))
-
-
-def other_order(depths: Sequence[int]) -> NDArray[np.intp]:
-    """Return the breadth-first order of joints given depth-first, and the inverse otherwise.
-
-    Isaac Sim lists joints breadth-first (all hips, then all knees), MuJoCo and the vendors
-    depth-first (leg by leg).
-
-    Args:
-        depths: in the kinematic tree, in the given order, shape (n,).
-    """
-    order = np.argsort(np.asarray(depths), kind="stable")
-    if (np.diff(depths) >= 0).all():  # breadth-first already: back to a limb at a time
-        count = max(1, int((np.asarray(depths) == depths[0]).sum()))
-        order = np.concatenate([np.arange(limb, len(depths), count) for limb in range(count)])
-    return order.astype(np.intp)
 
 
 def _gains(contract: PolicyContract, depths: Sequence[int]) -> Change:

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from unicon_core.check.mirror import mirror_pairs
+from unicon_core.check.order import joint_orders, other_order
 from unicon_core.check.twin.perturb import (
     Change,
     exchanged,
-    other_order,
     per_joint,
     permuted,
     perturbations,
@@ -53,15 +53,7 @@ def repairs(
 
 def _orders(contract: PolicyContract, robot: Robot, depths: Sequence[int]) -> Iterator[Change]:
     joints, culprit = contract.joints, "joint order"
-    limb_by_limb = [name for name in robot.joint_names if name in joints]
-    by_depth = dict(zip(joints, depths))
-    orders = {
-        "the joint order of the other kind of simulator": [
-            joints[i] for i in np.argsort(other_order(depths))
-        ],
-        "the robot's joint order": limb_by_limb,
-        "a breadth-first joint order": sorted(limb_by_limb, key=lambda name: by_depth[name]),
-        "the reversed joint order": list(joints[::-1]),
+    orders = joint_orders(joints, robot, depths) | {
         "left and right joints exchanged": exchanged(joints, mirror_pairs(joints)),
         "front and rear legs exchanged": _front_and_rear(joints),
     }

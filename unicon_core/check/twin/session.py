@@ -12,11 +12,11 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
+from unicon_core.check.model_facts import joint_depths
 from unicon_core.check.twin.measures import JUDGED, Measures, Recorder
 from unicon_core.errors import Fault, PlatformError, UniconError
 from unicon_core.flow import Block, Stage
 from unicon_core.models.find import model_of
-from unicon_core.models.kinematic_tree import read_tree
 from unicon_core.models.load import load_model
 from unicon_core.platforms.platform import info_of
 from unicon_core.policies import Policy, PolicyContract
@@ -107,13 +107,7 @@ class TwinSession:
 
     def depths(self, joints: Sequence[str]) -> list[int]:
         """Return how many joints are above each joint in the model, shape (n,)."""
-        above: list[int] = []  # of each link
-        found: dict[str, int] = {}
-        for link in read_tree(self._model.model, self.program.robot):
-            count = above[link.parent] if link.parent >= 0 else 0
-            found[link.joint] = count
-            above.append(count + bool(link.joint))
-        return [found[name] for name in joints]
+        return joint_depths(self._model, self.program.robot, joints)
 
     def poses(self) -> dict[str, dict[str, float]]:
         """Return default poses that somebody else names: the robot file's and key frames'."""
