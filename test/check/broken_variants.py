@@ -358,6 +358,25 @@ def given_no_phase(draft: Draft) -> None:
     del draft.given["phase"]
 
 
+def phase_exchanged(draft: Draft) -> None:
+    """The source has the cosines first, and it was taken for sines first."""
+    for term in draft.terms:
+        if term["state"].startswith("gait_phase_"):
+            term["state"] = {"sin": "gait_phase_cos", "cos": "gait_phase_sin"}[term["state"][-3:]]
+
+
+def phase_in_degrees(draft: Draft) -> None:
+    draft.given["phase"]["offsets"] = [0.0, 180.0]
+
+
+def phase_stands_in_degrees(draft: Draft) -> None:
+    draft.given["phase"]["stand"] = 180.0
+
+
+def phase_in_milliseconds(draft: Draft) -> None:
+    draft.given["phase"]["period"] = 1000.0
+
+
 def given_absolute(draft: Draft) -> None:
     term = next(t for t in draft.terms if t["state"] == "joint_pos")
     del term["subtract"]
@@ -479,6 +498,10 @@ def _listed() -> Iterator[Variant]:
         ("training_order", "observation.terms", True, given_training_order),
         ("no_phase", "phase", False, given_no_phase),
         ("absolute", "dof_pos", True, given_absolute),
+        ("phase_exchanged", "order of sines and cosines", True, phase_exchanged),
+        ("phase_in_degrees", "phase.offsets", False, phase_in_degrees),
+        ("phase_stands_in_degrees", "phase.stand", False, phase_stands_in_degrees),
+        ("phase_in_milliseconds", "phase.period", False, phase_in_milliseconds),
         ("metadata_twice", "kp", False, metadata_twice),
         ("low_effort", "effort of ", False, low_effort),
     )

@@ -41,6 +41,7 @@ CODES = {
     "observation.measured": "a term cannot be measured on this platform",
     "observation.frame": "the platform's orientation and gravity contradict each other",
     "timing.period": "the control period is not plausible",
+    "timing.clock": "a phase or the period of the gait clock is in another unit",
     "timing.catch_up": "missed ticks shall be caught up on a robot",
     "timing.trigger": "ticks shall come with data of a platform that cannot tell when they arrive",
     "command.range": "the workflow commands more than the policy was trained for",
@@ -101,6 +102,7 @@ CAUSES = (
     "pose.limits",  # then an action of 0, which is the pose, is outside the limits as well
     "pose.symmetry",
     "timing.period",
+    "timing.clock",
     "observation.frame",
     "observation.scale",
     "observation.clip",

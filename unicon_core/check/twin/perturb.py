@@ -19,6 +19,7 @@ from unicon_core.robots import joint_index
 
 __all__ = [
     "Change",
+    "clock_reordered",
     "exchanged",
     "per_joint",
     "permuted",
@@ -62,6 +63,7 @@ def perturbations(contract: PolicyContract, depths: Sequence[int]) -> list[Chang
         _gravity(contract),
         _order(contract, depths),
         _gains(contract, depths),
+        *([_clock(contract)] if contract.phase is not None else []),
     ]
 
 
@@ -164,6 +166,37 @@ def _gravity(contract: PolicyContract) -> Change:
         for term in contract.terms
     )
     return Change(name, culprit, with_terms(contract, flipped))
+
+
+def clock_reordered(contract: PolicyContract, order: Sequence[int]) -> PolicyContract:
+    """Return the contract with the elements of its gait clock in another order.
+
+    Args:
+        contract: with a clock of k phases.
+        order: which of all sines, then all cosines stands at each place, length 2k.
+    """
+    count = len(order) // 2
+    halves = {"gait_phase": (0, 2 * count), "gait_phase_sin": (0, count)}
+    halves["gait_phase_cos"] = (count, count)
+
+    def reordered(term: ObservationTerm) -> ObservationTerm:
+        if term.state not in halves:
+            return term
+        start, size = halves[term.state]
+        places = range(size) if term.index is None else term.index
+        index = tuple(order[start + i] for i in places)
+        return replace(term, state="gait_phase", index=index)
+
+    return with_terms(contract, map(reordered, contract.terms))
+
+
+def _clock(contract: PolicyContract) -> Change:
+    name, culprit = "sines and cosines of the gait clock exchanged", "order of sines and cosines"
+    count = len(contract.phase.offsets) if contract.phase is not None else 0
+    if not any(term.state.startswith("gait_phase") for term in contract.terms):
+        return Change(name, culprit, None, "no term reads gait_phase")
+    order = [*range(count, 2 * count), *range(count)]
+    return Change(name, culprit, clock_reordered(contract, order))
 
 
 def _order(contract: PolicyContract, depths: Sequence[int]) -> Change:
