@@ -60,6 +60,9 @@ class Draft:
         given: facts of the policy: given in the workflow, or its `policy.yaml` (go2).
         deploy: values of `deploy.yaml` (mjlab only).
         metadata: pairs of the network's metadata to put in, None to leave them (holosoma, go1).
+        leave_out: files of the policy that are lost.
+        effort_factor: by which the robot file's limits are multiplied, None to leave it.
+        model_changes: text of the model's file to other text.
     """
 
     def __init__(self, policy: str, folder: Path, assets: Path) -> None:
@@ -84,6 +87,7 @@ class Draft:
         self.metadata: list[tuple[str, str]] | None = None
         self.leave_out: set[str] = set()
         self.effort_factor: float | None = None
+        self.model_changes: dict[str, str] = {}
 
     @property
     def terms(self) -> list[dict[str, Any]]:
@@ -121,6 +125,8 @@ class Draft:
             network.write_bytes(model.SerializeToString())
         if self.effort_factor is not None:
             self._write_robot(self.effort_factor)
+        if self.model_changes:
+            self._write_model()
         if self.policy == "go2":
             values = dict(self.given)
             values["observation"] = {"terms": values.pop("observation.terms")}
@@ -133,6 +139,18 @@ class Draft:
         path = self.folder / f"{self.program['name']}.yaml"
         path.write_text(yaml.safe_dump(self.program, sort_keys=False), encoding="utf-8")
         return path
+
+    def _write_model(self) -> None:
+        named = self.program["scene"].get("model")
+        path = ROOT / "config" / "models" / "go2" / "go2.xml"
+        if named is not None:
+            path = self.assets / named.removeprefix("assets:")
+        text = path.read_text(encoding="utf-8")
+        for old, new in self.model_changes.items():
+            assert old in text, old
+            text = text.replace(old, new)
+        (self.folder / path.name).write_text(text, encoding="utf-8")
+        self.program["scene"]["model"] = f"./{path.name}"
 
     def _write_robot(self, factor: float) -> None:
         name = self.program["robot"]
@@ -185,6 +203,14 @@ def milliseconds(draft: Draft) -> None:
         draft.deploy["step_dt"] = 20.0
     else:
         draft.given["period"] = 20.0
+
+
+def passive_damping(draft: Draft) -> None:
+    """The model's joints have a multiple of the damping that the motors have besides."""
+    old, new = {"go2": ("0.1", "6"), "go1": ("0.5", "3"), "mjlab": ("0.05", "15")}.get(
+        draft.policy, ("0.05", "8")
+    )
+    draft.model_changes[f'damping="{old}"'] = f'damping="{new}"'
 
 
 # -- Unitree's deploy.yaml -----------------------------------------------------------------------
@@ -456,6 +482,7 @@ def _listed() -> Iterator[Variant]:
         ("extra_term", "base_lin_vel", False, deploy_extra_term),
         ("terms_order", "base_ang_vel", True, deploy_terms),
         ("no_weights", "policy.onnx.data", False, deploy_no_weights),
+        ("passive_damping", "passive damping", True, passive_damping),
         ("low_effort", "effort of ", False, low_effort),
     )
     yield from of(
@@ -478,6 +505,7 @@ def _listed() -> Iterator[Variant]:
         ("gains_swapped", "stiffness and damping", False, given_swapped_gains),
         ("stiff", "stiffness", False, given_stiff),
         ("metadata_twice", "joint_names", False, metadata_twice),
+        ("passive_damping", "passive damping", True, passive_damping),
         ("low_effort", "effort of ", False, low_effort),
     )
     yield from of(
@@ -503,6 +531,7 @@ def _listed() -> Iterator[Variant]:
         ("phase_stands_in_degrees", "phase.stand", False, phase_stands_in_degrees),
         ("phase_in_milliseconds", "phase.period", False, phase_in_milliseconds),
         ("metadata_twice", "kp", False, metadata_twice),
+        ("passive_damping", "passive damping", True, passive_damping),
         ("low_effort", "effort of ", False, low_effort),
     )
 
@@ -527,6 +556,7 @@ def _listed() -> Iterator[Variant]:
         ("gains_swapped", "stiffness", False, given_swapped_gains),
         ("stiff", "stiffness", False, given_stiff),
         ("other_network", "sha256", False, other_network),
+        ("passive_damping", "passive damping", True, passive_damping),
         ("low_effort", "effort of ", False, low_effort),
     )
 

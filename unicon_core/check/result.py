@@ -26,6 +26,7 @@ CODES = {
     "gains.differ": "the policy's gains are not the robot file's (a note)",
     "gains.symmetry": "left and right joints have different gains",
     "gains.damping": "a joint has stiffness but no damping",
+    "gains.passive": "the model's joints damp themselves about as much as the policy does (a note)",
     "gains.stiff": "a joint is at its effort limit within a tenth of a radian",
     "gains.swapped": "damping is greater than stiffness",
     "limits.differ": "robot file and model have other limits (a note)",

@@ -193,7 +193,9 @@ class _Twin:
                 for number, repair in enumerate(
                     repairs(policy.contract, session.program.robot, depths, poses)
                 )
-                if time.monotonic() < until and (session.lifts or not repair.unlimited)
+                if time.monotonic() < until
+                and (session.lifts or not repair.unlimited)
+                and (session.damps or not repair.undamped)
             ]
         tried.sort(key=lambda entry: -entry[0])
         finals = [
@@ -213,8 +215,13 @@ class _Twin:
         return _Mended(policy, repair, measures, len(tried), tuple(others))
 
     def run(self, policy: PolicyResult, change: Change, seconds: float) -> Measures:
-        contract = change.contract
-        return self.session.run(seconds, policy.key, contract, unlimited=change.unlimited)
+        return self.session.run(
+            seconds,
+            policy.key,
+            change.contract,
+            unlimited=change.unlimited,
+            undamped=change.undamped,
+        )
 
     def tables(self, given: Measures) -> None:
         what = f"{self.seconds:g} s of the policy" if self.policies else "the whole flow"

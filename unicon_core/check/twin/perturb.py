@@ -40,6 +40,7 @@ class Change:
         reason: why there is none.
         unlikely: nobody makes this mistake; that a policy bears it is worth a note.
         unlimited: whether limits of effort are lifted.
+        undamped: whether the joints of the model do without their own damping.
     """
 
     name: str
@@ -48,6 +49,7 @@ class Change:
     reason: str = ""
     unlikely: bool = False
     unlimited: bool = False
+    undamped: bool = False
 
 
 def perturbations(contract: PolicyContract, depths: Sequence[int]) -> list[Change]:

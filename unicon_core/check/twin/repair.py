@@ -48,6 +48,7 @@ def repairs(
     yield from (change for change in broken if change.contract is not None)
     yield from _orders(contract, robot, depths)
     yield from _gains(contract, robot, depths)
+    yield Change("passive damping removed", "passive damping of the model", contract, undamped=True)
     yield from _actions(contract, poses)
     yield from _terms(contract)
     yield from clock_repairs(contract)
