@@ -98,6 +98,18 @@ def test_joints_that_damp_themselves_need_no_damping_in_simulation(
     assert "the model's joints damp themselves" in note_of(result, "gains.damping")
     on_hardware = check_workflow(path, ["platform=ros"])
     assert "gains.damping" in codes(on_hardware), on_hardware.text()
+    replaced = check_workflow(path, ["platforms.mujoco.passive=replace"])
+    assert "gains.damping" in codes(replaced), replaced.text()
+
+
+def test_damping_that_counts_twice_is_told_with_its_joints(assets: Path) -> None:
+    result = check_workflow("go1_walk")
+    assert result.clean, result.text()  # it walks all the same
+    note = note_of(result, "gains.passive")
+    assert "12 of 12 joints damp themselves beside the damping of policy 'walk'" in note
+    assert "platforms: {mujoco: {passive: replace}}" in note
+    for changes in (["platforms.mujoco.passive=replace"], ["policies.walk.given.damping=2.0"]):
+        assert "gains.passive" not in [n.code for n in check_workflow("go1_walk", changes).notes]
 
 
 def test_a_policy_that_only_stands_up_is_not_suspect(folder: Path) -> None:

@@ -1,8 +1,8 @@
 """Makes broken variants of the assets' policies and of our own, for the tests of `unicon check`.
 
 Each variant is the good workflow with one mistake that people make; `python broken_variants.py DIR`
-writes them all. `culprit` must stand in a finding's culprit or evidence; `twin` says that only a
-run in MuJoCo can show the mistake.
+writes them all. `culprit` must be named by the first finding; `twin` says that only a run in MuJoCo
+can show the mistake.
 """
 
 from __future__ import annotations
@@ -60,6 +60,9 @@ class Draft:
         given: facts of the policy: given in the workflow, or its `policy.yaml` (go2).
         deploy: values of `deploy.yaml` (mjlab only).
         metadata: pairs of the network's metadata to put in, None to leave them (holosoma, go1).
+        leave_out: files of the policy that are lost.
+        effort_factor: by which the robot file's limits are multiplied, None to leave it.
+        model_changes: text of the model's file to other text.
     """
 
     def __init__(self, policy: str, folder: Path, assets: Path) -> None:
@@ -84,6 +87,7 @@ class Draft:
         self.metadata: list[tuple[str, str]] | None = None
         self.leave_out: set[str] = set()
         self.effort_factor: float | None = None
+        self.model_changes: dict[str, str] = {}
 
     @property
     def terms(self) -> list[dict[str, Any]]:
@@ -121,6 +125,8 @@ class Draft:
             network.write_bytes(model.SerializeToString())
         if self.effort_factor is not None:
             self._write_robot(self.effort_factor)
+        if self.model_changes:
+            self._write_model()
         if self.policy == "go2":
             values = dict(self.given)
             values["observation"] = {"terms": values.pop("observation.terms")}
@@ -133,6 +139,18 @@ class Draft:
         path = self.folder / f"{self.program['name']}.yaml"
         path.write_text(yaml.safe_dump(self.program, sort_keys=False), encoding="utf-8")
         return path
+
+    def _write_model(self) -> None:
+        named = self.program["scene"].get("model")
+        path = ROOT / "config" / "models" / "go2" / "go2.xml"
+        if named is not None:
+            path = self.assets / named.removeprefix("assets:")
+        text = path.read_text(encoding="utf-8")
+        for old, new in self.model_changes.items():
+            assert old in text, old
+            text = text.replace(old, new)
+        (self.folder / path.name).write_text(text, encoding="utf-8")
+        self.program["scene"]["model"] = f"./{path.name}"
 
     def _write_robot(self, factor: float) -> None:
         name = self.program["robot"]
@@ -185,6 +203,14 @@ def milliseconds(draft: Draft) -> None:
         draft.deploy["step_dt"] = 20.0
     else:
         draft.given["period"] = 20.0
+
+
+def passive_damping(draft: Draft) -> None:
+    """The model's joints have a multiple of the damping that the motors have besides."""
+    old, new = {"go2": ("0.1", "6"), "go1": ("0.5", "3"), "mjlab": ("0.05", "15")}.get(
+        draft.policy, ("0.05", "8")
+    )
+    draft.model_changes[f'damping="{old}"'] = f'damping="{new}"'
 
 
 # -- Unitree's deploy.yaml -----------------------------------------------------------------------
@@ -358,6 +384,25 @@ def given_no_phase(draft: Draft) -> None:
     del draft.given["phase"]
 
 
+def phase_exchanged(draft: Draft) -> None:
+    """The source has the cosines first, and it was taken for sines first."""
+    for term in draft.terms:
+        if term["state"].startswith("gait_phase_"):
+            term["state"] = {"sin": "gait_phase_cos", "cos": "gait_phase_sin"}[term["state"][-3:]]
+
+
+def phase_in_degrees(draft: Draft) -> None:
+    draft.given["phase"]["offsets"] = [0.0, 180.0]
+
+
+def phase_stands_in_degrees(draft: Draft) -> None:
+    draft.given["phase"]["stand"] = 180.0
+
+
+def phase_in_milliseconds(draft: Draft) -> None:
+    draft.given["phase"]["period"] = 1000.0
+
+
 def given_absolute(draft: Draft) -> None:
     term = next(t for t in draft.terms if t["state"] == "joint_pos")
     del term["subtract"]
@@ -424,7 +469,7 @@ def _listed() -> Iterator[Variant]:
     yield from of(
         "mjlab",
         ("order", "joint order", True, deploy_order),
-        ("names_only", "default_joint_pos", False, deploy_names_only),
+        ("names_only", "joints", False, deploy_names_only),
         ("left_right", "joint order", True, deploy_left_right),
         ("gains_permuted", "stiffness", False, deploy_gains),
         ("gains_swapped", "stiffness and damping", False, deploy_swapped_gains),
@@ -437,12 +482,13 @@ def _listed() -> Iterator[Variant]:
         ("extra_term", "base_lin_vel", False, deploy_extra_term),
         ("terms_order", "base_ang_vel", True, deploy_terms),
         ("no_weights", "policy.onnx.data", False, deploy_no_weights),
-        ("low_effort", "effort", False, low_effort),
+        ("passive_damping", "passive damping", True, passive_damping),
+        ("low_effort", "effort of ", False, low_effort),
     )
     yield from of(
         "go1",
         ("order", "joint order", True, given_order),
-        ("names_only", "default_joint_pos", False, given_names_only),
+        ("names_only", "joints", False, given_names_only),
         ("left_right", "joint order", True, given_left_right),
         ("front_rear", "joint order", True, given_front_rear),
         ("gravity", "projected_gravity", True, given_gravity),
@@ -459,7 +505,8 @@ def _listed() -> Iterator[Variant]:
         ("gains_swapped", "stiffness and damping", False, given_swapped_gains),
         ("stiff", "stiffness", False, given_stiff),
         ("metadata_twice", "joint_names", False, metadata_twice),
-        ("low_effort", "effort", False, low_effort),
+        ("passive_damping", "passive damping", True, passive_damping),
+        ("low_effort", "effort of ", False, low_effort),
     )
     yield from of(
         "holosoma",
@@ -479,8 +526,13 @@ def _listed() -> Iterator[Variant]:
         ("training_order", "observation.terms", True, given_training_order),
         ("no_phase", "phase", False, given_no_phase),
         ("absolute", "dof_pos", True, given_absolute),
+        ("phase_exchanged", "order of sines and cosines", True, phase_exchanged),
+        ("phase_in_degrees", "phase.offsets", False, phase_in_degrees),
+        ("phase_stands_in_degrees", "phase.stand", False, phase_stands_in_degrees),
+        ("phase_in_milliseconds", "phase.period", False, phase_in_milliseconds),
         ("metadata_twice", "kp", False, metadata_twice),
-        ("low_effort", "effort", False, low_effort),
+        ("passive_damping", "passive damping", True, passive_damping),
+        ("low_effort", "effort of ", False, low_effort),
     )
 
     yield from of(
@@ -504,7 +556,8 @@ def _listed() -> Iterator[Variant]:
         ("gains_swapped", "stiffness", False, given_swapped_gains),
         ("stiff", "stiffness", False, given_stiff),
         ("other_network", "sha256", False, other_network),
-        ("low_effort", "effort", False, low_effort),
+        ("passive_damping", "passive damping", True, passive_damping),
+        ("low_effort", "effort of ", False, low_effort),
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 
@@ -11,11 +12,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from unicon_core.check.mirror import mirror_pairs
-from unicon_core.check.result import CheckResult, Finding, Section
+from unicon_core.check.order import other_order
+from unicon_core.check.result import CAUSES, CODES, CheckResult, Finding, Section
 from unicon_core.check.twin.measures import Recorder
-from unicon_core.check.twin.perturb import other_order, permuted, perturbations, renamed
+from unicon_core.check.twin.perturb import permuted, perturbations, renamed
 from unicon_core.check.twin.repair import repairs
 from unicon_core.policies import ActionSpec, ObservationSpec, ObservationTerm, PolicyContract
+from unicon_core.policies.contract import PhaseSpec
+from unicon_core.policies.observation import Observation
+from unicon_core.policies.phase import GaitPhase
+from unicon_core.policies.policy_states import policy_states
 from unicon_core.robots import load_robot
 from unicon_core.states import States, standard_states
 
@@ -173,6 +179,55 @@ def test_among_the_repairs_is_the_one_that_undoes_each_mistake(number: int) -> N
     assert same
 
 
+def _clocked(terms: dict[str, tuple[int, ...] | None]) -> PolicyContract:
+    read = (
+        ObservationTerm(f"t{i}", state, index) for i, (state, index) in enumerate(terms.items())
+    )
+    spec = ObservationSpec(tuple(read))
+    return replace(contract(), observation=spec, phase=PhaseSpec(0.8, (0.0, 2.0)))
+
+
+def _seen(clocked: PolicyContract) -> list[float]:
+    """The observation after one tick of the clock."""
+    states = States({**standard_states(LEGS), **policy_states(clocked, LEGS)})
+    assert clocked.phase is not None
+    GaitPhase(clocked.phase, states, 0.02)()
+    observation = Observation(clocked, states, LEGS)
+    out = np.zeros(observation.shape, np.float32)
+    observation.bind(out)()
+    return [float(value) for value in out[0]]
+
+
+@pytest.mark.parametrize(
+    "terms",
+    [
+        {"gait_phase": None},
+        {"gait_phase_cos": None, "gait_phase_sin": None},
+        {"gait_phase": (1, 2), "gait_phase_sin": (1,)},
+    ],
+)
+def test_an_exchanged_clock_shows_cosines_where_sines_were(
+    terms: dict[str, tuple[int, ...] | None],
+) -> None:
+    right = _clocked(terms)
+    broken = next(c for c in perturbations(right, DEPTHS) if "sines and cosines" in c.name).contract
+    assert broken is not None
+    angles = np.array((0.0, 2.0)) + 2.0 * np.pi * 0.02 / 0.8
+    both = [*np.sin(angles), *np.cos(angles)]
+    other = dict(zip(np.round(both, 5), [*both[2:], *both[:2]]))
+    assert _seen(broken) == pytest.approx([other[round(x, 5)] for x in _seen(right)], abs=1e-5)
+    names = {repair.name for repair in repairs(broken, load_robot("go2"), DEPTHS, {})}
+    assert "sines and cosines of the gait clock exchanged" in names
+    assert "the gait clock, its period times 2" in names
+
+
+def test_clocks_are_exchanged_only_for_terms_as_wide() -> None:
+    read = _clocked({"gait_phase": None, "gait_phase_sin": None, "base_ang_vel": None})
+    found = [repair.name for repair in repairs(read, load_robot("go2"), DEPTHS, {})]
+    assert not [name for name in found if name.startswith("terms 't0' and")]
+    assert not [name for name in found if name.startswith("terms 't1' and")]
+
+
 def _depths(changed: PolicyContract) -> list[int]:
     known = dict(zip(LEGS, DEPTHS))
     return [known[name] for name in changed.joints]
@@ -314,3 +369,14 @@ def test_the_text_ends_with_the_number_of_findings() -> None:
         result.find("graph", "block 'a'", "wrong", "mend it")
         assert len(result.findings) == count
         assert result.text().endswith(told)
+
+
+def test_what_explains_other_findings_comes_first_and_the_rest_stays() -> None:
+    result = CheckResult("toy")
+    for code in ("gains.stiff", "safety.partial", "pose.start", "pose.feet", "limits.effort"):
+        result.find(code, code, "seen", "mend it")
+    result.sort()
+    order = [finding.code for finding in result.findings]
+    assert order == ["limits.effort", "gains.stiff", "pose.feet", "safety.partial", "pose.start"]
+    assert set(CAUSES) <= set(CODES)
+    assert len(set(CAUSES)) == len(CAUSES)

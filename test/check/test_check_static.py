@@ -290,6 +290,27 @@ def test_a_default_pose_of_one_side_only_is_found(folder: Path) -> None:
     assert "FL_thigh_joint has 1 and FR_thigh_joint has 0.8; bring default_joint_pos" in line
 
 
+def test_names_in_another_order_than_the_figures_are_told_first(folder: Path) -> None:
+    names = [JOINTS[leg * 3 + depth] for depth in range(3) for leg in range(4)]
+    scale = [0.1, 0.25, 0.25] * 4
+    result = check(folder, {"joints": names, "action.scale": scale})
+    first = result.findings[0]
+    assert first.code == "joints.order"
+    assert first.culprit == "policy 'walk', joints (or default_joint_pos, action.scale)"
+    assert "in the joint order of the other kind of simulator (FL_hip_joint, FL_thigh_joint" in (
+        first.evidence
+    )
+    assert {"pose.symmetry", "pose.limits"} <= {*codes(result)[1:]}
+
+
+def test_one_odd_figure_is_no_other_order(folder: Path) -> None:
+    pose = list(STAND)
+    pose[1] += 0.2
+    result = check(folder, {"default_joint_pos": pose})
+    assert codes(result)[0] == "pose.symmetry"
+    assert "joints.order" not in codes(result)
+
+
 def test_a_pose_that_kneels_is_found(folder: Path) -> None:
     pose = [0.0, 3.0, -2.7] * 4  # folded: the knees are below the feet
     line = "\n".join(map(str, check(folder, {"default_joint_pos": pose}).findings))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 from collections.abc import Callable
 from pathlib import Path
@@ -20,6 +21,7 @@ from unicon_core.robots import load_robot, robot_table
 from unicon_core.states import States, standard_states
 from unicon_core.workflow import Program, load_document
 
+CONFIG = Path(__file__).resolve().parents[2] / "config"
 HAS_PYBULLET = importlib.util.find_spec("pybullet") is not None
 
 
@@ -54,6 +56,60 @@ def test_friction_and_armature_stand_in_the_model_by_name() -> None:
     assert platform.model.dof_armature[dofs["RL_calf"]] == 0.05
     assert platform.model.dof_armature[dofs["FR_hip"]] == 0.01
     assert platform.info()["joints"]["friction"][11] == 1.5
+
+
+def swung(platform: Any, states: States) -> float:
+    """Speed of a calf after 0.06 s of 1 N·m in the air, joints limp."""
+    for name in ("joint_stiffness", "joint_damping"):
+        states[name][...] = 0.0
+    states.joint_effort_ff[...] = 0.0
+    states.joint_effort_ff[2] = 1.0
+    for _ in range(3):
+        platform.send()
+    platform.recv()
+    return float(states.joint_vel[2])
+
+
+@pytest.mark.parametrize("engine", ["mujoco", "pybullet"])
+def test_passive_damping_is_kept_or_replaced(engine: str, tmp_path: Path) -> None:
+    if engine == "pybullet" and not HAS_PYBULLET:
+        pytest.skip("pybullet is not installed")
+    model = (CONFIG / "models" / "go2" / "go2.xml").read_text(encoding="utf-8")
+    path = tmp_path / "damped.xml"
+    path.write_text(model.replace('damping="0.1"', 'damping="0.5"'), encoding="utf-8")
+    robot = load_robot("go2")
+    build: Any = importlib.import_module(f"unicon_core.platforms.sim.{engine}.platform").make
+    speeds = {}
+    for word in ("keep", "replace"):
+        states = States(standard_states(robot.joint_names))
+        scene = {"initial_height": 3.0, "model": str(path)}
+        platform = in_scene(build, states, robot, 0.02, passive=word, **scene)
+        assert info_of(platform)["passive"] == word
+        assert platform.passive_damping == pytest.approx(0.5 * (word == "keep"))
+        speeds[word] = swung(platform, states)
+        if word == "keep":
+            platform.reset()
+            with platform.undamped():
+                speeds["undamped"] = swung(platform, states)
+            platform.reset()
+            assert swung(platform, states) == pytest.approx(speeds["keep"], rel=1e-4)
+        platform.close()
+    assert 0.0 < speeds["keep"] < 0.8 * speeds["replace"]
+    assert speeds["undamped"] == pytest.approx(speeds["replace"], rel=1e-4)
+
+
+def test_every_robot_of_a_batch_does_without_passive_damping() -> None:
+    robot = load_robot("go2")
+    states = States(standard_states(robot.joint_names), num_robots=3)
+    platform = in_scene(make, states, robot, 0.02, passive="replace")
+    assert not any(model.dof_damping.any() for model in platform._models)
+    platform.close()
+
+
+def test_passive_is_one_of_two_words() -> None:
+    document = load_document("go2_stand", ["platforms={mujoco: {passive: drop}}"])
+    with pytest.raises(PlatformError, match=r"passive is 'drop'.*keep.*replace"):
+        Program(document)
 
 
 def test_strength_scales_torque_and_limit() -> None:

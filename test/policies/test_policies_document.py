@@ -13,9 +13,10 @@ import yaml
 from policy_helpers import write_linear
 
 from unicon_core.check import CODES, check_workflow
-from unicon_core.policies import PolicyContract, load_policy
+from unicon_core.policies import PolicyContract, load_policy, policy_states, term_slices
 from unicon_core.policies.contract import CommandSpec, FilterSpec
 from unicon_core.robots import load_robot
+from unicon_core.states import States, standard_states
 from unicon_ros.cli.main import main
 
 jsonschema = pytest.importorskip("jsonschema", reason="the robot file is held against its schema")
@@ -75,6 +76,14 @@ def test_what_an_action_and_an_observation_may_be(folder: Path) -> None:
     assert filtered.action.filter == FilterSpec(low_pass=5.0, start="zeros")
     assert filtered.terms[0].filter == FilterSpec(moving_average=3, start="first")
     assert filtered.command == CommandSpec((1.0, 0.5, 2.0))
+    legs = contract("cosines_first.yaml", phase={"period": 1.0})
+    states = States({**standard_states(legs.joints), **policy_states(legs, legs.joints)})
+    names = [part.names for part in term_slices(legs, states, legs.joints)]
+    assert names == [
+        ("cos_0", "cos_1", "sin_0", "sin_1"),
+        ("sin_0", "cos_0", "sin_1", "cos_1"),
+        ("cos_0", "cos_1"),
+    ]
     clock = contract("clock.yaml").phase
     assert clock is not None
     assert (clock.stand, clock.resume, clock.stand_below) == ("zero", "clock", pytest.approx(0.1))

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from unicon_core.check.action_rates import check_rates
+from unicon_core.check.clock import check_clock
 from unicon_core.check.mirror import check_mirrored
 from unicon_core.check.result import CheckResult, PolicyResult
 from unicon_core.check.safety import limits_targets
@@ -169,6 +170,7 @@ def check_timing(subject: Subject, result: CheckResult) -> None:
                 f"{period:g} s ({1.0 / period:g} Hz)",
                 "give the control period in seconds: 0.02 for 50 Hz",
             )
+        check_clock(policy)
     info = info_of(program.platform)
     if "physics_step_s" in info:
         step, often = float(info["physics_step_s"]), f"{info['physics_steps_per_tick']} a tick"

@@ -12,6 +12,7 @@ from unicon_core.check.gains import check_gains, check_limits
 from unicon_core.check.graph import check_blocks
 from unicon_core.check.joints import check_joints
 from unicon_core.check.observation import check_frames, check_observation
+from unicon_core.check.order import check_order
 from unicon_core.check.parts import check_parts
 from unicon_core.check.pose import check_pose
 from unicon_core.check.result import CheckResult
@@ -113,6 +114,7 @@ def static_checks(subject: Subject, result: CheckResult) -> None:
         result: is added to.
     """
     check_joints(subject, result)
+    check_order(subject, result)
     check_gains(subject, result)
     check_limits(subject, result)
     check_observation(subject, result)
@@ -129,6 +131,7 @@ def static_checks(subject: Subject, result: CheckResult) -> None:
         check_frames(subject, result)
         check_files(subject, result)
         check_blocks(subject, result)
+    result.sort()
 
 
 def check_section(document: WorkflowDocument, result: CheckResult) -> dict[str, Any]:

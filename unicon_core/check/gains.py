@@ -12,6 +12,7 @@ from unicon_core.check.mirror import check_mirrored
 from unicon_core.check.model_facts import ModelJoints, model_joints
 from unicon_core.check.result import CheckResult, PolicyResult
 from unicon_core.check.subject import Subject, listed
+from unicon_core.platforms.platform import info_of
 from unicon_core.robots import Robot, joint_index
 
 __all__ = ["check_gains", "check_limits"]
@@ -21,6 +22,8 @@ EFFORT_FACTOR = 3.0
 SOFTEST_LIMIT = 0.1
 """In [rad]: a servo that is at its effort limit within less is on or off. Published contracts have
 0.125 (G1's wrist, 40 N·m/rad and 5 N·m) and more, those of legs 0.4 and more."""
+TWICE = 0.5
+"""Passive damping as a share of the policy's from which it may be that one, counted twice."""
 PASSIVE = 0.01
 """Damping over stiffness in [s] that a model's own joints may stand in for: 0.014 for the Go1 of
 mujoco_playground, 0.02 to 0.06 in contracts that give a damping."""
@@ -34,16 +37,20 @@ def _numbers(values: NDArray[np.floating[Any]]) -> list[str]:
 def check_gains(subject: Subject, result: CheckResult) -> None:
     """Add one table of gains for each policy, and its findings."""
     model = model_joints(subject.model)
+    passive = np.zeros(subject.robot.num_joints)  # that is simulated
+    if model is not None and info_of(subject.program.platform).get("passive") != "replace":
+        passive = model.passive
     for policy in subject.policy_results(result):
         contract = policy.contract
         _table(subject.robot, policy, model)
-        _plausible(subject.robot, policy, model)
+        _plausible(subject.robot, policy, passive)
+        _counted_twice(subject, policy, passive)
         for what, values in (("stiffness", contract.stiffness), ("damping", contract.damping)):
             check_mirrored(policy, "gains.symmetry", what, contract.joints, values)
 
 
 def _table(robot: Robot, policy: PolicyResult, model: ModelJoints | None) -> None:
-    contract, result = policy.contract, policy.result
+    contract = policy.contract
     own = joint_index(contract.joints, robot.joint_names)
     kp, kd = gains = np.array([contract.stiffness, contract.damping], np.float64)
     known = np.array([robot.joint_stiffness[own], robot.joint_damping[own]], np.float64)
@@ -57,7 +64,7 @@ def _table(robot: Robot, policy: PolicyResult, model: ModelJoints | None) -> Non
     marks = ["" if fits else "≠" for fits in same]
     rows = zip(contract.joints, *map(_numbers, columns.values()), marks)
     title = f"Gains of policy {policy.key} [N·m/rad, N·m·s/rad]"
-    result.table(title, ["joint", *columns, ""], rows)
+    policy.result.table(title, ["joint", *columns, ""], rows)
     if not same.all():
         policy.note(
             "gains.differ",
@@ -65,28 +72,37 @@ def _table(robot: Robot, policy: PolicyResult, model: ModelJoints | None) -> Non
             f"gains differ from robot {robot.name}'s at {listed(compress(contract.joints, ~same))}"
             "; the policy's are used",
         )
-    if model is not None:
-        passive = np.flatnonzero((kd > 0.0) & (model.passive[own] >= 0.5 * kd))
-        if passive.size:
-            i = passive[0]
-            result.note(
-                "gains.damping",
-                f"model {model.path}",
-                f"joint {contract.joints[i]} has a passive damping of {model.passive[own][i]:g} "
-                "N·m·s/rad in the model beside the policy's own: damping may count twice in "
-                "simulation",
-            )
 
 
-def _plausible(robot: Robot, policy: PolicyResult, model: ModelJoints | None) -> None:
+def _counted_twice(subject: Subject, policy: PolicyResult, passive: NDArray[np.float64]) -> None:
+    """A model whose joints damp themselves about as much as the policy asks the motors to."""
+    contract, platform = policy.contract, subject.program.platform
+    own = passive[joint_index(contract.joints, subject.robot.joint_names)]
+    twice = np.flatnonzero((contract.damping > 0.0) & (own >= TWICE * contract.damping))
+    if not twice.size:
+        return
+    i = twice[np.argmax(own[twice] / contract.damping[twice])]
+    name = platform.facts.name
+    policy.result.note(
+        "gains.passive",
+        f"passive damping of model {subject.model.path if subject.model else name}",
+        f"{twice.size} of {len(own)} joints damp themselves beside the damping of policy "
+        f"{policy.key!r}: {contract.joints[i]} by {own[i]:g} and {contract.damping[i]:g} "
+        "N·m·s/rad; in simulation both act, on the robot only the policy's",
+        "if the model has the policy's damping as <joint damping>, let the policy's replace it: "
+        f"platforms: {{{name}: {{passive: replace}}}}",
+        subject.document.where("platform"),
+    )
+
+
+def _plausible(robot: Robot, policy: PolicyResult, passive: NDArray[np.float64]) -> None:
     joints, kp, kd = policy.contract.joints, policy.contract.stiffness, policy.contract.damping
     own = joint_index(joints, robot.joint_names)
     bare = np.flatnonzero((kp > 0.0) & (kd <= 0.0))
     if bare.size:
         names = listed(joints[i] for i in bare)
         evidence = f"{names}: stiffness {kp[bare[0]]:g} and damping {kd[bare[0]]:g}"
-        passive = np.zeros(len(own)) if model is None else model.passive[own]
-        if (passive[bare] >= PASSIVE * kp[bare]).all():
+        if (passive[own][bare] >= PASSIVE * kp[bare]).all():
             evidence += "; the model's joints damp themselves, a motor has to be told"
             policy.note("gains.damping", "damping", evidence)
         else:

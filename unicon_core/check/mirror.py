@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from unicon_core.check.result import PolicyResult
 from unicon_core.check.subject import listed
 
-__all__ = ["check_mirrored", "mirror_pairs"]
+__all__ = ["check_mirrored", "mirror_pairs", "odd_pairs"]
 
 ROUNDING = 0.02
 """Relative difference by which mirrored figures may differ (exports round to 3 decimals)."""
@@ -45,6 +45,19 @@ def mirror_pairs(names: Sequence[str]) -> list[tuple[str, str]]:
     return pairs
 
 
+def odd_pairs(
+    joints: Sequence[str], values: NDArray[np.float32], tolerance: float | None = None
+) -> list[tuple[str, str]]:
+    """Return the pairs (left, right) whose values are not the same size; as `check_mirrored`."""
+    sides = dict(zip(joints, map(float, values)))
+    limits = (ROUNDING, 1e-6) if tolerance is None else (0.0, tolerance)
+    return [
+        (left, right)
+        for left, right in mirror_pairs(joints)
+        if not np.isclose(abs(sides[left]), abs(sides[right]), *limits)
+    ]
+
+
 def check_mirrored(
     policy: PolicyResult,
     code: str,
@@ -64,12 +77,7 @@ def check_mirrored(
         tolerance: by which sides may differ; None for `ROUNDING` of the figure.
     """
     sides = dict(zip(joints, map(float, values)))
-    limits = (ROUNDING, 1e-6) if tolerance is None else (0.0, tolerance)
-    odd = [
-        (left, right)
-        for left, right in mirror_pairs(joints)
-        if not np.isclose(abs(sides[left]), abs(sides[right]), *limits)
-    ]
+    odd = odd_pairs(joints, values, tolerance)
     if odd:
         left, right = odd[0]
         more = f" (and {len(odd) - 1} more pairs)" if len(odd) > 1 else ""

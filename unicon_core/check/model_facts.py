@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,9 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.models.joints import drives
+from unicon_core.models.kinematic_tree import read_tree
 from unicon_core.models.loaded import LoadedModel, import_mujoco
+from unicon_core.robots import Robot
 
-__all__ = ["ModelJoints", "model_joints"]
+__all__ = ["ModelJoints", "joint_depths", "model_joints"]
 
 Float = NDArray[np.float64]
 
@@ -60,3 +63,14 @@ def model_joints(loaded: LoadedModel | None) -> ModelJoints | None:
                 torques.append(float(np.abs(model.actuator_ctrlrange[i]).max()) * unit)
             effort[k] = np.fmin(effort[k], min((t for t in torques if t > 0.0), default=np.nan))
     return ModelJoints(loaded.path, lower, upper, effort, kp, kd, passive)
+
+
+def joint_depths(loaded: LoadedModel, robot: Robot, joints: Sequence[str]) -> list[int]:
+    """Return how many joints are above each joint in the model, shape (n,)."""
+    above: list[int] = []  # of each link
+    found: dict[str, int] = {}
+    for link in read_tree(loaded.model, robot):
+        count = above[link.parent] if link.parent >= 0 else 0
+        found[link.joint] = count
+        above.append(count + bool(link.joint))
+    return [found.get(name, 0) for name in joints]

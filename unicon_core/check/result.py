@@ -14,7 +14,7 @@ from unicon_core.errors import UniconError, alternatives
 if TYPE_CHECKING:
     from unicon_core.policies import PolicyContract
 
-__all__ = ["CODES", "FIRM", "CheckResult", "Finding", "PolicyResult", "Section"]
+__all__ = ["CAUSES", "CODES", "FIRM", "CheckResult", "Finding", "PolicyResult", "Section"]
 
 CODES = {
     "build": "the workflow cannot be built",
@@ -22,9 +22,11 @@ CODES = {
     "joints.held": "joints that no policy moves (a note)",
     "joints.welded": "the simulated model lacks joints that no policy moves (a note)",
     "joints.motors": "motor slots do not fit the joints",
+    "joints.order": "the joints are named in another order than the figures have",
     "gains.differ": "the policy's gains are not the robot file's (a note)",
     "gains.symmetry": "left and right joints have different gains",
     "gains.damping": "a joint has stiffness but no damping",
+    "gains.passive": "the model's joints damp themselves about as much as the policy does (a note)",
     "gains.stiff": "a joint is at its effort limit within a tenth of a radian",
     "gains.swapped": "damping is greater than stiffness",
     "limits.differ": "robot file and model have other limits (a note)",
@@ -40,6 +42,7 @@ CODES = {
     "observation.measured": "a term cannot be measured on this platform",
     "observation.frame": "the platform's orientation and gravity contradict each other",
     "timing.period": "the control period is not plausible",
+    "timing.clock": "a phase or the period of the gait clock is in another unit",
     "timing.catch_up": "missed ticks shall be caught up on a robot",
     "timing.trigger": "ticks shall come with data of a platform that cannot tell when they arrive",
     "command.range": "the workflow commands more than the policy was trained for",
@@ -83,6 +86,40 @@ FIRM = (
     "timing.trigger",
 )
 """What a run cannot begin with: nobody can accept it or force it."""
+
+CAUSES = (
+    "check.settings",
+    "build",
+    "graph",
+    "robot.facts",
+    "parts.writers",
+    "parts.published",
+    "parts.silent",
+    "joints.motors",
+    "joints.order",  # then poses, scales and gains are at the wrong joints
+    "limits.effort",  # then gains look too stiff
+    "gains.swapped",
+    "gains.damping",
+    "pose.limits",  # then an action of 0, which is the pose, is outside the limits as well
+    "pose.symmetry",
+    "timing.period",
+    "timing.clock",
+    "observation.frame",
+    "observation.scale",
+    "observation.clip",
+    "observation.measured",
+    "action.scale",  # then the reach of the action is wrong as well
+    "gains.symmetry",
+    "action.symmetry",
+    "action.offset",
+    "gains.stiff",
+    "pose.feet",
+)
+"""What explains other findings, most of them first; what is not named stands behind.
+
+An order of joints that is wrong, for example, also gives poses outside the limits, different sides,
+and feet in the air: whoever reads it shall begin with the order.
+"""
 
 
 @dataclass(frozen=True)
@@ -143,7 +180,7 @@ class CheckResult:
     Attributes:
         workflow: its name.
         subject: robot, platform and file, one line.
-        findings: what fails the check.
+        findings: what fails the check; after the static checks what explains the others is first.
         notes: what does not.
         sections: tables.
         accepted: codes that the workflow accepts.
@@ -211,6 +248,11 @@ class CheckResult:
     ) -> None:
         """Add a table."""
         self.sections.append(Section(title, tuple(columns), tuple(map(tuple, rows)), tuple(lines)))
+
+    def sort(self) -> None:
+        """Bring what explains other findings to the front, else leave the order as it is."""
+        places = {code: place for place, code in enumerate(CAUSES)}
+        self.findings.sort(key=lambda finding: places.get(finding.code, len(CAUSES)))
 
     @property
     def clean(self) -> bool:

@@ -65,7 +65,8 @@ class ObservationTerm:
 
     Attributes:
         name: the training side's name.
-        state: the state that it is taken from; joint states are taken in policy order.
+        state: the state that it is taken from; joint states are taken in policy order, and
+            `gait_phase` is all sines, then all cosines.
         index: elements of the state (for joint states: of the policy order), or None for all.
         subtract: what is taken off before clipping, unit of the state: `"default_joint_pos"`,
             numbers of shape (1,) or (d,), or None.
@@ -187,7 +188,9 @@ class NetworkPart:
 
 @dataclass(frozen=True)
 class PhaseSpec:
-    """The gait clock behind `gait_phase_sin` and `gait_phase_cos`.
+    """The gait clock behind `gait_phase_sin`, `gait_phase_cos` and `gait_phase`.
+
+    With k offsets the first two have k elements, and `gait_phase` has all sines, then all cosines.
 
     Attributes:
         period: of the gait in [s].

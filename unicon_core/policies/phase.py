@@ -1,5 +1,8 @@
 """The gait clock: phases of stepping as sine and cosine states, for policies that read them.
 
+`gait_phase_sin` and `gait_phase_cos` have one element for each phase; `gait_phase` has all sines,
+then all cosines. Sources that have another order take the first two, or an `index`.
+
 From amazon-far/holosoma, `holosoma_inference/policies/locomotion.py` and `base.py`: before each
 inference every phase φ advances by 2π · dt / period and is wrapped as fmod(φ + π, 2π) − π; two legs
 start at 0 and π; while the command is zero (|v_xy| and |w_z| below 0.01) both stand at π, and when

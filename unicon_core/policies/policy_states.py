@@ -113,8 +113,12 @@ def _own_states(contract: PolicyContract) -> dict[str, StateSpec]:
             standard_states(joints)[COMMAND], description="velocity_command as the policy sees it"
         )
     if contract.phase is not None:
-        count = len(contract.phase.offsets)
-        states["gait_phase_sin"] = StateSpec((count,), description="sine of the gait phases")
-        states["gait_phase_cos"] = StateSpec((count,), description="cosine of the gait phases")
-        states["gait_phase"] = StateSpec((2 * count,), description="all sines, then all cosines")
+        count = range(len(contract.phase.offsets))
+        sines, cosines = (tuple(f"{what}_{k}" for k in count) for what in ("sin", "cos"))
+        for name, parts, text in (
+            ("gait_phase_sin", sines, "sines of the gait phases"),
+            ("gait_phase_cos", cosines, "cosines of the gait phases"),
+            ("gait_phase", sines + cosines, "all sines, then all cosines"),
+        ):
+            states[name] = StateSpec((len(parts),), names=parts, description=text)
     return {**states, **_motion_states(contract)}

@@ -96,7 +96,8 @@ def term_slices(
             if max(term.index) >= elements.size:
                 raise PolicyError(
                     f"{label}: index {max(term.index)} of state {term.state!r}, which has "
-                    f"{elements.size} elements; the last is {elements.size - 1}"
+                    f"{elements.size} elements{_order_of(term.state, names)}; the last is "
+                    f"{elements.size - 1}"
                 )
             index = list(term.index)
             elements = elements[index]
@@ -120,6 +121,11 @@ def term_slices(
         )
         start += size
     return tuple(slices)
+
+
+def _order_of(state: str, names: Sequence[str]) -> str:
+    """What stands where in a gait clock, whose order sources do not agree upon."""
+    return f" ({', '.join(names)})" if state.startswith("gait_phase") else ""
 
 
 def _subtract(label: str, term: ObservationTerm, size: int, default: Floats | None) -> Floats:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from unicon_core.check.result import CheckResult, PolicyResult
-from unicon_core.check.subject import on_platform
+from unicon_core.check.subject import listed, on_platform
 from unicon_core.check.twin.measures import Measures
 from unicon_core.check.twin.perturb import Change, perturbations
 from unicon_core.check.twin.repair import repairs
@@ -30,6 +30,8 @@ FOLLOWS = 0.3
 """Tracking below this is a finding even where nothing mends it."""
 MENDED = 0.15
 """By how much a mended contract must do better to be believed."""
+ALIKE = 0.02
+"""Scores within this are alike."""
 _PATIENCE = 40.0  # [s] of wall time for the search
 
 
@@ -67,6 +69,17 @@ def check_twin(
         session.close()
 
 
+@dataclass(frozen=True)
+class _Mended:
+    """The change that helps most; `others` are culprits whose change helps as much."""
+
+    policy: PolicyResult
+    change: Change
+    measures: Measures
+    tried: int
+    others: tuple[str, ...]
+
+
 @dataclass
 class _Twin:
     session: TwinSession
@@ -99,6 +112,7 @@ class _Twin:
                     suspects.append((policy, broken, measures))
         self.verdict(given)
         if given.stands and (not given.tracks or given.tracking >= POOR):
+            suspects.sort(key=lambda suspect: -suspect[2].score)
             for policy, broken, measures in suspects:
                 # Scales of 1 have been left out by nobody, and who only stands up does so anyhow.
                 policy.find(
@@ -138,13 +152,14 @@ class _Twin:
             )
         found = self.mend(given)
         if found is not None:
-            policy, repair, mended, tried = found
+            repair, mended = found.change, found.measures
             self.add(f"mended: {repair.name}", mended)
-            policy.find(
+            also = f"; as well with another {listed(found.others, 2)}" if found.others else ""
+            found.policy.find(
                 code,
                 repair.culprit,
                 f"{what} (score {given.score:.2f}); with {repair.name} it {mended.outcome()} "
-                f"(score {mended.score:.2f}), the best of {tried} changes",
+                f"(score {mended.score:.2f}), the best of {found.tried} changes{also}",
                 f"compare {repair.culprit} with the training side",
             )
         elif not self.policies:
@@ -160,37 +175,53 @@ class _Twin:
         else:
             self.policies[0].note(code, "", what)
 
-    def mend(self, given: Measures) -> tuple[PolicyResult, Change, Measures, int] | None:
+    def mend(self, given: Measures) -> _Mended | None:
         """Return the change under which the policy does best, if it does clearly better.
 
-        All are tried for two seconds and the best few for the whole time.
+        All are tried for two seconds and the best few for the whole time. Of those that do as well
+        as the best one the likeliest is taken: exchanged sines and cosines are also mended by the
+        sign of one of them.
         """
         until = time.monotonic() + _PATIENCE
         session = self.session
-        tried: list[tuple[float, PolicyResult, Change]] = []
+        tried: list[tuple[float, int, PolicyResult, Change]] = []
         poses = session.poses()
         for policy in self.policies:
             depths = session.depths(policy.contract.joints)
             tried += [
-                (self.run(policy, repair, 2.0).score, policy, repair)
-                for repair in repairs(policy.contract, session.program.robot, depths, poses)
-                if time.monotonic() < until and (session.lifts or not repair.unlimited)
+                (self.run(policy, repair, 2.0).score, number, policy, repair)
+                for number, repair in enumerate(
+                    repairs(policy.contract, session.program.robot, depths, poses)
+                )
+                if time.monotonic() < until
+                and (session.lifts or not repair.unlimited)
+                and (session.damps or not repair.undamped)
             ]
-        tried.sort(key=lambda entry: -entry[0])  # stable: the likelier first
-        best: tuple[PolicyResult, Change, Measures] | None = None
-        for _, policy, repair in tried[:10]:
-            measures = self.run(policy, repair, self.seconds)
-            if best is None or measures.score > best[2].score + 0.02:
-                best = policy, repair, measures
-        if best is None or not best[2].stands or best[2].score < given.score + MENDED:
+        tried.sort(key=lambda entry: -entry[0])
+        finals = [
+            (self.run(policy, repair, self.seconds), number, policy, repair)
+            for _, number, policy, repair in tried[:10]
+        ]
+        if not finals:
             return None
-        if best[2].tracks and best[2].tracking < FOLLOWS:
+        best = max(measures.score for measures, *_ in finals)
+        good = sorted((f for f in finals if f[0].score >= best - ALIKE), key=lambda final: final[1])
+        measures, _, policy, repair = good[0]
+        if not measures.stands or measures.score < given.score + MENDED:
             return None
-        return (*best, len(tried))
+        if measures.tracks and measures.tracking < FOLLOWS:
+            return None
+        others = dict.fromkeys(c.culprit for *_, c in good if c.culprit != repair.culprit)
+        return _Mended(policy, repair, measures, len(tried), tuple(others))
 
     def run(self, policy: PolicyResult, change: Change, seconds: float) -> Measures:
-        contract = change.contract
-        return self.session.run(seconds, policy.key, contract, unlimited=change.unlimited)
+        return self.session.run(
+            seconds,
+            policy.key,
+            change.contract,
+            unlimited=change.unlimited,
+            undamped=change.undamped,
+        )
 
     def tables(self, given: Measures) -> None:
         what = f"{self.seconds:g} s of the policy" if self.policies else "the whole flow"

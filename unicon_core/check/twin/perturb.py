@@ -11,16 +11,16 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from unicon_core.check.mirror import mirror_pairs
+from unicon_core.check.order import other_order
 from unicon_core.policies.contract import ObservationTerm, PolicyContract
 from unicon_core.robots import joint_index
 
 __all__ = [
     "Change",
+    "clock_reordered",
     "exchanged",
-    "other_order",
     "per_joint",
     "permuted",
     "perturbations",
@@ -40,6 +40,7 @@ class Change:
         reason: why there is none.
         unlikely: nobody makes this mistake; that a policy bears it is worth a note.
         unlimited: whether limits of effort are lifted.
+        undamped: whether the joints of the model do without their own damping.
     """
 
     name: str
@@ -48,6 +49,7 @@ class Change:
     reason: str = ""
     unlikely: bool = False
     unlimited: bool = False
+    undamped: bool = False
 
 
 def perturbations(contract: PolicyContract, depths: Sequence[int]) -> list[Change]:
@@ -63,6 +65,7 @@ def perturbations(contract: PolicyContract, depths: Sequence[int]) -> list[Chang
         _gravity(contract),
         _order(contract, depths),
         _gains(contract, depths),
+        *([_clock(contract)] if contract.phase is not None else []),
     ]
 
 
@@ -167,6 +170,37 @@ def _gravity(contract: PolicyContract) -> Change:
     return Change(name, culprit, with_terms(contract, flipped))
 
 
+def clock_reordered(contract: PolicyContract, order: Sequence[int]) -> PolicyContract:
+    """Return the contract with the elements of its gait clock in another order.
+
+    Args:
+        contract: with a clock of k phases.
+        order: which of all sines, then all cosines stands at each place, length 2k.
+    """
+    count = len(order) // 2
+    halves = {"gait_phase": (0, 2 * count), "gait_phase_sin": (0, count)}
+    halves["gait_phase_cos"] = (count, count)
+
+    def reordered(term: ObservationTerm) -> ObservationTerm:
+        if term.state not in halves:
+            return term
+        start, size = halves[term.state]
+        places = range(size) if term.index is None else term.index
+        index = tuple(order[start + i] for i in places)
+        return replace(term, state="gait_phase", index=index)
+
+    return with_terms(contract, map(reordered, contract.terms))
+
+
+def _clock(contract: PolicyContract) -> Change:
+    name, culprit = "sines and cosines of the gait clock exchanged", "order of sines and cosines"
+    count = len(contract.phase.offsets) if contract.phase is not None else 0
+    if not any(term.state.startswith("gait_phase") for term in contract.terms):
+        return Change(name, culprit, None, "no term reads gait_phase")
+    order = [*range(count, 2 * count), *range(count)]
+    return Change(name, culprit, clock_reordered(contract, order))
+
+
 def _order(contract: PolicyContract, depths: Sequence[int]) -> Change:
     name, culprit = "joint order of the other kind of simulator", "joint order"
     other = other_order(depths)
@@ -175,22 +209,6 @@ def _order(contract: PolicyContract, depths: Sequence[int]) -> Change:
         why = "breadth-first and depth-first are the same for these joints"
         return Change(name, culprit, None, why)
     return Change(name, culprit, renamed(contract, names))
-
-
-def other_order(depths: Sequence[int]) -> NDArray[np.intp]:
-    """Return the breadth-first order of joints given depth-first, and the inverse otherwise.
-
-    Isaac Sim lists joints breadth-first (all hips, then all knees), MuJoCo and the vendors
-    depth-first (leg by leg).
-
-    Args:
-        depths: in the kinematic tree, in the given order, shape (n,).
-    """
-    order = np.argsort(np.asarray(depths), kind="stable")
-    if (np.diff(depths) >= 0).all():  # breadth-first already: back to a limb at a time
-        count = max(1, int((np.asarray(depths) == depths[0]).sum()))
-        order = np.concatenate([np.arange(limb, len(depths), count) for limb in range(count)])
-    return order.astype(np.intp)
 
 
 def _gains(contract: PolicyContract, depths: Sequence[int]) -> Change:

@@ -10,18 +10,20 @@ from typing import Any
 import numpy as np
 
 from unicon_core.check.mirror import mirror_pairs
+from unicon_core.check.order import joint_orders, other_order
+from unicon_core.check.twin.over_time import clock_repairs
 from unicon_core.check.twin.perturb import (
     Change,
     exchanged,
-    other_order,
-    per_joint,
     permuted,
     perturbations,
     renamed,
     with_terms,
 )
 from unicon_core.policies.contract import ObservationTerm, PolicyContract
+from unicon_core.policies.policy_states import policy_states
 from unicon_core.robots import Robot, joint_index
+from unicon_core.states import standard_states
 
 __all__ = ["repairs"]
 
@@ -46,22 +48,16 @@ def repairs(
     yield from (change for change in broken if change.contract is not None)
     yield from _orders(contract, robot, depths)
     yield from _gains(contract, robot, depths)
+    yield Change("passive damping removed", "passive damping of the model", contract, undamped=True)
     yield from _actions(contract, poses)
     yield from _terms(contract)
+    yield from clock_repairs(contract)
     yield Change("no limits of effort", "effort limits of the robot file", contract, unlimited=True)
 
 
 def _orders(contract: PolicyContract, robot: Robot, depths: Sequence[int]) -> Iterator[Change]:
     joints, culprit = contract.joints, "joint order"
-    limb_by_limb = [name for name in robot.joint_names if name in joints]
-    by_depth = dict(zip(joints, depths))
-    orders = {
-        "the joint order of the other kind of simulator": [
-            joints[i] for i in np.argsort(other_order(depths))
-        ],
-        "the robot's joint order": limb_by_limb,
-        "a breadth-first joint order": sorted(limb_by_limb, key=lambda name: by_depth[name]),
-        "the reversed joint order": list(joints[::-1]),
+    orders = joint_orders(joints, robot, depths) | {
         "left and right joints exchanged": exchanged(joints, mirror_pairs(joints)),
         "front and rear legs exchanged": _front_and_rear(joints),
     }
@@ -122,16 +118,20 @@ def _terms(contract: PolicyContract) -> Iterator[Change]:
         new = (places.get(i, term) for i, term in enumerate(terms))
         return Change(name, f"observation.terms, {part}", with_terms(contract, new))
 
+    own = policy_states(with_terms(contract, ()), contract.joints)
+    sizes = {**standard_states(contract.joints), **own}
+
     def width(term: ObservationTerm) -> int:
+        """Elements of a term, 0 where its state is one of the workflow's own."""
         if term.index is not None:
             return len(term.index)
-        return len(contract.joints) if per_joint(term) else 3
+        return sizes[term.state].size if term.state in sizes else 0
 
     alphabetical = sorted(terms, key=lambda term: term.name)
     if tuple(alphabetical) != terms:  # holosoma sorts its terms by name
         yield changed("terms in alphabetical order", "their order", dict(enumerate(alphabetical)))
     for (i, a), (j, b) in combinations(enumerate(terms), 2):
-        if width(a) == width(b) and a.history == b.history:
+        if 0 < width(a) == width(b) and a.history == b.history:
             both = f"{a.name!r} and {b.name!r}"
             yield changed(f"terms {both} exchanged", f"order of {both}", {i: b, j: a})
     for i, term in enumerate(terms):
@@ -141,8 +141,9 @@ def _terms(contract: PolicyContract) -> Iterator[Change]:
             how = "relative to the default pose" if other else "absolute"
             moved = replace(term, subtract=other)
             yield changed(f"term {name} {how}", f"subtract of {name}", {i: moved})
-        flipped = replace(term, scale=-term.scale)
-        yield changed(f"the other sign of term {name}", f"sign of {name}", {i: flipped})
+        if term.state != "projected_gravity":  # which perturbations turns over
+            flipped = replace(term, scale=-term.scale)
+            yield changed(f"the other sign of term {name}", f"sign of {name}", {i: flipped})
         for factor in _SCALES:
             scaled = replace(term, scale=term.scale * np.float32(factor))
             what = f"the scale of term {name} times {factor:g}"

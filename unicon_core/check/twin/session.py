@@ -11,12 +11,13 @@ from contextlib import AbstractContextManager, nullcontext, suppress
 from typing import Protocol, runtime_checkable
 
 import numpy as np
+from numpy.typing import NDArray
 
+from unicon_core.check.model_facts import joint_depths
 from unicon_core.check.twin.measures import JUDGED, Measures, Recorder
 from unicon_core.errors import Fault, PlatformError, UniconError
 from unicon_core.flow import Block, Stage
 from unicon_core.models.find import model_of
-from unicon_core.models.kinematic_tree import read_tree
 from unicon_core.models.load import load_model
 from unicon_core.platforms.platform import info_of
 from unicon_core.policies import Policy, PolicyContract
@@ -58,6 +59,20 @@ class Unlimited(Protocol):
         ...
 
 
+@runtime_checkable
+class Undamped(Protocol):
+    """A simulator that can do without the joints' own damping for a while."""
+
+    @property
+    def passive_damping(self) -> NDArray[np.float64]:
+        """Damping of the robot's joints themselves in [N·m·s/rad], shape (n,)."""
+        ...
+
+    def undamped(self) -> AbstractContextManager[None]:
+        """Return the while: the damping is back when it is left."""
+        ...
+
+
 class TwinSession:
     """Runs of one workflow on a simulator, one robot.
 
@@ -69,6 +84,7 @@ class TwinSession:
     Attributes:
         called: keys of the policies that ran in the last run.
         lifts: whether limits of effort can be left out.
+        damps: whether joints have a damping of their own that can be left out.
 
     Raises:
         UniconError: the workflow cannot be built, or its simulator does not tell enough.
@@ -86,6 +102,7 @@ class TwinSession:
         ]
         robot, platform = self.program.robot, self.program.platform
         self.lifts = isinstance(platform, Unlimited)
+        self.damps = isinstance(platform, Undamped) and bool(platform.passive_damping.any())
         try:
             untold = [name for name in JUDGED if name not in platform.facts.writes]
             if untold:
@@ -107,13 +124,7 @@ class TwinSession:
 
     def depths(self, joints: Sequence[str]) -> list[int]:
         """Return how many joints are above each joint in the model, shape (n,)."""
-        above: list[int] = []  # of each link
-        found: dict[str, int] = {}
-        for link in read_tree(self._model.model, self.program.robot):
-            count = above[link.parent] if link.parent >= 0 else 0
-            found[link.joint] = count
-            above.append(count + bool(link.joint))
-        return [found[name] for name in joints]
+        return joint_depths(self._model, self.program.robot, joints)
 
     def poses(self) -> dict[str, dict[str, float]]:
         """Return default poses that somebody else names: the robot file's and key frames'."""
@@ -130,6 +141,7 @@ class TwinSession:
         contract: PolicyContract | None = None,
         *,
         unlimited: bool = False,
+        undamped: bool = False,
     ) -> Measures:
         """Run from the beginning.
 
@@ -139,6 +151,7 @@ class TwinSession:
             key: a policy under `policies:` whose contract is exchanged.
             contract: in place of the given one.
             unlimited: without limits of effort, where the simulator lifts them.
+            undamped: without the joints' own damping, where the simulator leaves it out.
         """
         program = self.program
         counted = self._exchange(key, contract)
@@ -148,12 +161,14 @@ class TwinSession:
         recorder = Recorder(program.states, program.robot, self._effort, program.period)
         longest, walked = round(_LONGEST / program.period), round(seconds / program.period)
         fault, begun = "", 0
-        lifted: AbstractContextManager[None] = nullcontext()
+        changed: AbstractContextManager[None] = nullcontext()
         if unlimited and isinstance(program.platform, Unlimited):
-            lifted = program.platform.unlimited()
+            changed = program.platform.unlimited()
+        elif undamped and isinstance(program.platform, Undamped):
+            changed = program.platform.undamped()
         try:
             # A broken contract may well send numbers of any size.
-            with lifted, np.errstate(over="ignore", invalid="ignore"):
+            with changed, np.errstate(over="ignore", invalid="ignore"):
                 while len(recorder.rows) < longest and not runner.tick(0):
                     begun += any(tick.calls for tick in counted.values())
                     if recorder(begun > 0) or (counted and begun >= walked):

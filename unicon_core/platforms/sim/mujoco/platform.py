@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from copy import copy
 from dataclasses import replace
 from functools import cached_property
@@ -17,6 +17,7 @@ from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.platforms.kit.clock import steps_in
 from unicon_core.platforms.kit.command import Command
 from unicon_core.platforms.kit.joint_delay import delay_of, strength_of
+from unicon_core.platforms.kit.passive import Passive, known_passive
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.platforms.kit.start import initial_positions
 from unicon_core.platforms.platform import SIMULATED, Facts
@@ -40,6 +41,7 @@ def make(
     *,
     scene: Scene | None = None,
     timestep: float | None = None,
+    passive: Passive = "keep",
 ) -> MujocoPlatform:
     """Build the platform.
 
@@ -49,16 +51,18 @@ def make(
         period: of a tick in [s], a whole number of physics steps.
         scene: how it begins; None for the robot file's model and default pose.
         timestep: physics step in [s]; the model's own if None.
+        passive: damping of the robot's joints in the model: `keep` it beside that of the command,
+            or `replace` it by that.
 
     Raises:
         MissingDependencyError: mujoco is not installed.
         ModelError: the model is missing, wrong, lacks a joint, or does not fit the period.
-        PlatformError: the scene has no such pose.
+        PlatformError: the scene has no such pose, or passive is another word.
     """
     mujoco = import_mujoco()
     scene = scene or Scene()
     loaded = load_model(scene.model_path(robot), robot, timestep)
-    return MujocoPlatform(mujoco, states, robot, period, loaded, scene)
+    return MujocoPlatform(mujoco, states, robot, period, loaded, scene, passive)
 
 
 class MujocoPlatform:
@@ -83,6 +87,7 @@ class MujocoPlatform:
         period: float,
         loaded: LoadedModel,
         scene: Scene,
+        passive: Passive = "keep",
     ) -> None:
         model = self.model = loaded.model
         self._mujoco, self._robot, self._loaded = mujoco, robot, loaded
@@ -96,6 +101,10 @@ class MujocoPlatform:
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         self._physics = physics = joint_physics(robot, scene.joints)
         _tell_joints(mujoco, loaded, physics)
+        self._passive = known_passive(passive)
+        self._dofs = model.jnt_dofadr[loaded.joints]
+        if passive == "replace":
+            model.dof_damping[self._dofs] = 0.0
         delay = delay_of(physics, float(model.opt.timestep))
         count, self._batch = states.num_robots, None
         command = Command(states, robot.joint_names)
@@ -189,22 +198,23 @@ class MujocoPlatform:
         if self._batch is not None:
             self._batch.close()
 
-    @contextmanager
-    def unlimited(self) -> Iterator[None]:
+    def unlimited(self) -> AbstractContextManager[None]:
         """Do without the limits of effort for a while, for `--twin`."""
         limits = [
             limit
             for model in self._models
             for limit in (model.actuator_forcelimited, model.jnt_actfrclimited)
         ]
-        before = [limit.copy() for limit in limits]
-        try:
-            for limit in limits:
-                limit[:] = 0
-            yield
-        finally:
-            for limit, was in zip(limits, before):
-                limit[:] = was
+        return _zeroed(limits, slice(None))
+
+    def undamped(self) -> AbstractContextManager[None]:
+        """Do without the joints' own damping for a while, as with `passive: replace`."""
+        return _zeroed([model.dof_damping for model in self._models], self._dofs)
+
+    @property
+    def passive_damping(self) -> NDArray[np.float64]:
+        """Damping of the robot's joints themselves in [N·m·s/rad], shape (n,)."""
+        return np.array(self.model.dof_damping[self._dofs])
 
     def viewer(self, rate: float = 60.0) -> Viewer:
         """Return a block that shows the (first) robot in a window, at most `rate` times a second.
@@ -248,10 +258,24 @@ class MujocoPlatform:
             "actuators": dict(zip(self._robot.joint_names, servo.kinds)),
             "effort_lower": dict(zip(self._robot.joint_names, servo.effort_lower.tolist())),
             "effort_upper": dict(zip(self._robot.joint_names, servo.effort_upper.tolist())),
+            "passive": self._passive,
             "joints": {word: getattr(physics, word).tolist() for word in physics.words},
             "warnings": self._warnings(),
             "notes": notes,
         }
+
+
+@contextmanager
+def _zeroed(arrays: list[NDArray[Any]], places: Any) -> Iterator[None]:
+    """Parts of arrays are 0 for a while."""
+    before = [array[places].copy() for array in arrays]
+    try:
+        for array in arrays:
+            array[places] = 0
+        yield
+    finally:
+        for array, was in zip(arrays, before):
+            array[places] = was
 
 
 def _tell_joints(mujoco: Any, loaded: LoadedModel, physics: JointPhysics) -> None:

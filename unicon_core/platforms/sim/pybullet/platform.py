@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from tempfile import NamedTemporaryFile
 from typing import Any
 
@@ -10,6 +12,7 @@ import numpy as np
 from unicon_core.errors import MissingDependencyError
 from unicon_core.models.physical import physical_urdf
 from unicon_core.platforms.kit.base import Float, WorldPose
+from unicon_core.platforms.kit.passive import Passive, known_passive
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.platforms.kit.start import Start, start_of
 from unicon_core.platforms.kit.stepped import GRAVITY, SteppedSimulator
@@ -26,9 +29,16 @@ class PybulletPlatform(SteppedSimulator):
     )
 
     def __init__(
-        self, client: Any, states: States, robot: Robot, period: float, step: float, start: Start
+        self,
+        client: Any,
+        states: States,
+        robot: Robot,
+        period: float,
+        step: float,
+        start: Start,
+        passive: Passive = "replace",
     ) -> None:
-        self._client = client
+        self._client, self._passive = client, known_passive(passive)
         client.setPhysicsEngineParameter(fixedTimeStep=step)
         client.setGravity(*GRAVITY)
         client.createMultiBody(0.0, client.createCollisionShape(client.GEOM_PLANE))
@@ -41,8 +51,28 @@ class PybulletPlatform(SteppedSimulator):
         rubber = {"lateralFriction": 1.2, "linearDamping": 0.0, "angularDamping": 0.0}
         for link in range(-1, len(names)):  # friction: times the plane's 0.5
             client.changeDynamics(body, link, **rubber)
+        model = start.loaded.model
+        own = model.dof_damping[model.jnt_dofadr[start.loaded.joints]]
+        self.passive_damping = own * (passive == "keep")
+        self._damp(self.passive_damping)
         self._centre = client.getDynamicsInfo(body, -1)[3:5]  # of mass, in the base's frame
         super().__init__(states, robot, period, step, start)
+
+    def _damp(self, damping: Float) -> None:
+        for joint, value in zip(self._joints, damping):
+            self._client.changeDynamics(self._body, joint, jointDamping=value)
+
+    @contextmanager
+    def undamped(self) -> Iterator[None]:
+        """Do without the joints' own damping for a while, as with `passive: replace`."""
+        self._damp(np.zeros_like(self.passive_damping))
+        try:
+            yield
+        finally:
+            self._damp(self.passive_damping)
+
+    def info(self) -> dict[str, Any]:
+        return super().info() | {"passive": self._passive}
 
     def place(self) -> None:
         base = self.start.position, np.roll(self.start.quat, -1)
@@ -81,13 +111,30 @@ class PybulletPlatform(SteppedSimulator):
 
 
 def make(
-    states: States, robot: Robot, period: float, *, scene: Scene, timestep: float = 0.001
+    states: States,
+    robot: Robot,
+    period: float,
+    *,
+    scene: Scene,
+    timestep: float = 0.001,
+    passive: Passive = "replace",
 ) -> PybulletPlatform:
-    """Build the platform; `timestep` is the physics step in [s]."""
+    """Build the platform.
+
+    Args:
+        states: without a batch axis.
+        robot: its joints are found in the model by name.
+        period: of a tick in [s].
+        scene: how it begins.
+        timestep: physics step in [s].
+        passive: damping of the joints in the model: `keep` it beside that of the command, or
+            `replace` it by that.
+    """
     try:
         from pybullet_utils.bullet_client import BulletClient, pybullet
     except ImportError as error:
         install = "pip install 'unicon_ros[sim-pybullet]'"
         raise MissingDependencyError("platform 'pybullet'", "pybullet", install) from error
     start = start_of(robot, scene)
-    return PybulletPlatform(BulletClient(pybullet.DIRECT), states, robot, period, timestep, start)
+    client = BulletClient(pybullet.DIRECT)
+    return PybulletPlatform(client, states, robot, period, timestep, start, passive)

@@ -1,0 +1,115 @@
+"""Orders of joints: which one the figures of a contract fit, where they do not fit its names."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.check.mirror import mirror_pairs, odd_pairs
+from unicon_core.check.model_facts import joint_depths
+from unicon_core.check.result import CheckResult, PolicyResult
+from unicon_core.check.subject import Subject, listed
+from unicon_core.models.loaded import LoadedModel
+from unicon_core.robots import Robot, joint_index
+
+__all__ = ["check_order", "joint_orders", "other_order"]
+
+POSE_TOLERANCE = 0.02
+"""In [rad] or [m]: by how much a pose may differ between sides."""
+
+Figures = dict[str, NDArray[np.float32]]
+
+
+def other_order(depths: Sequence[int]) -> NDArray[np.intp]:
+    """Return the breadth-first order of joints given depth-first, and the inverse otherwise.
+
+    Isaac Sim lists joints breadth-first (all hips, then all knees), MuJoCo and the vendors
+    depth-first (leg by leg).
+
+    Args:
+        depths: in the kinematic tree, in the given order, shape (n,).
+    """
+    order = np.argsort(np.asarray(depths), kind="stable")
+    if (np.diff(depths) >= 0).all():  # breadth-first already: back to a limb at a time
+        count = max(1, int((np.asarray(depths) == depths[0]).sum()))
+        order = np.concatenate([np.arange(limb, len(depths), count) for limb in range(count)])
+    return order.astype(np.intp)
+
+
+def joint_orders(
+    joints: Sequence[str], robot: Robot, depths: Sequence[int]
+) -> dict[str, list[str]]:
+    """Return other orders in which the same joints may have been meant, the likeliest first.
+
+    Args:
+        joints: in the given order.
+        robot: gives an order.
+        depths: of the joints in the kinematic tree, shape (n,).
+    """
+    limb_by_limb = [name for name in robot.joint_names if name in joints]
+    by_depth, other = dict(zip(joints, depths)), other_order(depths)
+    orders = {
+        "the joint order of the other kind of simulator": [joints[i] for i in other],
+        "that order undone": [joints[i] for i in np.argsort(other)],
+        "the robot's joint order": limb_by_limb,
+        "a breadth-first joint order": sorted(limb_by_limb, key=lambda name: by_depth[name]),
+        "the reversed joint order": list(joints[::-1]),
+    }
+    return {
+        name: order
+        for name, order in orders.items()
+        if len(order) == len(joints) and tuple(order) != tuple(joints)
+    }
+
+
+def check_order(subject: Subject, result: CheckResult) -> None:
+    """Find contracts whose names stand in another order than all their figures.
+
+    Each figure by itself would be told as not symmetric; that one order makes all of them so tells
+    what happened.
+    """
+    model = subject.model
+    if model is None:
+        return
+    for policy in subject.policy_results(result):
+        _order(subject.robot, model, policy)
+
+
+def _order(robot: Robot, model: LoadedModel, policy: PolicyResult) -> None:
+    contract = policy.contract
+    joints, action = contract.joints, contract.action
+    figures: Figures = {
+        "default_joint_pos": contract.default_joint_pos,
+        "stiffness": contract.stiffness,
+        "damping": contract.damping,
+    }
+    if action.joints == joints:
+        figures["action.scale"] = action.scale
+    # Gains may have an order of their own (that of motors): the others tell.
+    odd = [name for name in figures if _odd(joints, {name: figures[name]})]
+    if "default_joint_pos" not in odd:
+        return
+    told = {name: figures[name] for name in odd}
+    for name, order in joint_orders(joints, robot, joint_depths(model, robot, joints)).items():
+        index = joint_index(order, robot.joint_names)
+        pose = contract.default_joint_pos
+        outside = (pose < robot.lower[index] - 1e-4) | (pose > robot.upper[index] + 1e-4)
+        if not outside.any() and not _odd(order, told):
+            policy.find(
+                "joints.order",
+                f"joints (or {listed(odd)})",
+                f"{listed(odd)} {'is' if len(odd) == 1 else 'are'} not the same on both sides for "
+                f"joints {listed(joints)}; in {name} ({listed(order)}) all of it is",
+                "write joints in the order of the figures, or the figures in that of joints",
+            )
+            return
+
+
+def _odd(joints: Sequence[str], figures: Figures) -> bool:
+    """Whether a figure differs between the sides."""
+    if not mirror_pairs(joints):
+        return False
+    limits = {"default_joint_pos": POSE_TOLERANCE}
+    return any(odd_pairs(joints, values, limits.get(what)) for what, values in figures.items())
