@@ -15,9 +15,7 @@ from unicon_core.policies.build import build_contract
 from unicon_core.policies.chain_facts import check_chain
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.facts import Facts, merge_given, missing_facts
-from unicon_core.policies.importers.deploy_yaml import deploy_yaml_facts, is_deploy_yaml
-from unicon_core.policies.importers.env_yaml import env_yaml_facts, is_env_yaml
-from unicon_core.policies.importers.legged_gym import is_legged_gym, legged_gym_facts
+from unicon_core.policies.importers.configurations import configuration_facts, is_configuration
 from unicon_core.policies.importers.metadata import has_metadata, metadata_facts
 from unicon_core.policies.motion.spec import given_clip
 from unicon_core.policies.networks.onnx_file import OnnxFile, read_onnx
@@ -153,6 +151,12 @@ def _locate(reference: str | Path) -> Path:
         return path
     main = _main_file(path)
     if main is None:
+        several = _configurations(path)
+        if several:
+            raise PolicyError(
+                f"{path}: {len(several)} policies are in this folder; name the file of one: "
+                f"{', '.join(each.name for each in several)}"
+            )
         raise PolicyError(
             f"{path}: no policy in this folder; put policy.yaml, deploy.yaml, env.yaml or exactly "
             "one .onnx there"
@@ -170,8 +174,23 @@ def _main_file(folder: Path) -> Path | None:
     for name in ("env.yaml", "params/env.yaml"):
         if os.path.isfile(folder / name):
             return folder / name
+    configurations = _configurations(folder)
+    if configurations:
+        return configurations[0] if len(configurations) == 1 else None
     models = models or sorted(p for p in folder.glob("*") if p.suffix in _TORCHSCRIPT)
     return models[0] if len(models) == 1 else None
+
+
+def _configurations(folder: Path) -> list[Path]:
+    """The files of a folder that are configurations of others' deployments, by what they hold."""
+    found = []
+    for path in sorted(folder.glob("*.yaml")):
+        try:
+            if is_configuration(read_yaml(path, PolicyError, foreign=True).value):
+                found.append(path)
+        except PolicyError:  # whatever it is, nobody named it
+            continue
+    return found
 
 
 def _read(reference: str | Path, robot: Robot | None, given: Mapping[str, Any]) -> Facts:
@@ -217,20 +236,21 @@ def _facts_of(path: Path, robot: Robot | None, given: Mapping[str, Any]) -> Fact
         return Facts(path, "ONNX file (no metadata)", {"onnx": path.name})
     if path.suffix in _TORCHSCRIPT:
         return Facts(path, "TorchScript file", {"torchscript": path.name})
-    values = read_yaml(path, PolicyError, foreign=True).value
-    if is_deploy_yaml(values):
-        made_for = given.get("robot")
-        if isinstance(made_for, str):  # its motors are counted, whichever robot runs the policy
-            robot = load_robot(made_for)
-        motors = None if robot is None else _motors(robot)
-        facts = deploy_yaml_facts(path, motors, "" if robot is None else robot.name)
-    elif is_env_yaml(values):
-        facts = env_yaml_facts(path, given)
-    elif is_legged_gym(values):
-        facts = legged_gym_facts(path, given)
-    else:
+    made_for = given.get("robot")
+    if isinstance(made_for, str):  # its motors are counted, whichever robot runs the policy
+        robot = load_robot(made_for)
+    read = configuration_facts(
+        path,
+        read_yaml(path, PolicyError, foreign=True).value,
+        None if robot is None else _motors(robot),
+        "" if robot is None else robot.name,
+        given,
+    )
+    if read is None:
         return policy_yaml_facts(path)
-    _add_model(facts)
+    facts, names_network = read
+    if not names_network:
+        _add_model(facts)
     return facts
 
 
