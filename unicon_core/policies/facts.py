@@ -170,7 +170,7 @@ def missing_facts(facts: Facts) -> dict[str, str]:
             missing[f"observation.terms.{term['name']}.state"] = "the state that it is taken from"
     for name, detail in facts.asks.items():
         meaning = _ASKED.get(name) or _NEEDED.get(name, "")
-        missing[name] = f"{meaning}; {detail}" if detail else meaning
+        missing[name] = "; ".join(filter(None, (meaning, detail)))
     return missing
 
 

@@ -33,7 +33,7 @@ __all__ = ["ImportReport", "import_policy", "load_policy", "policy_names"]
 
 _TORCHSCRIPT = (".pt", ".pth", ".jit")
 # Files that carry no name of their own: the policy is called after the folder.
-_PLAIN_STEMS = ("policy", "deploy", "env", "model")
+_PLAIN_STEMS = ("policy", "deploy", "env", "model", "config")
 _PLAIN_FOLDERS = ("params", "exported", "config")
 
 
@@ -190,7 +190,8 @@ def _configurations(folder: Path) -> list[Path]:
                 found.append(path)
         except PolicyError:  # whatever it is, nobody named it
             continue
-    return found
+    # rl_sar's base.yaml is a part of the others, not a policy.
+    return [path for path in found if path.name != "base.yaml"] or found
 
 
 def _read(reference: str | Path, robot: Robot | None, given: Mapping[str, Any]) -> Facts:

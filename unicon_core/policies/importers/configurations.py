@@ -10,17 +10,24 @@ from unicon_core.policies.facts import Facts
 from unicon_core.policies.importers.deploy_yaml import deploy_yaml_facts, is_deploy_yaml
 from unicon_core.policies.importers.env_yaml import env_yaml_facts, is_env_yaml
 from unicon_core.policies.importers.legged_gym import is_legged_gym, legged_gym_facts
+from unicon_core.policies.importers.rl_sar import is_rl_sar, is_rl_sar_base, rl_sar_facts
 from unicon_core.policies.importers.unitree_rl_gym import is_unitree_rl_gym, unitree_rl_gym_facts
 
 __all__ = ["configuration_facts", "is_configuration"]
 
-_OWN_NETWORK = (is_unitree_rl_gym,)
-_OTHERS = (is_deploy_yaml, is_env_yaml, is_legged_gym)
+_FORMATS = (
+    is_deploy_yaml,
+    is_env_yaml,
+    is_legged_gym,
+    is_rl_sar,
+    is_rl_sar_base,
+    is_unitree_rl_gym,
+)
 
 
 def is_configuration(values: Any) -> bool:
     """Whether a YAML document is of one of the formats that are read here."""
-    return any(is_one(values) for is_one in (*_OWN_NETWORK, *_OTHERS))
+    return any(is_one(values) for is_one in _FORMATS)
 
 
 def configuration_facts(
@@ -51,6 +58,8 @@ def configuration_facts(
         return env_yaml_facts(path, given), False
     if is_legged_gym(values):
         return legged_gym_facts(path, given), False
+    if is_rl_sar(values) or is_rl_sar_base(values):
+        return rl_sar_facts(path), True
     if is_unitree_rl_gym(values):
         return unitree_rl_gym_facts(path, motors, robot_name, given), True
     return None

@@ -20,7 +20,7 @@ from unicon_core.errors import PolicyError, alternatives
 from unicon_core.located_yaml import Tagged, Where, read_yaml
 from unicon_core.policies.facts import Facts, dig, term_state
 from unicon_core.policies.importers.source_reader import SourceReader
-from unicon_core.policies.importers.training import command_ranges
+from unicon_core.policies.importers.training import clip_before_scale, command_ranges
 
 __all__ = ["deploy_yaml_facts", "is_deploy_yaml"]
 
@@ -219,11 +219,9 @@ class _Deploy(SourceReader):
                 raise self.fail((*where, "clip"), f"clip is {clip!r}; give [lowest, highest]")
             term["clip"] = list(pair)
             if scale_first and scale is not None:
-                # clip(scale · x) = scale · clip(x) with the bounds divided by the scale
-                sides = [sorted(bound / s for bound in pair) for s in term["scale"] if s]
-                if len(sides) != len(term["scale"]):
+                if not all(term["scale"]):
                     raise self.fail((*where, "scale"), f"{name}: scale 0 with scale_first and clip")
-                term["clip"] = _sides(sides)
+                term["clip"] = clip_before_scale(pair, term["scale"])
         history = value.get("history_length", 1)
         term["history"] = history if history else 1
         if not term_state(name):
