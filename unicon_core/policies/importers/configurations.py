@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from unicon_core.policies.facts import Facts
+from unicon_core.policies.importers.booster import booster_facts, is_booster
 from unicon_core.policies.importers.deploy_yaml import deploy_yaml_facts, is_deploy_yaml
 from unicon_core.policies.importers.env_yaml import env_yaml_facts, is_env_yaml
 from unicon_core.policies.importers.legged_gym import is_legged_gym, legged_gym_facts
@@ -62,4 +63,6 @@ def configuration_facts(
         return rl_sar_facts(path), True
     if is_unitree_rl_gym(values):
         return unitree_rl_gym_facts(path, motors, robot_name, given), True
+    if is_booster(values):
+        return booster_facts(path, motors, robot_name, given), True
     return None
