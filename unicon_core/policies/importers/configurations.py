@@ -14,7 +14,7 @@ from unicon_core.policies.importers.legged_gym import is_legged_gym, legged_gym_
 from unicon_core.policies.importers.rl_sar import is_rl_sar, is_rl_sar_base, rl_sar_facts
 from unicon_core.policies.importers.unitree_rl_gym import is_unitree_rl_gym, unitree_rl_gym_facts
 
-__all__ = ["configuration_facts", "is_configuration"]
+__all__ = ["configuration_facts", "counts_motors", "is_configuration"]
 
 _FORMATS = (
     is_deploy_yaml,
@@ -29,6 +29,12 @@ _FORMATS = (
 def is_configuration(values: Any) -> bool:
     """Whether a YAML document is of one of the formats that are read here."""
     return any(is_one(values) for is_one in _FORMATS)
+
+
+def counts_motors(values: Any) -> bool:
+    """Whether a YAML document names joints by the numbers of a robot's motors."""
+    legs = is_unitree_rl_gym(values) and "leg_joint2motor_idx" in values
+    return legs or is_deploy_yaml(values) or is_booster(values)
 
 
 def configuration_facts(
