@@ -304,6 +304,66 @@ def test_holosoma_gains_of_another_length_are_refused(tmp_path: Path) -> None:
     )
 
 
+def tracking(tmp_path: Path, inputs: int = 29, urdf: str = '<link name="torso_link">') -> Path:
+    """A network of holosoma's whole-body tracking: the reference counts its steps."""
+    f = TensorProto.FLOAT
+    sizes = {"actions": 4, "joint_pos": 4, "joint_vel": 4, "ref_pos_xyz": 3, "ref_quat_xyzw": 4}
+    nodes = [helper.make_node("Slice", ["obs", "zero", "four", "one"], ["actions"])]
+    nodes += [helper.make_node("Add", ["time_step", f"c_{n}"], [n]) for n in list(sizes)[1:]]
+    graph = helper.make_graph(
+        nodes,
+        "tracking",
+        [
+            helper.make_tensor_value_info("obs", f, [1, inputs]),
+            helper.make_tensor_value_info("time_step", f, [1, 1]),
+        ],
+        [helper.make_tensor_value_info(name, f, [1, size]) for name, size in sizes.items()],
+        [
+            helper.make_tensor("zero", TensorProto.INT64, [1], [0]),
+            helper.make_tensor("four", TensorProto.INT64, [1], [4]),
+            helper.make_tensor("one", TensorProto.INT64, [1], [1]),
+            *(helper.make_tensor(f"c_{n}", f, [1, k], range(k)) for n, k in sizes.items()),
+        ],
+    )
+    path = tmp_path / "dance.onnx"
+    metadata = {**HOLOSOMA, "command_ranges": "null", "robot_urdf": json.dumps(urdf)}
+    save(path, graph, list(metadata.items()))
+    return path
+
+
+def test_holosoma_tracking_has_the_layout_of_its_one_program(tmp_path: Path) -> None:
+    path = tracking(tmp_path)
+    with pytest.raises(PolicyError) as caught:
+        load_policy(path)
+    assert str(caught.value) == (
+        f"{path}: the holosoma whole-body tracking metadata does not say period (the control "
+        "period in [s]); default_joint_pos (the default pose in [rad], policy order); action.scale "
+        "(in [rad], one number or one for each joint); give it under 'given' in the workflow, with "
+        "the keys of policy.yaml"
+    )
+    given = {"period": 0.02, "default_joint_pos": [0.0] * 4, "action.scale": 1.0}
+    contract = load_policy(path, given=given)
+    assert [(term.name, term.state) for term in contract.terms] == [
+        ("actions", "action"),
+        ("base_ang_vel", "base_ang_vel"),
+        ("dof_pos", "joint_pos"),
+        ("dof_vel", "joint_vel"),
+        ("motion_command", "motion_command"),
+        ("motion_ref_ori_b", "motion_anchor_ori_b"),
+    ]
+    assert contract.terms[2].subtract == "default_joint_pos"
+    assert contract.outputs["motion_ref_quat_xyzw"] == "ref_quat_xyzw"
+    assert contract.action.clip is not None
+    assert contract.action.feedback == "clipped"
+    assert contract.motion is not None
+    assert contract.motion.anchor_body == "torso_link"
+    assert load_policy(path, given={**given, "motion.end": 2.0}).motion.end == 2.0  # type: ignore[union-attr]
+    with pytest.raises(PolicyError, match="obs has 40 elements, and the layout wbt of its program"):
+        load_policy(tracking(tmp_path, 40), given=given)
+    with pytest.raises(PolicyError, match=r"motion \(the body that is compared; robot_urdf has no"):
+        load_policy(tracking(tmp_path, urdf="<link>"), given=given)
+
+
 def exploy(tmp_path: Path, *, extra: str | None = None, names: list[str] | None = None) -> Path:
     """Targets in the order b_knee … a_hip; memory counts the calls."""
     f = TensorProto.FLOAT

@@ -31,7 +31,7 @@ def test_the_import_has_at_most_twelve_lines() -> None:
     begin = next(i for i, line in enumerate(lines) if line.strip() == "dance:")
     end = next(i for i, line in enumerate(lines) if i > begin and not line.strip())
     given = [line for line in lines[begin:end] if line.startswith("      ")]
-    assert 5 < len(given) <= 12
+    assert 3 < len(given) <= 12
 
 
 @pytest.mark.parametrize("noise", [(), (NOISE,)], ids=["ideal", "noise"])

@@ -60,6 +60,20 @@ def test_the_policy_is_whole(folder: Path) -> None:
     assert len(contract.terms) == 6
 
 
+def test_facts_are_taken_from_the_model(folder: Path, assets: Path) -> None:
+    pytest.importorskip("mujoco")
+    path = folder / "my_walk" / "policy.yaml"
+    given = yaml.safe_load(TITLED["from_model.yaml"])
+    rest = {k: v for k, v in yaml.safe_load(path.read_text("utf-8")).items() if k not in given}
+    path.write_text(yaml.safe_dump(rest), encoding="utf-8")
+    model = assets / "models" / "go1" / "go1.xml"
+    contract = load_policy(path, robot=load_robot("go1"), given=given, model=lambda: model)
+    assert contract.joints[:3] == ("FR_hip_joint", "FL_hip_joint", "RR_hip_joint")
+    assert contract.default_joint_pos.tolist()[:2] == pytest.approx([0.1, -0.1])
+    assert set(contract.stiffness.tolist()) == {35.0}
+    assert set(contract.damping.tolist()) == {0.5}
+
+
 def test_what_an_action_and_an_observation_may_be(folder: Path) -> None:
     whole = yaml.safe_load(TITLED["my_walk/policy.yaml"])
 

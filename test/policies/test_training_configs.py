@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from policy_helpers import JOINTS, write_linear
+from policy_helpers import JOINTS, robot, write_linear
 
 from unicon_core.errors import PolicyError
 from unicon_core.policies import load_policy
@@ -129,6 +129,32 @@ def test_isaac_lab_patterns_are_resolved_once_the_joints_are_given(tmp_path: Pat
     assert contract.terms[3].subtract == "default_joint_pos"
     assert contract.terms[0].clip is not None
     assert contract.command_ranges == {"lin_vel_x": (-1.0, 1.0)}
+
+
+def test_isaac_counts_the_joints_of_a_model_breadth_first(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    model = tmp_path / "robot.xml"
+    legs = "".join(
+        f"<body><geom size='0.1'/><joint name='{leg}_hip'/>"
+        f"<body><geom size='0.1'/><joint name='{leg}_knee'/></body></body>"
+        for leg in "ab"
+    )
+    model.write_text(f"<mujoco><worldbody><body><freejoint/><geom size='0.1'/>{legs}</body>"
+                     "</worldbody></mujoco>", "utf-8")  # fmt: skip
+    path, made = write(tmp_path, ENV), robot()
+    machine = type(made)(
+        **{**vars(made), "models": {"mjcf": "robot.xml"}, "path": tmp_path / "toy.yaml"}
+    )
+    with pytest.raises(PolicyError) as caught:
+        load_policy(path, robot=machine)
+    assert str(caught.value).endswith(
+        "; model robot.xml can say some of it: given: {joints: {from: model}}"
+    )
+    contract = load_policy(path, robot=machine, given={"joints": {"from": "model"}})
+    assert contract.joints == ("a_hip", "b_hip", "a_knee", "b_knee")
+    assert contract.stiffness.tolist() == [25.0, 25.0, 25.0, 35.0]
+    given = {"joints": {"from": "model", "order": "depth_first"}}
+    assert load_policy(path, robot=machine, given=given).joints == JOINTS
 
 
 def test_other_actions_than_position_targets_are_refused(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.models.joints import drives
+from unicon_core.models.joints import drives, position_gains
 from unicon_core.models.kinematic_tree import read_tree
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.robots import Robot
@@ -54,10 +54,10 @@ def model_joints(loaded: LoadedModel | None) -> ModelJoints | None:
         if model.jnt_actfrclimited[joint]:
             effort[k] = float(np.abs(model.jnt_actfrcrange[joint]).max())
         for i in driven[joint]:  # the loader gives each joint one
-            gear, bias = float(model.actuator_gear[i, 0]), model.actuator_biasprm[i]
+            gear, gains = float(model.actuator_gear[i, 0]), position_gains(model, i)
             torques = [float(np.abs(model.actuator_forcerange[i]).max()) * gear]
-            if bias[1] < 0.0:
-                kp[k], kd[k] = -bias[1] * gear**2, -bias[2] * gear**2
+            if gains is not None:
+                kp[k], kd[k] = gains
             else:  # a motor: its control is a torque
                 unit = float(model.actuator_gainprm[i, 0]) * gear
                 torques.append(float(np.abs(model.actuator_ctrlrange[i]).max()) * unit)

@@ -8,7 +8,7 @@ from typing import Any
 from unicon_core.errors import ModelError, RobotError
 from unicon_core.robots import Robot, joint_index
 
-__all__ = ["drives", "find_joints", "free_joint", "is_simple"]
+__all__ = ["drives", "find_joints", "free_joint", "is_simple", "position_gains"]
 
 
 def find_joints(mujoco: Any, model: Any, robot: Robot, path: Path) -> list[int]:
@@ -62,3 +62,17 @@ def drives(mujoco: Any, model: Any) -> dict[int, list[int]]:
         if int(model.actuator_trntype[i]) in turning:
             found.setdefault(int(model.actuator_trnid[i, 0]), []).append(i)
     return found
+
+
+def position_gains(model: Any, actuator: int) -> tuple[float, float] | None:
+    """Return stiffness [N·m/rad] and damping [N·m·s/rad] of a position actuator at its joint.
+
+    Args:
+        model: the `MjModel`.
+        actuator: its number.
+
+    Returns:
+        None for an actuator of another kind, such as a motor.
+    """
+    gear, bias = float(model.actuator_gear[actuator, 0]), model.actuator_biasprm[actuator]
+    return (-bias[1] * gear**2, -bias[2] * gear**2) if bias[1] < 0.0 else None

@@ -58,7 +58,9 @@ def build_contract(facts: Facts) -> PolicyContract:
             if facts.source == "policy.yaml"
             else "give it under 'given' in the workflow, with the keys of policy.yaml"
         )
-        raise PolicyError(f"{facts.path}: the {facts.source} does not say {names}; {remedy}")
+        raise PolicyError(
+            f"{facts.path}: the {facts.source} does not say {names}; {remedy}{facts.offer}"
+        )
     root = _Value(facts, (), facts.values).mapping(_KEYS)
     schema = root.at("schema", SCHEMA)
     if schema.value != SCHEMA:

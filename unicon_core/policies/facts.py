@@ -85,6 +85,8 @@ class Facts:
         network: the network's file where the importer found it or the workflow names it; None
             where the source names it, which then lies in the source's folder.
         clip: the motion's file, likewise.
+        by_pattern: pose and gains stand in the source by patterns of names: `joints` resolves them.
+        offer: what the robot's model could say of what is missing, for the message.
     """
 
     path: Path
@@ -97,6 +99,8 @@ class Facts:
     tolerance: tuple[float, float] = (1e-6, 1e-9)
     network: Path | None = None
     clip: Path | None = None
+    by_pattern: bool = False
+    offer: str = ""
 
     def beside(self, named: str) -> Path:
         """Return the file that a workflow names, which may be any: relative ones beside the source.
@@ -170,7 +174,7 @@ def missing_facts(facts: Facts) -> dict[str, str]:
             missing[f"observation.terms.{term['name']}.state"] = "the state that it is taken from"
     for name, detail in facts.asks.items():
         meaning = _ASKED.get(name) or _NEEDED.get(name, "")
-        missing[name] = f"{meaning}; {detail}" if detail else meaning
+        missing[name] = "; ".join(filter(None, (meaning, detail)))
     return missing
 
 

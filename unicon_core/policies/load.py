@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,9 +15,13 @@ from unicon_core.policies.build import build_contract
 from unicon_core.policies.chain_facts import check_chain
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.facts import Facts, merge_given, missing_facts
-from unicon_core.policies.importers.deploy_yaml import deploy_yaml_facts, is_deploy_yaml
-from unicon_core.policies.importers.env_yaml import env_yaml_facts, is_env_yaml
-from unicon_core.policies.importers.legged_gym import is_legged_gym, legged_gym_facts
+from unicon_core.policies.from_model import FromModel
+from unicon_core.policies.importers.configurations import (
+    configuration_facts,
+    counts_motors,
+    is_configuration,
+)
+from unicon_core.policies.importers.env_yaml import is_env_yaml
 from unicon_core.policies.importers.metadata import has_metadata, metadata_facts
 from unicon_core.policies.motion.spec import given_clip
 from unicon_core.policies.networks.onnx_file import OnnxFile, read_onnx
@@ -35,7 +39,7 @@ __all__ = ["ImportReport", "import_policy", "load_policy", "policy_names"]
 
 _TORCHSCRIPT = (".pt", ".pth", ".jit")
 # Files that carry no name of their own: the policy is called after the folder.
-_PLAIN_STEMS = ("policy", "deploy", "env", "model")
+_PLAIN_STEMS = ("policy", "deploy", "env", "model", "config")
 _PLAIN_FOLDERS = ("params", "exported", "config")
 
 
@@ -74,6 +78,7 @@ def load_policy(
     *,
     robot: Robot | None = None,
     given: Mapping[str, Any] | None = None,
+    model: Callable[[], Path] | None = None,
 ) -> PolicyContract:
     """Load a policy in any known format.
 
@@ -84,6 +89,7 @@ def load_policy(
         robot: gives joint names to a `deploy.yaml`, which only counts motors, unless `given` names
             the robot that it was made for.
         given: facts that the source leaves out, with the keys of `policy.yaml`, nested or dotted.
+        model: finds the file that `{from: model}` means; the robot's own unless it is given.
 
     Returns:
         The checked contract; its network file exists.
@@ -91,7 +97,7 @@ def load_policy(
     Raises:
         PolicyError: nothing there; facts missing (all are named) or contradictory; files missing.
     """
-    return _contract(_read(reference, robot, given or {}))
+    return _contract(_read(reference, robot, given or {}, model))
 
 
 def import_policy(
@@ -153,6 +159,12 @@ def _locate(reference: str | Path) -> Path:
         return path
     main = _main_file(path)
     if main is None:
+        several = _configurations(path)
+        if several:
+            raise PolicyError(
+                f"{path}: {len(several)} policies are in this folder; name the file of one: "
+                f"{', '.join(each.name for each in several)}"
+            )
         raise PolicyError(
             f"{path}: no policy in this folder; put policy.yaml, deploy.yaml, env.yaml or exactly "
             "one .onnx there"
@@ -170,13 +182,39 @@ def _main_file(folder: Path) -> Path | None:
     for name in ("env.yaml", "params/env.yaml"):
         if os.path.isfile(folder / name):
             return folder / name
+    configurations = _configurations(folder)
+    if configurations:
+        return configurations[0] if len(configurations) == 1 else None
     models = models or sorted(p for p in folder.glob("*") if p.suffix in _TORCHSCRIPT)
     return models[0] if len(models) == 1 else None
 
 
-def _read(reference: str | Path, robot: Robot | None, given: Mapping[str, Any]) -> Facts:
+def _configurations(folder: Path) -> list[Path]:
+    """The files of a folder that are configurations of others' deployments, by what they hold."""
+    found = []
+    for path in sorted(folder.glob("*.yaml")):
+        try:
+            if is_configuration(read_yaml(path, PolicyError, foreign=True).value):
+                found.append(path)
+        except PolicyError:  # whatever it is, nobody named it
+            continue
+    # rl_sar's base.yaml is a part of the others, not a policy.
+    return [path for path in found if path.name != "base.yaml"] or found
+
+
+def _read(
+    reference: str | Path,
+    robot: Robot | None,
+    given: Mapping[str, Any],
+    model: Callable[[], Path] | None = None,
+) -> Facts:
     path = _locate(reference)
-    facts = _facts_of(path, robot, given)
+    said = FromModel(path, given, robot, model)
+    isaac = said.asks("joints") and _is_isaac(path)
+    said.joints("breadth_first" if isaac else "depth_first")
+    facts = _facts_of(path, robot, said.given)
+    said.others(facts.values.get("joints"))
+    given = said.given
     if "provider" in given:  # of the machine that runs it, so the workflow may say another
         facts.values.pop("provider", None)
     merge_given(facts, given)
@@ -200,7 +238,16 @@ def _read(reference: str | Path, robot: Robot | None, given: Mapping[str, Any]) 
     elif "torchscript" in facts.values:  # its tensors have no names: one goes in, one comes out
         facts.values.setdefault("inputs", {"observation": "observation"})
         facts.values.setdefault("outputs", {"action": "action"})
+    facts.notes += said.notes
+    facts.offer = said.offer(missing_facts(facts), facts.by_pattern)
     return facts
+
+
+def _is_isaac(path: Path) -> bool:
+    """Whether a source comes from Isaac's simulators, which count joints breadth first."""
+    if path.suffix not in (".yaml", ".yml"):
+        return False
+    return is_env_yaml(read_yaml(path, PolicyError, foreign=True).value)
 
 
 def _facts_of(path: Path, robot: Robot | None, given: Mapping[str, Any]) -> Facts:
@@ -218,19 +265,21 @@ def _facts_of(path: Path, robot: Robot | None, given: Mapping[str, Any]) -> Fact
     if path.suffix in _TORCHSCRIPT:
         return Facts(path, "TorchScript file", {"torchscript": path.name})
     values = read_yaml(path, PolicyError, foreign=True).value
-    if is_deploy_yaml(values):
-        made_for = given.get("robot")
-        if isinstance(made_for, str):  # its motors are counted, whichever robot runs the policy
-            robot = load_robot(made_for)
-        motors = None if robot is None else _motors(robot)
-        facts = deploy_yaml_facts(path, motors, "" if robot is None else robot.name)
-    elif is_env_yaml(values):
-        facts = env_yaml_facts(path, given)
-    elif is_legged_gym(values):
-        facts = legged_gym_facts(path, given)
-    else:
+    made_for = given.get("robot")
+    if isinstance(made_for, str) and counts_motors(values):  # whichever robot runs the policy
+        robot = load_robot(made_for)
+    read = configuration_facts(
+        path,
+        values,
+        None if robot is None else _motors(robot),
+        "" if robot is None else robot.name,
+        given,
+    )
+    if read is None:
         return policy_yaml_facts(path)
-    _add_model(facts)
+    facts, names_network = read
+    if not names_network:
+        _add_model(facts)
     return facts
 
 

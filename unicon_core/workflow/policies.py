@@ -11,7 +11,7 @@ from typing import Any
 
 from unicon_core.errors import ModelError, PolicyError, WorkflowError, alternatives
 from unicon_core.flow import Block
-from unicon_core.models.find import model_of
+from unicon_core.models.find import model_of, pick_model
 from unicon_core.policies import Policy, PolicyContract, load_policy, policy_states
 from unicon_core.policies.action_map import lacking_joints
 from unicon_core.policies.controller import ControllerContract, controller_contract
@@ -40,6 +40,13 @@ def load_policies(document: WorkflowDocument, robot: Robot) -> dict[str, PolicyC
         WorkflowError: an entry is of no known form.
     """
     contracts = {}
+
+    def model() -> Path:
+        """The model of the scene, else the robot's own; what is wrong with it is told later."""
+        named = document.get("scene", dict, {}).get("model")
+        named = named if isinstance(named, (str, Path)) else None
+        return pick_model(robot, named, document.path.parent)
+
     for name, entry in document.get("policies", dict, {}).items():
         values = _checked_entry(document, name, entry)
         beside = document.path.parent / values["path"]
@@ -47,7 +54,8 @@ def load_policies(document: WorkflowDocument, robot: Robot) -> dict[str, PolicyC
         if "/" in values["path"] and os.path.exists(beside):
             path = beside
         try:
-            contract = load_policy(path, robot=robot, given=values.get("given") or {})
+            given = values.get("given") or {}
+            contract = load_policy(path, robot=robot, given=given, model=model)
         except PolicyError as error:
             raise PolicyError(f"policy {name!r}: {error}") from error
         # Before a platform is built: a model of another robot would hide this behind its own error.

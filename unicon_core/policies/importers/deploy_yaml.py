@@ -17,9 +17,10 @@ from pathlib import Path
 from typing import Any
 
 from unicon_core.errors import PolicyError, alternatives
-from unicon_core.located_yaml import Located, Tagged, Where, read_yaml
+from unicon_core.located_yaml import Tagged, Where, read_yaml
 from unicon_core.policies.facts import Facts, dig, term_state
-from unicon_core.policies.importers.training import command_ranges
+from unicon_core.policies.importers.source_reader import SourceReader
+from unicon_core.policies.importers.training import clip_before_scale, command_ranges
 
 __all__ = ["deploy_yaml_facts", "is_deploy_yaml"]
 
@@ -56,30 +57,8 @@ def deploy_yaml_facts(path: Path, motors: Mapping[int, str] | None, robot_name: 
     return facts
 
 
-class _Deploy:
-    def __init__(self, facts: Facts, located: Located) -> None:
-        self.facts = facts
-        self.document: Mapping[str, Any] = located.value
-        self.lines = located.lines
-        self.fail = located.error
-        self.count = 0
-
-    def say(self, target: Where, value: Any, source: Where) -> None:
-        """Note a value and where it stood."""
-        place: Any = self.facts.values
-        for key in target[:-1]:
-            place = place.setdefault(key, {})
-        place[target[-1]] = value
-        self.facts.keys[target] = ".".join(map(str, source))
-        if source in self.lines:
-            self.facts.lines[target] = self.lines[source]
-
-    def floats(self, where: Where, value: Any) -> list[float]:
-        if not isinstance(value, list) or not all(
-            isinstance(v, (int, float)) and not isinstance(v, bool) for v in value
-        ):
-            raise self.fail(where, f"{'.'.join(map(str, where))} is {value!r}; give numbers")
-        return [float(v) for v in value]
+class _Deploy(SourceReader):
+    count = 0
 
     def joints(self, motors: Mapping[int, str] | None, robot_name: str) -> None:
         order = self.document["joint_ids_map"]
@@ -128,11 +107,6 @@ class _Deploy:
                 "joint_ids_map; give one for each",
             )
         self.say(("default_joint_pos",), default, ("default_joint_pos",))
-
-    def need(self, key: str) -> Any:
-        if key not in self.document:
-            raise self.fail((), f"deploy.yaml has no {key!r}; export it again")
-        return self.document[key]
 
     def action(self) -> None:
         actions = self.need("actions")
@@ -245,11 +219,9 @@ class _Deploy:
                 raise self.fail((*where, "clip"), f"clip is {clip!r}; give [lowest, highest]")
             term["clip"] = list(pair)
             if scale_first and scale is not None:
-                # clip(scale · x) = scale · clip(x) with the bounds divided by the scale
-                sides = [sorted(bound / s for bound in pair) for s in term["scale"] if s]
-                if len(sides) != len(term["scale"]):
+                if not all(term["scale"]):
                     raise self.fail((*where, "scale"), f"{name}: scale 0 with scale_first and clip")
-                term["clip"] = _sides(sides)
+                term["clip"] = clip_before_scale(pair, term["scale"])
         history = value.get("history_length", 1)
         term["history"] = history if history else 1
         if not term_state(name):

@@ -49,7 +49,7 @@ def env_yaml_facts(path: Path, given: Mapping[str, Any]) -> Facts:
     """
     located = read_yaml(path, PolicyError, foreign=True)
     document = located.value
-    facts = Facts(path, "Isaac Lab env.yaml")
+    facts = Facts(path, "Isaac Lab env.yaml", by_pattern=True)
     joints = given_joints(path, given)
     say_period(facts, document["sim"].get("dt"), document["decimation"], "sim.dt · decimation")
     if joints is not None:

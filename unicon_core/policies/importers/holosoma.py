@@ -2,6 +2,9 @@
 
 From amazon-far/holosoma: `utils/inference_helpers.py` writes each value as JSON. Observation terms,
 default pose, action scale and rate stand in its program's configuration, not in the file.
+Of whole-body tracking, told by the network's `time_step` and `ref_quat_xyzw`, the program has one
+layout (`config_values/observation.py`: wbt, in alphabetical order), clips the action to ±100 and
+feeds the clipped one back (`policies/wbt.py`); it compares the body `torso_link`.
 """
 
 from __future__ import annotations
@@ -10,11 +13,20 @@ import json
 from typing import Any
 
 from unicon_core.errors import PolicyError
-from unicon_core.policies.facts import Facts
+from unicon_core.policies.facts import Facts, term_state
 from unicon_core.policies.importers.training import RENAMED_RANGES
 from unicon_core.policies.networks.onnx_file import OnnxFile
 
 __all__ = ["holosoma_facts", "json_metadata"]
+
+_ANCHOR = "torso_link"
+_TERMS = ("actions", "base_ang_vel", "dof_pos", "dof_vel", "motion_command", "motion_ref_ori_b")
+_REFERENCE = {
+    "action": "actions",
+    "motion_joint_pos": "joint_pos",
+    "motion_joint_vel": "joint_vel",
+    "motion_ref_quat_xyzw": "ref_quat_xyzw",
+}
 
 
 def json_metadata(onnx: OnnxFile) -> dict[str, Any]:
@@ -66,4 +78,31 @@ def holosoma_facts(onnx: OnnxFile) -> Facts:
             for name, pair in ranges.items()
             if pair is not None
         }
+    _tracking(facts, onnx, len(joints), metadata)
     return facts
+
+
+def _tracking(facts: Facts, onnx: OnnxFile, count: int, metadata: dict[str, Any]) -> None:
+    """Add what the program of whole-body tracking says of a network that tells the reference."""
+    inputs = {tensor.name: tensor for tensor in onnx.inputs}
+    outputs = {tensor.name for tensor in onnx.outputs}
+    if not {"obs", "time_step"} <= set(inputs) or not set(_REFERENCE.values()) <= outputs:
+        return
+    facts.source = "holosoma whole-body tracking metadata"
+    facts.values["inputs"] = {"observation": "obs", "time_step": "time_step"}
+    facts.values["outputs"] = dict(_REFERENCE)
+    facts.values["action"] = {"clip": [-100.0, 100.0], "feedback": "clipped"}
+    if f'name="{_ANCHOR}"' in str(metadata.get("robot_urdf", "")):
+        facts.values["motion"] = {"anchor_body": _ANCHOR}
+    else:
+        facts.asks["motion"] = f"the body that is compared; robot_urdf has no {_ANCHOR}"
+    size, laid_out = inputs["obs"].shape[-1], 5 * count + 9
+    if size != laid_out:
+        facts.asks["observation.terms"] = (
+            f"obs has {size} elements, and the layout wbt of its program {laid_out} for {count} "
+            "joints"
+        )
+        return
+    terms = [{"name": name, **term_state(name), "scale": 1.0} for name in _TERMS]
+    facts.values["observation"] = {"terms": terms}
+    facts.keys[("observation", "terms")] = "its program's layout wbt"

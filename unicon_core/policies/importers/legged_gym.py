@@ -42,7 +42,7 @@ def legged_gym_facts(path: Path, given: Mapping[str, Any]) -> Facts:
     """
     located = read_yaml(path, PolicyError, foreign=True)
     document, lines = located.value, located.lines
-    facts = Facts(path, "legged_gym configuration")
+    facts = Facts(path, "legged_gym configuration", by_pattern=True)
     control, init = document["control"], document["init_state"]
     dt = dig(document, "sim", "dt")
     say_period(facts, dt, control.get("decimation"), "sim.dt · control.decimation")

@@ -12,7 +12,14 @@ from typing import Any
 
 from unicon_core.policies.facts import Facts
 
-__all__ = ["RENAMED_RANGES", "command_ranges", "matching", "say_period", "values_by_pattern"]
+__all__ = [
+    "RENAMED_RANGES",
+    "clip_before_scale",
+    "command_ranges",
+    "matching",
+    "say_period",
+    "values_by_pattern",
+]
 
 # A command's name in legged_gym and holosoma -> its name in a contract.
 RENAMED_RANGES = {"ang_vel_yaw": "ang_vel_z"}
@@ -40,6 +47,23 @@ def command_ranges(ranges: Any) -> dict[str, list[Any]]:
         for name, pair in items.items()
         if isinstance(pair, (list, tuple)) and len(pair) == 2
     }
+
+
+def clip_before_scale(pair: Sequence[float], scale: Sequence[float]) -> list[list[float]]:
+    """Return the bounds before scaling of a term that is scaled first, then clipped.
+
+    `clip(scale · x) = scale · clip(x)` with the bounds divided by the scale; where that is 0, any
+    bounds do.
+
+    Args:
+        pair: lowest and highest after scaling.
+        scale: factors, shape (d,).
+
+    Returns:
+        All the lowest, all the highest.
+    """
+    sides = [sorted(bound / s for bound in pair) if s else list(pair) for s in scale]
+    return [list(side) for side in zip(*sides)]
 
 
 def _matches(pattern: object, joint: str) -> bool:

@@ -1,0 +1,202 @@
+"""SourceReader: what importers of YAML files share: a value, its place, and where it goes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from unicon_core.errors import UniconError, alternatives
+from unicon_core.located_yaml import Located, Where
+from unicon_core.policies.facts import Facts
+
+__all__ = ["SourceReader"]
+
+_SUFFIXES = {".onnx": "onnx", ".pt": "torchscript", ".pth": "torchscript", ".jit": "torchscript"}
+
+
+class SourceReader:
+    """Takes values out of a source's document into facts, each with its place for messages.
+
+    Args:
+        facts: filled.
+        located: the source's document.
+        inside: keys under which everything stands.
+
+    Attributes:
+        document: what stands under `inside`.
+        fail: makes the error of a place of the document.
+    """
+
+    def __init__(self, facts: Facts, located: Located, inside: Where = ()) -> None:
+        self.facts = facts
+        self.inside = inside
+        document: Any = located.value
+        for key in inside:
+            document = document[key]
+        self.document: Mapping[str, Any] = document
+        self.lines = located.lines
+        self.fail = located.error
+
+    def say(self, target: Where, value: Any, source: Where) -> None:
+        """Note a value and where it stood."""
+        place: Any = self.facts.values
+        for key in target[:-1]:
+            place = place.setdefault(key, {})
+        place[target[-1]] = value
+        self.facts.keys[target] = ".".join(map(str, source))
+        line = self.lines.get((*self.inside, *source))
+        if line is not None:
+            self.facts.lines[target] = line
+
+    def need(self, *keys: str) -> Any:
+        """Return what stands under nested keys.
+
+        Raises:
+            PolicyError: nothing does.
+        """
+        value: Any = self.document
+        for i, key in enumerate(keys):
+            if not isinstance(value, Mapping) or value.get(key) is None:
+                known = map(str, value) if isinstance(value, Mapping) else ()
+                raise self.wrong(
+                    keys[:i],
+                    f"the {self.facts.source} has no {'.'.join(keys)!r}; add it; "
+                    f"{alternatives(key, known)}",
+                )
+            value = value[key]
+        return value
+
+    def wrong(self, where: Where, message: str) -> UniconError:
+        """Return the error of a place below `inside`."""
+        return self.fail((*self.inside, *where), message)
+
+    def floats(self, where: Where, value: Any) -> list[float]:
+        """Return a list of numbers.
+
+        Raises:
+            PolicyError: it is something else.
+        """
+        if not isinstance(value, list) or not all(
+            isinstance(v, (int, float)) and not isinstance(v, bool) for v in value
+        ):
+            raise self.wrong(where, f"{'.'.join(map(str, where))} is {value!r}; give numbers")
+        return [float(v) for v in value]
+
+    def vector(self, *keys: str, count: int, of: str) -> list[float]:
+        """Return one number for each joint; a single number is that of all.
+
+        Args:
+            keys: nested keys.
+            count: how many there must be.
+            of: what they are counted by, for the message: `num_actions 12`.
+
+        Raises:
+            PolicyError: they are missing, no numbers, or of another count.
+        """
+        value = self.need(*keys)
+        if not isinstance(value, list):
+            return [self.number(*keys)] * count
+        values = self.floats(keys, value)
+        if len(values) != count:
+            raise self.wrong(
+                keys, f"{'.'.join(keys)} has {len(values)} values for {of}; give {count}"
+            )
+        return values
+
+    def number(self, *keys: str) -> float:
+        """Return a number.
+
+        Raises:
+            PolicyError: it is missing, or none.
+        """
+        value = self.need(*keys)
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            raise self.wrong(keys, f"{'.'.join(keys)} is {value!r}; give a number")
+        return float(value)
+
+    def whole(self, *keys: str, least: int = 1) -> int:
+        """Return a whole number of at least so much.
+
+        Raises:
+            PolicyError: it is missing, or none.
+        """
+        value = self.need(*keys)
+        if isinstance(value, bool) or not isinstance(value, int) or value < least:
+            raise self.wrong(
+                keys, f"{'.'.join(keys)} is {value!r}; give a whole number from {least}"
+            )
+        return value
+
+    def places(self, *keys: str, below: int | None = None) -> list[int]:
+        """Return numbers of joints or motors, each once.
+
+        Args:
+            keys: nested keys.
+            below: there are so many; None for any.
+
+        Raises:
+            PolicyError: they are missing, no whole numbers, repeated, or too large.
+        """
+        value, name = self.need(*keys), ".".join(keys)
+        if not isinstance(value, list) or not all(
+            isinstance(i, int) and not isinstance(i, bool) for i in value
+        ):
+            raise self.wrong(keys, f"{name} is {value!r}; give whole numbers")
+        for i in value:
+            if i < 0 or (below is not None and i >= below):
+                most = "" if below is None else f" to {below - 1}"
+                raise self.wrong(keys, f"{name} has {i}; give numbers from 0{most}")
+            if value.count(i) > 1:
+                raise self.wrong(
+                    keys, f"{name} has {i} {value.count(i)} times; name each joint once"
+                )
+        return value
+
+    def network(self, key: Where, named: Any, base: Path | None) -> None:
+        """Find the network that the source names: where it says, else beside it by its name.
+
+        Where only an `.onnx` of the same name is there, it is taken, and a note tells it.
+
+        Args:
+            key: where it is named.
+            named: what stands there; of an absolute path the file's name counts.
+            base: folder that the name counts from, above the source, or None.
+
+        Raises:
+            PolicyError: no file is named.
+        """
+        facts, path = self.facts, self.facts.path
+        word = ".".join(map(str, key))
+        if not isinstance(named, str) or Path(named).suffix not in _SUFFIXES:
+            known = ", ".join(_SUFFIXES)
+            raise self.wrong(key, f"{word} is {named!r}; name a network ({known})")
+        folder, name = path.parent, Path(named).name
+        relative = Path(named)
+        tries: list[Path] = []
+        for stem in (relative, relative.with_suffix(".onnx")):
+            if base is not None and not stem.is_absolute():
+                tries.append(base / stem)
+            tries.append(folder / stem.name)
+        for found in tries:
+            if not found.is_file() or not _within(found, base or folder, folder):
+                continue
+            if found.suffix != relative.suffix:
+                facts.notes.append(
+                    f"{path.name}: {word} names {name}, which is not there; {found.name} is taken"
+                )
+            kind = _SUFFIXES[found.suffix]
+            self.say((kind,), found.name, key)
+            facts.network = found
+            return
+        facts.asks["onnx"] = f"{word} names {name}, which is not beside {path.name}; put it there"
+
+
+def _within(found: Path, *folders: Path) -> bool:
+    target = found.resolve()
+    return any(target.is_relative_to(folder.resolve()) for folder in folders)
+
+
+def listed(values: Sequence[object]) -> str:
+    """Return values for a message."""
+    return ", ".join(map(str, values))

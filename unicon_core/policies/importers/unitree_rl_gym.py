@@ -1,0 +1,180 @@
+"""unitree_rl_gym's `deploy/deploy_{mujoco,real}/configs/*.yaml` as facts.
+
+From unitreerobotics/unitree_rl_gym: `deploy_mujoco.py` and `deploy_real.py` lay out the observation
+(angular velocity, gravity, command, joint positions relative to the pose, velocities, last action,
+sine and cosine of one clock of 0.8 s that runs on), feed the raw action back and clip nothing. The
+first counts the joints as its model has them (`qpos[7:]`); the second names motors
+(`leg_joint2motor_idx`), holds the others at `arm_waist_target`, and takes a stick of ±1 times
+`max_cmd` as command.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from unicon_core.errors import PolicyError
+from unicon_core.located_yaml import read_yaml
+from unicon_core.policies.facts import Facts, given_joints
+from unicon_core.policies.importers.source_reader import SourceReader, listed
+
+__all__ = ["is_unitree_rl_gym", "unitree_rl_gym_facts"]
+
+_PERIOD = 0.8  # of the clock in [s]; it stands in both programs
+_ROOT = "{LEGGED_GYM_ROOT_DIR}/"
+_LEGS, _REST = "leg_joint2motor_idx", "arm_waist_joint2motor_idx"
+
+
+def is_unitree_rl_gym(values: Any) -> bool:
+    """Whether a YAML document is a configuration of its deployment."""
+    return isinstance(values, Mapping) and {"kps", "kds", "default_angles"} <= set(values)
+
+
+def unitree_rl_gym_facts(
+    path: Path, motors: Mapping[int, str] | None, robot_name: str, given: Mapping[str, Any]
+) -> Facts:
+    """Read a configuration.
+
+    Args:
+        path: the file.
+        motors: motor number of the robot's SDK to joint name; None leaves the joints to be given.
+        robot_name: for messages.
+        given: facts of the user; `joints` stands for motors that are not known.
+
+    Raises:
+        PolicyError: not readable, or against the format.
+    """
+    facts = Facts(path, "unitree_rl_gym configuration")
+    reader = SourceReader(facts, read_yaml(path, PolicyError, foreign=True))
+    count = reader.whole("num_actions")
+    joints = given_joints(path, given)
+    if _LEGS in reader.document:
+        _real(reader, count, joints, motors, robot_name)
+    else:
+        _mujoco(reader, count, joints)
+    _common(reader, count)
+    folder = path.parent
+    root = folder.parents[2] if len(folder.parents) > 2 and folder.name == "configs" else None
+    named = reader.need("policy_path")
+    inside = isinstance(named, str) and named.startswith(_ROOT)
+    reader.network(
+        ("policy_path",), named[len(_ROOT) :] if inside else named, root if inside else None
+    )
+    return facts
+
+
+def _mujoco(reader: SourceReader, count: int, joints: list[str] | None) -> None:
+    facts, counted = reader.facts, f"num_actions {count}"
+    dt, decimation = reader.number("simulation_dt"), reader.whole("control_decimation")
+    reader.say(("period",), dt * decimation, ("simulation_dt",))
+    facts.keys[("period",)] = "simulation_dt · control_decimation"
+    if joints is not None and len(joints) != count:
+        raise PolicyError(
+            f"{facts.path}: given joints has {len(joints)} names, and num_actions is {count}; name "
+            "the joints that it moves, in the order of its model"
+        )
+    for target, key in _GAINS:
+        reader.say((target,), reader.vector(key, count=count, of=counted), (key,))
+    if joints is None:
+        model = Path(str(reader.document.get("xml_path", "its model"))).name
+        facts.asks["joints"] = f"the {count} of {model}, in its order"
+
+
+_GAINS = (("stiffness", "kps"), ("damping", "kds"), ("default_joint_pos", "default_angles"))
+_HELD = {"kps": "arm_waist_kps", "kds": "arm_waist_kds", "default_angles": "arm_waist_target"}
+
+
+def _real(
+    reader: SourceReader,
+    count: int,
+    joints: list[str] | None,
+    motors: Mapping[int, str] | None,
+    robot_name: str,
+) -> None:
+    facts, counted = reader.facts, f"num_actions {count}"
+    reader.say(("period",), reader.number("control_dt"), ("control_dt",))
+    legs = reader.places(_LEGS)
+    rest = reader.places(_REST) if reader.document.get(_REST) else []
+    twice = sorted(set(legs) & set(rest))
+    if len(legs) != count or twice:
+        what = f"motor {twice[0]} stands in both" if twice else f"{len(legs)} for {counted}"
+        raise reader.wrong((_LEGS,), f"{_LEGS} and {_REST}: {what}; name each motor once")
+    order = legs + rest
+    if motors is not None:
+        unknown = [i for i in order if i not in motors]
+        if unknown:
+            raise reader.wrong(
+                (_LEGS if unknown[0] in legs else _REST,),
+                f"motor {unknown[0]} is named, and robot {robot_name!r} has {len(motors)} motors "
+                f"up to number {max(motors)}; choose the robot whose motors it counts",
+            )
+        reader.say(("joints",), [motors[i] for i in order], (_LEGS,))
+        facts.values["robot"] = robot_name
+    elif joints is not None:
+        if len(joints) != len(order):
+            raise PolicyError(
+                f"{facts.path}: given joints has {len(joints)} names, and {_LEGS} and {_REST} have "
+                f"{len(order)} motors; name the joints of these motors, in this order"
+            )
+        facts.values["joints"] = joints
+    else:
+        facts.asks["joints"] = f"motors {listed(order)} of the robot: name the robot"
+    known = facts.values.get("joints")
+    if rest and known is not None:
+        reader.say(("action", "joints"), known[:count], (_LEGS,))
+    for target, key in _GAINS:
+        values = reader.vector(key, count=count, of=counted)
+        if rest:
+            of = f"the {len(rest)} motors of {_REST}"
+            values = values + reader.vector(_HELD[key], count=len(rest), of=of)
+        reader.say((target,), values, (key,))
+    if reader.document.get("max_cmd") is not None:
+        most = reader.vector("max_cmd", count=3, of="vx, vy and wz")
+        names = ("lin_vel_x", "lin_vel_y", "ang_vel_z")
+        ranges = {name: [-value, value] for name, value in zip(names, most)}
+        reader.say(("command_ranges",), ranges, ("max_cmd",))
+    if reader.document.get("imu_type") == "torso":
+        facts.notes.append(
+            f"{facts.path.name}: imu_type is torso: its program turns the IMU's readings by the "
+            "waist to the pelvis; base_quat and base_ang_vel must be the pelvis's"
+        )
+
+
+def _common(reader: SourceReader, count: int) -> None:
+    facts = reader.facts
+    scale = reader.vector("action_scale", count=count, of=f"num_actions {count}")
+    reader.say(("action", "scale"), scale, ("action_scale",))
+    reader.say(("action", "feedback"), "raw", ("action_scale",))
+    inputs, laid_out = reader.whole("num_obs"), 11 + 3 * count
+    if inputs != laid_out:
+        facts.asks["observation.terms"] = (
+            f"num_obs is {inputs}, and what deploy_mujoco.py and deploy_real.py lay out for "
+            f"{count} actions has {laid_out}"
+        )
+        return
+    own = {"index": list(range(count))} if "joints" in facts.values.get("action", {}) else {}
+    terms: list[dict[str, Any]] = [
+        {"name": "ang_vel", "state": "base_ang_vel", "scale": "ang_vel_scale"},
+        {"name": "gravity", "state": "projected_gravity"},
+        {"name": "command", "state": "velocity_command", "scale": "cmd_scale"},
+        {"name": "joint_pos", "state": "joint_pos", "subtract": "default_joint_pos",
+         "scale": "dof_pos_scale", **own},
+        {"name": "joint_vel", "state": "joint_vel", "scale": "dof_vel_scale", **own},
+        {"name": "last_action", "state": "action"},
+        {"name": "phase", "state": "gait_phase"},
+    ]  # fmt: skip
+    for i, term in enumerate(terms):
+        key = term.get("scale")
+        if key == "cmd_scale":
+            term["scale"] = reader.vector(key, count=3, of="vx, vy and wz")
+        elif key is not None:
+            term["scale"] = reader.number(key)
+        else:
+            term["scale"] = 1.0
+        line = reader.lines.get((str(key),))
+        if line is not None:
+            facts.lines[("observation", "terms", i)] = line
+    facts.values["observation"] = {"terms": terms}
+    facts.values["phase"] = {"period": _PERIOD, "offsets": [0.0]}
+    facts.keys[("phase",)] = facts.keys[("observation", "terms")] = "its deploy program"
