@@ -6,6 +6,7 @@ Observation → network → check → targets; a NaN or infinity is a Fault befo
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -66,6 +67,12 @@ class Policy:
         model: Path | None = None,
         every_target: bool = False,
     ) -> None:
+        self._places = states, robot
+        self._options: dict[str, Any] = {
+            "prefix": prefix,
+            "model": model,
+            "every_target": every_target,
+        }
         states, self.slew = own_states(contract, states, prefix)
         self.name = contract.name
         self.contract = contract
@@ -86,6 +93,7 @@ class Policy:
         target, stiffness, damping, *rates = (states[name].reshape(rows, n) for name in targets)
         computed = np.zeros_like(target)
         velocity, torque = np.zeros_like(target), np.zeros_like(target)
+        self._computed = computed, velocity, torque
         smooth = self.action_map.filter
         if self.action_map.positions_only and smooth is None:
             self._command = self.action_map.bind(self.lane.action, computed)
@@ -124,6 +132,10 @@ class Policy:
         self.reads, self.writes = reads_writes(
             contract, states, (self.slew, self.phase, self.tracker), targets
         )
+
+    def again(self, contract: PolicyContract) -> Policy:
+        """Return a policy like this one with another contract for the same network."""
+        return Policy(contract, *self._places, network=self.network, **self._options)
 
     def __call__(self, warm_up: bool = False) -> bool:
         """Run one tick, or take its path and discard the result.
