@@ -96,6 +96,8 @@ class ChildPolicy(Policy):
             if mine:
                 self.network.close()
             raise
+        named: Any = self.made[1]
+        named.update(period=period, paced=paced)
         question = self.lane.infer
         assert isinstance(question, Question)
         self._question = question
@@ -108,17 +110,6 @@ class ChildPolicy(Policy):
         own = view.actual(AGE) if isinstance(view, PrefixedStates) else AGE
         self.writes = (*self.writes, own)
         self.reads = tuple(dict.fromkeys([*self.reads, "joint_pos"]))
-
-    def again(self, contract: PolicyContract) -> ChildPolicy:
-        """Return a policy like this one with another contract for the same network."""
-        return ChildPolicy(
-            contract,
-            *self._places,
-            period=self._period,
-            paced=self._paced,
-            network=self.network,
-            **self._options,
-        )
 
     def __call__(self, warm_up: bool = False) -> bool:
         """Run one tick; of a warm-up only what changes nothing.

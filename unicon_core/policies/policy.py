@@ -6,7 +6,6 @@ Observation → network → check → targets; a NaN or infinity is a Fault befo
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -49,6 +48,7 @@ class Policy:
         action_map: what turns the action into targets.
         lane: arrays and bound calls.
         tracker: of the motion that it follows, or None.
+        made: what it was made with, beside contract and network.
         endless: it is never done, as it follows no motion, or one without an end.
 
     Raises:
@@ -67,12 +67,10 @@ class Policy:
         model: Path | None = None,
         every_target: bool = False,
     ) -> None:
-        self._places = states, robot
-        self._options: dict[str, Any] = {
-            "prefix": prefix,
-            "model": model,
-            "every_target": every_target,
-        }
+        self.made = (
+            (states, robot),
+            {"prefix": prefix, "model": model, "every_target": every_target},
+        )
         states, self.slew = own_states(contract, states, prefix)
         self.name = contract.name
         self.contract = contract
@@ -91,9 +89,8 @@ class Policy:
                     f"{robot.name}; declare the standard states of this robot"
                 )
         target, stiffness, damping, *rates = (states[name].reshape(rows, n) for name in targets)
-        computed = np.zeros_like(target)
-        velocity, torque = np.zeros_like(target), np.zeros_like(target)
-        self._computed = computed, velocity, torque
+        self._computed = [np.zeros_like(target) for _ in range(3)]
+        computed, velocity, torque = self._computed
         smooth = self.action_map.filter
         if self.action_map.positions_only and smooth is None:
             self._command = self.action_map.bind(self.lane.action, computed)
@@ -124,7 +121,6 @@ class Policy:
         if contract.phase is not None and "gait_phase" in states:
             self.phase = GaitPhase(contract.phase, states, contract.period)
         self._before = in_order(self.slew, self.phase)
-        self.model = model
         self.tracker = tracker_of(contract, states, robot, self.lane, model)
         self.endless = self.tracker is None or self.tracker.ticks is None
         self._motion = own_reference(contract, states)
@@ -132,10 +128,6 @@ class Policy:
         self.reads, self.writes = reads_writes(
             contract, states, (self.slew, self.phase, self.tracker), targets
         )
-
-    def again(self, contract: PolicyContract) -> Policy:
-        """Return a policy like this one with another contract for the same network."""
-        return Policy(contract, *self._places, network=self.network, **self._options)
 
     def __call__(self, warm_up: bool = False) -> bool:
         """Run one tick, or take its path and discard the result.

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext, suppress
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -192,8 +192,11 @@ class TwinSession:
     def _exchange(self, key: str, contract: PolicyContract | None) -> dict[str, _Counted]:
         counted: dict[str, _Counted] = {}
         for used, block, policy in self._uses:
-            other = contract is not None and used == key
-            running = policy.again(contract) if other and contract is not None else policy
+            running = policy
+            if contract is not None and used == key:
+                places, options = policy.made
+                made: Any = type(policy)  # in a child, or here
+                running = made(contract, *places, network=policy.network, **options)
             tick = counted.setdefault(used, _Counted(running))
             block.tick, block.reset, block.warm_up = tick, running.reset, None
         return counted
