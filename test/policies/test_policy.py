@@ -379,7 +379,7 @@ def test_the_public_binding_is_used_where_the_private_one_is_gone(
             self.io_binding = session.io_binding
             self.run_with_iobinding = session.run_with_iobinding
 
-    monkeypatch.setattr(onnx, "load_session", lambda path, provider: Public(real(path)))
+    monkeypatch.setattr(onnx, "load_session", lambda path, provider, threads: Public(real(path)))
     two = Policy(contract, slow, machine)
     for states, policy in ((fast, one), (slow, two)):
         fill(states)

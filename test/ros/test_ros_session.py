@@ -349,3 +349,24 @@ def test_counts_can_be_written_as_json(react: Path) -> None:
     workflow.close()
     session.close()
     session.close()
+
+
+def test_skills_are_asked_for_by_services(
+    runs: Callable[..., Any], peers: Callable[..., Any], tmp_path: Path
+) -> None:
+    path = tmp_path / "skills.yaml"
+    path.write_text(
+        "robot: go2\nplatform: fake\nrate: 50\nstates: {ready: {initial: 0.25}}\n"
+        "skills: {stand: {do: hold}, limp: {do: damp, enter: ready > 0.5}, low: {do: damp}}\n"
+        "flow: skills\n",
+        encoding="utf-8",
+    )
+    run = runs(path)
+    peer = peers("caller", "unicon", "skills/limp", "skills/stand", "skills/low")
+    status, errors = peer.end()
+    assert status == 0, errors
+    answers = [(line["success"], line["message"]) for line in peer.lines]
+    refused = "refused: ready > 0.5 does not hold: ready is 0.25"
+    told = [(False, refused), (True, "it runs already"), (True, "low from the next tick on")]
+    assert answers == told, peer.lines
+    peer.wait_for(lambda: run.program.states["skill"] == 2, "the skill")

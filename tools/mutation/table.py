@@ -562,7 +562,7 @@ ROWS = [
         CHILD,
         ("_Driver.run", "now - self._heard > self._watchdog", "False"),
         ("_Driver.run", "if not commands.alive():", "if False:"),
-        ("_Driver.run", "if not self._obey(tell):", "if self._obey(tell) and False:"),
+        ("_Driver.run", "if not self._obey():", "if self._obey() and False:"),
         ("main", "platform.close()  # damps first", "pass"),
         ("main", "signal.signal(signal.SIGTERM, driver.stop)", "pass"),
         ("_Driver.stop", REMOVED),

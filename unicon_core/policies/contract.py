@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 __all__ = [
     "ActionKind",
     "ActionSpec",
+    "ChildSpec",
     "CommandSpec",
     "Feed",
     "FilterSpec",
@@ -244,6 +245,25 @@ class MotionSpec:
     chain: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
 
 
+@dataclass(frozen=True)
+class ChildSpec:
+    """How a network runs in a process of its own, which the workflow says.
+
+    Attributes:
+        delay: ticks of the workflow from an observation to its action, at least 1; where the
+            network is late at real rate, more.
+        timeout: an action whose observation is older than this ends the run, in [s]; None: the
+            longer of a quarter of a second and twice the age that actions have by their delay.
+        cpu: core that the process stays on, or None.
+        threads: of the network.
+    """
+
+    delay: int = 1
+    timeout: float | None = None
+    cpu: int | None = None
+    threads: int = 1
+
+
 @dataclass(frozen=True, eq=False)
 class PolicyContract:
     """A network and everything that is needed to run it as it was trained.
@@ -271,6 +291,7 @@ class PolicyContract:
         provider: where ONNX Runtime runs the network: `cpu`, `cuda` or `tensorrt`.
         networks: what runs before the network in `model`, in order.
         feeds: input of the network in `model` -> what fills it, where there are `networks`.
+        child: how it runs in a process of its own, or None; the workflow says it.
         source: the format that it came from.
         notes: what whoever runs it should know, such as rounding of the source.
     """
@@ -299,6 +320,7 @@ class PolicyContract:
     provider: Literal["cpu", "cuda", "tensorrt"] = "cpu"
     networks: tuple[NetworkPart, ...] = ()
     feeds: Mapping[str, tuple[Feed, ...]] = field(default_factory=lambda: MappingProxyType({}))
+    child: ChildSpec | None = None
     source: str = "policy.yaml"
     notes: tuple[str, ...] = ()
 

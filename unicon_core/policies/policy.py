@@ -48,6 +48,7 @@ class Policy:
         action_map: what turns the action into targets.
         lane: arrays and bound calls.
         tracker: of the motion that it follows, or None.
+        made: what it was made with, beside contract and network.
         endless: it is never done, as it follows no motion, or one without an end.
 
     Raises:
@@ -66,6 +67,10 @@ class Policy:
         model: Path | None = None,
         every_target: bool = False,
     ) -> None:
+        self.made = (
+            (states, robot),
+            {"prefix": prefix, "model": model, "every_target": every_target},
+        )
         states, self.slew = own_states(contract, states, prefix)
         self.name = contract.name
         self.contract = contract
@@ -84,8 +89,8 @@ class Policy:
                     f"{robot.name}; declare the standard states of this robot"
                 )
         target, stiffness, damping, *rates = (states[name].reshape(rows, n) for name in targets)
-        computed = np.zeros_like(target)
-        velocity, torque = np.zeros_like(target), np.zeros_like(target)
+        self._computed = [np.zeros_like(target) for _ in range(3)]
+        computed, velocity, torque = self._computed
         smooth = self.action_map.filter
         if self.action_map.positions_only and smooth is None:
             self._command = self.action_map.bind(self.lane.action, computed)
@@ -116,7 +121,6 @@ class Policy:
         if contract.phase is not None and "gait_phase" in states:
             self.phase = GaitPhase(contract.phase, states, contract.period)
         self._before = in_order(self.slew, self.phase)
-        self.model = model
         self.tracker = tracker_of(contract, states, robot, self.lane, model)
         self.endless = self.tracker is None or self.tracker.ticks is None
         self._motion = own_reference(contract, states)

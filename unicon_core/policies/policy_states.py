@@ -108,6 +108,10 @@ def _own_states(contract: PolicyContract) -> dict[str, StateSpec]:
             (len(joints),), names=joints, description="the network's last output, policy order"
         )
     }
+    if contract.child is not None:
+        states["action_age"] = StateSpec(
+            (), "float32", "s", "", (), "since the observation of the action that is held"
+        )
     if contract.command is not None:
         states[SLEWED] = replace(
             standard_states(joints)[COMMAND], description="velocity_command as the policy sees it"

@@ -86,6 +86,8 @@ def write_partial_yaml(facts: Facts, missing: Mapping[str, str], out_dir: str | 
     if key in facts.values:
         model = facts.model()
         values[key] = model.name
+        if os.path.isfile(model):
+            values["sha256"] = sha256_of(model)
     values |= {k: v for k, v in facts.values.items() if k not in values}
     lines = [f"# The {facts.source} of {facts.path.name} does not say, so add:"]
     lines += [f"#   {name}: {what}".rstrip(": ") for name, what in missing.items()]

@@ -111,7 +111,7 @@ class Ticker:
             Fault: a block tripped, or a tick hung.
         """
         program = self._program
-        program.gate.hung = self._hung
+        program.gate.hung, program.paced = self._hung, not full_speed
         status_every = max(1, round(1.0 / program.period))
         if program.pacing.trigger == "state":
             self._triggered(limit, status_every, program.platform.wait)  # type: ignore[attr-defined]

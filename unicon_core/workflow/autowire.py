@@ -41,6 +41,8 @@ class BuildContext:
         tell: takes what a block tells while it ticks, one line.
         driving: whether commands have left.
         sent: what has left last, or None where nothing is ever sent.
+        paced: whether the clock paces ticks just now.
+        networks: those in processes of their own; all mentions of a policy share one.
 
     A parameter `context` gets all of it, one of the names in `PARTS` that attribute.
     """
@@ -55,6 +57,8 @@ class BuildContext:
     tell: Callable[[str], None] = print
     driving: Callable[[], bool] = lambda: True
     sent: LastSent | None = None
+    paced: Callable[[], bool] = lambda: False
+    networks: dict[tuple[str, str], Any] = field(default_factory=dict)
 
 
 PARTS = ("states", "robot", "period", "relative_to")

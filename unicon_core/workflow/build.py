@@ -152,7 +152,8 @@ class Builder:
                 f"divide the workflow's rate of {rate:g} Hz; set rate: {wanted:g} or a multiple",
                 block.where,
             )
-        return Every(n, block, where=block.where) if n > 1 else block
+        own = getattr(block.tick, "every_tick", False)
+        return block if n == 1 or own else Every(n, block, where=block.where)
 
 
 def finite_first(document: WorkflowDocument, safety: Sequence[Node]) -> None:

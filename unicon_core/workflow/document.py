@@ -42,7 +42,9 @@ KEYS = {
     "map": "message map: name or path",
     "ros": "true to mirror to ROS 2 without being asked",
     "states": "extra states: name to specification",
-    "policies": "name to policy: a path, or {path, given}",
+    "policies": "name to policy: a path, or {path, given, child}",
+    "skills": "name to policy, or to {policy or do, enter, from, after, tilt, calm, button, blend, "
+    "next}: what flow: skills switches between",
     "estimate": "blocks that compute what is not measured, right behind recv",
     "commands": "blocks that make commands, before ROS inputs may replace them",
     "start": "{gates, operator, approach, fade_in, at, together, late}: before a robot moves",

@@ -8,7 +8,7 @@ expression costs is bounded by its length: powers are small, numbers are those t
 from __future__ import annotations
 
 import ast
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,7 @@ from unicon_core.flow.block import Block
 from unicon_core.generated import define
 from unicon_core.states import States
 
-__all__ = ["MAX_DEPTH", "MAX_LENGTH", "MAX_NODES", "expression"]
+__all__ = ["MAX_DEPTH", "MAX_LENGTH", "MAX_NODES", "EntryCondition", "expression"]
 
 MAX_LENGTH = 1000
 """Characters of an expression."""
@@ -72,6 +72,54 @@ def expression(text: str, states: States, where: str = "") -> Block:
         WorkflowError: a syntax error, an unknown state, or something that is not allowed.
     """
     return _Expression(text, states, where).block()
+
+
+class EntryCondition:
+    """An expression that has to hold, and says with which values it does not.
+
+    Args:
+        text: as of `expression`.
+        states: likewise.
+        where: likewise.
+
+    Attributes:
+        reads: states that it reads.
+
+    Raises:
+        WorkflowError: as `expression`.
+    """
+
+    def __init__(self, text: str, states: States, where: str = "") -> None:
+        block = expression(text, states, where)
+        self._text, self._holds, self.reads = text, block.tick, block.reads
+        self._states = states
+        self._parts = dict(_parts(ast.parse(text, mode="eval")))
+
+    def refused(self) -> str:
+        """Return what does not hold and the values that it looks at; "" where it holds."""
+        if self._holds():
+            return ""
+        told = []
+        for part, (name, *places) in self._parts.items():
+            value = self._states[name]
+            for place in places:
+                value = value[place]
+            told.append(f"{part} is {np.array2string(value, precision=3, threshold=8)}")
+        return f"{self._text} does not hold: {', '.join(told)}"
+
+
+def _parts(node: ast.AST) -> Iterator[tuple[str, list[Any]]]:
+    """Yield the states of an expression as it names them, and each one's name and subscripts."""
+    inner, places = node, list[Any]()
+    while isinstance(inner, ast.Subscript):
+        places.insert(0, ast.literal_eval(inner.slice))
+        inner = inner.value
+    if isinstance(inner, ast.Name):
+        if inner.id not in _CALLS:
+            yield ast.unparse(node), [inner.id, *places]
+        return
+    for child in ast.iter_child_nodes(node):
+        yield from _parts(child)
 
 
 class _Expression:

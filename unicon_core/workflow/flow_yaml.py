@@ -7,9 +7,9 @@
         - zip: [sway, {call: my_package.blocks:wave}]
 
 A word is a block without options; a mapping with one key is a block with its options, or one of
-zip, chain, loop, every, when, switch, deferred. A value that is no mapping is the first option.
-`on: NAME` beside it gives a block to a part of a divided workflow, `of: MEMBER` to a member of the
-robot.
+zip, chain, loop, every, when, switch, deferred, skills. A value that is no mapping is the first
+option. `on: NAME` beside it gives a block to a part of a divided workflow, `of: MEMBER` to a member
+of the robot.
 """
 
 from __future__ import annotations
@@ -21,11 +21,12 @@ from unicon_core.errors import WorkflowError, alternatives
 from unicon_core.flow import Block, Chain, Deferred, Every, Loop, Node, Switch, When, Zip, as_node
 from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.registry import known
+from unicon_core.workflow.skills import skills_switch
 from unicon_core.workflow.uses import EXPRESSION, Use, of, on
 
 __all__ = ["FLOW_WORDS", "FlowReader"]
 
-FLOW_WORDS = ("zip", "chain", "loop", "every", "when", "switch", "deferred")
+FLOW_WORDS = ("zip", "chain", "loop", "every", "when", "switch", "deferred", "skills")
 
 MAX_NODES = 1000
 """Blocks and flow words of one workflow: each takes time to build, and aliases can repeat it."""
@@ -55,6 +56,8 @@ class FlowReader:
             raise self._error(path, f"more than {MAX_NODES} blocks; make the workflow smaller")
         if isinstance(value, list):
             raise self._error(path, "a list stands alone; write chain: [...] or zip: [...]")
+        if value == "skills":
+            value = {"skills": None}
         if isinstance(value, str):
             return Use(value, where=self._document.where(*path))
         if callable(value) or isinstance(value, Node):
@@ -78,6 +81,8 @@ class FlowReader:
             return several(*children, where=self._document.where(*path))
         if word == "deferred":
             return Deferred(self.node(body, path), where=self._document.where(*path))
+        if word == "skills":
+            return skills_switch(self._document, body, path, self.node)
         if word in FLOW_WORDS:
             return self._control(word, body, path)
         return self._use(str(word), body, path)

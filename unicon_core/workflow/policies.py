@@ -14,6 +14,7 @@ from unicon_core.flow import Block
 from unicon_core.models.find import model_of, pick_model
 from unicon_core.policies import Policy, PolicyContract, load_policy, policy_states
 from unicon_core.policies.action_map import lacking_joints
+from unicon_core.policies.contract import ChildSpec
 from unicon_core.policies.controller import ControllerContract, controller_contract
 from unicon_core.policies.prefixed import prefix_of
 from unicon_core.robots import Robot
@@ -62,7 +63,8 @@ def load_policies(document: WorkflowDocument, robot: Robot) -> dict[str, PolicyC
         lacking = lacking_joints(contract, robot)
         if lacking and all(lacking_joints(contract, each) for each in robot.members.values()):
             raise PolicyError(f"policy {name!r}: {lacking}")
-        contracts[str(name)] = contract
+        child = child_of(document, name, entry)
+        contracts[str(name)] = contract if child is None else replace(contract, child=child)
     return contracts
 
 
@@ -80,9 +82,44 @@ def _checked_entry(document: WorkflowDocument, name: str, entry: Any) -> dict[st
     if not isinstance(values.get("given") or {}, dict):
         raise wrong(f"given is {values['given']!r}; write a mapping of facts", "given")
     for key in values:
-        if key not in ("path", "given"):
-            raise wrong(f"unknown key {key!r}; known: path, given", key)
+        if key not in ("path", "given", "child"):
+            raise wrong(f"unknown key {key!r}; known: path, given, child", key)
     return values
+
+
+def child_of(document: WorkflowDocument, name: str, entry: Any) -> ChildSpec | None:
+    """Return how a policy runs in a process of its own, None where it does not.
+
+    Raises:
+        WorkflowError: `child` is of no known form.
+    """
+    said = entry.get("child") if isinstance(entry, dict) else None
+    if said is None or said is False:
+        return None
+    values = {} if said is True else said
+
+    def wrong(what: str, *path: str) -> WorkflowError:
+        return document.error(f"policy {name!r}: child{what}", "policies", name, "child", *path)
+
+    if not isinstance(values, dict):
+        raise wrong(f" is {said!r}; write true, or a mapping {{delay: TICKS, timeout: S}}")
+    for key, value in values.items():
+        if key not in _CHILD:
+            raise wrong(f": no {key!r}; {alternatives(str(key), _CHILD)}", key)
+        kind, least, most, wanted = _CHILD[key]
+        number = isinstance(value, (int, kind)) and not isinstance(value, bool)
+        if not number or not least <= value <= most:
+            raise wrong(f".{key} is {value!r}; give {wanted}", key)
+    return ChildSpec(**values)
+
+
+_CHILD: dict[str, tuple[type, float, float, str]] = {
+    "delay": (int, 1, 1000, "a whole number of ticks from 1 to 1000"),
+    "timeout": (float, 0.001, 60.0, "[s] from 0.001 to 60"),
+    "cpu": (int, 0, 1 << 16, "the number of a core"),
+    "threads": (int, 1, 64, "a whole number from 1 to 64"),
+}
+"""Type, lowest, highest and what to give."""
 
 
 def with_weldable(
@@ -150,7 +187,7 @@ def declared_states(
 def policy_factory(use: Use, policies: Mapping[str, Any]) -> Callable[..., Any]:
     """Return the factory of the block that runs the mentioned policy."""
     name = used_policy(use, policies)
-    contract, prefix = policies[name], prefix_of(name, policies)
+    contract, prefix, member = policies[name], prefix_of(name, policies), use.of
 
     def policy(context: BuildContext, use: str = "") -> Any:
         model = None
@@ -158,14 +195,25 @@ def policy_factory(use: Use, policies: Mapping[str, Any]) -> Callable[..., Any]:
             with suppress(ModelError):  # told where it is needed
                 model = model_of(context.platform, context.robot)
         others = [each for each in policies.values() if each.action.kinds]
-        return Policy(
+        options: dict[str, Any] = {"prefix": prefix, "model": model, "every_target": bool(others)}
+        if contract.child is None:
+            return Policy(contract, context.states, context.robot, **options)
+        from unicon_core.policies.child_policy import ChildPolicy  # of Linux alone
+
+        made = ChildPolicy(
             contract,
             context.states,
             context.robot,
-            prefix=prefix,
-            model=model,
-            every_target=bool(others),
+            period=context.period,
+            paced=context.paced,
+            network=context.networks.get((name, member)),
+            **options,
         )
+        if (name, member) not in context.networks:
+            context.networks[name, member] = made.network
+            for warning in made.network.warnings:
+                context.tell(warning)
+        return made
 
     # Annotations are text here; the autowiring evaluates them in this module.
     return policy

@@ -109,6 +109,7 @@ class Program:
         safety: labels of the blocks of its own between the flow and `send`.
         safety_left_out: of a robot, safety blocks that it does not have, each with the reason.
         warn: takes what blocks tell while they tick, one line each; the runner sets its own.
+        paced: the clock paces ticks; else they are as fast as they can.
         forced: codes of the check's errors that somebody decided to run with.
 
     Raises:
@@ -157,6 +158,7 @@ class Program:
             refuse_parts(self.parts, document)
         if part:
             sections, ending = of_part(part, self.parts, sections, ending, document)
+        self.paced = False
         self.gate = Gate(LastSent(self.states))
         self.context = BuildContext(
             self.states,
@@ -168,6 +170,7 @@ class Program:
             tell=self.tell,
             driving=lambda: self.gate.sent.any,
             sent=self.gate.sent,
+            paced=lambda: self.paced,
         )
         # Imported here: the runner's package imports this one.
         from unicon_core.runtime.report import Monitor

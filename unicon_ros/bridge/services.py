@@ -5,7 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-__all__ = ["SERVICES", "Answer", "add_services", "explained"]
+from unicon_core.blocks.controls.skills import Skills
+from unicon_core.workflow import Program
+from unicon_core.workflow.skills import skills_of
+
+__all__ = ["SERVICES", "Answer", "add_services", "explained", "skill_handlers"]
 
 SERVICES = {
     "start": "the operator's go: a robot whose gates hold begins to move; goes on after a pause; "
@@ -51,6 +55,28 @@ def add_services(
         node.create_service(Trigger, f"~/{name}", callback(name, handler))
         for name, handler in handlers.items()
     ]
+
+
+def skill_handlers(program: Program, runs: Callable[[], bool]) -> dict[str, Callable[[], Answer]]:
+    """Return `skills/NAME` for each skill of a workflow, which asks for it.
+
+    Args:
+        program: the workflow.
+        runs: tells whether it ticks.
+    """
+    skills = skills_of(program)
+
+    def asking(skills: Skills, name: str) -> Callable[[], Answer]:
+        def ask() -> Answer:
+            if not runs():
+                return False, "nothing runs"
+            reason = skills.ask(name)
+            told = f"{name} from the next tick on" if skills.now != name else "it runs already"
+            return not reason, f"refused: {reason}" if reason else told
+
+        return ask
+
+    return {} if skills is None else {f"skills/{n}": asking(skills, n) for n in skills.names}
 
 
 def explained(error: BaseException) -> str:

@@ -43,7 +43,7 @@ from unicon_ros.bridge.neighbours import CLOCK, Neighbours
 from unicon_ros.bridge.own_node import OwnNode
 from unicon_ros.bridge.robot_frames import RobotFrames
 from unicon_ros.bridge.ros_platform import RosPlatform
-from unicon_ros.bridge.services import SERVICES, add_services
+from unicon_ros.bridge.services import SERVICES, add_services, skill_handlers
 from unicon_ros.bridge.slack import SlackServer
 from unicon_ros.bridge.stamps import WallStamp
 from unicon_ros.bridge.topics_in import TopicIn
@@ -140,6 +140,8 @@ class RosSession:
         """
         if self._own is not None and not (program.platform.facts.simulated or program.silent):
             self._refuse_latched()
+        for service in add_services(self.node, skill_handlers(program, self._runs), self.warn):
+            self._others.append(partial(self.node.destroy_service, service))
         stages = {Stage.INPUT: [self._inputs(program)]}
         if self.estop is not None:
             stages[Stage.SAFETY] = [self.estop.before_send()]

@@ -23,7 +23,12 @@ def add(commands: Any) -> None:
             _robots,
             "robots and their joints, gains, limits and sources; `new MODEL` writes a file",
         ),
-        ("policies", _policies, "policies and their contracts; `import X --out DIR` converts one"),
+        (
+            "policies",
+            _policies,
+            "policies and their contracts; `import X --out DIR` converts one, `fetch URL --out "
+            "DIR` gets it first",
+        ),
         ("platforms", _platforms, "platforms and their options"),
         ("faces", _faces, "faces of emulated robots, by protocol, and their options"),
         ("blocks", _blocks, "blocks and their options"),
@@ -38,9 +43,17 @@ def add(commands: Any) -> None:
             parser.add_argument("--out", metavar="FILE", help="with `new`: where to write")
         if name == "policies":
             parser.add_argument(
-                "source", nargs="?", metavar="X", help="with `import`: what to read"
+                "source",
+                nargs="?",
+                metavar="X",
+                help="with `import`: what to read; with `fetch`: hf://OWNER/REPO[@REV][/PATH], "
+                "wandb://ENTITY/PROJECT/RUN or file:///PATH",
             )
-            parser.add_argument("--out", metavar="DIR", help="with `import`: where to write")
+            parser.add_argument("--out", metavar="DIR", help="of both: where to write")
+            parser.add_argument("--sha256", metavar="HEX", help="with `fetch`: of the network")
+            parser.add_argument(
+                "--force", action="store_true", help="with `fetch`: replace a policy in DIR"
+            )
             parser.add_argument("--robot", metavar="ROBOT", help="robot that orders the joints")
         parser.set_defaults(function=function)
 
@@ -70,19 +83,29 @@ def _policies(arguments: argparse.Namespace) -> int:
     from unicon_core.robots import load_robot
 
     name, source, out = arguments.name, arguments.source, arguments.out
-    if name == "import":
+    if name in ("import", "fetch"):
         if not source or not out:
+            what = "FILE_OR_FOLDER" if name == "import" else "URL"
             raise PolicyError(
-                "policies import: give what to read and where to write: "
-                "unicon policies import FILE_OR_FOLDER --out DIR"
+                f"policies {name}: give what to read and where to write: "
+                f"unicon policies {name} {what} --out DIR"
             )
     elif source or out:
         raise PolicyError(
             f"policies: {source or '--out'} goes with import; write unicon policies NAME, or "
             "unicon policies import FILE_OR_FOLDER --out DIR"
         )
+    if name != "fetch" and (arguments.sha256 or arguments.force):
+        raise PolicyError(
+            "policies: --sha256 and --force go with fetch: unicon policies fetch URL --out DIR"
+        )
     robot = load_robot(arguments.robot) if arguments.robot else None
-    if name == "import":
+    if name == "fetch":
+        from unicon_core.policies.fetch import fetch_policy
+
+        told = {"sha256": arguments.sha256, "force": arguments.force, "robot": robot}
+        print(fetch_policy(source, out, **told))
+    elif name == "import":
         print(import_policy(source, out, robot=robot))
     elif name:
         print(policy_table(load_policy(name, robot=robot), robot))

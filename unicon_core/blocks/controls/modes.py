@@ -19,7 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,25 +33,34 @@ from unicon_core.flow.block import Reads, Writes
 from unicon_core.states import StateSpec
 from unicon_core.workflow.autowire import BuildContext
 
-__all__ = ["Modes", "modes"]
+__all__ = ["KEYS", "Modes", "Seen", "Way", "check_buttons", "modes", "way_of"]
 
 CENTRED = 0.2
 """A stick that is no further away is let go."""
 KEYS = ("button", "from", "after", "tilt", "calm")
 
 
+class Condition(Protocol):
+    """What has to hold when a mode is entered."""
+
+    def refused(self) -> str:
+        """Return why not, "" where it holds."""
+        ...
+
+
 @dataclass(frozen=True)
-class _Way:
+class Way:
     """How a mode is entered.
 
     Attributes:
         mode: its name.
-        place: of its button.
-        button: its name.
+        place: of its button; -1 where it has none.
+        button: its name, or "".
         sources: modes from which it is entered; empty for any.
         after: ticks that the mode before must have had.
         tilt: how far the base may lean in [rad].
         calm: no stick may be pushed.
+        enter: has to hold besides, or None.
     """
 
     mode: str
@@ -61,6 +70,11 @@ class _Way:
     after: int
     tilt: float
     calm: bool
+    enter: Condition | None = None
+
+
+Seen: TypeAlias = tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.float32]]
+"""Sticks, buttons and projected gravity."""
 
 
 def modes(
@@ -87,16 +101,34 @@ def modes(
     if not to:
         raise WorkflowError("to: no modes; give them as {stand: {button: A}}")
     names = list(dict.fromkeys([begin, *to]))
-    ways = [_way(name, said, names, context.period) for name, said in to.items()]
+    ways = []
+    for name, said in to.items():
+        if not isinstance(said, Mapping) or "button" not in said:
+            raise WorkflowError(
+                f"to.{name}: give {{button: NAME}}, as {{button: A, from: [passive]}}"
+            )
+        for key in said:
+            if key not in KEYS:
+                raise WorkflowError(f"to.{name}: no {key!r}; {alternatives(str(key), KEYS)}")
+        ways.append(way_of(name, said, names, context.period, "to."))
+    check_buttons(ways)
+    return Modes((sticks, buttons, projected_gravity), mode, names, ways, context)
+
+
+def check_buttons(ways: Sequence[Way]) -> None:
+    """Refuse a button that leads to two modes from one.
+
+    Raises:
+        WorkflowError: it does.
+    """
     for number, way in enumerate(ways):
         for other in ways[:number]:
             both = not (way.sources and other.sources) or {*way.sources} & {*other.sources}
-            if way.button == other.button and both:
+            if way.button and way.button == other.button and both:
                 raise WorkflowError(
                     f"button {way.button} leads to {other.mode} and to {way.mode}; give one of "
                     "them another, or other modes under from"
                 )
-    return Modes((sticks, buttons, projected_gravity), mode, names, ways, context)
 
 
 def _declares(**_: Any) -> Mapping[str, StateSpec]:
@@ -107,44 +139,54 @@ def _declares(**_: Any) -> Mapping[str, StateSpec]:
 setattr(modes, "declares", _declares)  # noqa: B010  a function has none to mypy
 
 
-def _way(name: str, said: Mapping[str, Any], names: Sequence[str], period: float) -> _Way:
-    if not isinstance(said, Mapping) or "button" not in said:
-        raise WorkflowError(f"to.{name}: give {{button: NAME}}, as {{button: A, from: [passive]}}")
-    for key in said:
-        if key not in KEYS:
-            raise WorkflowError(f"to.{name}: no {key!r}; {alternatives(str(key), KEYS)}")
+def way_of(
+    name: str, said: Mapping[str, Any], names: Sequence[str], period: float, place: str
+) -> Way:
+    """Return how a mode is entered.
+
+    Args:
+        name: of the mode.
+        said: what the workflow says of it.
+        names: of all modes.
+        period: of a tick in [s].
+        place: stands before the name in messages.
+
+    Raises:
+        WorkflowError: a value does not do.
+    """
     sources = said.get("from", ())
     if isinstance(sources, str) or not isinstance(sources, Sequence):
-        raise WorkflowError(f"to.{name}.from is {sources!r}; give a list of modes")
+        raise WorkflowError(f"{place}{name}.from is {sources!r}; give a list of modes")
     for source in sources:
         if source not in names:
             raise WorkflowError(
-                f"to.{name}.from: no mode {source!r}; {alternatives(str(source), names)}"
+                f"{place}{name}.from: no mode {source!r}; {alternatives(str(source), names)}"
             )
     after, tilt, calm = said.get("after", 0.0), said.get("tilt", math.pi), said.get("calm", False)
     for key, value in (("after", after), ("tilt", tilt)):
         if isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise WorkflowError(f"to.{name}.{key} is {value!r}; give a number")
+            raise WorkflowError(f"{place}{name}.{key} is {value!r}; give a number")
     if not isinstance(calm, bool):
-        raise WorkflowError(f"to.{name}.calm is {calm!r}; give true or false")
-    ticks = ticks_of(float(after), period, f"to.{name}.after") if after else 0
-    within(float(tilt), f"to.{name}.tilt", "rad", math.pi)
-    button = str(said["button"])
-    place = button_named(button, f"to.{name}.button")
-    return _Way(name, place, button, tuple(sources), ticks or 0, float(tilt), calm)
+        raise WorkflowError(f"{place}{name}.calm is {calm!r}; give true or false")
+    ticks = ticks_of(float(after), period, f"{place}{name}.after") if after else 0
+    within(float(tilt), f"{place}{name}.tilt", "rad", math.pi)
+    button = str(said.get("button", ""))
+    number = button_named(button, f"{place}{name}.button") if button else -1
+    return Way(name, number, button, tuple(sources), ticks or 0, float(tilt), calm)
 
 
 class Modes:
     """The tick of `modes`."""
 
     endless = True
+    word = "mode"
 
     def __init__(
         self,
-        seen: tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.float32]],
+        seen: Seen,
         mode: NDArray[np.int32],
         names: Sequence[str],
-        ways: Sequence[_Way],
+        ways: Sequence[Way],
         context: BuildContext,
     ) -> None:
         self._sticks, self._buttons, self._gravity = seen
@@ -164,22 +206,25 @@ class Modes:
         return self._now
 
     def _press(self, pressed: NDArray[np.bool_]) -> None:
-        wished = [way for way in self._ways if pressed[way.place]]
+        wished = [way for way in self._ways if way.place >= 0 and pressed[way.place]]
         here = [way for way in wished if not way.sources or self._now in way.sources]
         for way in here or wished[:1]:
             if way.mode == self._now:
                 return
             reason = self._refused(way)
             if not reason:
-                self._now, self._ticks = way.mode, 0
-                self._tell(f"mode: {way.mode}")
+                self._enter(way.mode)
                 return
             self._tell(f"{way.button} is refused: {reason}")
 
-    def _refused(self, way: _Way) -> str:
+    def _enter(self, mode: str) -> None:
+        self._now, self._ticks = mode, 0
+        self._tell(f"{self.word}: {mode}")
+
+    def _refused(self, way: Way) -> str:
         if way.sources and self._now not in way.sources:
             return f"{way.mode} is entered from {', '.join(way.sources)}, and this is {self._now}"
-        if self._ticks <= way.after:
+        if way.after and self._ticks <= way.after:
             left = (way.after - self._ticks + 1) * self._period
             return f"{self._now} is not at its end, press it again in {left:.1f} s"
         upright = min(max(-float(self._gravity[..., 2].max()), -1.0), 1.0)
@@ -188,7 +233,7 @@ class Modes:
             return f"the base leans {lean:.2f} rad, at most {way.tilt:g} are allowed"
         if way.calm and not float(np.abs(self._sticks).max()) <= CENTRED:
             return "a stick is pushed; let go of it first"
-        return ""
+        return "" if way.enter is None else way.enter.refused()
 
     def reset(self) -> None:
         """Begin anew; what is held down counts once it is pressed again."""

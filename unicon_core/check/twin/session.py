@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext, suppress
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,6 @@ from unicon_core.models.find import model_of
 from unicon_core.models.load import load_model
 from unicon_core.platforms.platform import info_of
 from unicon_core.policies import Policy, PolicyContract
-from unicon_core.policies.prefixed import prefix_of
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import Program
 from unicon_core.workflow.document import WorkflowDocument
@@ -206,23 +205,13 @@ class TwinSession:
         return {Stage.INPUT: [block]}
 
     def _exchange(self, key: str, contract: PolicyContract | None) -> dict[str, _Counted]:
-        program = self.program
-        prefix = prefix_of(key, program.policies)
         counted: dict[str, _Counted] = {}
         for used, block, policy in self._uses:
             running = policy
             if contract is not None and used == key:
-                states, network = program.states, policy.network
-                robot, model = program.robot, policy.model
-                running = Policy(
-                    contract,
-                    states,
-                    robot,
-                    prefix=prefix,
-                    network=network,
-                    model=model,
-                    every_target=policy.every_target,
-                )
+                places, options = policy.made
+                made: Any = type(policy)  # in a child, or here
+                running = made(contract, *places, network=policy.network, **options)
             tick = counted.setdefault(used, _Counted(running))
             block.tick, block.reset, block.warm_up = tick, running.reset, None
         return counted

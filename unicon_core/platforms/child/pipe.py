@@ -1,4 +1,4 @@
-"""Pipe: the process of a platform in a child, and what parent and child say through its pipe.
+"""Pipe: a child process, such as a platform's, and what parent and child say through its pipe.
 
 What is said in a tick goes through shared memory instead; see `ChildPlatform`.
 """
@@ -23,13 +23,17 @@ from unicon_core.signals import signal_name
 
 __all__ = ["Pipe"]
 
+PLATFORM = "unicon_core.platforms.child.process"
+"""Module that runs a platform."""
+
 
 class Pipe:
     """The parent's end.
 
     Args:
-        what: the platform, for messages.
+        what: the platform or policy, for messages.
         given: what the child reads first, which can be pickled.
+        module: that runs in the child.
 
     Attributes:
         process: the child.
@@ -38,7 +42,7 @@ class Pipe:
         PlatformError: something given cannot be pickled.
     """
 
-    def __init__(self, what: str, given: Mapping[str, Any]) -> None:
+    def __init__(self, what: str, given: Mapping[str, Any], module: str = PLATFORM) -> None:
         self._what, self._rest = what, b""
         try:
             packed = pickle.dumps(given)
@@ -47,7 +51,7 @@ class Pipe:
                 f"{what} cannot run in a child: {error}; leave out child"
             ) from error
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "unicon_core.platforms.child.process"],
+            [sys.executable, "-m", module],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             bufsize=0,
@@ -113,7 +117,10 @@ class Pipe:
             )
         if "error" in told:
             kind = getattr(errors, told["kind"], PlatformError)
-            raise (kind if issubclass(kind, UniconError) else PlatformError)(told["error"])
+            kind = kind if issubclass(kind, UniconError) else PlatformError
+            error = kind.__new__(kind)  # some are made of other words than their text
+            Exception.__init__(error, told["error"])
+            raise error
         if "fault" in told:
             raise Fault(told["fault"])
         return told

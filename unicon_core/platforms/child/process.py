@@ -7,10 +7,7 @@ died, and on SIGTERM.
 
 from __future__ import annotations
 
-import json
 import os
-import pickle
-import select
 import signal
 import sys
 import time
@@ -21,6 +18,7 @@ from typing import Any
 
 from unicon_core.errors import Fault, UniconError
 from unicon_core.platforms.child.abilities import ABILITIES
+from unicon_core.platforms.child.parent import ALARM, LONGEST, Parent, text_of
 from unicon_core.platforms.child.platform import START
 from unicon_core.platforms.platform import Platform, info_of
 from unicon_core.states import Layout, States
@@ -36,39 +34,19 @@ _LOOK = 0.005
 """How often a simulator that waits for commands looks whether its parent lives, in [s]."""
 
 
-_ALARM = 10
-"""In [s]: the kernel ends a process that hangs so long, as its parent would if it still lived."""
-
-LONGEST = 1000
-"""Characters of an error that are told."""
-
-
 def main() -> int:
     """Run; 0 after an orderly end, 3 after a fault."""
-    for number in (signal.SIGINT, signal.SIGHUP, signal.SIGTSTP):
-        signal.signal(number, signal.SIG_IGN)
-    signal.signal(signal.SIGALRM, signal.SIG_DFL)
-    signal.alarm(round(START) + _ALARM)
-    told = os.dup(1)
-    os.dup2(2, 1)  # what libraries print is not for the parent
-    size = int.from_bytes(_exactly(8), "little")
-    given = pickle.loads(_exactly(size))  # of our own parent, through our own pipe
-
-    def tell(**words: Any) -> None:
-        try:
-            packed = pickle.dumps(words)
-            os.write(told, len(packed).to_bytes(8, "little") + packed)
-        except OSError:
-            pass  # nobody is there to be told
-
+    parent = Parent(START)
+    tell = parent.tell
     # A vendor's code may raise anything, SystemExit too; whatever it is, the robot is damped.
     try:
-        driver = _Driver(given)
+        driver = _Driver(parent)
     except UniconError as error:
         tell(error=str(error)[:LONGEST], kind=type(error).__name__)
         return 1
     except BaseException as error:
-        tell(error=f"platform {given['factory']} raised {_text(error)}", kind="PlatformError")
+        factory = parent.given["factory"]
+        tell(error=f"platform {factory} raised {text_of(error)}", kind="PlatformError")
         return 1
     signal.signal(signal.SIGTERM, driver.stop)
     platform = driver.platform
@@ -80,39 +58,29 @@ def main() -> int:
             model_path=getattr(platform, "model_path", None),
             abilities=[name for name, kind in ABILITIES.items() if isinstance(platform, kind)],
         )
-        if driver.run(tell):
+        if driver.run():
             tell(done=True)
     except BaseException as error:
         status = 3
-        text = _text(error)
+        text = text_of(error)
         known = isinstance(error, Fault)
         tell(fault=text if known else f"platform {platform.facts.name!r} raised {text}")
-    signal.alarm(_ALARM)
+    signal.alarm(ALARM)
     try:
         platform.close()  # damps first
         tell(closed=True)
     except BaseException as error:
         status = 3
-        tell(closing=f"closing: {_text(error)}")
+        tell(closing=f"closing: {text_of(error)}")
     driver.close()
     return status
-
-
-def _text(error: BaseException) -> str:
-    """Return an exception in one short line: a pipe that nobody reads holds no long one."""
-    kind = "" if isinstance(error, Fault) else type(error).__name__
-    try:
-        text = " ".join(str(error).split())
-    except Exception:  # its text cannot be had
-        text = ""
-    whole = ": ".join(filter(None, (kind, text)))
-    return whole if len(whole) <= LONGEST else f"{whole[:LONGEST]}…"
 
 
 class _Driver:
     """The platform, and the two segments between which it stands."""
 
-    def __init__(self, given: dict[str, Any]) -> None:
+    def __init__(self, parent: Parent) -> None:
+        self._parent, given = parent, parent.given
         module, name = given["factory"].split(":")
         factory: Any = import_module(module)
         for part in name.split("."):
@@ -126,7 +94,7 @@ class _Driver:
         facts = self.platform.facts
         self._watchdog = given["watchdog"]
         self._stepped = facts.simulated
-        self._stopped, self._wishes, self._heard = False, b"", 0.0
+        self._stopped, self._heard = False, 0.0
         try:
             measured = subset(self._states.layout, facts.writes)
             self._segment = Segment.create(given["segment"], {MEASURED: measured})
@@ -141,7 +109,7 @@ class _Driver:
         """Ask to end."""
         self._stopped = True
 
-    def run(self, tell: Any) -> bool:
+    def run(self) -> bool:
         """Tick until the parent closes; True when the platform is done.
 
         Raises:
@@ -152,9 +120,9 @@ class _Driver:
         recv, send, publish, stepped = platform.recv, platform.send, writer.publish, self._stepped
         self._heard, looked = 0.0, time.monotonic()
         while not self._stopped:
-            signal.alarm(_ALARM)
+            signal.alarm(ALARM)
             came = commands.wait(slice_)
-            if not self._obey(tell):
+            if not self._obey():
                 return False
             if came:
                 commands.take()
@@ -179,19 +147,14 @@ class _Driver:
                     return False
         return False
 
-    def _obey(self, tell: Any) -> bool:
+    def _obey(self) -> bool:
         """Do what the parent wishes; False when it closes."""
-        while select.select([0], [], [], 0.0)[0]:
-            read = os.read(0, 1 << 16)
-            if not read:
-                return False
-            *lines, self._wishes = (self._wishes + read).split(b"\n")
-            for line in lines:
-                what, *given = json.loads(line)
-                self._do(what, given, tell)
-        return True
+        wishes = self._parent.wishes()
+        for what, *given in wishes or ():
+            self._do(what, given)
+        return wishes is not None
 
-    def _do(self, what: str, given: list[Any], tell: Any) -> None:
+    def _do(self, what: str, given: list[Any]) -> None:
         if what == "pause":
             self._heard = 0.0  # until the next command
             return
@@ -201,24 +164,14 @@ class _Driver:
                 self.platform.recv()
                 self._writer.publish()
         except UniconError as error:
-            tell(error=str(error), kind=type(error).__name__)
+            self._parent.tell(error=str(error), kind=type(error).__name__)
         else:
-            tell(value=dict(value) if isinstance(value, Mapping) else value)
+            self._parent.tell(value=dict(value) if isinstance(value, Mapping) else value)
 
     def close(self) -> None:
         """Let go of both segments."""
         self._commands.close()
         self._segment.close()
-
-
-def _exactly(count: int) -> bytes:
-    data = b""
-    while len(data) < count:
-        read = os.read(0, count - len(data))
-        if not read:
-            raise SystemExit(1)  # the parent died
-        data += read
-    return data
 
 
 if __name__ == "__main__":

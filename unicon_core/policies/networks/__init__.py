@@ -3,7 +3,7 @@
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.networks.chain import ChainedNetworks
 from unicon_core.policies.networks.network import Network, Remembering, Tensor
-from unicon_core.policies.networks.onnx import OnnxNetwork
+from unicon_core.policies.networks.onnx import OnnxNetwork, threads_of
 from unicon_core.policies.networks.torch import TorchNetwork
 
 __all__ = ["Network", "OnnxNetwork", "Remembering", "Tensor", "TorchNetwork", "open_network"]
@@ -20,4 +20,4 @@ def open_network(contract: PolicyContract) -> Network:
         return TorchNetwork(contract)
     if contract.networks:
         return ChainedNetworks(contract)
-    return OnnxNetwork(contract.model, contract.provider)
+    return OnnxNetwork(contract.model, contract.provider, threads_of(contract))

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from unicon_core.errors import PolicyError, alternatives
 from unicon_core.policies.contract import Feed, PolicyContract
 from unicon_core.policies.networks.network import Tensor
-from unicon_core.policies.networks.onnx import OnnxNetwork
+from unicon_core.policies.networks.onnx import OnnxNetwork, threads_of
 from unicon_core.policies.networks.onnx_file import read_onnx
 
 __all__ = ["ChainedNetworks", "chained_outputs"]
@@ -53,11 +53,12 @@ class ChainedNetworks:
 
     def __init__(self, contract: PolicyContract) -> None:
         self._name, provider = contract.name, contract.provider
+        threads = threads_of(contract)
         parts: list[tuple[str, Path, Mapping[str, tuple[Feed, ...]]]] = [
             *((part.name, part.model, part.feeds) for part in contract.networks),
             ("", contract.model, contract.feeds),
         ]
-        self._parts = [(n, OnnxNetwork(path, provider), feeds) for n, path, feeds in parts]
+        self._parts = [(n, OnnxNetwork(path, provider, threads), feeds) for n, path, feeds in parts]
         made: dict[str, Tensor] = {}
         inputs: list[Tensor] = []
         self._width = 0

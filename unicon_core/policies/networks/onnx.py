@@ -9,9 +9,10 @@ from typing import Any
 from numpy.typing import NDArray
 
 from unicon_core.errors import MissingDependencyError, PolicyError
+from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.networks.onnx_file import OnnxFile, read_onnx
 
-__all__ = ["PROVIDERS", "OnnxNetwork", "load_session"]
+__all__ = ["PROVIDERS", "OnnxNetwork", "load_session", "threads_of"]
 
 PROVIDERS = {
     "cpu": ("CPUExecutionProvider", "pip install 'unicon_ros[sim]'"),
@@ -21,8 +22,8 @@ PROVIDERS = {
 """Word of a contract to onnxruntime's name of the execution provider, and how it is installed."""
 
 
-def load_session(path: Path, provider: str = "cpu") -> Any:
-    """Return a single-threaded onnxruntime session.
+def load_session(path: Path, provider: str = "cpu", threads: int = 1) -> Any:
+    """Return an onnxruntime session.
 
     One thread: with its default pool onnxruntime spins and takes 66 % of a CPU at 50 Hz against
     1.5 %, at the same latency.
@@ -31,6 +32,7 @@ def load_session(path: Path, provider: str = "cpu") -> Any:
         path: the model.
         provider: where it runs, one of `PROVIDERS`. onnxruntime falls back to the CPU with a
             warning; here that is refused, for the whole network and for single nodes.
+        threads: that work on one operator.
 
     Raises:
         MissingDependencyError: onnxruntime is not installed, or lacks the provider.
@@ -52,7 +54,7 @@ def load_session(path: Path, provider: str = "cpu") -> Any:
             install,
         )
     options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = 1
+    options.intra_op_num_threads = threads
     options.inter_op_num_threads = 1
     options.execution_mode = onnxruntime.ExecutionMode.ORT_SEQUENTIAL
     options.log_severity_level = 3
@@ -73,12 +75,18 @@ def load_session(path: Path, provider: str = "cpu") -> Any:
     return session
 
 
+def threads_of(contract: PolicyContract) -> int:
+    """Return how many threads a policy's networks have: one in the process of the ticks."""
+    return 1 if contract.child is None else contract.child.threads
+
+
 class OnnxNetwork:
     """An ONNX model in one onnxruntime session.
 
     Args:
         path: the model.
         provider: where it runs, one of `PROVIDERS`; its inputs and outputs are in host memory.
+        threads: as of `load_session`.
 
     Attributes:
         file: what the file says of itself.
@@ -89,7 +97,7 @@ class OnnxNetwork:
         MissingDependencyError: onnxruntime is not installed, or lacks the provider.
     """
 
-    def __init__(self, path: Path, provider: str = "cpu") -> None:
+    def __init__(self, path: Path, provider: str = "cpu", threads: int = 1) -> None:
         self.file: OnnxFile = read_onnx(path)
         missing = self.file.missing_external()
         if missing:
@@ -99,7 +107,7 @@ class OnnxNetwork:
             )
         self.inputs = self.file.inputs
         self.outputs = self.file.outputs
-        self._session = load_session(path, provider)
+        self._session = load_session(path, provider, threads)
 
     def bind(
         self, inputs: Mapping[str, NDArray[Any]], outputs: Mapping[str, NDArray[Any]]

@@ -48,7 +48,7 @@ class TorchNetwork:
                 "export it as ONNX"
             )
         self._torch: Any = torch
-        torch.set_num_threads(1)
+        torch.set_num_threads(1 if contract.child is None else contract.child.threads)
         try:
             self._module = torch.jit.load(str(contract.model), map_location="cpu").eval()
         except (RuntimeError, ValueError) as error:

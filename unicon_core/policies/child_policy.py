@@ -1,0 +1,208 @@
+"""ChildPolicy: a policy whose network runs in a process of its own, for networks that are slow.
+
+    policies:
+      plan: {path: ./plan, child: {delay: 3}}
+
+It runs in every tick of the workflow. At its own period it hands its observation over, unless the
+network is still at work on one; `delay` ticks later it takes the action, and holds it until the
+next. At real rate no tick waits: an action that is late is taken when it is there, and its age
+grows. Where ticks are not paced the answer is waited for, so that each action comes after exactly
+`delay` ticks and two runs are the same to the bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from unicon_core.errors import Fault, PolicyError
+from unicon_core.policies.contract import PolicyContract
+from unicon_core.policies.networks.child import ChildNetwork, Question
+from unicon_core.policies.policy import Policy
+from unicon_core.policies.prefixed import PackedStates, PrefixedStates
+from unicon_core.robots import Robot
+
+__all__ = ["AGE", "ChildPolicy"]
+
+AGE = "action_age"
+"""State: how old the observation is of the action that is held, in [s]."""
+
+TIMEOUT = 0.25
+"""Shortest `timeout` unless it is given, in [s]: as old as a robot's command may be by `hang`."""
+
+
+class ChildPolicy(Policy):
+    """A policy as a block, its network in a child.
+
+    Until its first action is there, it holds the targets that were sent last, limp joints where
+    they were measured, with the gains of the policy.
+
+    Args:
+        contract: the policy, with `child`.
+        states: as of `Policy`, with `action_age`.
+        robot: as of `Policy`.
+        period: of a tick in [s].
+        paced: tells whether ticks are paced by the clock; else answers are waited for.
+        network: of the contract, in its child; None starts one.
+        options: as of `Policy`.
+
+    Raises:
+        PolicyError: as of `Policy`; what only works in the process of the ticks.
+        UniconError: what was raised in the child.
+    """
+
+    every_tick = True
+    """It keeps its period by itself."""
+
+    def __init__(
+        self,
+        contract: PolicyContract,
+        states: PackedStates,
+        robot: Robot,
+        *,
+        period: float,
+        paced: Callable[[], bool],
+        network: ChildNetwork | None = None,
+        **options: Any,
+    ) -> None:
+        spec = contract.child
+        assert spec is not None
+        self._spec, self._period, self._paced = spec, period, paced
+        self._every = max(round(contract.period / period), 1)
+        oldest = oldest_age(contract, period)
+        self._timeout = spec.timeout or max(TIMEOUT, 2.0 * oldest)
+        if self._timeout < oldest:
+            raise PolicyError(
+                f"policy {contract.name}: child.timeout is {spec.timeout:g} s, and by its delay "
+                f"and period an action is up to {oldest:g} s old; give more"
+            )
+        if states.num_robots is not None:
+            raise PolicyError(
+                f"policy {contract.name}: in a child it drives one robot, not num_robots "
+                f"{states.num_robots}; leave out child"
+            )
+        mine = network is None
+        self.network: ChildNetwork = network or ChildNetwork(contract)
+        try:
+            super().__init__(contract, states, robot, network=self.network, **options)
+            if self._motion:
+                raise PolicyError(
+                    f"policy {contract.name}: its network tells the motion that it follows, "
+                    "which would come late from a child; leave out child, or give motion.file"
+                )
+        except BaseException:
+            if mine:
+                self.network.close()
+            raise
+        named: Any = self.made[1]
+        named.update(period=period, paced=paced)
+        question = self.lane.infer
+        assert isinstance(question, Question)
+        self._question = question
+        view = self._states
+        names = ("joint_pos", "joint_pos_target", "joint_stiffness")
+        self._there = [view[name].reshape(1, -1) for name in names]
+        self._age = view[AGE]
+        self._held = np.zeros_like(self.lane.action)
+        self._tick, self._asked, self._of = 0, -1, -1
+        own = view.actual(AGE) if isinstance(view, PrefixedStates) else AGE
+        self.writes = (*self.writes, own)
+        self.reads = tuple(dict.fromkeys([*self.reads, "joint_pos"]))
+
+    def __call__(self, warm_up: bool = False) -> bool:
+        """Run one tick; of a warm-up only what changes nothing.
+
+        Raises:
+            Fault: as of `Policy`; the child has died, or its newest action is too old.
+        """
+        lane, tick = self.lane, self._tick
+        if warm_up:
+            lane.assemble()
+            return False
+        if self._asked >= 0 and tick - self._asked >= self._spec.delay:
+            self._take()
+        self._age[...] = age = (tick - max(self._of, 0)) * self._period
+        if age > self._timeout:
+            raise Fault(
+                f"policy {self.name}: its newest action is {age:.3g} s old, at most "
+                f"{self._timeout:g} s are allowed: its process {self.network.process.pid} is too "
+                f"slow, hangs or was stopped (child.timeout)"
+            )
+        if self._of >= 0:
+            lane.action[...] = self._held
+            self._command()
+            for state, values in self._published:
+                state[...] = values
+        else:
+            self._hold(tick)
+        done = False
+        if tick % self._every == 0:
+            done = self._observe()
+        self._tick = tick + 1
+        return done
+
+    def _take(self) -> None:
+        lane = self.lane
+        if not self._question.take(wait=not self._paced()):
+            return
+        if not lane.action_finite():
+            raise Fault(self._blame_action())
+        self._held[...] = lane.action
+        for source, target in lane.memory:
+            target[...] = source
+        self._of, self._asked = self._asked, -1
+
+    def _hold(self, tick: int) -> None:
+        measured, target, stiffness = self._there
+        position, *rates = self._computed
+        if tick == 0:
+            np.copyto(position, np.where(stiffness > 0.0, target, measured))
+            for rate in rates:
+                rate[...] = 0.0
+        for state, values in self._published:
+            state[...] = values
+
+    def _observe(self) -> bool:
+        """Look at the robot, and hand that over where the network is free."""
+        lane = self.lane
+        if self._before is not None:
+            self._before()
+        if self.tracker is not None:
+            self.tracker()
+        lane.assemble()
+        if not lane.finite():
+            raise Fault(self._blame_observation())
+        if self._asked < 0:
+            self._question.ask()
+            self._asked = self._tick
+        for state, values in lane.published:
+            state[...] = values
+        lane.advance()
+        return self.tracker is not None and self.tracker.done
+
+    def reset(self) -> None:
+        """Forget what was asked and answered, and all that a policy forgets."""
+        super().reset()
+        self._question.forget()
+        self._held[...] = 0.0
+        self._age[...] = 0.0
+        self._tick, self._asked, self._of = 0, -1, -1
+
+    def close(self) -> None:
+        """End the child."""
+        self.network.close()
+
+
+def oldest_age(contract: PolicyContract, period: float) -> float:
+    """Return how old an action becomes by its delay where the network is in time, in [s].
+
+    Args:
+        contract: with `child`.
+        period: of a tick in [s].
+    """
+    assert contract.child is not None
+    delay, every = contract.child.delay, max(round(contract.period / period), 1)
+    between = -(-delay // every) * every  # a new observation goes when the last is answered
+    return (delay + between - 1) * period

@@ -1,0 +1,269 @@
+"""Fetching: a policy from where it is published, by the library of whoever publishes it.
+
+    hf://OWNER/REPO[@REVISION][/PATH]          huggingface_hub
+    wandb://ENTITY/PROJECT/RUN[/PATH]          wandb: files of a run
+    wandb://ENTITY/PROJECT/NAME:VERSION[/PATH] wandb: an artifact
+    file:///PATH
+
+What is fetched is imported, as `import_policy` does, and stands in its folder whole or not at all.
+"""
+
+from __future__ import annotations
+
+import glob
+import os
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePosixPath
+from tempfile import TemporaryDirectory
+from typing import Any
+from urllib.parse import unquote, urlsplit
+
+import yaml
+
+from unicon_core.errors import MissingDependencyError, PolicyError, alternatives
+from unicon_core.policies.load import ImportReport, import_policy
+from unicon_core.resources import sha256_of
+from unicon_core.robots import Robot
+
+__all__ = ["FetchReport", "fetch_policy"]
+
+NETWORKS = (".onnx", ".pt", ".pth", ".jit")
+KINDS = (*NETWORKS, ".data", ".yaml", ".yml", ".npz", ".csv")
+"""Endings of files that a policy is made of; no others are fetched."""
+
+
+@dataclass(frozen=True)
+class FetchReport:
+    """What was fetched.
+
+    Attributes:
+        source: where from, with the revision that it was.
+        sha256: name of each network's file to its SHA-256.
+        report: of the import.
+    """
+
+    source: str
+    sha256: dict[str, str]
+    report: ImportReport
+
+    def __str__(self) -> str:
+        digests = [f"sha256 {digest}  {name}" for name, digest in self.sha256.items()]
+        return "\n".join([f"fetched {self.source}", *digests, str(self.report)])
+
+
+@dataclass(frozen=True)
+class _Fetched:
+    """Where a policy lies by now, and what exactly it is."""
+
+    path: Path
+    source: str
+
+
+def fetch_policy(
+    url: str,
+    out_dir: str | Path,
+    *,
+    sha256: str | None = None,
+    force: bool = False,
+    robot: Robot | None = None,
+) -> FetchReport:
+    """Fetch a policy, and write it as `policy.yaml` with its network beside it.
+
+    Args:
+        url: see the module.
+        out_dir: folder to write, all at once; it must not be there.
+        sha256: of the network's file, 64 digits; another one is refused.
+        force: replace the folder of a policy that is there.
+        robot: as of `load_policy`.
+
+    Raises:
+        PolicyError: it cannot be had, is another one than `sha256` says, or the folder is there.
+        MissingDependencyError: the library for it is not installed.
+    """
+    out = Path(os.path.abspath(out_dir))
+    if sha256 is not None and (len(sha256) != 64 or set(sha256.lower()) - set("0123456789abcdef")):
+        raise PolicyError(f"--sha256 {sha256}: give the 64 digits of 'sha256sum'")
+    if os.path.lexists(out):
+        if not force:
+            raise PolicyError(f"{out} is there; give another --out, or replace it: --force")
+        if out.is_symlink() or not (out / "policy.yaml").is_file():
+            raise PolicyError(f"{out} is not the folder of a policy; give another --out")
+    get = _source(url)
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        folder = TemporaryDirectory(dir=out.parent, prefix=f".{out.name}.")
+    except OSError as error:
+        raise PolicyError(f"{out}: cannot write there: {error.strerror}") from error
+    with folder as name:
+        fetched = get(Path(name) / "fetched")
+        new = Path(name) / "new"
+        report = import_policy(fetched.path, new, robot=robot)
+        digests = _digests(new, url, sha256)
+        _note(new / "policy.yaml", fetched.source)
+        _put(new, out, Path(name) / "old")
+    return FetchReport(fetched.source, digests, replace(report, path=out / report.path.name))
+
+
+def _digests(folder: Path, url: str, wanted: str | None) -> dict[str, str]:
+    """Return the hashes of the networks, that of the action first.
+
+    Raises:
+        PolicyError: it is not the one that is wanted.
+    """
+    values = yaml.safe_load((folder / "policy.yaml").read_text(encoding="utf-8"))
+    main = values.get("onnx") or values.get("torchscript")
+    if main is None:
+        raise PolicyError(f"{url}: no single network is with it; name its file at the end")
+    others = (part["onnx"] for part in (values.get("networks") or {}).values())
+    digests = {name: sha256_of(folder / name) for name in (main, *others)}
+    if wanted is not None and digests[main] != wanted.lower():
+        raise PolicyError(
+            f"{url}: {main} has sha256 {digests[main]}, and --sha256 says {wanted}; nothing was "
+            "written: make sure which one you want"
+        )
+    return digests
+
+
+def _note(path: Path, source: str) -> None:
+    """Add to a policy.yaml where it is from."""
+    text = path.read_text(encoding="utf-8")
+    if "sources" not in yaml.safe_load(text):
+        path.write_text(f"{text}{yaml.safe_dump({'sources': {'fetched': source}})}", "utf-8")
+
+
+def _put(new: Path, out: Path, old: Path) -> None:
+    """Let a folder be another one, at once; what was there goes to `old`."""
+    try:
+        if os.path.lexists(out):
+            os.rename(out, old)
+        try:
+            os.rename(new, out)
+        except OSError:
+            if os.path.lexists(old):
+                os.rename(old, out)
+            raise
+    except OSError as error:
+        raise PolicyError(f"{out}: cannot write it: {error.strerror}") from error
+
+
+def _source(url: str) -> Callable[[Path], _Fetched]:
+    """Return what fetches a URL into a new folder.
+
+    Raises:
+        PolicyError: it is of no known form.
+    """
+    scheme, mark, rest = url.partition("://")
+    parts = [part for part in rest.split("/") if part]
+    if not mark or scheme not in ("hf", "wandb", "file"):
+        schemes = "hf://OWNER/REPO, wandb://ENTITY/PROJECT/RUN, file:///PATH"
+        raise PolicyError(f"policies fetch {url!r}: give {schemes}")
+    if scheme != "file" and any(part in (".", "..") for part in parts):
+        raise PolicyError(f"policies fetch {url!r}: leave out '.' and '..'")
+    if scheme == "hf" and len(parts) >= 2:
+        repo, _, revision = parts[1].partition("@")
+        return lambda into: _hugging_face(
+            url, into, f"{parts[0]}/{repo}", revision or None, "/".join(parts[2:])
+        )
+    if scheme == "wandb" and len(parts) >= 3:
+        return lambda into: _wandb(url, into, "/".join(parts[:3]), "/".join(parts[3:]))
+    if scheme == "file":
+        return lambda into: _file(url)
+    wanted = {"hf": "hf://OWNER/REPO[@REVISION][/PATH]", "wandb": "wandb://ENTITY/PROJECT/RUN"}
+    raise PolicyError(f"policies fetch {url!r}: give {wanted[scheme]}")
+
+
+def _file(url: str) -> _Fetched:
+    split = urlsplit(url)
+    if split.netloc not in ("", "localhost"):
+        raise PolicyError(f"policies fetch {url!r}: a file of this machine has three slashes")
+    path = Path(unquote(split.path))
+    if not path.exists():
+        raise PolicyError(f"policies fetch {url!r}: no such file or folder {path}")
+    return _Fetched(path, path.resolve().as_uri())
+
+
+def _hugging_face(url: str, into: Path, repo: str, revision: str | None, path: str) -> _Fetched:
+    try:
+        import huggingface_hub
+    except ImportError as error:
+        raise MissingDependencyError(
+            f"policies fetch {url}", "huggingface_hub", "pip install huggingface_hub"
+        ) from error
+    with _told(url, "huggingface_hub"):
+        info = huggingface_hub.HfApi().model_info(repo, revision=revision)
+        there = [str(file.rfilename) for file in info.siblings or ()]
+    names = _wanted(url, there, path)
+    folder = into / repo.rpartition("/")[2]
+    with _told(url, "huggingface_hub"):
+        huggingface_hub.snapshot_download(
+            repo,
+            revision=info.sha,
+            local_dir=folder,
+            allow_patterns=[glob.escape(name) for name in names],
+        )
+    return _Fetched(folder / path, f"hf://{repo}@{info.sha}{path and f'/{path}'}")
+
+
+def _wandb(url: str, into: Path, place: str, path: str) -> _Fetched:
+    try:
+        import wandb
+    except ImportError as error:
+        raise MissingDependencyError(
+            f"policies fetch {url}", "wandb", "pip install wandb"
+        ) from error
+    last = place.rpartition("/")[2]
+    folder = into / last.partition(":")[0]
+    with _told(url, "wandb"):
+        api: Any = wandb.Api()
+        if ":" in last:
+            artifact = api.artifact(place)
+            files = {str(file.name): file for file in artifact.files()}
+            place = f"{place.rpartition(':')[0]}:{artifact.version}"
+        else:
+            files = {str(file.name): file for file in api.run(place).files()}
+    for name in _wanted(url, files, path):
+        with _told(url, "wandb"):
+            files[name].download(root=str(folder), replace=True)
+    return _Fetched(folder / path, f"wandb://{place}{path and f'/{path}'}")
+
+
+def _wanted(url: str, there: Iterable[str], path: str) -> list[str]:
+    """Return the names of the files that a policy needs.
+
+    Args:
+        url: for messages.
+        there: names of the files that are there.
+        path: a file or folder among them, or "".
+
+    Raises:
+        PolicyError: it is not there, or a name leads out of the folder.
+    """
+    names = [name for name in there if name.endswith(KINDS)]
+    for name in names:
+        pure = PurePosixPath(name)
+        if pure.is_absolute() or ".." in pure.parts or "\\" in name:
+            raise PolicyError(f"{url}: the name {name!r} leads out of its folder; it is refused")
+    folder = path
+    if path in names:
+        folder = path.rpartition("/")[0]
+        if path.endswith(NETWORKS):  # others beside it are other policies, but for its weights
+            names = [name for name in names if name == path or not name.endswith(NETWORKS)]
+    inside = [name for name in names if not folder or name.startswith(f"{folder}/")]
+    if not inside:
+        what = (
+            f"nothing of a policy is under {path!r}" if path else "no files of a policy are there"
+        )
+        raise PolicyError(f"{url}: {what}; {alternatives(path, names)}")
+    return inside
+
+
+@contextmanager
+def _told(url: str, library: str) -> Iterator[None]:
+    """Turn whatever a library raises into one line."""
+    try:
+        yield
+    except Exception as error:
+        text = " ".join(str(error).split())[:300] or type(error).__name__
+        raise PolicyError(f"{url}: {library} cannot get it: {text}") from error
