@@ -205,6 +205,11 @@ def milliseconds(draft: Draft) -> None:
         draft.given["period"] = 20.0
 
 
+def no_collision(draft: Draft) -> None:
+    """The feet's collision geometry is lost, as with meshes that were left out."""
+    draft.model_changes['contype="0" conaffinity="1"'] = 'contype="0" conaffinity="0"'
+
+
 def passive_damping(draft: Draft) -> None:
     """The model's joints have a multiple of the damping that the motors have besides."""
     old, new = {"go2": ("0.1", "6"), "go1": ("0.5", "3"), "mjlab": ("0.05", "15")}.get(
@@ -506,6 +511,7 @@ def _listed() -> Iterator[Variant]:
         ("stiff", "stiffness", False, given_stiff),
         ("metadata_twice", "joint_names", False, metadata_twice),
         ("passive_damping", "passive damping", True, passive_damping),
+        ("no_collision", "collision geometry", False, no_collision),
         ("low_effort", "effort of ", False, low_effort),
     )
     yield from of(
@@ -557,6 +563,7 @@ def _listed() -> Iterator[Variant]:
         ("stiff", "stiffness", False, given_stiff),
         ("other_network", "sha256", False, other_network),
         ("passive_damping", "passive damping", True, passive_damping),
+        ("no_collision", "collision geometry", False, no_collision),
         ("low_effort", "effort of ", False, low_effort),
     )
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from unicon_core.errors import ModelError
+from unicon_core.models.load import load_model
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.platforms.sim.mujoco import make
 from unicon_core.robots import Robot, load_robot
@@ -81,7 +82,7 @@ def with_mesh(path: Path, geom: str) -> Path:
     return path
 
 
-def test_absent_meshes_are_left_out_with_one_warning(
+def test_absent_meshes_are_left_out_with_one_line(
     toy_robot: Callable[..., Robot],
     toy_model: Callable[..., Path],
     states_of: Callable[..., States],
@@ -89,13 +90,10 @@ def test_absent_meshes_are_left_out_with_one_warning(
     geom = '<geom type="mesh" mesh="skin" contype="0" conaffinity="0"/>'
     path = with_mesh(toy_model(), geom + '<geom type="mesh" mesh="skin"/>')
     robot = toy_robot()
-    with pytest.warns(UserWarning, match="skin") as warned:
-        platform = make(states_of(robot), robot, 0.01, scene=Scene(model=path))
-    assert [str(w.message) for w in warned] == [
-        f"model {path}: 1 mesh files are absent (first: skin.stl): "
-        "2 geoms left out, 1 of them may collide"
-    ]
-    assert platform.info()["notes"][0].startswith("1 mesh files are absent")
+    platform = make(states_of(robot), robot, 0.01, scene=Scene(model=path))
+    line = "1 mesh files are absent (first: skin.stl): 2 geoms left out, 1 of them may collide"
+    assert platform.info()["notes"][0] == line
+    assert load_model(path, robot).absent == (line,)
 
 
 def test_body_that_weighs_nothing_without_its_mesh_is_an_error(
@@ -107,7 +105,7 @@ def test_body_that_weighs_nothing_without_its_mesh_is_an_error(
     path = with_mesh(toy_model(), geom)
     robot = toy_robot()
     lacks = pytest.raises(ModelError, match=r"mass and inertia.*'hat'")
-    with pytest.warns(UserWarning, match="skin"), lacks:
+    with lacks:
         make(states_of(robot), robot, 0.01, scene=Scene(model=path))
 
 

@@ -247,8 +247,8 @@ def test_a_mesh_in_a_format_that_mujoco_cannot_read_is_left_out(
     old, new = COLLISION
     path = toy_urdf((old, old + new.format("../meshes/skin.dae")))
     robot = toy_robot()
-    with pytest.warns(UserWarning, match="1 of them may collide"):
-        make(states_of(robot), robot, 0.01, scene=Scene(model=path))
+    platform = make(states_of(robot), robot, 0.01, scene=Scene(model=path))
+    assert "1 of them may collide" in "\n".join(platform.info()["notes"])
 
 
 def test_a_robot_without_anything_that_collides_is_told_to_fall(
@@ -261,8 +261,9 @@ def test_a_robot_without_anything_that_collides_is_told_to_fall(
     mesh = '<geometry><mesh filename="limb.stl"/></geometry>'
     path = toy_urdf((old, new.format("skin.stl")), (limb, mesh))
     robot = toy_robot()
-    with pytest.warns(UserWarning, match="so it falls through the floor: add the files"):
-        make(states_of(robot), robot, 0.01, scene=Scene(model=path))
+    platform = make(states_of(robot), robot, 0.01, scene=Scene(model=path))
+    notes = "\n".join(platform.info()["notes"])
+    assert "so it falls through the floor: add the files" in notes
 
 
 def test_an_absent_texture_is_left_out(

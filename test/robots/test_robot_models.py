@@ -106,7 +106,6 @@ ROBOTS = sorted(path.stem for path in FILES.glob("*.yaml"))
 
 
 @pytest.mark.parametrize("name", ROBOTS)
-@pytest.mark.filterwarnings("ignore::UserWarning")  # of meshes that are absent
 def test_a_robot_whose_model_is_at_hand_names_it_and_it_can_be_simulated(name: str) -> None:
     root = assets_root()
     if root is None:
@@ -185,7 +184,6 @@ def test_order_is_that_of_the_models_motors(model: tuple[str, Path]) -> None:
         assert robot.joint_names == tuple(motors[slot] for slot in slots)
 
 
-@pytest.mark.filterwarnings("ignore:model .* mesh files are absent")
 def test_the_platform_loads_it_and_a_quadruped_stands(model: tuple[str, Path]) -> None:
     pytest.importorskip("mujoco", reason="the model is simulated")
     from unicon_core.platforms.kit.scene import Scene

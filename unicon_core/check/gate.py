@@ -20,6 +20,7 @@ TOLD = {
     "limits of a joint",
     "safety.less": "",
     "joints.welded": "",
+    "model.meshes": "",
     "start.gates": "the robot is moved whatever it tells of itself",
 }
 """Notes that every start tells, and what each means where its evidence does not say it."""

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from unicon_core.check.collision import check_collision
 from unicon_core.check.mirror import check_mirrored, mirror_pairs
 from unicon_core.check.result import CheckResult, PolicyResult
 from unicon_core.check.subject import Subject, listed
@@ -37,6 +38,9 @@ def check_pose(subject: Subject, result: CheckResult) -> None:
         _limits(subject.robot, policy)
         check_mirrored(policy, "pose.symmetry", "default_joint_pos", joints, pose, 0.02)
     model = subject.model
+    if model is not None:
+        where = subject.document.where("scene")
+        check_collision(model, subject.robot, result, where)
     if not subject.robot.walks:
         return
     if model is None:

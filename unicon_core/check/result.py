@@ -62,6 +62,8 @@ CODES = {
     "parts.published": "a state does not reach the part that reads it, or nothing writes it",
     "parts.silent": "nobody says what is commanded when the part that commands is silent",
     "platform.open": "what only the opened platform can tell (a note)",
+    "model.meshes": "mesh files of the model are absent (a note)",
+    "model.collision": "the robot's model does not collide with the floor",
     "map.fit": "the message map does not fit the states, or could not be looked at",
     "robot.facts": "the robot file lacks what is needed to drive the robot",
     "check.settings": "the workflow's check: section is wrong",
@@ -97,6 +99,7 @@ CAUSES = (
     "parts.silent",
     "joints.motors",
     "joints.order",  # then poses, scales and gains are at the wrong joints
+    "model.collision",
     "limits.effort",  # then gains look too stiff
     "gains.swapped",
     "gains.damping",

@@ -53,11 +53,17 @@ def drop_absent_meshes(spec: Any, path: Path, floats: bool) -> list[str]:
     if not absent:
         return []
     dropped = colliding = 0
+    paired = {name for pair in spec.pairs for name in (pair.geomname1, pair.geomname2)}
+    gone = set()
     for geom in list(spec.geoms):
         if geom.meshname in absent:
             dropped += 1
-            colliding += bool(geom.contype or geom.conaffinity)
+            colliding += bool(geom.contype or geom.conaffinity or geom.name in paired)
+            gone.add(geom.name)
             _delete(spec, geom)
+    for pair in list(spec.pairs):
+        if {pair.geomname1, pair.geomname2} & gone - {""}:
+            _delete(spec, pair)
     for mesh in absent.values():
         _delete(spec, mesh)
     note = (
@@ -65,7 +71,8 @@ def drop_absent_meshes(spec: Any, path: Path, floats: bool) -> list[str]:
         f"{dropped} geoms left out, {colliding} of them may collide"
     )
     own = (g for g in spec.geoms if g.parent != spec.worldbody)
-    if floats and not any(geom.contype or geom.conaffinity for geom in own):
+    paired = {name for pair in spec.pairs for name in (pair.geomname1, pair.geomname2)}
+    if floats and not any(g.contype or g.conaffinity or g.name in paired for g in own):
         note += "; nothing else of it does, so it falls through the floor: add the files"
     return [note]
 

@@ -17,6 +17,7 @@ from unicon_core.errors import ModelError
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.models.posed import foot_bodies, foot_geoms
 from unicon_core.models.rows import index_of, rows_of
+from unicon_core.models.touching import solid
 from unicon_core.robots import Robot
 
 __all__ = ["Feet"]
@@ -221,8 +222,8 @@ def _points(mujoco: Any, model: Any, bodies: dict[str, int], robot: Robot) -> tu
     radii: list[Float] = []
     for foot, body in bodies.items():
         own = [g for g in geoms.get(foot, []) if model.geom_bodyid[g] == body]
-        solid = [g for g in own if model.geom_contype[g] | model.geom_conaffinity[g]]
-        parts = [_of_geom(mujoco, model, geom) for geom in solid or own]
+        touching = [geom for geom in own if solid(model, geom)]
+        parts = [_of_geom(mujoco, model, geom) for geom in touching or own]
         parts = parts or [(np.zeros((1, 3)), 0.0)]
         places.append(np.concatenate([at for at, _ in parts]))
         radii.append(np.concatenate([np.full(len(at), radius) for at, radius in parts]))

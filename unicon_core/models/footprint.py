@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.models.posed import PosedModel, foot_geoms
+from unicon_core.models.touching import solid
 from unicon_core.robots import Robot
 
 __all__ = ["Footprint"]
@@ -44,8 +45,7 @@ class Footprint:
         mujoco, model = import_mujoco(), loaded.model
         self._posed = PosedModel(loaded)
         self._joint_pos, self._base_quat = joint_pos, base_quat
-        solid = model.geom_contype | model.geom_conaffinity
-        groups = [[g for g in group if solid[g]] or group for group in feet.values()]
+        groups = [[g for g in group if solid(model, g)] or group for group in feet.values()]
         geoms = self._geoms = np.array([geom for group in groups for geom in group], np.intp)
         # Of the mean of the feet each foot is one part, however many geoms it has.
         self._weights = np.array([1.0 / len(g) / len(groups) for g in groups for _ in g])

@@ -17,6 +17,7 @@ from unicon_core.models.links import Geom, Link
 from unicon_core.models.load import load_model
 from unicon_core.models.loaded import import_mujoco
 from unicon_core.models.quaternions import Float, about, multiply, rotate
+from unicon_core.models.touching import solid
 from unicon_core.robots import Robot
 
 __all__ = ["frame_of", "read_tree", "tree_of"]
@@ -153,8 +154,8 @@ class _Reader:
         geoms = range(first, first + count)
         # MuJoCo's viewers hide the groups from 3 on.
         shown = [g for g in geoms if model.geom_group[g] < 3] or geoms
-        solid = [g for g in geoms if model.geom_contype[g] or model.geom_conaffinity[g]]
-        for geom in solid if self._colliding else shown:
+        touching = [geom for geom in geoms if solid(model, geom)]
+        for geom in touching if self._colliding else shown:
             link.geoms += self._geoms(geom, shift)
 
     def _geoms(self, geom: int, shift: Float) -> list[Geom]:

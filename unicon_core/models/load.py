@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import warnings
+import logging
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,6 +12,7 @@ from unicon_core.errors import ModelError
 from unicon_core.models.absent import drop_absent_meshes, drop_absent_textures
 from unicon_core.models.actuators import mend_actuators
 from unicon_core.models.bounded import refuse_endless, refuse_not_finite
+from unicon_core.models.ground import mend_floor
 from unicon_core.models.joints import find_joints
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.models.urdf_repair import repaired_urdf
@@ -19,6 +20,8 @@ from unicon_core.models.welded import weld_absent
 from unicon_core.robots import Robot
 
 __all__ = ["load_model"]
+
+_log = logging.getLogger(__name__)
 
 _URDF_TIMESTEP = 0.002  # [s]; MuJoCo's own default, said here since a URDF cannot say it
 
@@ -33,16 +36,17 @@ def load_model(
 ) -> LoadedModel:
     """Read and compile a model for a robot.
 
-    Visual and collision meshes whose files are absent are left out with one warning; mistakes of
-    public URDF files that ROS reads over are mended. A URDF of a robot that walks gets a free
-    joint; a walking robot without surroundings gets a floor; a robot joint without a motor gets
-    one. Joints that the robot calls weldable may be absent: they stand still.
+    Visual and collision meshes whose files are absent are left out, which `absent` tells; mistakes
+    of public URDF files that ROS reads over are mended. A URDF of a robot that walks gets a free
+    joint; a walking robot without surroundings gets a floor, by the name that its pairs give it; a
+    robot joint without a motor gets one. Joints that the robot calls weldable may be absent: they
+    stand still.
 
     Args:
         path: MJCF or URDF file.
         robot: whose joints must all be there, found by name.
         timestep: physics step in [s], None for the model's own.
-        quiet: warn of nothing: somebody else has loaded it and told.
+        quiet: log nothing: somebody else has loaded it and told.
         prepare: changes the `MjSpec`, mended, before it is compiled.
 
     Raises:
@@ -55,7 +59,7 @@ def load_model(
     spec = _read(mujoco, path, repaired_urdf(path, notes) if is_urdf else None)
     absent = drop_absent_meshes(spec, path, robot.floats)
     for note in () if quiet else absent:
-        warnings.warn(f"model {path}: {note}", stacklevel=3)
+        _log.info("model %s: %s", path, note)
     notes += [*absent, *drop_absent_textures(spec, path)]
     if is_urdf:
         spec.compiler.fusestatic = False  # fixed links keep their names: feet and sensor frames
@@ -66,12 +70,8 @@ def load_model(
             _add_free_joint(mujoco, spec, notes)
     if timestep is not None:
         spec.option.timestep = float(timestep)
-    if robot.floats and not list(spec.worldbody.geoms):
-        spec.worldbody.add_geom(
-            name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 0.05]
-        )
-        spec.worldbody.add_light(pos=[0.0, 0.0, 4.0])
-        notes.append("the model has no surroundings: a floor was added")
+    if robot.floats:
+        mend_floor(mujoco, spec, notes)
     if prepare is not None:
         prepare(spec)
     with _told(path):
@@ -85,7 +85,7 @@ def load_model(
         with _told(path):
             model = spec.compile()
     refuse_not_finite(path, model)
-    return LoadedModel(model, path, joints, notes, welded)
+    return LoadedModel(model, path, joints, notes, welded, tuple(absent))
 
 
 def _read(mujoco: Any, path: Path, text: str | None) -> Any:

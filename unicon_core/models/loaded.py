@@ -80,6 +80,7 @@ class LoadedModel:
         joints: joint id of each robot joint, in the robot's order, length n.
         notes: what was changed or left out, one line each.
         welded: joints of the robot that the model lacks and that stand still.
+        absent: what was left out since mesh files are absent, one line or none.
     """
 
     model: Any
@@ -87,6 +88,7 @@ class LoadedModel:
     joints: list[int]
     notes: list[str] = field(default_factory=list)
     welded: tuple[str, ...] = ()
+    absent: tuple[str, ...] = ()
 
     @property
     def base(self) -> int | None:

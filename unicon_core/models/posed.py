@@ -8,6 +8,7 @@ from typing import Any
 from numpy.typing import ArrayLike
 
 from unicon_core.models.loaded import LoadedModel, import_mujoco
+from unicon_core.models.touching import floors, may_touch, on_floor
 
 __all__ = ["PosedModel", "foot_bodies", "foot_geoms"]
 
@@ -51,19 +52,11 @@ class PosedModel:
         Geoms that do not collide with the floor are left out; none is higher than 100 m.
         """
         mujoco, model, data = self._mujoco, self.loaded.model, self.data
-        plane = int(mujoco.mjtGeom.mjGEOM_PLANE)
-        root = model.body_rootid[model.jnt_bodyid[self.loaded.joints[0]]]
-        geoms = range(model.ngeom)
-        floors = [i for i in geoms if model.geom_type[i] == plane and model.geom_bodyid[i] == 0]
+        planes = floors(model)
         found: dict[int, float] = {}
-        for geom in geoms:
-            if model.body_rootid[model.geom_bodyid[geom]] != root or geom in floors:
-                continue
-            for floor in floors:
-                if (
-                    model.geom_contype[floor] & model.geom_conaffinity[geom]
-                    or model.geom_contype[geom] & model.geom_conaffinity[floor]
-                ):
+        for geom in on_floor(self.loaded):
+            for floor in planes:
+                if may_touch(model, floor, geom):
                     height = float(mujoco.mj_geomDistance(model, data, floor, geom, _FAR, None))
                     found[geom] = min(height, found.get(geom, _FAR))
         return found

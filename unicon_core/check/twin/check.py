@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from unicon_core.check.collision import check_collision
 from unicon_core.check.result import CheckResult, PolicyResult
 from unicon_core.check.subject import listed, on_platform
 from unicon_core.check.twin.measures import Measures
@@ -63,6 +64,9 @@ def check_twin(
     except UniconError as error:
         result.find_error("twin.run", f"twin on platform {simulator!r}", error)
         return
+    codes = {finding.code for finding in (*result.findings, *result.notes)}
+    if not {"model.collision", "model.meshes"} & codes:  # the check's model may be another
+        check_collision(session.model, session.program.robot, result, document.path)
     try:
         _Twin(session, float(settings.get("duration", 5.0)), result, document.path).check()
     finally:

@@ -81,6 +81,7 @@ class TwinSession:
             or more, else 0.6 of the trained forward speed: broken contracts stand and creep too.
 
     Attributes:
+        model: of the robot, as its file has it.
         called: keys of the policies that ran in the last run.
         lifts: whether limits of effort can be left out.
         damps: whether joints have a damping of their own that can be left out.
@@ -109,7 +110,7 @@ class TwinSession:
                     f"platform {platform.facts.name!r} does not tell {', '.join(untold)}, by which "
                     "the twin judges; leave --twin out"
                 )
-            self._model = load_model(model_of(platform, robot), robot, quiet=True)
+            self.model = load_model(model_of(platform, robot), robot, quiet=True)
         except BaseException:
             self.close()
             raise
@@ -123,13 +124,13 @@ class TwinSession:
 
     def depths(self, joints: Sequence[str]) -> list[int]:
         """Return how many joints are above each joint in the model, shape (n,)."""
-        return joint_depths(self._model, self.program.robot, joints)
+        return joint_depths(self.model, self.program.robot, joints)
 
     def poses(self) -> dict[str, dict[str, float]]:
         """Return default poses that somebody else names: the robot file's and key frames'."""
         robot = self.program.robot
         found = {"the robot file's default pose": robot.default_joint_pos.astype(np.float64)}
-        for key, pose in self._model.key_poses().items():
+        for key, pose in self.model.key_poses().items():
             found[f"the pose of the model's key frame {key!r}"] = pose
         return {name: dict(zip(robot.joint_names, map(float, p))) for name, p in found.items()}
 
