@@ -15,8 +15,10 @@ from typing import Any
 import numpy as np
 import pytest
 from format_writers import FORMS, MOTORS, ROOT, SHIPPED, Form, dump, pose
+from policy_helpers import write_linear
 
 from unicon_core.policies import import_policy
+from unicon_core.policies.networks.onnx_file import read_onnx
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Report, Runner, RunOptions
 from unicon_core.workflow import load_workflow
@@ -114,7 +116,8 @@ class Plain:
         if not self.frames:
             self.frames.extend([np.zeros_like(frame)] * form.history)
         self.frames.append(frame)
-        action = self.session.run(None, {"obs": np.concatenate(self.frames)[None]})[0][0]
+        self.seen = np.concatenate(self.frames)
+        action = self.session.run(None, {"obs": self.seen[None]})[0][0]
         clipped = action if form.clip is None else np.clip(action, F(-form.clip), F(form.clip))
         self.last = clipped if form.feeds_clipped else action
         target = np.zeros(12, F)
@@ -122,8 +125,8 @@ class Plain:
         return target
 
 
-def walked(path: Path, ticks: int) -> Iterator[tuple[Any, Any, float]]:
-    """Yield the targets, the initial positions and the way along x of each tick of a workflow."""
+def walked(path: Path, ticks: int) -> Iterator[tuple[Any, Any, Any, float]]:
+    """Yield observation, targets, initial positions and way along x of each tick of a workflow."""
     program = load_workflow(str(path))
     start = program.platform.data.qpos.copy()
     runner = Runner(program, RunOptions(speed="max"))
@@ -131,14 +134,30 @@ def walked(path: Path, ticks: int) -> Iterator[tuple[Any, Any, float]]:
     for _ in range(ticks):
         runner.tick(0)
         target = program.states["joint_pos_target"].copy()
-        yield target, start, float(program.states["base_pos_w"][0])
+        seen = program.states["observation"].copy()
+        yield seen, target, start, float(program.states["base_pos_w"][0])
     program.close()
 
 
 @lru_cache
 def shipped(folder: Path, ticks: int) -> float:
     """How far the shipped policy walks in [m]."""
-    *_, (_, _, way) = walked(workflow(folder, f"{SHIPPED}/"), ticks)
+    *_, (*_, way) = walked(workflow(folder, f"{SHIPPED}/"), ticks)
+    return way
+
+
+def beside_its_loop(folder: Path, policy: Path, form: Form, ticks: int) -> float:
+    """Hold a policy against the loop of its format in every tick; return the way in [m]."""
+    model = next(policy.glob("*.onnx"))
+    loop = Plain(form, ort.InferenceSession(str(model), providers=["CPUExecutionProvider"]))
+    physics, way = None, 0.0
+    for tick, told in enumerate(walked(workflow(folder, f"{policy}/"), ticks)):
+        seen, target, start, way = told
+        physics = physics or Physics(start)
+        wanted = loop(physics.measured())
+        np.testing.assert_array_equal(seen, loop.seen, f"observation of tick {tick}")
+        np.testing.assert_array_equal(target, wanted, f"tick {tick}")
+        physics.step(wanted)
     return way
 
 
@@ -146,19 +165,26 @@ def shipped(folder: Path, ticks: int) -> float:
 def test_a_format_is_its_loop_to_the_bit_and_walks_as_shipped(
     tmp_path: Path, tmp_path_factory: pytest.TempPathFactory, name: str
 ) -> None:
-    form, ticks = FORMS[name], 250
     _, folder = imported(tmp_path, name)
-    model = next(folder.glob("*.onnx"))
-    loop = Plain(form, ort.InferenceSession(str(model), providers=["CPUExecutionProvider"]))
-    physics, way = None, 0.0
-    for tick, told in enumerate(walked(workflow(tmp_path, f"{folder}/"), ticks)):
-        target, start, way = told
-        physics = physics or Physics(start)
-        wanted = loop(physics.measured())
-        np.testing.assert_array_equal(target, wanted, f"tick {tick}")
-        physics.step(wanted)
+    way = beside_its_loop(tmp_path, folder, FORMS[name], 250)
     assert way > 1.5
-    assert way == pytest.approx(shipped(tmp_path_factory.getbasetemp(), ticks), abs=0.25)
+    assert way == pytest.approx(shipped(tmp_path_factory.getbasetemp(), 250), abs=0.25)
+
+
+@pytest.mark.parametrize("name", FORMS)
+def test_a_random_network_in_a_format_is_its_loop_to_the_bit(tmp_path: Path, name: str) -> None:
+    """It sees all of its input, and its actions are beyond the clip where there is one."""
+    _, folder = imported(tmp_path, name)
+    model, policy = next(folder.glob("*.onnx")), folder / "policy.yaml"
+    inputs = read_onnx(model).inputs[0].shape[1]
+    assert isinstance(inputs, int)
+    weight = F(np.random.default_rng(3).normal(size=(inputs, 12))) * F(
+        0.02 if FORMS[name].clip is None else 200.0
+    )
+    write_linear(model, inputs, 12, weight=weight)
+    text = policy.read_text("utf-8").splitlines(keepends=True)
+    policy.write_text("".join(line for line in text if not line.startswith("sha256")), "utf-8")
+    beside_its_loop(tmp_path, folder, FORMS[name], 12)
 
 
 def run(path: Path, speed: Any) -> Report:
