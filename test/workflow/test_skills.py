@@ -238,15 +238,10 @@ def test_what_is_wrong_is_told(skills: Any, flow: Any, told: str) -> None:
     assert told in str(caught.value)
 
 
-def test_the_g1_stands_walks_dances_and_stands() -> None:
+def test_the_g1_stands_walks_dances_and_stands(assets: Path) -> None:
     pytest.importorskip("mujoco", reason="it is simulated")
     pytest.importorskip("onnxruntime", reason="its policies are ONNX")
-    try:
-        program = load_workflow("g1_skills", {"policies.dance.given.motion.end": 8.0})
-    except Exception as error:
-        if "assets" in str(error):
-            pytest.skip("the assets folder is not here")
-        raise
+    program = load_workflow("g1_skills", {"policies.dance.given.motion.end": 8.0})
     runner = Runner(program, RunOptions(speed="max", warn=lambda _: None))
     skills, states = skills_of(program), program.states
     assert skills is not None

@@ -95,9 +95,10 @@ def others(record: Record, program: Program) -> list[str]:
         if contract is None:
             found.append(f"policy {name!r} of the record is not in workflow {program.name}")
             continue
-        recorded = {"": said["sha256"], **said.get("networks", {})}
+        parts = said.get("networks")
+        recorded = {"": said["sha256"], **(parts if isinstance(parts, dict) else {})}
         here = {"": contract.model}
-        if "networks" in said:  # versions that knew one alone do not tell
+        if isinstance(parts, dict):  # versions that knew one alone do not tell
             here |= {part.name: part.model for part in contract.networks}
         for part in {**recorded, **here}:
             what = f"policy {name!r}{part and f', network {part!r}'}"
@@ -107,7 +108,7 @@ def others(record: Record, program: Program) -> list[str]:
             elif (now := network_hash(here[part])) != recorded[part]:
                 found.append(
                     f"{what}: {here[part]} is not the recorded file: its sha256 is "
-                    f"{now[:12]}…, recorded is {recorded[part][:12]}…"
+                    f"{now[:12]}…, recorded is {str(recorded[part])[:12]}…"
                 )
     return found
 
