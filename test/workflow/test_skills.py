@@ -183,6 +183,14 @@ def test_commands_do_not_jump_and_limp_joints_get_their_gains_in_time(run: Run) 
     assert all(a >= b for a, b in pairwise(gains))
 
 
+def test_who_asks_in_the_tick_of_an_end_is_heard(run: Run) -> None:
+    run.tick(11)
+    assert run.skills.now == "rise"  # done: what follows comes in the next tick
+    assert run.skills.ask("crouch") == ""
+    run.tick()
+    assert run.skills.now == "crouch"
+
+
 def test_a_skill_without_a_next_ends_the_flow_and_a_reset_begins_anew() -> None:
     skills = {"rise": {"do": {"pose": {"to": "stand", "duration": 0.1}}}, "stand": {"do": "hold"}}
     run = Run(skills=skills, flow="skills")
