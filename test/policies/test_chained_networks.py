@@ -7,12 +7,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from onnx import TensorProto, helper, numpy_helper
 from policy_helpers import robot, save, toy_values, write_linear, write_toy
+from slow_network import workflow, write_slow
 
-from unicon_core.errors import PolicyError
+from unicon_core.check import check_workflow
+from unicon_core.errors import PolicyError, UniconError
 from unicon_core.policies import Policy, import_policy, load_policy, policy_states
+from unicon_core.runtime import Runner, RunOptions
 from unicon_core.states import States, standard_states
+from unicon_core.workflow import Program, load_document
 
 onnxruntime: Any = pytest.importorskip("onnxruntime", reason="the networks are ONNX")
 
@@ -173,3 +178,77 @@ def test_a_tensor_without_a_batch_axis_is_refused(folder: Path) -> None:
     write_toy(folder, chained(recurrent=None))
     with pytest.raises(PolicyError, match="is not \\(batch × width\\) of float32"):
         policy_of(folder)
+
+
+def chain_for_go2(tmp_path: Path) -> Path:
+    """Write a workflow with a policy of an encoder and an actor; return it."""
+    write_slow(tmp_path)
+    write_linear(tmp_path / "encoder.onnx", 39, 5, names=("history", "latent"))
+    write_linear(tmp_path / "actor.onnx", 44, 12)
+    values = yaml.safe_load((tmp_path / "policy.yaml").read_text())
+    values |= {
+        "onnx": "actor.onnx",
+        "networks": {"encoder": {"onnx": "encoder.onnx", "feeds": {"history": ["observation"]}}},
+        "feeds": {"obs": ["observation[0:39]", "encoder.latent"]},
+        "inputs": {"observation": "observation"},
+        "outputs": {"action": "actions"},
+        "recurrent": None,
+    }
+    (tmp_path / "policy.yaml").write_text(yaml.safe_dump(values), "utf-8")
+    path = tmp_path / "flow.yaml"
+    path.write_text(yaml.safe_dump(workflow(tmp_path, None)), "utf-8")
+    return path
+
+
+def test_a_replay_names_the_network_that_is_another_one(tmp_path: Path) -> None:
+    pytest.importorskip("rosbags")
+    from unicon_ros.cli.main import main
+    from unicon_ros.recording import open_record
+    from unicon_ros.replay.workflow import others
+
+    path, bag = chain_for_go2(tmp_path), tmp_path / "run.mcap"
+    words = ["run", str(path), "--speed", "max", "--duration", "0.2", "--record", str(bag)]
+    assert main(words) == 0
+    record = open_record(bag)
+    assert others(record, Program(load_document(path), dry=True)) == []
+    other = np.ones((39, 5), np.float32)
+    write_linear(tmp_path / "encoder.onnx", 39, 5, names=("history", "latent"), weight=other)
+    (told,) = others(record, Program(load_document(path), dry=True))
+    assert told.startswith(f"policy 'slow', network 'encoder': {tmp_path / 'encoder.onnx'} is not")
+    assert main(["replay", str(bag), "--verify"]) == 1
+
+
+def test_check_names_the_sizes_of_each_network(tmp_path: Path) -> None:
+    path = chain_for_go2(tmp_path)
+    text = check_workflow(path).text()
+    assert "39 values; the networks and what fills them:" in text
+    assert "encoder: encoder.onnx takes history (1 × 39, float32) of observation, gives" in text
+    taken = (
+        "the action: actor.onnx takes obs (1 × 44, float32) of observation[0:39] + encoder.latent"
+    )
+    assert taken in text
+
+
+def test_an_output_that_is_read_is_a_memory_that_a_reset_forgets(tmp_path: Path) -> None:
+    """The same commands as with `recurrent`, also where the flow enters it once more."""
+    again = {"loop": {"do": "hold", "until": {"elapsed": 0.1}}}
+    first = {"loop": {"do": {"policy": "slow"}, "until": {"elapsed": 0.2}}}
+    flow = {"chain": [first, again, {"policy": "slow"}]}
+
+    def commands() -> str:
+        program = Program(**workflow(tmp_path, None, flow=flow))
+        options = RunOptions(duration=0.6, speed="max", warn=lambda _: None)
+        return Runner(program, options).run().sha256_commands
+
+    write_slow(tmp_path)
+    recurrent = commands()
+    values = yaml.safe_load((tmp_path / "policy.yaml").read_text())
+    del values["recurrent"]
+    values |= {"inputs": {"observation": "obs", "memory": "h_in"}}
+    values |= {"outputs": {"action": "actions", "memory": "h_out"}}
+    (tmp_path / "policy.yaml").write_text(yaml.safe_dump(values), "utf-8")
+    assert commands() == recurrent
+    values["inputs"] = {"observation": "obs", "other": "h_in"}
+    (tmp_path / "policy.yaml").write_text(yaml.safe_dump(values), "utf-8")
+    with pytest.raises(UniconError, match="other"):
+        commands()

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from unicon_core.check.twin.session import TwinSession
 from unicon_core.runtime import Report, Runner, RunOptions
 from unicon_core.workflow import Program, load_workflow
 from unicon_core.workflow.document import load_document
@@ -49,6 +51,27 @@ def test_the_dance_stays_upright_for_thirty_seconds(noise: tuple[str, ...], asse
     joints, anchor = np.mean(errors, axis=0)
     assert 0.02 < joints < 0.2
     assert 0.01 < anchor < 0.15
+
+
+def test_the_twin_scores_the_dance_by_its_motion(assets: Path) -> None:
+    """As given it follows; looking at the wrong joints it is off, though it may stay up."""
+    session = TwinSession(load_document("g1_dance", [*ALONE, "commands=[]"]))
+    try:
+        (contract,) = session.contracts.values()
+        given = session.run(2.0)
+        left = tuple(name.replace("left", "LEFT") for name in contract.joints)
+        other = [n.replace("right", "left").replace("LEFT", "right") for n in left]
+        broken = session.run(2.0, "dance", replace(contract, joints=tuple(other)))
+    finally:
+        session.close()
+    assert given.tracks
+    assert given.stands
+    assert given.motion_error is not None
+    assert given.motion_error[0] < 0.2
+    assert given.tracking > 0.8
+    assert broken.motion_error is not None
+    assert broken.motion_error[0] > 2.0 * given.motion_error[0]
+    assert broken.score < given.score - 0.2
 
 
 @pytest.mark.slow

@@ -29,6 +29,7 @@ HANGS = (
 )
 CLOSED = "test/attack/test_c24_threads.py", *HANGS
 CHILD = "test/platforms/test_child.py", "test/attack/test_child_processes.py"
+CHILD_POLICY = ("test/policies/test_child_policy.py",)
 FOLLOWED = ("test/blocks/test_forward_command.py",)
 PLAYED = "test/trajectory/test_accepted.py", "test/trajectory/test_player.py"
 SETS = ("test/workflow/test_safety_set.py",)
@@ -566,6 +567,19 @@ ROWS = [
         ("main", "platform.close()  # damps first", "pass"),
         ("main", "signal.signal(signal.SIGTERM, driver.stop)", "pass"),
         ("_Driver.stop", REMOVED),
+    ),
+    *_rows(
+        "policies/child_policy.py",
+        CHILD_POLICY,
+        ("ChildPolicy.__call__", "if age > self._timeout:", "if False:"),
+        ("ChildPolicy._take", "if not lane.action_finite():", "if False:"),
+        ("ChildPolicy._hold", "np.where(stiffness > 0.0, target, measured)", "measured"),
+    ),
+    *_rows(
+        "policies/networks/child.py",
+        CHILD_POLICY,
+        ("Question._look", "if self._network.process.poll() is None:", "if True:"),
+        ("Question.take", "and self._answered == self._due", ""),
     ),
     *_rows(
         "blocks/forward_command.py",

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,6 +12,7 @@ from unicon_core.check.result import CheckResult, PolicyResult
 from unicon_core.check.subject import Subject
 from unicon_core.platforms.platform import info_of
 from unicon_core.policies import PolicyContract, TermSlice, term_slices
+from unicon_core.policies.contract import Feed
 from unicon_core.policies.networks.onnx_file import read_onnx
 from unicon_core.states.standard import ESTIMATORS
 
@@ -76,13 +80,34 @@ def _sizes(policy: PolicyResult, slices: tuple[TermSlice, ...]) -> None:
         stop = start + width * frames
         rows.append([part.term.name, f"{width} × {frames}", f"[{start}:{stop}]"])
         start = stop
-    tensor = None
-    if not contract.is_torchscript and not contract.networks:
+    tensor, chain = None, []
+    if contract.networks:
+        chain = [_network(part.name, part.model, part.feeds) for part in contract.networks]
+        chain.append(_network("", contract.model, contract.feeds))
+    elif not contract.is_torchscript:
         tensors = {tensor.name: tensor for tensor in read_onnx(contract.model).inputs}
         tensor = tensors.get(contract.inputs.get("observation", ""))
-    said = f"{contract.model.name} takes {tensor}" if tensor else "the network says no size"
+    said = "; the network says no size"
+    if tensor is not None:
+        said = f"; {contract.model.name} takes {tensor}"
+    elif chain:
+        said = "; the networks and what fills them:"
     title = f"Network input of policy {policy.key}"
-    policy.result.table(title, ["term", "size", "input"], rows, [f"{start} values; {said}"])
+    lines = [f"{start} values{said}", *chain]
+    policy.result.table(title, ["term", "size", "input"], rows, lines)
+
+
+def _network(name: str, model: Path, feeds: Mapping[str, Sequence[Feed]]) -> str:
+    """Return one network of several in a line: its file, inputs with what fills them, outputs."""
+    file = read_onnx(model)
+    taken = [
+        f"{tensor} of {' + '.join(map(str, feeds[tensor.name]))}"
+        if tensor.name in feeds
+        else str(tensor)
+        for tensor in file.inputs
+    ]
+    given = ", ".join(map(str, file.outputs))
+    return f"{name or 'the action'}: {model.name} takes {', '.join(taken)}, gives {given}"
 
 
 def _term(subject: Subject, policy: PolicyResult, part: TermSlice) -> None:

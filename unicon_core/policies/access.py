@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Protocol
+from typing import Any, Protocol
+
+from numpy.typing import NDArray
 
 from unicon_core.policies.command_slew import COMMAND, SLEWED, CommandSlew
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.prefixed import PackedStates, PrefixedStates
 
-__all__ = ["Part", "in_order", "own_states", "reads_writes"]
+__all__ = ["Part", "fed_back", "in_order", "own_states", "reads_writes"]
 
 
 class Part(Protocol):
@@ -49,6 +51,13 @@ def in_order(*parts: Part | None) -> Callable[[], object] | None:
             part()
 
     return all_of_them
+
+
+def fed_back(contract: PolicyContract, states: PackedStates) -> list[NDArray[Any]]:
+    """Return the outputs that a policy sees in its next tick: its action, and states it reads."""
+    read = {*contract.inputs, *(term.state for term in contract.terms)}
+    names = ["action", *(name for name in contract.outputs if name in read and name != "action")]
+    return [states[name] for name in names if name in states]
 
 
 def reads_writes(

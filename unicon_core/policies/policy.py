@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from unicon_core.errors import Fault, PolicyError
-from unicon_core.policies.access import in_order, own_states, reads_writes
+from unicon_core.policies.access import fed_back, in_order, own_states, reads_writes
 from unicon_core.policies.action_map import ActionMap
 from unicon_core.policies.bind import Binding
 from unicon_core.policies.contract import PolicyContract
@@ -116,7 +116,7 @@ class Policy:
             for (view, values), thrown in zip(self._published, scratch)
             for side in (view, values)
         )
-        self._actions = [states["action"]] if "action" in states else []
+        self._actions = fed_back(contract, states)
         self.phase: GaitPhase | None = None
         if contract.phase is not None and "gait_phase" in states:
             self.phase = GaitPhase(contract.phase, states, contract.period)

@@ -85,6 +85,7 @@ def facts_of(runner: Runner, kept: Kept) -> dict[str, str]:
             "path": str(contract.path),
             "model": str(contract.model),
             "sha256": network_hash(contract.model),
+            "networks": {part.name: network_hash(part.model) for part in contract.networks},
         }
         for name, contract in program.policies.items()
     }

@@ -91,17 +91,25 @@ def others(record: Record, program: Program) -> list[str]:
     """Return what a program was not built of as the recorded one was, one line each."""
     found = _other_robot(record.facts, program.robot)
     for name, said in record.policies.items():
-        was = said["sha256"]
         contract = program.policies.get(name)
         if contract is None:
             found.append(f"policy {name!r} of the record is not in workflow {program.name}")
             continue
-        now = network_hash(contract.model)
-        if now != was:
-            found.append(
-                f"policy {name!r}: {contract.model} is not the recorded file: its sha256 is "
-                f"{now[:12]}…, recorded is {was[:12]}…"
-            )
+        parts = said.get("networks")
+        recorded = {"": said["sha256"], **(parts if isinstance(parts, dict) else {})}
+        here = {"": contract.model}
+        if isinstance(parts, dict):  # versions that knew one alone do not tell
+            here |= {part.name: part.model for part in contract.networks}
+        for part in {**recorded, **here}:
+            what = f"policy {name!r}{part and f', network {part!r}'}"
+            if part not in recorded or part not in here:
+                where = "here" if part not in recorded else "in the record"
+                found.append(f"{what} is only {where}")
+            elif (now := network_hash(here[part])) != recorded[part]:
+                found.append(
+                    f"{what}: {here[part]} is not the recorded file: its sha256 is "
+                    f"{now[:12]}…, recorded is {str(recorded[part])[:12]}…"
+                )
     return found
 
 

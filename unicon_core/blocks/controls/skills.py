@@ -86,7 +86,7 @@ class Skills(Modes):
     def __call__(self) -> str:
         if self._next:
             self._enter(self._next)
-            self._next = self._asked = ""
+            self._next = ""
         if self._wish is not None and (wished := self._value()) != self._wished:
             self._wished = wished
             self._wish_for(wished)

@@ -119,13 +119,14 @@ class _Twin:
             suspects.sort(key=lambda suspect: -suspect[2].score)
             for policy, broken, measures in suspects:
                 # Scales of 1 have been left out by nobody, and who only stands up does so anyhow.
+                # A motion begins quietly: the few seconds of it tell less than a walk.
                 policy.find(
                     "twin.suspect",
                     broken.culprit,
                     f"with {broken.name} it does as well (score {measures.score:.2f}) as with the "
                     f"given contract ({given.score:.2f}): yours is suspect",
                     f"compare {broken.culprit} with the training side",
-                    error=given.tracks and not broken.unlikely,
+                    error=given.tracks and given.motion_error is None and not broken.unlikely,
                 )
         self.tables(given)
 
@@ -154,6 +155,8 @@ class _Twin:
             what = (
                 f"it stays up, but moves at {moves} where {_velocity(given.command)} is commanded"
             )
+            if given.motion_error is not None:
+                what = f"it stays up, but is off its motion by {_off(given.motion_error)}"
         found = self.mend(given)
         if found is not None:
             repair, mended = found.change, found.measures
@@ -238,6 +241,8 @@ class _Twin:
         if given.tracks and self.policies:
             rows.append(["command", _velocity(given.command)])
             rows.append(["velocity", _velocity(given.velocity)])
+        if given.motion_error is not None:
+            rows.append(["off its motion", _off(given.motion_error)])
         hits = [f"{name} {share:.0%}" for name, share in given.limit_hits.items()]
         rows += [
             ["torque", f"{given.torque_use:.0%} of the limit at {given.torque_joint} (rms)"],
@@ -246,6 +251,10 @@ class _Twin:
             ["at position limits", ", ".join(hits[:4]) or "never"],
         ]
         self.result.table("Twin, as given", ["what", "value"], rows)
+
+
+def _off(values: tuple[float, float]) -> str:
+    return f"{values[0]:.2f} rad at its joints, {values[1]:.2f} rad at its anchor (rms)"
 
 
 def _velocity(values: tuple[float, float, float]) -> str:

@@ -6,7 +6,7 @@ everything else is the graph that would be deployed.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext, suppress
 from typing import Any, Protocol, runtime_checkable
 
@@ -14,13 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.check.model_facts import joint_depths
-from unicon_core.check.twin.measures import JUDGED, Measures, Recorder
+from unicon_core.check.twin.measures import JUDGED, NO_MOTION, Measures, Recorder
 from unicon_core.errors import Fault, PlatformError, UniconError
 from unicon_core.flow import Block, Stage
 from unicon_core.models.find import model_of
 from unicon_core.models.load import load_model
 from unicon_core.platforms.platform import info_of
 from unicon_core.policies import Policy, PolicyContract
+from unicon_core.policies.prefixed import prefix_of
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import Program
 from unicon_core.workflow.document import WorkflowDocument
@@ -42,10 +43,11 @@ class _Counted:
     """The tick of a policy block, with the number of its calls."""
 
     def __init__(self, policy: Policy) -> None:
-        self.policy, self.calls = policy, 0
+        self.policy, self.calls, self.ran = policy, 0, False
 
     def __call__(self) -> bool:
         self.calls += 1
+        self.ran = True
         return self.policy()
 
 
@@ -171,7 +173,7 @@ class TwinSession:
             with changed, np.errstate(over="ignore", invalid="ignore"):
                 while len(recorder.rows) < longest and not runner.tick(0):
                     begun += any(tick.calls for tick in counted.values())
-                    if recorder(begun > 0) or (counted and begun >= walked):
+                    if recorder(begun > 0, self._off(counted)) or (counted and begun >= walked):
                         break
         except Fault as error:
             fault = str(error)
@@ -180,6 +182,17 @@ class TwinSession:
         asked = (ticks - begun + walked if counted else max(ticks, 1)) * program.period
         tracks = any(_reads_command(contract) for contract in self.contracts.values())
         return recorder.measures(asked, fault, tracks)
+
+    def _off(self, counted: Mapping[str, _Counted]) -> Sequence[float]:
+        """Return how far a policy is from its motion that ran since the last call, if one did."""
+        found: Sequence[float] = NO_MOTION
+        for key, tick in counted.items():
+            ran, tick.ran = tick.ran, False
+            if ran and tick.policy.tracker is not None:
+                prefix = prefix_of(key, self.program.policies)
+                error = self.program.states[f"{prefix}motion_error"]
+                found = error.reshape(-1, 2)[0].tolist()
+        return found
 
     def close(self) -> None:
         """Close the workflow; how a simulator ends does not matter."""
