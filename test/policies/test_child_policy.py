@@ -118,7 +118,8 @@ def test_each_action_is_that_of_the_observation_so_many_ticks_before(
 
 def test_before_its_first_action_it_holds_what_was_sent(quick: Path):
     flow = {"chain": [{"pose": {"to": "rest", "duration": 0.2}}, {"policy": "slow"}]}
-    program = Program(**workflow(quick, {"delay": 4}, flow=flow))
+    lagging = {"fake": {"time_constant": 0.5}}
+    program = Program(**workflow(quick, {"delay": 4}, flow=flow, platforms=lagging))
     runner = Runner(program, RunOptions(speed="max", warn=lambda _: None))
     states = program.states
     try:
@@ -129,6 +130,7 @@ def test_before_its_first_action_it_holds_what_was_sent(quick: Path):
         for _ in range(4):
             runner.tick(0)
             np.testing.assert_array_equal(states["joint_pos_target"], posed)
+            assert np.abs(states["joint_pos"] - posed).max() > 0.05
             assert states["joint_stiffness"].tolist() == [40.0] * 12
         runner.tick(0)
         assert np.abs(states["joint_pos_target"] - posed).max() > 0.1
@@ -237,6 +239,15 @@ def test_all_mentions_share_one_process_and_begin_anew(quick: Path):
         assert actions[9].any()
     finally:
         program.close()
+
+
+def test_an_answer_that_nobody_awaits_any_more_is_dropped(quick: Path, tmp_path: Path):
+    """A flow enters the policy anew while the network is at work on the last observation."""
+    write_slow(tmp_path, turns=20_000)
+    first = {"loop": {"do": {"policy": "slow"}, "until": {"elapsed": 0.1}}}
+    again = {"chain": [first, {"policy": "slow"}]}
+    one, other = (run(workflow(f, {"delay": 2}, flow=again), 0.2) for f in (quick, tmp_path))
+    assert one.sha256_commands == other.sha256_commands
 
 
 @pytest.mark.parametrize(

@@ -113,7 +113,7 @@ def _digests(folder: Path, url: str, wanted: str | None) -> dict[str, str]:
     Raises:
         PolicyError: it is not the one that is wanted.
     """
-    values = read_yaml(folder / "policy.yaml", PolicyError).value
+    values = read_yaml(folder / "policy.yaml", PolicyError, foreign=True).value
     main = values.get("onnx") or values.get("torchscript")
     if main is None:
         raise PolicyError(f"{url}: no single network is with it; name its file at the end")
@@ -129,8 +129,8 @@ def _digests(folder: Path, url: str, wanted: str | None) -> dict[str, str]:
 
 def _note(path: Path, source: str) -> None:
     """Add to a policy.yaml where it is from."""
-    text = path.read_text(encoding="utf-8")
-    if "sources" not in read_yaml(path, PolicyError).value:
+    if "sources" not in read_yaml(path, PolicyError, foreign=True).value:
+        text = path.read_text(encoding="utf-8")
         path.write_text(f"{text}{yaml.safe_dump({'sources': {'fetched': source}})}", "utf-8")
 
 
