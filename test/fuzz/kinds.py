@@ -111,6 +111,7 @@ def robot(dice: random.Random, folder: Path) -> Reader:
 
 
 def policy_folder(folder: Path) -> Path:
+    import_mujoco()  # by which a missing fact is offered from the model
     folder = folder / "policy"
     folder.mkdir()
     shutil.copyfile(POLICY / "policy.onnx", folder / "policy.onnx")

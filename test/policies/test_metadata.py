@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from onnx import TensorProto, helper
-from policy_helpers import JOINTS, robot, save, write_linear
+from policy_helpers import JOINTS, robot, save, write_linear, write_toy
 
 from unicon_core.errors import PolicyError
 from unicon_core.policies import Policy, import_policy, load_policy, policy_states
@@ -228,6 +228,79 @@ def test_a_key_twice_is_refused_while_importing(tmp_path: Path) -> None:
     write_linear(path, 21, 4, metadata=metadata)
     with pytest.raises(PolicyError, match="metadata key 'observation_names' stands twice, as "):
         load_policy(path, given={"period": 0.02})
+
+
+TWICE = {
+    "joint_names": "b_hip,a_hip,b_knee,a_knee",
+    "joint_stiffness": "1.0,2.0,3.0,4.0",
+    "action_scale": "0.125",
+    "observation_names": "joint_pos,joint_vel",
+    "observation_terms_scale": "1.0,1.0,1.0,1.0,1.0,1.0",
+    "observation_terms_history_length": "4.0,4.0,4.0,4.0,4.0,4.0",
+}
+NAMES = OLD["observation_names"].split(",")
+
+
+@pytest.mark.parametrize("key", TWICE)
+def test_given_settles_a_key_that_stands_twice(tmp_path: Path, key: str) -> None:
+    path, joints = tmp_path / "walk.onnx", ["a_knee", "a_hip", "b_knee", "b_hip"]
+    terms = [{"name": "joint_pos", "state": "joint_pos", "scale": 3.0}]
+    said: dict[str, Any] = {
+        "joint_names": {"joints": joints},
+        "joint_stiffness": {"stiffness": [9.0, 8.0, 7.0, 6.0]},
+        "action_scale": {"action": {"scale": 0.5}},
+        "observation_names": {"observation.terms": terms},
+        "observation_terms_scale": {"observation": {"scale": 3.0}},
+        "observation_terms_history_length": {
+            "observation.terms": {name: {"history": 2} for name in NAMES}
+        },
+    }
+    metadata = {**NEW, "observation_terms_history_length": ",".join(["0"] * 6)}
+    inputs = 4 if key == "observation_names" else 21
+    write_linear(path, inputs, 4, metadata=[*metadata.items(), (key, TWICE[key])])
+    with pytest.raises(PolicyError) as caught:
+        load_policy(path, given={"period": 0.02})
+    assert f"{path}: metadata key {key!r} stands twice, as " in str(caught.value)
+    assert "one of them, or say " in str(caught.value)
+    with pytest.raises(PolicyError, match="stands twice"):  # a part of it settles nothing
+        load_policy(
+            path, given={"period": 0.02, "observation.terms": {NAMES[0]: {"clip": [-1, 1]}}}
+        )
+    contract = load_policy(path, given={"period": 0.02, **said[key]})
+    assert any(f"key {key!r} stands twice" in note for note in contract.notes)
+    assert list(contract.joints) == (joints if key == "joint_names" else list(JOINTS))
+    expected = [9.0, 8.0, 7.0, 6.0] if key == "joint_stiffness" else [40.179, 99.098] * 2
+    assert contract.stiffness == pytest.approx(expected)
+    assert contract.action.scale.tolist() == [0.5] * 4
+    if key == "observation_terms_history_length":
+        assert {term.history for term in contract.terms} == {2}
+    elif key.startswith("observation"):
+        assert contract.terms[0].scale.tolist() == [3.0]
+
+
+def test_a_policy_yaml_beside_it_settles_a_key_that_stands_twice(tmp_path: Path) -> None:
+    path = write_toy(tmp_path)
+    for key in ("joint_stiffness", "joint_names", "observation_terms_scale"):
+        metadata = [*NEW.items(), (key, TWICE[key])]
+        metadata = [pair for pair in metadata if pair[0] in ("joint_names", key)]
+        write_linear(tmp_path / "policy.onnx", 15, 4, metadata=metadata)
+        contract = load_policy(path)
+        assert contract.stiffness.tolist() == [10.0, 20.0, 30.0, 40.0]
+        assert any(f"{key!r} stands twice" in note for note in contract.notes)
+    write_linear(tmp_path / "policy.onnx", 15, 4, metadata=[*OLD.items(), ("run_path", "run-8")])
+    with pytest.raises(PolicyError, match="metadata key 'run_path' stands twice"):
+        load_policy(path)
+
+
+def test_given_settles_what_two_sources_say(tmp_path: Path) -> None:
+    path = write_toy(tmp_path)
+    metadata = {key: OLD[key] for key in ("joint_names", "joint_stiffness")}
+    write_linear(tmp_path / "policy.onnx", 15, 4, metadata=list(metadata.items()))
+    with pytest.raises(PolicyError, match=r"stiffness of a_hip is 10 here and 40\.179 in the"):
+        load_policy(path)
+    contract = load_policy(path, given={"stiffness": [10.0, 20.0, 30.0, 40.0]})
+    assert contract.stiffness.tolist() == [10.0, 20.0, 30.0, 40.0]
+    assert any("is 10 here and 40.179 in the metadata" in note for note in contract.notes)
 
 
 def test_given_facts_must_not_contradict_the_source(tmp_path: Path) -> None:

@@ -7,19 +7,20 @@ from typing import Any
 
 import numpy as np
 
-from unicon_core.policies.facts import Facts, dig
+from unicon_core.policies.facts import Facts, dig, says
 
 __all__ = ["check_agreement"]
 
 _VECTORS = ("default_joint_pos", "stiffness", "damping", "action.scale")
 
 
-def check_agreement(facts: Facts, other: Facts) -> None:
+def check_agreement(facts: Facts, other: Facts, given: Mapping[str, Any]) -> None:
     """Compare what a file says with the metadata of the network that it names, joint by joint.
 
     Args:
         facts: what is going to be used.
         other: what the network's metadata say.
+        given: what the user says settles it; a note tells the difference.
 
     Raises:
         PolicyError: a joint's number differs by more than the rounding of both sources.
@@ -43,12 +44,18 @@ def check_agreement(facts: Facts, other: Facts) -> None:
             a, b = mine.get(joint), theirs.get(joint)
             if a is None or b is None:
                 continue
-            if not np.isclose(a, b, rtol=relative, atol=absolute):
+            if np.isclose(a, b, rtol=relative, atol=absolute):
+                continue
+            differs = (
+                f"{key} of {joint} is {a:g} here and {b:g} in the metadata of {other.path.name}"
+            )
+            if not says(given, key):
                 raise facts.error(
                     tuple(key.split(".")),
-                    f"{key} of {joint} is {a:g} here and {b:g} in the metadata of "
-                    f"{other.path.name}; correct one of them, or export both again",
+                    f"{differs}; correct one of them, or export both again",
                 )
+            facts.notes.append(f"{facts.path.name}: {differs}; what is given counts")
+            break
 
 
 def _by_joint(values: Mapping[str, Any], key: str, joints: list[str]) -> dict[str, float] | None:

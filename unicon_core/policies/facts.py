@@ -17,7 +17,16 @@ from unicon_core.errors import PolicyError, alternatives
 from unicon_core.located_yaml import Where
 from unicon_core.resources import file_beside
 
-__all__ = ["Facts", "dig", "dotted", "given_joints", "merge_given", "missing_facts", "term_state"]
+__all__ = [
+    "Facts",
+    "dig",
+    "dotted",
+    "given_joints",
+    "merge_given",
+    "missing_facts",
+    "says",
+    "term_state",
+]
 
 # Name of a term on the training side -> where its values come from. A plain `joint_pos` is relative
 # as a term of BeyondMimic, mjlab and holosoma, and absolute as a function of Isaac Lab and Unitree.
@@ -183,6 +192,39 @@ def dig(tree: Any, *keys: str) -> Any:
     for key in keys:
         tree = tree.get(key) if isinstance(tree, Mapping) else None
     return tree
+
+
+def says(given: Mapping[str, Any], fact: str) -> bool:
+    """Return whether facts with nested or dotted keys hold a fact, or a part of it.
+
+    Args:
+        given: the facts.
+        fact: dotted; `observation.terms` means the whole list, `observation.terms.*.scale` a scale
+            of every term, or `observation.scale`.
+    """
+    if fact.startswith("observation.terms"):
+        terms = _found(given, "observation.terms")
+        word = fact.rpartition(".*.")[2] if ".*." in fact else "name"
+        if word == "scale" and _found(given, "observation.scale") is not None:
+            return True
+        listed = list(terms.values()) if isinstance(terms, Mapping) and word != "name" else terms
+        return bool(listed) and all(
+            isinstance(term, Mapping) and word in term
+            for term in (listed if isinstance(listed, (list, tuple)) else [None])
+        )
+    return _found(given, fact) is not None
+
+
+def _found(given: Mapping[str, Any], fact: str) -> Any:
+    for key, value in given.items():
+        name = str(key)
+        if name == fact or name.startswith(f"{fact}."):
+            return value
+        if fact.startswith(f"{name}.") and isinstance(value, Mapping):
+            found = _found(value, fact[len(name) + 1 :])
+            if found is not None:
+                return found
+    return None
 
 
 def _said(values: Any, name: str) -> Any:

@@ -22,7 +22,7 @@ from unicon_core.policies.importers.configurations import (
     is_configuration,
 )
 from unicon_core.policies.importers.env_yaml import is_env_yaml
-from unicon_core.policies.importers.metadata import has_metadata, metadata_facts
+from unicon_core.policies.importers.metadata import has_metadata, metadata_facts, settled
 from unicon_core.policies.motion.spec import given_clip
 from unicon_core.policies.networks.onnx_file import OnnxFile, read_onnx
 from unicon_core.policies.policy_yaml import (
@@ -234,7 +234,11 @@ def _read(
             )
         _name_tensors(facts, onnx)
         if facts.path != onnx.path and has_metadata(onnx):
-            check_agreement(facts, metadata_facts(onnx))
+            whole = facts.source == "policy.yaml"
+            once, notes = settled(onnx, facts.values, facts.path.name, whole=whole)
+            facts.notes += notes
+            if has_metadata(once):
+                check_agreement(facts, metadata_facts(once), given)
     elif "torchscript" in facts.values:  # its tensors have no names: one goes in, one comes out
         facts.values.setdefault("inputs", {"observation": "observation"})
         facts.values.setdefault("outputs", {"action": "action"})
@@ -260,7 +264,10 @@ def _facts_of(path: Path, robot: Robot | None, given: Mapping[str, Any]) -> Fact
                 if "onnx" in facts.values and facts.model().resolve() == path.resolve():
                     return facts
         if has_metadata(onnx):
-            return metadata_facts(onnx)
+            once, notes = settled(onnx, given, "given")
+            facts = metadata_facts(once)
+            facts.notes += notes
+            return facts
         return Facts(path, "ONNX file (no metadata)", {"onnx": path.name})
     if path.suffix in _TORCHSCRIPT:
         return Facts(path, "TorchScript file", {"torchscript": path.name})

@@ -17,7 +17,7 @@ from typing import TypeAlias
 from unicon_core.errors import PolicyError
 from unicon_core.policies.networks.network import Tensor
 
-__all__ = ["OnnxFile", "read_onnx"]
+__all__ = ["OnnxFile", "read_onnx", "short_text"]
 
 # What a field holds: a number, or the bytes of a text or message.
 _Value: TypeAlias = "memoryview | int"
@@ -54,8 +54,9 @@ class OnnxFile:
         for key, value in self.metadata:
             if result.get(key, value) != value:
                 raise PolicyError(
-                    f"{self.path}: metadata key {key!r} stands twice, as {_short(result[key])} and "
-                    f"as {_short(value)}; export the policy again with one of them"
+                    f"{self.path}: metadata key {key!r} stands twice, as "
+                    f"{short_text(result[key])} and as {short_text(value)}; export the policy "
+                    "again with one of them"
                 )
             result[key] = value
         return result
@@ -175,5 +176,6 @@ def _axis(data: _Value) -> int | str:
     return size if isinstance(size, int) else _text(axis, 2)
 
 
-def _short(text: str, limit: int = 60) -> str:
+def short_text(text: str, limit: int = 60) -> str:
+    """Return a text in quotes, cut where it is long."""
     return repr(text if len(text) <= limit else f"{text[: limit - 1]}…")
