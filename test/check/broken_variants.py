@@ -23,7 +23,13 @@ WORKFLOWS = {
     "go1": "go1_walk",
     "holosoma": "g1_holosoma",
     "go2": "go2_walk",
+    "bare": "go2_walk",  # exported again without metadata
+    "filtered": "go2_walk",  # exported again for a program that filters actions
+    "rover": "rover_drive",
 }
+GO2 = ("go2", "bare", "filtered")
+ALPHA = 0.25
+"""Weight of the newest action in the filter of `filtered`."""
 LEGS = 12  # the first joints of the G1: left leg, right leg
 
 
@@ -67,27 +73,47 @@ class Draft:
 
     def __init__(self, policy: str, folder: Path, assets: Path) -> None:
         self.policy, self.folder, self.assets = policy, folder, assets
-        path = ROOT / "config" / "workflows" / f"{WORKFLOWS[policy]}.yaml"
+        self.metadata: list[tuple[str, str]] | None = None
+        folder_of = ROOT / "config" / "workflows"
+        path = folder_of / f"{WORKFLOWS[policy]}.yaml"
+        if policy == "rover":
+            path = ROOT / "examples" / "rover" / "drive.yaml"
         self.program: dict[str, Any] = yaml.safe_load(path.read_text(encoding="utf-8"))
-        entry = self.program["policies"]["walk"]
+        self.key, entry = next(iter(self.program["policies"].items()))
         self.given: dict[str, Any]
-        if policy == "go2":  # ours: everything stands in its policy.yaml
-            self.source = ROOT / "config" / "policies" / entry
+        if self.ours:  # everything stands in its policy.yaml
+            self.source = ROOT / "config" / "policies" / "go2_velocity"
+            if policy == "rover":
+                self.source = path.parent / "policy"
+                self.program["robot"] = str(path.parent / "rover.yaml")
             text = (self.source / "policy.yaml").read_text(encoding="utf-8")
             self.given = yaml.safe_load(text)
             self.given["observation.terms"] = self.given.pop("observation")["terms"]
             self.given["action.scale"] = self.given["action"].pop("scale")
-        else:
+        if policy in ("bare", "filtered"):
+            self.metadata = []
+            del self.given["sha256"]
+        if policy == "filtered":
+            self.given["action"] |= {
+                "clip": [-100.0, 100.0],
+                "filter": {"alpha": ALPHA},
+                "feedback": "filtered",
+            }
+        if not self.ours:
             self.source = assets / entry["path"].removeprefix("assets:")
             self.given = deepcopy(entry["given"])
         self.deploy: dict[str, Any] = {}
         if policy == "mjlab":
             text = (self.source / "deploy.yaml").read_text(encoding="utf-8")
             self.deploy = yaml.safe_load(text)
-        self.metadata: list[tuple[str, str]] | None = None
         self.leave_out: set[str] = set()
         self.effort_factor: float | None = None
         self.model_changes: dict[str, str] = {}
+
+    @property
+    def ours(self) -> bool:
+        """Whether the contract is a `policy.yaml`."""
+        return self.policy in (*GO2, "rover")
 
     @property
     def terms(self) -> list[dict[str, Any]]:
@@ -122,20 +148,22 @@ class Draft:
             for key, value in self.metadata:
                 entry = model.metadata_props.add()
                 entry.key, entry.value = key, value
+            if self.policy == "filtered":
+                behind_filter(model, ALPHA)
             network.write_bytes(model.SerializeToString())
         if self.effort_factor is not None:
             self._write_robot(self.effort_factor)
         if self.model_changes:
             self._write_model()
-        if self.policy == "go2":
+        if self.ours:
             values = dict(self.given)
             values["observation"] = {"terms": values.pop("observation.terms")}
             values["action"] = {**values["action"], "scale": values.pop("action.scale")}
             text = yaml.safe_dump(values, sort_keys=False)
             (policy / "policy.yaml").write_text(text, encoding="utf-8")
-            self.program["policies"]["walk"] = "./policy"
+            self.program["policies"][self.key] = "./policy"
         else:
-            self.program["policies"]["walk"] = {"path": "./policy", "given": self.given}
+            self.program["policies"][self.key] = {"path": "./policy", "given": self.given}
         path = self.folder / f"{self.program['name']}.yaml"
         path.write_text(yaml.safe_dump(self.program, sort_keys=False), encoding="utf-8")
         return path
@@ -161,6 +189,37 @@ class Draft:
         path = self.folder / f"{name}.yaml"
         path.write_text(yaml.safe_dump(robot, sort_keys=False), encoding="utf-8")
         self.program["robot"] = f"./{path.name}"
+
+
+def behind_filter(model: Any, alpha: float) -> None:
+    """Let a network of 12 actions, its last 12 inputs the filtered ones before, undo a low pass.
+
+    y = α x + (1 − α) y_before, so with x = (y − (1 − α) y_before) / α the filtered action is the
+    network's own as it was trained.
+    """
+    import numpy as np
+    from onnx import helper, numpy_helper
+
+    graph = model.graph
+    obs, out = graph.input[0].name, graph.output[0].name
+    for node in graph.node:
+        for i, name in enumerate(node.output):
+            if name == out:
+                node.output[i] = "trained"
+    figures = {"new": np.float32(1.0 / alpha), "old": np.float32((1.0 - alpha) / alpha)}
+    places = {"start": [33], "stop": [45], "axis": [1]}
+    graph.initializer.extend(numpy_helper.from_array(np.array(v), k) for k, v in figures.items())
+    graph.initializer.extend(
+        numpy_helper.from_array(np.array(v, np.int64), k) for k, v in places.items()
+    )
+    graph.node.extend(
+        [
+            helper.make_node("Slice", [obs, *places], ["before"]),
+            helper.make_node("Mul", ["before", "old"], ["held"]),
+            helper.make_node("Mul", ["trained", "new"], ["raised"]),
+            helper.make_node("Sub", ["raised", "held"], [out]),
+        ]
+    )
 
 
 def breadth_first(count: int) -> list[int]:
@@ -329,7 +388,7 @@ def given_scale(draft: Draft) -> None:
 def given_pose(draft: Draft) -> None:
     pose = draft.given["default_joint_pos"]
     for i in range(len(pose)):
-        if draft.policy in ("go1", "go2") and i % 3 == 2:
+        if draft.policy in ("go1", *GO2) and i % 3 == 2:
             pose[i] = -1.2
         elif draft.policy == "holosoma" and i in (0, 6):
             pose[i] -= 0.9
@@ -360,7 +419,7 @@ def given_extra_term(draft: Draft) -> None:
 
 def given_terms(draft: Draft) -> None:
     states = [term["state"] for term in draft.terms]
-    if draft.policy in ("go1", "go2"):
+    if draft.policy in ("go1", *GO2):
         swap(draft.terms, states.index("base_ang_vel"), states.index("projected_gravity"))
     else:
         swap(draft.terms, states.index("joint_pos"), states.index("joint_vel"))
@@ -411,6 +470,87 @@ def phase_in_milliseconds(draft: Draft) -> None:
 def given_absolute(draft: Draft) -> None:
     term = next(t for t in draft.terms if t["state"] == "joint_pos")
     del term["subtract"]
+
+
+# -- filters, feedback, slew -----------------------------------------------------------------
+
+
+def filter_missing(draft: Draft) -> None:
+    del draft.given["action"]["filter"]
+    draft.given["action"]["feedback"] = "raw"
+
+
+def filter_extra(draft: Draft) -> None:
+    draft.given["action"]["filter"] = {"low_pass": 1.0}
+
+
+def filter_turned(draft: Draft) -> None:
+    """The program has the weight of the old action."""
+    draft.given["action"]["filter"] = {"alpha": 1.0 - ALPHA}
+
+
+def filter_cut_off(draft: Draft) -> None:
+    """α = 0.25 is a cut-off of 2.29 Hz at 50 Hz."""
+    draft.given["action"]["filter"] = {"low_pass": 4.0 * 2.29}
+
+
+def filter_radians(draft: Draft) -> None:
+    draft.given["action"]["filter"] = {"low_pass": 2.0 * 3.14159 * 2.29}
+
+
+def feedback_raw(draft: Draft) -> None:
+    draft.given["action"]["feedback"] = "raw"
+
+
+def term_filter_extra(draft: Draft) -> None:
+    """Of the last action; what is measured may be smoothed a lot before this policy minds."""
+    term = next(t for t in draft.terms if t["state"] == "action")
+    term["filter"] = {"moving_average": 5}
+
+
+# -- wheels ------------------------------------------------------------------------------------
+
+
+def wheels_exchanged(draft: Draft) -> None:
+    joints = draft.given["joints"]
+    swap(joints, 0, 1)
+
+
+def wheels_position(draft: Draft) -> None:
+    del draft.given["action"]["kind"]
+
+
+def wheels_stiff(draft: Draft) -> None:
+    draft.given["stiffness"] = [10.0, 10.0, 10.0]
+
+
+def wheels_undamped(draft: Draft) -> None:
+    draft.given["damping"] = [0.0, 0.0, 0.5]
+
+
+def wheels_scale(draft: Draft) -> None:
+    draft.given["action.scale"][:2] = [-12.5, -12.5]
+
+
+def wheels_one_scale(draft: Draft) -> None:
+    draft.given["action.scale"][1] *= 0.5
+
+
+def rims_in_radians(draft: Draft) -> None:
+    next(t for t in draft.terms if t["name"] == "rims")["scale"] = 1.0
+
+
+def turn_upside_down(draft: Draft) -> None:
+    next(t for t in draft.terms if t["name"] == "turn")["scale"] = -1.0
+
+
+def slew_slow(draft: Draft) -> None:
+    """In [m/s] for one tick, not in [m/s²]."""
+    draft.given["command"]["slew"] = [0.03, 0.02, 0.08]
+
+
+def slew_zero(draft: Draft) -> None:
+    draft.given["command"]["slew"] = [0.0, 0.0, 0.0]
 
 
 # -- metadata in the network -----------------------------------------------------------------------
@@ -565,6 +705,50 @@ def _listed() -> Iterator[Variant]:
         ("passive_damping", "passive damping", True, passive_damping),
         ("no_collision", "collision geometry", False, no_collision),
         ("low_effort", "effort of ", False, low_effort),
+    )
+
+    yield from of(
+        "bare",
+        ("names_only", "joints", False, given_names_only),
+        ("pose", "default_joint_pos", True, given_pose),
+        ("one_side", "default_joint_pos", False, given_one_side),
+        ("action_scale", "action.scale", True, given_action),
+        ("gains_swapped", "stiffness and damping", False, given_swapped_gains),
+        ("stiff", "stiffness", False, given_stiff),
+        ("missing_joint", "default_joint_pos", False, given_missing_joint),
+        ("misspelt_joint", "FL_tigh_joint", False, given_misspelt),
+        ("gravity", "projected_gravity", True, given_gravity),
+        ("terms_order", "base_ang_vel", True, given_terms),
+        ("filter_extra", "action.filter", True, filter_extra),
+        ("term_filter_extra", "filter of term 'last_action'", True, term_filter_extra),
+    )
+
+    yield from of(
+        "filtered",
+        ("filter_missing", "action.filter", True, filter_missing),
+        ("filter_turned", "action.filter", True, filter_turned),
+        ("filter_cut_off", "action.filter", True, filter_cut_off),
+        ("filter_radians", "action.filter", True, filter_radians),
+        ("feedback_raw", "action.feedback", True, feedback_raw),
+        ("order", "joint order", True, given_order),
+        ("left_right", "joint order", True, given_left_right),
+        ("gravity", "projected_gravity", True, given_gravity),
+        ("scales", "observation scales", True, given_scale),
+        ("milliseconds", "period", False, milliseconds),
+    )
+
+    yield from of(
+        "rover",
+        ("wheels_exchanged", "joint order", True, wheels_exchanged),
+        ("wheels_position", "action.kind", False, wheels_position),
+        ("wheels_stiff", "stiffness", False, wheels_stiff),
+        ("wheels_undamped", "damping", False, wheels_undamped),
+        ("wheels_scale", "action.scale", True, wheels_scale),
+        ("wheels_one_scale", "action.scale", False, wheels_one_scale),
+        ("rims_in_radians", "rims", True, rims_in_radians),
+        ("turn_upside_down", "turn", True, turn_upside_down),
+        ("slew_slow", "command.slew", True, slew_slow),
+        ("slew_zero", "slew", False, slew_zero),
     )
 
 

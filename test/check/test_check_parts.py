@@ -15,10 +15,11 @@ from unicon_core.check.mirror import mirror_pairs
 from unicon_core.check.order import other_order
 from unicon_core.check.result import CAUSES, CODES, CheckResult, Finding, Section
 from unicon_core.check.twin.measures import Recorder
+from unicon_core.check.twin.over_time import filter_repairs
 from unicon_core.check.twin.perturb import permuted, perturbations, renamed
 from unicon_core.check.twin.repair import repairs
 from unicon_core.policies import ActionSpec, ObservationSpec, ObservationTerm, PolicyContract
-from unicon_core.policies.contract import PhaseSpec
+from unicon_core.policies.contract import CommandSpec, FilterSpec, PhaseSpec
 from unicon_core.policies.observation import Observation
 from unicon_core.policies.phase import GaitPhase
 from unicon_core.policies.policy_states import policy_states
@@ -219,6 +220,30 @@ def test_an_exchanged_clock_shows_cosines_where_sines_were(
     names = {repair.name for repair in repairs(broken, load_robot("go2"), DEPTHS, {})}
     assert "sines and cosines of the gait clock exchanged" in names
     assert "the gait clock, its period times 2" in names
+
+
+def test_filters_feedback_and_slew_have_their_repairs() -> None:
+    plain = contract()
+    low = FilterSpec(low_pass=4.0, start="zeros")
+    action = replace(plain.action, filter=FilterSpec(alpha=0.3, start="zeros"), feedback="filtered")
+    term = replace(plain.terms[0], filter=low)
+    observation = replace(plain.observation, terms=(term, *plain.terms[1:]))
+    said = replace(plain, action=action, observation=observation, command=CommandSpec((1.0,) * 3))
+    found = {change.name: change.contract for change in filter_repairs(said)}
+    name = term.name
+    turned = found["action.filter of 1 − alpha"]
+    assert turned is not None
+    assert turned.action.filter == FilterSpec(alpha=0.7, start="zeros")
+    plainer = found["action.filter left out"]
+    assert plainer is not None
+    assert (plainer.action.filter, plainer.action.feedback) == (None, "clipped")
+    quarter = found[f"the filter of term {name!r} of a quarter the cut-off"]
+    assert quarter is not None
+    assert quarter.terms[0].filter == replace(low, low_pass=1.0)
+    assert {"action.feedback raw", "action.feedback clipped", "a command without slew"} <= {*found}
+    bare = {change.name for change in filter_repairs(plain)}
+    assert "an action.filter of alpha 0.2, feedback filtered" in bare
+    assert not [name for name in bare if "term" in name or "slew" in name]
 
 
 def test_clocks_are_exchanged_only_for_terms_as_wide() -> None:

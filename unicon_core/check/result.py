@@ -32,6 +32,7 @@ CODES = {
     "limits.differ": "robot file and model have other limits (a note)",
     "limits.effort": "effort limits of robot file and model are far apart",
     "action.scale": "one unit of action is more than a joint's range, or nothing (up to 1 a note)",
+    "action.limp": "a joint is given positions and has no stiffness",
     "action.symmetry": "left and right joints have different action scales",
     "action.offset": "action 0 means a target outside the limits",
     "action.reach": "clipped actions reach far outside the limits, and nothing limits targets",
@@ -111,6 +112,7 @@ CAUSES = (
     "observation.scale",
     "observation.clip",
     "observation.measured",
+    "action.limp",
     "action.scale",  # then the reach of the action is wrong as well
     "gains.symmetry",
     "action.symmetry",
