@@ -26,6 +26,7 @@ WORKFLOWS = {
     "bare": "go2_walk",  # exported again without metadata
     "filtered": "go2_walk",  # exported again for a program that filters actions
     "rover": "rover_drive",
+    "dance": "g1_dance",  # by itself
 }
 GO2 = ("go2", "bare", "filtered")
 ALPHA = 0.25
@@ -79,6 +80,10 @@ class Draft:
         if policy == "rover":
             path = ROOT / "examples" / "rover" / "drive.yaml"
         self.program: dict[str, Any] = yaml.safe_load(path.read_text(encoding="utf-8"))
+        if policy == "dance":
+            del self.program["policies"]["walk"]
+            self.program["flow"] = {"policy": "dance"}
+            self.program["scene"]["initial_pose"] = "policy:dance"
         self.key, entry = next(iter(self.program["policies"].items()))
         self.given: dict[str, Any]
         if self.ours:  # everything stands in its policy.yaml
@@ -390,12 +395,12 @@ def given_pose(draft: Draft) -> None:
     for i in range(len(pose)):
         if draft.policy in ("go1", *GO2) and i % 3 == 2:
             pose[i] = -1.2
-        elif draft.policy == "holosoma" and i in (0, 6):
+        elif draft.policy in ("holosoma", "dance") and i in (0, 6):
             pose[i] -= 0.9
 
 
 def given_one_side(draft: Draft) -> None:
-    draft.given["default_joint_pos"][3 if draft.policy == "holosoma" else 1] += 0.3
+    draft.given["default_joint_pos"][3 if draft.policy in ("holosoma", "dance") else 1] += 0.3
 
 
 def given_action(draft: Draft) -> None:
@@ -506,6 +511,41 @@ def term_filter_extra(draft: Draft) -> None:
     """Of the last action; what is measured may be smoothed a lot before this policy minds."""
     term = next(t for t in draft.terms if t["state"] == "action")
     term["filter"] = {"moving_average": 5}
+
+
+# -- motions -----------------------------------------------------------------------------------
+
+
+def dance_quaternion(draft: Draft) -> None:
+    """The reference's quaternion, x first, is taken for one with w first."""
+    outputs = draft.given["outputs"]
+    outputs["motion_body_quat_w"] = outputs.pop("motion_ref_quat_xyzw")
+    draft.given["motion"]["bodies"] = ["torso_link"]
+
+
+def dance_anchor_misspelt(draft: Draft) -> None:
+    draft.given["motion"]["anchor_body"] = "torso"
+
+
+def dance_ends_first(draft: Draft) -> None:
+    draft.given["motion"] |= {"start": 5.0, "end": 2.0}
+
+
+def dance_exchanged(draft: Draft) -> None:
+    """The reference's velocities first."""
+    term = next(t for t in draft.terms if t["state"] == "motion_command")
+    term["index"] = [*range(29, 58), *range(29)]
+
+
+def dance_scale(draft: Draft) -> None:
+    """The usual scale of walks."""
+    draft.given["action"]["scale"] = 0.25
+
+
+def dance_reference_relative(draft: Draft) -> None:
+    """The default pose taken off the reference, too, as off the joints."""
+    term = next(t for t in draft.terms if t["state"] == "motion_command")
+    term["subtract"] = [*draft.given["default_joint_pos"], *[0.0] * 29]
 
 
 # -- wheels ------------------------------------------------------------------------------------
@@ -749,6 +789,22 @@ def _listed() -> Iterator[Variant]:
         ("turn_upside_down", "turn", True, turn_upside_down),
         ("slew_slow", "command.slew", True, slew_slow),
         ("slew_zero", "slew", False, slew_zero),
+    )
+
+    yield from of(
+        "dance",
+        ("quaternion", "motion_body_quat_w", False, dance_quaternion),
+        ("anchor_misspelt", "anchor_body", False, dance_anchor_misspelt),
+        ("ends_first", "motion.end", False, dance_ends_first),
+        ("exchanged", "order within 'motion_command'", True, dance_exchanged),
+        ("scale", "action.scale", True, dance_scale),
+        ("reference_relative", "subtract of 'motion_command'", True, dance_reference_relative),
+        ("terms_order", "observation.terms", True, given_terms),
+        ("absolute", "dof_pos", True, given_absolute),
+        ("pose", "default_joint_pos", False, given_pose),
+        ("one_side", "default_joint_pos", False, given_one_side),
+        ("two_rates", "rate", False, two_rates),
+        ("low_effort", "effort of ", False, low_effort),
     )
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from unicon_core.check.mirror import mirror_pairs
 from unicon_core.check.order import other_order
@@ -275,9 +276,15 @@ def states() -> States:
     return States(standard_states(load_robot("go2").joint_names))
 
 
-def record(states: States, ticks: int = 250, walking: bool = True) -> Recorder:
+def record(
+    states: States,
+    ticks: int = 250,
+    walking: bool = True,
+    motion_error: NDArray[np.float32] | None = None,
+) -> Recorder:
     robot = load_robot("go2")
-    recorder = Recorder(states, robot, robot.effort_limit.astype(np.float64), 0.02)
+    effort = robot.effort_limit.astype(np.float64)
+    recorder = Recorder(states, robot, effort, 0.02, motion_error)
     states["projected_gravity"][...] = (0.0, 0.0, -1.0)
     states["base_pos_w"][...] = (0.0, 0.0, 0.3)
     states["joint_pos"][...] = robot.default_joint_pos
@@ -301,6 +308,16 @@ def test_the_score_is_its_formula(states: States) -> None:
     measures = record(states).measures(5.0, "", True)
     assert measures.tracking == pytest.approx(np.exp(-(0.5**2) / 0.25))
     assert measures.score == pytest.approx(0.7 * measures.tracking + 0.3)
+
+
+def test_a_policy_that_follows_a_motion_is_scored_by_its_joints(states: States) -> None:
+    error = np.array((0.25, 3.0), np.float32)  # of joints and anchor
+    measures = record(states, motion_error=error).measures(5.0, "", False)
+    assert measures.follows
+    assert measures.motion_error == pytest.approx(0.25)
+    assert measures.tracking == pytest.approx(np.exp(-1.0))
+    assert measures.score == pytest.approx(0.7 * measures.tracking + 0.3)
+    assert not record(states).measures(5.0, "", False).follows
 
 
 def test_a_fault_scores_the_share_of_its_time(states: States) -> None:

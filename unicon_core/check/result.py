@@ -71,7 +71,7 @@ CODES = {
     "twin.run": "the twin could not be run",
     "twin.platform": "the twin runs on another platform than the workflow's (a note)",
     "twin.fall": "the policy falls in the twin",
-    "twin.command": "the policy does not follow its command in the twin",
+    "twin.command": "the policy does not follow its command, or its motion, in the twin",
     "twin.suspect": "a broken contract does as well (a note where that does not tell much)",
 }
 """What can be found. A workflow accepts one with `check: {accept: [CODE]}`: it is then a note."""

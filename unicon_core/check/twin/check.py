@@ -115,9 +115,9 @@ class _Twin:
                 if measures.score >= given.score - MARGIN:
                     suspects.append((policy, broken, measures))
         self.verdict(given)
-        if given.stands and (not given.tracks or given.tracking >= POOR):
+        if given.stands and (not given.follows or given.tracking >= POOR):
             suspects.sort(key=lambda suspect: -suspect[2].score)
-            if given.tracks and any(not broken.unlikely for _, broken, _ in suspects):
+            if given.follows and any(not broken.unlikely for _, broken, _ in suspects):
                 self.better(given)
             for policy, broken, measures in suspects:
                 # Scales of 1 have been left out by nobody, and who only stands up does so anyhow.
@@ -152,25 +152,22 @@ class _Twin:
                 name,
                 measures.outcome(),
                 f"{measures.score:.2f}",
-                f"{measures.tracking:.2f}" if measures.tracks else "-",
-                f"{measures.velocity_error:.2f}" if measures.tracks else "-",
+                f"{measures.tracking:.2f}" if measures.follows else "-",
+                _error(measures),
                 f"{measures.target_rate:.1f}",
             ]
         )
 
     def verdict(self, given: Measures) -> None:
         """Findings of the given contract: a fall, or a command that is not followed."""
-        poor = bool(self.policies) and given.tracks and given.tracking < POOR
+        poor = bool(self.policies) and given.follows and given.tracking < POOR
         if given.stands and not poor:
             return
         code, what = "twin.fall", given.outcome()
         if given.fault:
             what += f" ({given.fault})"
         if given.stands:
-            code, moves = "twin.command", _velocity(given.velocity)
-            what = (
-                f"it stays up, but moves at {moves} where {_velocity(given.command)} is commanded"
-            )
+            code, what = "twin.command", _strays(given)
         found = self.mend(given)
         if found is not None:
             repair, mended = found.change, found.measures
@@ -230,7 +227,7 @@ class _Twin:
         measures, _, policy, repair = good[0]
         if not measures.stands or measures.score < given.score + least:
             return None
-        if measures.tracks and measures.tracking < FOLLOWS:
+        if measures.follows and measures.tracking < FOLLOWS:
             return None
         others = dict.fromkeys(c.culprit for *_, c in good if c.culprit != repair.culprit)
         return _Mended(policy, repair, measures, len(tried), tuple(others))
@@ -263,6 +260,19 @@ class _Twin:
             ["at position limits", ", ".join(hits[:4]) or "never"],
         ]
         self.result.table("Twin, as given", ["what", "value"], rows)
+
+
+def _error(measures: Measures) -> str:
+    if measures.motion_error is not None:
+        return f"{measures.motion_error:.2f}"
+    return f"{measures.velocity_error:.2f}" if measures.tracks else "-"
+
+
+def _strays(given: Measures) -> str:
+    if given.motion_error is not None:
+        return f"it stays up, but its joints are {given.motion_error:.2f} rad from the motion (rms)"
+    moves = _velocity(given.velocity)
+    return f"it stays up, but moves at {moves} where {_velocity(given.command)} is commanded"
 
 
 def _velocity(values: tuple[float, float, float]) -> str:

@@ -153,6 +153,15 @@ def _terms(contract: PolicyContract) -> Iterator[Change]:
             how = "relative to the default pose" if other else "absolute"
             moved = replace(term, subtract=other)
             yield changed(f"term {name} {how}", f"subtract of {name}", {i: moved})
+        elif term.subtract is not None:
+            bare = replace(term, subtract=None)
+            yield changed(f"nothing subtracted from {name}", f"subtract of {name}", {i: bare})
+        if term.state == "motion_command":
+            half, size = width(term) // 2, width(term)
+            places = range(size) if term.index is None else term.index
+            behind = replace(term, index=(*places[half:], *places[:half]))
+            what = f"positions and velocities of {name} exchanged"
+            yield changed(what, f"order within {name}", {i: behind})
         if term.state != "projected_gravity":  # which perturbations turns over
             flipped = replace(term, scale=-term.scale)
             yield changed(f"the other sign of term {name}", f"sign of {name}", {i: flipped})

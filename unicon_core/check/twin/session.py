@@ -159,7 +159,9 @@ class TwinSession:
         program.states.reset()
         runner = Runner(program, RunOptions(speed="max", warn=lambda text: None))
         runner.reset()
-        recorder = Recorder(program.states, program.robot, self._effort, program.period)
+        recorder = Recorder(
+            program.states, program.robot, self._effort, program.period, self._motion_error()
+        )
         longest, walked = round(_LONGEST / program.period), round(seconds / program.period)
         fault, begun = "", 0
         changed: AbstractContextManager[None] = nullcontext()
@@ -186,6 +188,15 @@ class TwinSession:
         """Close the workflow; how a simulator ends does not matter."""
         with suppress(UniconError):
             self.program.close()
+
+    def _motion_error(self) -> NDArray[np.float32] | None:
+        """Return the state of the first policy that follows a motion."""
+        for key in self.contracts:
+            name = f"{prefix_of(key, self.program.policies)}motion_error"
+            if name in self.program.states:
+                found: NDArray[np.float32] = self.program.states[name]
+                return found
+        return None
 
     def _commander(self, program: Program) -> dict[Stage, list[Block]]:
         """Return the block that commands a walk, as /cmd_vel would."""
