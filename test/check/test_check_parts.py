@@ -10,15 +10,17 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from unicon_core.check.mirror import mirror_pairs
 from unicon_core.check.order import other_order
 from unicon_core.check.result import CAUSES, CODES, CheckResult, Finding, Section
 from unicon_core.check.twin.measures import Recorder
+from unicon_core.check.twin.over_time import filter_repairs
 from unicon_core.check.twin.perturb import permuted, perturbations, renamed
 from unicon_core.check.twin.repair import repairs
 from unicon_core.policies import ActionSpec, ObservationSpec, ObservationTerm, PolicyContract
-from unicon_core.policies.contract import PhaseSpec
+from unicon_core.policies.contract import CommandSpec, FilterSpec, PhaseSpec
 from unicon_core.policies.observation import Observation
 from unicon_core.policies.phase import GaitPhase
 from unicon_core.policies.policy_states import policy_states
@@ -221,6 +223,30 @@ def test_an_exchanged_clock_shows_cosines_where_sines_were(
     assert "the gait clock, its period times 2" in names
 
 
+def test_filters_feedback_and_slew_have_their_repairs() -> None:
+    plain = contract()
+    low = FilterSpec(low_pass=4.0, start="zeros")
+    action = replace(plain.action, filter=FilterSpec(alpha=0.3, start="zeros"), feedback="filtered")
+    term = replace(plain.terms[0], filter=low)
+    observation = replace(plain.observation, terms=(term, *plain.terms[1:]))
+    said = replace(plain, action=action, observation=observation, command=CommandSpec((1.0,) * 3))
+    found = {change.name: change.contract for change in filter_repairs(said)}
+    name = term.name
+    turned = found["action.filter of 1 − alpha"]
+    assert turned is not None
+    assert turned.action.filter == FilterSpec(alpha=0.7, start="zeros")
+    plainer = found["action.filter left out"]
+    assert plainer is not None
+    assert (plainer.action.filter, plainer.action.feedback) == (None, "clipped")
+    quarter = found[f"the filter of term {name!r} of a quarter the cut-off"]
+    assert quarter is not None
+    assert quarter.terms[0].filter == replace(low, low_pass=1.0)
+    assert {"action.feedback raw", "action.feedback clipped", "a command without slew"} <= {*found}
+    bare = {change.name for change in filter_repairs(plain)}
+    assert "an action.filter of alpha 0.2, feedback filtered" in bare
+    assert not [name for name in bare if "term" in name or "slew" in name]
+
+
 def test_clocks_are_exchanged_only_for_terms_as_wide() -> None:
     read = _clocked({"gait_phase": None, "gait_phase_sin": None, "base_ang_vel": None})
     found = [repair.name for repair in repairs(read, load_robot("go2"), DEPTHS, {})]
@@ -250,9 +276,15 @@ def states() -> States:
     return States(standard_states(load_robot("go2").joint_names))
 
 
-def record(states: States, ticks: int = 250, walking: bool = True) -> Recorder:
+def record(
+    states: States,
+    ticks: int = 250,
+    walking: bool = True,
+    motion_error: NDArray[np.float32] | None = None,
+) -> Recorder:
     robot = load_robot("go2")
-    recorder = Recorder(states, robot, robot.effort_limit.astype(np.float64), 0.02)
+    effort = robot.effort_limit.astype(np.float64)
+    recorder = Recorder(states, robot, effort, 0.02, motion_error)
     states["projected_gravity"][...] = (0.0, 0.0, -1.0)
     states["base_pos_w"][...] = (0.0, 0.0, 0.3)
     states["joint_pos"][...] = robot.default_joint_pos
@@ -276,6 +308,16 @@ def test_the_score_is_its_formula(states: States) -> None:
     measures = record(states).measures(5.0, "", True)
     assert measures.tracking == pytest.approx(np.exp(-(0.5**2) / 0.25))
     assert measures.score == pytest.approx(0.7 * measures.tracking + 0.3)
+
+
+def test_a_policy_that_follows_a_motion_is_scored_by_its_joints(states: States) -> None:
+    error = np.array((0.25, 3.0), np.float32)  # of joints and anchor
+    measures = record(states, motion_error=error).measures(5.0, "", False)
+    assert measures.follows
+    assert measures.motion_error == pytest.approx(0.25)
+    assert measures.tracking == pytest.approx(np.exp(-1.0))
+    assert measures.score == pytest.approx(0.7 * measures.tracking + 0.3)
+    assert not record(states).measures(5.0, "", False).follows
 
 
 def test_a_fault_scores_the_share_of_its_time(states: States) -> None:

@@ -111,6 +111,14 @@ def test_missing_damping_is_found(folder: Path) -> None:
     assert "stiffness 40 and damping 0; give the damping" in line
 
 
+def test_positions_without_stiffness_are_found(folder: Path) -> None:
+    result = check(folder, {"stiffness": [0.0] * 3 + [40.0] * 9})
+    line = text_of(result, "action.limp")
+    assert "FL_hip_joint is given positions and its stiffness is 0: it does not go there" in line
+    assert "(3 joints)" in line
+    assert "gains.swapped" not in codes(result)
+
+
 def test_gains_other_than_the_robots_are_a_note(folder: Path) -> None:
     assert "the policy's are used" in note_of(check(folder), "gains.differ")
 

@@ -102,6 +102,16 @@ def _action(subject: Subject, policy: PolicyResult) -> None:
     elif idle.any():
         evidence = f"0 at {listed(compress(joints, idle))}: they stay at their offset"
         policy.note("action.scale", "action.scale", evidence)
+    limp = np.flatnonzero(position & (stiffness == 0.0) & (scale != 0.0))
+    if limp.size:
+        i = limp[0]
+        policy.find(
+            "action.limp",
+            "action.kind",
+            f"{joints[i]} is given positions and its stiffness is 0: it does not go there "
+            f"({limp.size} joints)",
+            "give action.kind velocity or torque there, or the stiffness that it was trained with",
+        )
     jumps = np.flatnonzero(position & (np.abs(scale) > span))
     if jumps.size:
         i = jumps[0]

@@ -126,7 +126,8 @@ def _plausible(robot: Robot, policy: PolicyResult, passive: NDArray[np.float64])
         )
     action = policy.contract.action
     turned = dict(zip(action.joints, ~action.of_kind("position")))  # they need no stiffness
-    stiffer = np.flatnonzero((kd > kp) & ~np.array([turned.get(name, False) for name in joints]))
+    held = (kp > 0.0) & ~np.array([turned.get(name, False) for name in joints])
+    stiffer = np.flatnonzero((kd > kp) & held)
     if stiffer.size > len(kp) // 2:
         i = stiffer[0]
         policy.find(

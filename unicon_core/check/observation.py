@@ -26,6 +26,7 @@ def check_observation(subject: Subject, result: CheckResult) -> None:
     """Add a table of terms and one of the network's input for each policy, and findings."""
     for policy in subject.policy_results(result):
         key, contract = policy.key, policy.contract
+        _quaternions(policy)
         if not contract.terms:
             continue
         states = subject.states_of(key)
@@ -37,6 +38,20 @@ def check_observation(subject: Subject, result: CheckResult) -> None:
         _sizes(policy, slices)
         for part in slices:
             _term(subject, policy, part)
+
+
+def _quaternions(policy: PolicyResult) -> None:
+    """An output whose own name says the other order of a quaternion than the state's."""
+    for state, output in policy.contract.outputs.items():
+        taken = "xyzw" if state.endswith("xyzw") else "wxyz"
+        said = [order for order in ("xyzw", "wxyz") if order in output.lower()]
+        if "quat" in state and said and taken not in said:
+            policy.find(
+                "observation.frame",
+                f"outputs.{state}",
+                f"it takes {taken}, and the network calls its output {output!r}",
+                "write it into a state of that order: motion_ref_quat_xyzw or motion_body_quat_w",
+            )
 
 
 def _row(part: TermSlice, frame: str) -> list[str]:

@@ -32,6 +32,7 @@ CODES = {
     "limits.differ": "robot file and model have other limits (a note)",
     "limits.effort": "effort limits of robot file and model are far apart",
     "action.scale": "one unit of action is more than a joint's range, or nothing (up to 1 a note)",
+    "action.limp": "a joint is given positions and has no stiffness",
     "action.symmetry": "left and right joints have different action scales",
     "action.offset": "action 0 means a target outside the limits",
     "action.reach": "clipped actions reach far outside the limits, and nothing limits targets",
@@ -70,7 +71,7 @@ CODES = {
     "twin.run": "the twin could not be run",
     "twin.platform": "the twin runs on another platform than the workflow's (a note)",
     "twin.fall": "the policy falls in the twin",
-    "twin.command": "the policy does not follow its command in the twin",
+    "twin.command": "the policy does not follow its command, or its motion, in the twin",
     "twin.suspect": "a broken contract does as well (a note where that does not tell much)",
 }
 """What can be found. A workflow accepts one with `check: {accept: [CODE]}`: it is then a note."""
@@ -111,6 +112,7 @@ CAUSES = (
     "observation.scale",
     "observation.clip",
     "observation.measured",
+    "action.limp",
     "action.scale",  # then the reach of the action is wrong as well
     "gains.symmetry",
     "action.symmetry",

@@ -7,20 +7,18 @@
   the kernel by which such policies are trained (leggedrobotics/legged_gym,
   `envs/base/legged_robot.py`, `tracking_sigma` 0.25). The first second is left out: it is the
   start from rest.
-  In ticks of a policy that follows a motion e² is that of `motion_error`, the root mean square of
-  its joints and the angle of its anchor in [rad], over 0.16 rad²: the kernel by which the rotation
-  of bodies is rewarded there (HybridRobotics/whole_body_tracking, `tracking_env_cfg.py`, std 0.4).
 - smoothness: exp(−(rate / 15)²), rate = root mean square over time and joints of the change of the
   position targets in [rad/s]: 1.1 to 5.8 for the walks of the three policies tried.
 
-A policy that follows neither a velocity command nor a motion is scored by survival · smoothness.
+A policy that reads no velocity command is scored by survival · smoothness; one that follows a
+motion by survival · (0.7 · tracking + 0.3 · smoothness), tracking being the mean of
+exp(−e² / 0.0625) with e, the root mean square of its joints' distance from the reference, in [rad].
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +26,7 @@ from numpy.typing import NDArray
 from unicon_core.robots import Robot
 from unicon_core.states import States
 
-__all__ = ["JUDGED", "NO_MOTION", "Measures", "Recorder"]
+__all__ = ["JUDGED", "Measures", "Recorder"]
 
 JUDGED = (
     "joint_pos", "joint_effort", "base_ang_vel", "base_lin_vel", "base_pos_w", "projected_gravity"
@@ -40,8 +38,8 @@ ROW = ("joint_pos", "joint_effort", "joint_pos_target", "velocity_command")
 
 TRACKING_SIGMA = 0.25
 """Width of the tracking kernel in [m²/s²]."""
-MOTION_SIGMA = 0.16
-"""The same of a motion in [rad²]."""
+MOTION_SIGMA = 0.0625
+"""Width of the kernel of a motion in [rad²]: 0.25 rad from the reference in all joints is far."""
 SMOOTH_RATE = 15.0
 """Rate of targets in [rad/s] at which smoothness has fallen to 1/e."""
 START = 1.0
@@ -52,9 +50,6 @@ FALL_HEIGHT = 0.5
 """A base below this share of its height when the policy took over has fallen."""
 AT_LIMIT = 0.005
 """A joint within this distance of its limit in [rad] is at the limit."""
-
-NO_MOTION = (math.nan, math.nan)
-"""In place of `motion_error` where no motion is followed."""
 
 Float = NDArray[np.float64]
 Three = tuple[float, float, float]
@@ -78,9 +73,8 @@ class Measures:
         saturated: share of ticks × joints at the effort limit.
         limit_hits: joint to share of ticks that it stood at a position limit.
         tracking, smoothness, survival, score: see the module, each in [0, 1].
-        tracks: whether following a command or a motion counts.
-        motion_error: from the motion, root mean square of joints and angle of the anchor in [rad],
-            both over all ticks in which one was followed; None where none was.
+        tracks: whether following the command counts.
+        motion_error: mean root mean square of the joints from the motion in [rad], None without.
     """
 
     asked_s: float
@@ -99,14 +93,19 @@ class Measures:
     smoothness: float = 0.0
     survival: float = 0.0
     tracks: bool = True
-    motion_error: tuple[float, float] | None = None
+    motion_error: float | None = None
 
     @property
     def score(self) -> float:
         """The score in [0, 1], greater is better."""
-        if not self.tracks:
+        if not self.tracks and self.motion_error is None:
             return self.survival * self.smoothness
         return self.survival * (0.7 * self.tracking + 0.3 * self.smoothness)
+
+    @property
+    def follows(self) -> bool:
+        """Whether there is anything to follow, a command or a motion."""
+        return self.tracks or self.motion_error is not None
 
     @property
     def stands(self) -> bool:
@@ -130,23 +129,30 @@ class Recorder:
         robot: limits and names.
         effort: torque limits in use in [N·m], shape (n,), infinite for none.
         period: of a tick in [s].
+        motion_error: of a policy that follows a motion, joints first, in [rad], read in place.
     """
 
-    def __init__(self, states: States, robot: Robot, effort: Float, period: float) -> None:
+    def __init__(
+        self,
+        states: States,
+        robot: Robot,
+        effort: Float,
+        period: float,
+        motion_error: NDArray[Any] | None = None,
+    ) -> None:
         self._robot, self._period = robot, period
         names = {*JUDGED, *ROW}
         self._views = {name: states[name].reshape(-1, states.spec(name).size)[0] for name in names}
         self._effort = effort
+        self._motion = None if motion_error is None else motion_error.reshape(-1, 2)[0, :1]
         self._standing: float | None = None
         self.fell = False
         self.rows: list[list[Float]] = []
-        self._off: list[Float] = []
 
-    def __call__(self, walking: bool, off: Sequence[float] = NO_MOTION) -> bool:
+    def __call__(self, walking: bool) -> bool:
         """Note the tick; True once the base has fallen.
 
         Args:
-            off: `motion_error` of the policy that follows a motion in this tick, shape (2,).
             walking: a policy has taken over; before, the flow may lie down as it likes, and what it
                 did is forgotten then.
         """
@@ -154,12 +160,11 @@ class Recorder:
         height = float(views["base_pos_w"][2])
         if walking and self._standing is None:
             self.rows.clear()
-            self._off.clear()
             self._standing = height
         velocity = np.array([*views["base_lin_vel"][:2], views["base_ang_vel"][2]])
-        row = (*(views[name] for name in ROW), velocity)
+        motion = np.zeros(1) if self._motion is None else self._motion
+        row = (*(views[name] for name in ROW), velocity, motion)
         self.rows.append([values.astype(np.float64) for values in row])
-        self._off.append(np.array(off, np.float64))
         tilted = float(views["projected_gravity"][2]) > -FALL_COSINE
         sunk = self._standing is not None and height < FALL_HEIGHT * self._standing
         self.fell = tilted or sunk
@@ -171,23 +176,19 @@ class Recorder:
         Args:
             asked_s: how long the run should have lasted in [s].
             fault: what stopped it, or "".
-            tracks: whether following the command counts, where no motion is followed.
+            tracks: whether following the command counts.
         """
         if not self.rows:
             return Measures(asked_s, fault)
         robot, period = self._robot, self._period
-        pos, effort, target, command, velocity = (np.stack(part) for part in zip(*self.rows))
+        columns = (np.stack(part) for part in zip(*self.rows))
+        pos, effort, target, command, velocity, motion = columns
         survived = len(self.rows) * period
         error = velocity - command
-        begin = min(round(START / period), max(len(error) - 1, 0))
-        squared = (error[begin:] ** 2).sum(axis=1)
-        off = np.stack(self._off)
-        moved = ~np.isnan(off[:, 0])
-        kernel = np.exp(-squared / TRACKING_SIGMA)
-        danced = moved[begin:]
-        kernel[danced] = np.exp(-(off[begin:][danced] ** 2).sum(axis=1) / MOTION_SIGMA)
-        if danced.any() and not tracks:
-            kernel = kernel[danced]
+        from_start = error[min(round(START / period), max(len(error) - 1, 0)) :]
+        squared = (from_start**2).sum(axis=1)
+        off = None if tracks or self._motion is None else motion[len(error) - len(from_start) :]
+        kernel = squared / TRACKING_SIGMA if off is None else (off**2)[:, 0] / MOTION_SIGMA
         rates = np.diff(target[:, ~robot.endless], axis=0) / period
         rate = float(np.sqrt((rates**2).mean())) if rates.size else 0.0
         use = np.sqrt((effort**2).mean(axis=0)) / self._effort
@@ -210,16 +211,12 @@ class Recorder:
             limit_hits={
                 robot.joint_names[i]: float(shares[i]) for i in np.argsort(-shares) if shares[i]
             },
-            tracking=float(kernel.mean()),
+            tracking=float(np.exp(-kernel).mean()),
             smoothness=float(np.exp(-((rate / SMOOTH_RATE) ** 2))),
             survival=min(1.0, survived / asked_s) if self.fell or fault else 1.0,
-            tracks=tracks or bool(moved.any()),
-            motion_error=_two(np.sqrt((off[moved] ** 2).mean(axis=0))) if moved.any() else None,
+            tracks=tracks,
+            motion_error=None if off is None else float(off.mean()),
         )
-
-
-def _two(values: Float) -> tuple[float, float]:
-    return float(values[0]), float(values[1])
 
 
 def _three(values: Float) -> Three:

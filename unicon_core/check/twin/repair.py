@@ -11,7 +11,7 @@ import numpy as np
 
 from unicon_core.check.mirror import mirror_pairs
 from unicon_core.check.order import joint_orders, other_order
-from unicon_core.check.twin.over_time import clock_repairs
+from unicon_core.check.twin.over_time import clock_repairs, filter_repairs
 from unicon_core.check.twin.perturb import (
     Change,
     exchanged,
@@ -20,7 +20,7 @@ from unicon_core.check.twin.perturb import (
     renamed,
     with_terms,
 )
-from unicon_core.policies.contract import ObservationTerm, PolicyContract
+from unicon_core.policies.contract import ActionKind, ObservationTerm, PolicyContract
 from unicon_core.policies.policy_states import policy_states
 from unicon_core.robots import Robot, joint_index
 from unicon_core.states import standard_states
@@ -49,9 +49,10 @@ def repairs(
     yield from _orders(contract, robot, depths)
     yield from _gains(contract, robot, depths)
     yield Change("passive damping removed", "passive damping of the model", contract, undamped=True)
-    yield from _actions(contract, poses)
+    yield from _actions(contract, robot, poses)
     yield from _terms(contract)
     yield from clock_repairs(contract)
+    yield from filter_repairs(contract)
     yield Change("no limits of effort", "effort limits of the robot file", contract, unlimited=True)
 
 
@@ -94,12 +95,23 @@ def _gains(contract: PolicyContract, robot: Robot, depths: Sequence[int]) -> Ite
 
 
 def _actions(
-    contract: PolicyContract, poses: Mapping[str, Mapping[str, float]]
+    contract: PolicyContract, robot: Robot, poses: Mapping[str, Mapping[str, float]]
 ) -> Iterator[Change]:
     action = contract.action
     for factor in (0.25, 0.5, 2.0, 4.0, -1.0):
         scaled = replace(contract, action=replace(action, scale=action.scale * np.float32(factor)))
         yield Change(f"action.scale times {factor:g}", "action.scale", scaled)
+    swapped: dict[ActionKind, ActionKind] = {"velocity": "torque", "torque": "velocity"}
+    if action.kinds:
+        kinds = tuple(swapped.get(kind, kind) for kind in action.kinds)
+        if kinds != action.kinds:
+            turned = replace(contract, action=replace(action, kinds=kinds))
+            own = joint_index(contract.joints, robot.joint_names)
+            limp = (contract.stiffness == 0.0) & (contract.damping == 0.0)
+            damping = np.where(limp, robot.joint_damping[own], contract.damping)
+            if np.isfinite(damping).all():  # a velocity is followed by damping alone
+                turned = replace(turned, damping=damping.astype(np.float32))
+            yield Change("velocities and torques exchanged", "action.kind", turned)
     for name, pose in poses.items():
         default = np.array([pose[joint] for joint in contract.joints], np.float32)
         offset = np.array([pose[joint] for joint in action.joints], np.float32)
@@ -141,6 +153,15 @@ def _terms(contract: PolicyContract) -> Iterator[Change]:
             how = "relative to the default pose" if other else "absolute"
             moved = replace(term, subtract=other)
             yield changed(f"term {name} {how}", f"subtract of {name}", {i: moved})
+        elif term.subtract is not None:
+            bare = replace(term, subtract=None)
+            yield changed(f"nothing subtracted from {name}", f"subtract of {name}", {i: bare})
+        if term.state == "motion_command":
+            half, size = width(term) // 2, width(term)
+            places = range(size) if term.index is None else term.index
+            behind = replace(term, index=(*places[half:], *places[:half]))
+            what = f"positions and velocities of {name} exchanged"
+            yield changed(what, f"order within {name}", {i: behind})
         if term.state != "projected_gravity":  # which perturbations turns over
             flipped = replace(term, scale=-term.scale)
             yield changed(f"the other sign of term {name}", f"sign of {name}", {i: flipped})

@@ -6,7 +6,7 @@ everything else is the graph that would be deployed.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext, suppress
 from typing import Any, Protocol, runtime_checkable
 
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.check.model_facts import joint_depths
-from unicon_core.check.twin.measures import JUDGED, NO_MOTION, Measures, Recorder
+from unicon_core.check.twin.measures import JUDGED, Measures, Recorder
 from unicon_core.errors import Fault, PlatformError, UniconError
 from unicon_core.flow import Block, Stage
 from unicon_core.models.find import model_of
@@ -43,11 +43,10 @@ class _Counted:
     """The tick of a policy block, with the number of its calls."""
 
     def __init__(self, policy: Policy) -> None:
-        self.policy, self.calls, self.ran = policy, 0, False
+        self.policy, self.calls = policy, 0
 
     def __call__(self) -> bool:
         self.calls += 1
-        self.ran = True
         return self.policy()
 
 
@@ -160,7 +159,9 @@ class TwinSession:
         program.states.reset()
         runner = Runner(program, RunOptions(speed="max", warn=lambda text: None))
         runner.reset()
-        recorder = Recorder(program.states, program.robot, self._effort, program.period)
+        recorder = Recorder(
+            program.states, program.robot, self._effort, program.period, self._motion_error()
+        )
         longest, walked = round(_LONGEST / program.period), round(seconds / program.period)
         fault, begun = "", 0
         changed: AbstractContextManager[None] = nullcontext()
@@ -173,7 +174,7 @@ class TwinSession:
             with changed, np.errstate(over="ignore", invalid="ignore"):
                 while len(recorder.rows) < longest and not runner.tick(0):
                     begun += any(tick.calls for tick in counted.values())
-                    if recorder(begun > 0, self._off(counted)) or (counted and begun >= walked):
+                    if recorder(begun > 0) or (counted and begun >= walked):
                         break
         except Fault as error:
             fault = str(error)
@@ -183,21 +184,19 @@ class TwinSession:
         tracks = any(_reads_command(contract) for contract in self.contracts.values())
         return recorder.measures(asked, fault, tracks)
 
-    def _off(self, counted: Mapping[str, _Counted]) -> Sequence[float]:
-        """Return how far a policy is from its motion that ran since the last call, if one did."""
-        found: Sequence[float] = NO_MOTION
-        for key, tick in counted.items():
-            ran, tick.ran = tick.ran, False
-            if ran and tick.policy.tracker is not None:
-                prefix = prefix_of(key, self.program.policies)
-                error = self.program.states[f"{prefix}motion_error"]
-                found = error.reshape(-1, 2)[0].tolist()
-        return found
-
     def close(self) -> None:
         """Close the workflow; how a simulator ends does not matter."""
         with suppress(UniconError):
             self.program.close()
+
+    def _motion_error(self) -> NDArray[np.float32] | None:
+        """Return the state of the first policy that follows a motion."""
+        for key in self.contracts:
+            name = f"{prefix_of(key, self.program.policies)}motion_error"
+            if name in self.program.states:
+                found: NDArray[np.float32] = self.program.states[name]
+                return found
+        return None
 
     def _commander(self, program: Program) -> dict[Stage, list[Block]]:
         """Return the block that commands a walk, as /cmd_vel would."""
