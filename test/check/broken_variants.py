@@ -158,7 +158,6 @@ def _listed() -> Iterator[Variant]:
         ("terms_order", "gyro", True, given_terms),
         ("gains_swapped", "stiffness and damping", False, given_swapped_gains),
         ("stiff", "stiffness", False, given_stiff),
-        ("metadata_twice", "joint_names", False, metadata_twice),
         ("passive_damping", "passive damping", True, passive_damping),
         ("no_collision", "collision geometry", False, no_collision),
         ("low_effort", "effort of ", False, low_effort),

@@ -232,12 +232,7 @@ def given_absolute(draft: Draft) -> None:
 
 
 def metadata_twice(draft: Draft) -> None:
-    metadata = draft.network_metadata()
-    if draft.policy == "go1":
-        joints = ",".join(draft.given["joints"])
-        metadata += [("joint_names", joints), ("joint_names", joints.replace("FR", "XX"))]
-    else:
-        metadata.append(("kp", "[1.0]"))
+    draft.network_metadata().append(("kp", "[1.0]"))
 
 
 def _edit(draft: Draft, key: str, change: Callable[[list[Any]], list[Any]]) -> None:
