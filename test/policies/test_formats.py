@@ -6,6 +6,7 @@ numpy, onnxruntime and mujoco, which knows the format by that table alone.
 
 from __future__ import annotations
 
+import json
 from collections import deque
 from collections.abc import Iterator
 from functools import lru_cache
@@ -15,7 +16,8 @@ from typing import Any
 import numpy as np
 import pytest
 from format_writers import FORMS, MOTORS, ROOT, SHIPPED, Form, dump, pose
-from policy_helpers import write_linear
+from onnx import TensorProto, helper, numpy_helper
+from policy_helpers import save, write_linear
 
 from unicon_core.policies import import_policy
 from unicon_core.policies.networks.onnx_file import read_onnx
@@ -200,3 +202,91 @@ def test_real_rate_and_full_speed_give_the_same_commands(tmp_path: Path, name: s
     again = run(workflow(tmp_path, f"{folder}/"), "max")
     assert fast.ticks == real.ticks == 100
     assert fast.sha256_commands == real.sha256_commands == again.sha256_commands
+
+
+def exploy(path: Path, order: list[str], weight: Any, default: Any) -> None:
+    """Write a linear network as exploy does: states by name, targets in [rad], its own memory."""
+    sizes = {
+        "obj.go2.joints.pos": 12, "obj.go2.joints.vel": 12, "obj.go2.base.w_Q_b": 4,
+        "sensor.imu.base.ang_vel_b_rt_w_in_b": 3, "cmd.se2_velocity.base": 3,
+        "memory.last.in": 12,
+    }  # fmt: skip
+    nodes = [
+        helper.make_node("Concat", list(sizes), ["all"], axis=1),
+        helper.make_node("MatMul", ["all", "weight"], ["memory.last.out"]),
+        helper.make_node("Add", ["memory.last.out", "default"], ["output.joint_targets.legs.pos"]),
+    ]
+    ends = ("output.joint_targets.legs.pos", "memory.last.out")
+
+    def tensor(name: str, size: int) -> Any:
+        return helper.make_tensor_value_info(name, TensorProto.FLOAT, [1, size])
+
+    constants = {"weight": weight, "default": default[None]}
+    graph = helper.make_graph(
+        nodes,
+        "exploy",
+        [tensor(*item) for item in sizes.items()],
+        [tensor(name, 12) for name in ends],
+        [numpy_helper.from_array(F(value), name) for name, value in constants.items()],
+    )
+    metadata = {
+        "exploy_version": "0.1.0",
+        "update_rate": 50.0,
+        "output.joint_targets.legs": {
+            "names": order,
+            "stiffness": [40.0] * 12,
+            "damping": [1.0] * 12,
+        },
+        "obj.go2.joints": {"joint_names": order},
+    }
+    save(path, graph, [(key, json.dumps(value)) for key, value in metadata.items()])
+
+
+def exploy_workflow(folder: Path) -> tuple[Path, Path, list[str]]:
+    rng = np.random.default_rng(8)
+    order = [str(name) for name in rng.permutation(MOTORS)]
+    default = F(np.tile([0.0, 0.9, -1.8], 4))[[MOTORS.index(name) for name in order]]
+    exploy(folder / "exploy.onnx", order, rng.normal(size=(46, 12)) * 0.03, default)
+    report = import_policy(
+        folder / "exploy.onnx",
+        folder / "imported",
+        given={"default_joint_pos": default.tolist()},
+    )
+    return workflow(folder, f"{report.path.parent}/"), folder / "exploy.onnx", order
+
+
+def test_states_by_name_are_their_loop_to_the_bit(tmp_path: Path) -> None:
+    path, network, order = exploy_workflow(tmp_path)
+    session = ort.InferenceSession(str(network), providers=["CPUExecutionProvider"])
+    at = [MOTORS.index(name) for name in order]
+    last = np.zeros((1, 12), F)
+    program = load_workflow(str(path))
+    runner = Runner(program, RunOptions(speed="max"))
+    physics = Physics(program.platform.data.qpos.copy())
+    runner.reset()
+    for tick in range(25):
+        runner.tick(0)
+        now = physics.measured()
+        quat = F(physics.d.qpos[3:7])
+        feed = {
+            "obj.go2.joints.pos": now["q"][at], "obj.go2.joints.vel": now["dq"][at],
+            "obj.go2.base.w_Q_b": quat, "sensor.imu.base.ang_vel_b_rt_w_in_b": now["ang_vel"],
+            "cmd.se2_velocity.base": COMMAND,
+        }  # fmt: skip
+        target, last = session.run(
+            None, {name: value[None] for name, value in feed.items()} | {"memory.last.in": last}
+        )
+        wanted = np.zeros(12, F)
+        wanted[at] = target[0]
+        told = program.states["joint_pos_target"]
+        np.testing.assert_array_equal(told, wanted, f"tick {tick}")
+        physics.step(wanted)
+    program.close()
+    assert np.abs(last).max() > 0.01
+
+
+@pytest.mark.slow
+def test_states_by_name_are_the_same_at_real_rate(tmp_path: Path) -> None:
+    path, _, _ = exploy_workflow(tmp_path)
+    fast, real = (run(path, speed) for speed in ("max", "real"))
+    assert fast.sha256_commands == real.sha256_commands

@@ -122,3 +122,12 @@ def test_dance_and_return_come_in_without_a_jump(assets: Path) -> None:
     assert len(smooth) >= 2
     assert max(smooth[-2:]) < 0.1
     assert max(hard[-2:]) > 3 * max(smooth[-2:])
+
+
+@pytest.mark.slow
+def test_the_dance_is_the_same_at_real_rate(assets: Path) -> None:
+    shas = []
+    for speed in ("max", "real"):
+        program = load_workflow("g1_dance", [*ALONE[:-1], "duration=4.0"])
+        shas.append(Runner(program, RunOptions(speed=speed)).run().sha256_commands)
+    assert shas[0] == shas[1]
