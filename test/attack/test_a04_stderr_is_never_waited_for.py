@@ -44,6 +44,7 @@ def full_pipe() -> Iterator[int]:
     os.close(out)
 
 
+@pytest.mark.slow
 def test_warnings_of_python_stop_no_commands(tmp_path: Path, full_pipe: int) -> None:
     (tmp_path / "wordy.py").write_text(NOISY)
     flow = "zip: [hold, {call: {function: 'wordy:noisy'}}]"

@@ -99,6 +99,7 @@ def test_nothing_gets_round_an_estop_but_its_clearing(
     assert last.interrupt() == 0
 
 
+@pytest.mark.slow
 def test_status_3_is_not_started_again_by_itself(start: Any, callers: Any, tmp_path: Path) -> None:
     path, log = write_workflow(tmp_path, fails="recv")
     host = start(path, "exit_on_fault:=true")

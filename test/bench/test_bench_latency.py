@@ -20,6 +20,7 @@ pytest.importorskip("rclpy")
 pytestmark = [pytest.mark.ros, pytest.mark.alone]
 
 
+@pytest.mark.slow
 def test_plain_and_our_own_pipelines_close_the_loop(monkeypatch: pytest.MonkeyPatch) -> None:
     from unicon_ros.bench import latency
 

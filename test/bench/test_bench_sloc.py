@@ -38,6 +38,7 @@ def test_an_edit_that_cannot_be_made_is_told(key: str) -> None:
         edited("robot: h1\nflow: {hold: {}}\n", {key: "x"})
 
 
+@pytest.mark.slow
 def test_what_is_edited_is_run_and_counted() -> None:
     outcome = transferred(Transfer("a", "b", sloc.H1, {}, {"platform": "fake_robot"}))
     assert outcome.ran, outcome.told

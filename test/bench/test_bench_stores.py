@@ -35,6 +35,7 @@ def measured(rounds: int, *names: str) -> Bench:
     pytest.fail(f"no values in some of {rounds} rounds, five times: {bench.table()}")
 
 
+@pytest.mark.slow
 def test_ways_without_ros_are_measured(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(stores, "SAMPLES", 5)
     chosen = [name for name in OURS if all(find_spec(module) for module in WAYS[name].needs)]
@@ -55,7 +56,9 @@ def test_ways_without_ros_are_measured(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.ros
-@pytest.mark.parametrize("name", ["rclpy", "rclpy, raw", "iceoryx2"])
+@pytest.mark.parametrize(
+    "name", ["rclpy, raw", "iceoryx2", pytest.param("rclpy", marks=pytest.mark.slow)]
+)
 def test_other_peoples_ways_carry_the_same_values(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -171,6 +171,7 @@ def mine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     return "simulator_of_mine:make"
 
 
+@pytest.mark.slow
 def test_the_twin_runs_on_the_simulator_that_the_workflow_names(folder: Path, mine: str) -> None:
     path = write_workflow(folder, None, {"platform": mine, "scene": None})
     result = check_workflow(path, ["check.duration=1"], twin=True)

@@ -331,6 +331,7 @@ def files(folder: Path) -> Path:
     return folder / "loong.yaml"
 
 
+@pytest.mark.slow
 def test_a_run_waits_for_the_remote_then_poses_and_damps(tmp_path: Path) -> None:
     workflow = files(tmp_path)
     told: list[str] = []

@@ -158,6 +158,7 @@ def test_feet_that_alone_touch_nothing_are_told(tmp_path: Path) -> None:
     assert "its feet (FR_foot, FL_foot, RR_foot, RL_foot) do not collide" in first.evidence
 
 
+@pytest.mark.slow
 def test_the_twin_tells_what_its_own_model_lacks(tmp_path: Path) -> None:
     pytest.importorskip("onnxruntime")
     result = checked(go2(tmp_path, pairs=None), twin=True, platform="fake")

@@ -181,6 +181,7 @@ def test_our_own_liveliness_is_lost_between_two_messages(run_with: Callable[...,
     )
 
 
+@pytest.mark.slow
 def test_liveliness_lost_and_regained_is_told(
     run_with: Callable[..., Run], twists: Callable[..., Twists]
 ) -> None:

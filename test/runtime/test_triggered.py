@@ -229,6 +229,7 @@ def test_data_that_stay_away_while_the_process_is_held_up_are_a_fault(tmp_path: 
     assert report.ticks == 4
 
 
+@pytest.mark.slow
 def test_a_sender_that_changes_its_rate_is_followed_again(tmp_path: Path) -> None:
     seen = []
     for _ in range(5):  # a machine that is busy otherwise begins its ticks late
