@@ -25,6 +25,28 @@ ALPHA = 0.25
 """Weight of the newest action in the filter of `filtered`."""
 
 
+DANCE: dict[str, Any] = {
+    "action": {"scale": 1.0, "clip": [-100, 100], "feedback": "clipped"},
+    "inputs": {"observation": "obs", "time_step": "time_step"},
+    "outputs": {
+        "action": "actions",
+        "motion_joint_pos": "joint_pos",
+        "motion_joint_vel": "joint_vel",
+        "motion_ref_quat_xyzw": "ref_quat_xyzw",
+    },
+    "motion": {"anchor_body": "torso_link"},
+    "observation.terms": [
+        {"name": "actions", "state": "action"},
+        {"name": "base_ang_vel", "state": "base_ang_vel"},
+        {"name": "dof_pos", "state": "joint_pos", "subtract": "default_joint_pos"},
+        {"name": "dof_vel", "state": "joint_vel"},
+        {"name": "motion_command", "state": "motion_command"},
+        {"name": "motion_ref_ori_b", "state": "motion_anchor_ori_b"},
+    ],
+}
+"""What the import of holosoma's whole-body tracking says, written out to be broken."""
+
+
 class Draft:
     """A copy of a good workflow that may be changed.
 
@@ -73,6 +95,9 @@ class Draft:
         if not self.ours:
             self.source = assets / entry["path"].removeprefix("assets:")
             self.given = deepcopy(entry["given"])
+        if policy == "dance":
+            self.given |= deepcopy(DANCE) | {"motion": self.given["motion"] | DANCE["motion"]}
+            del self.given["action.scale"]
         self.deploy: dict[str, Any] = {}
         if policy == "mjlab":
             text = (self.source / "deploy.yaml").read_text(encoding="utf-8")

@@ -225,7 +225,7 @@ def given_no_phase(draft: Draft) -> None:
 
 def given_absolute(draft: Draft) -> None:
     term = next(t for t in draft.terms if t["state"] == "joint_pos")
-    del term["subtract"]
+    term["subtract"] = [0.0] * len(draft.given["default_joint_pos"])
 
 
 # -- metadata in the network -----------------------------------------------------------------------

@@ -67,12 +67,8 @@ def term_filter_extra(draft: Draft) -> None:
 
 def dance_quaternion(draft: Draft) -> None:
     """The reference's quaternion, x first, is taken for one with w first."""
-    draft.given["outputs"] = {
-        "action": "actions",
-        "motion_joint_pos": "joint_pos",
-        "motion_joint_vel": "joint_vel",
-        "motion_body_quat_w": "ref_quat_xyzw",
-    }
+    outputs = draft.given["outputs"]
+    outputs["motion_body_quat_w"] = outputs.pop("motion_ref_quat_xyzw")
     draft.given["motion"]["bodies"] = ["torso_link"]
 
 
