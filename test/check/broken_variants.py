@@ -268,7 +268,7 @@ def _listed() -> Iterator[Variant]:
         ("scale", "action.scale", True, dance_scale),
         ("reference_relative", "subtract of 'motion_command'", True, dance_reference_relative),
         ("terms_order", "observation.terms", False, given_terms),
-        ("absolute", "dof_pos", False, given_absolute),
+        ("absolute", "observation.terms[2].subtract", False, given_absolute),
         ("pose", "default_joint_pos", False, given_pose),
         ("one_side", "default_joint_pos", False, given_one_side),
         ("two_rates", "rate", False, two_rates),
