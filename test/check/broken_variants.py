@@ -65,6 +65,7 @@ from mistakes_in_time import (
     dance_quaternion,
     dance_reference_relative,
     dance_scale,
+    delayed,
     feedback_raw,
     filter_cut_off,
     filter_extra,
@@ -122,6 +123,7 @@ def _listed() -> Iterator[Variant]:
 
     yield from of(
         "mjlab",
+        ("delayed", "child.delay", True, delayed),
         ("order", "joint order", True, deploy_order),
         ("names_only", "joints", False, deploy_names_only),
         ("left_right", "joint order", True, deploy_left_right),
@@ -164,6 +166,7 @@ def _listed() -> Iterator[Variant]:
     )
     yield from of(
         "holosoma",
+        ("delayed", "child.delay", True, delayed),
         ("order", "joint order", True, metadata_order),
         ("gains_reversed", "stiffness", False, metadata_gains),
         ("gains_of_legs", "gains", True, metadata_legs_gains),
@@ -191,6 +194,7 @@ def _listed() -> Iterator[Variant]:
 
     yield from of(
         "go2",
+        ("delayed", "child.delay", True, delayed),
         ("order", "joint order", True, given_order),
         ("names_only", "default_joint_pos", False, given_names_only),
         ("left_right", "joint order", True, given_left_right),

@@ -55,6 +55,7 @@ class Draft:
         given: facts of the policy: given in the workflow, or its `policy.yaml` (go2).
         deploy: values of `deploy.yaml` (mjlab only).
         metadata: pairs of the network's metadata to put in, None to leave them (holosoma, go1).
+        beside: what stands in the workflow beside the policy's path.
         leave_out: files of the policy that are lost.
         effort_factor: by which the robot file's limits are multiplied, None to leave it.
         model_changes: text of the model's file to other text.
@@ -102,6 +103,7 @@ class Draft:
         if policy == "mjlab":
             text = (self.source / "deploy.yaml").read_text(encoding="utf-8")
             self.deploy = yaml.safe_load(text)
+        self.beside: dict[str, Any] = {}
         self.leave_out: set[str] = set()
         self.effort_factor: float | None = None
         self.model_changes: dict[str, str] = {}
@@ -157,9 +159,10 @@ class Draft:
             values["action"] = {**values["action"], "scale": values.pop("action.scale")}
             text = yaml.safe_dump(values, sort_keys=False)
             (policy / "policy.yaml").write_text(text, encoding="utf-8")
-            self.program["policies"][self.key] = "./policy"
+            entry: dict[str, Any] = {"path": "./policy"}
         else:
-            self.program["policies"][self.key] = {"path": "./policy", "given": self.given}
+            entry = {"path": "./policy", "given": self.given}
+        self.program["policies"][self.key] = entry | self.beside
         path = self.folder / f"{self.program['name']}.yaml"
         path.write_text(yaml.safe_dump(self.program, sort_keys=False), encoding="utf-8")
         return path

@@ -52,6 +52,11 @@ def filter_radians(draft: Draft) -> None:
     draft.given["action"]["filter"] = {"low_pass": 2.0 * 3.14159 * 2.29}
 
 
+def delayed(draft: Draft) -> None:
+    """Each action comes 80 ms after its observation, and so does what is fed back."""
+    draft.beside["child"] = {"delay": round(0.08 * draft.program.get("rate", 50))}
+
+
 def feedback_raw(draft: Draft) -> None:
     draft.given["action"]["feedback"] = "raw"
 

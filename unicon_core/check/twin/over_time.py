@@ -13,7 +13,7 @@ import numpy as np
 from unicon_core.check.twin.perturb import Change, clock_reordered, with_terms
 from unicon_core.policies.contract import FilterSpec, PhaseSpec, PolicyContract
 
-__all__ = ["clock_repairs", "filter_repairs"]
+__all__ = ["clock_repairs", "delay_repairs", "filter_repairs"]
 
 ALPHAS = (0.2, 0.5, 0.8)
 """Weights of the newest action that are tried where no filter is said: of programs' habits."""
@@ -46,6 +46,14 @@ def clock_repairs(contract: PolicyContract) -> Iterator[Change]:
     for factor in (0.5, 2.0):
         changed = replace(phase, period=phase.period * factor)
         yield _changed(contract, f"its period times {factor:g}", "phase.period", changed)
+
+
+def delay_repairs(contract: PolicyContract) -> Iterator[Change]:
+    """Yield the contract with actions as early as a child can give them."""
+    child = contract.child
+    if child is not None and child.delay > 1:
+        early = replace(contract, child=replace(child, delay=1))
+        yield Change("child.delay 1", "child.delay", early)
 
 
 def filter_repairs(contract: PolicyContract) -> Iterator[Change]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from unicon_core.check.mirror import mirror_pairs
 from unicon_core.check.order import joint_orders, other_order
-from unicon_core.check.twin.over_time import clock_repairs, filter_repairs
+from unicon_core.check.twin.over_time import clock_repairs, delay_repairs, filter_repairs
 from unicon_core.check.twin.perturb import (
     Change,
     exchanged,
@@ -46,6 +46,7 @@ def repairs(
     """
     broken = perturbations(contract, depths)  # most of them undo themselves
     yield from (change for change in broken if change.contract is not None)
+    yield from delay_repairs(contract)
     yield from _orders(contract, robot, depths)
     yield from _gains(contract, robot, depths)
     yield Change("passive damping removed", "passive damping of the model", contract, undamped=True)
