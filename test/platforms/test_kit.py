@@ -107,12 +107,11 @@ def test_a_command_is_copied_and_found_finite(num_robots: int | None) -> None:
 def test_base_states_of_a_base_that_turns_and_falls() -> None:
     robot = load_robot("go2")
     states = states_of(robot)
-    base = BaseStates(
-        {n: states[n] for n in BASE_STATES}, robot, 0.001, np.array((0.0, 0.0, -9.81))
-    )
-    left = np.array((np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)))  # looks along the world's y
-    none, ahead = np.zeros(3), np.array((0.0, 2.0, 0.0))
-    base(*[WorldPose(none, left, ahead, np.array((0.0, 0.0, 1.0)))] * 2)
+    views = {n: states[n][None] for n in BASE_STATES}
+    base = BaseStates(views, robot, 0.001, np.array((0.0, 0.0, -9.81)))
+    left = np.array([(np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5))])  # looks along the world's y
+    none, ahead = np.zeros((1, 3)), np.array([(0.0, 2.0, 0.0)])
+    base(*[WorldPose(none, left, ahead, np.array([(0.0, 0.0, 1.0)]))] * 2)
     np.testing.assert_allclose(states.base_lin_vel, (2.0, 0.0, 0.0), atol=1e-6)
     np.testing.assert_allclose(states.base_ang_vel, (0.0, 0.0, 1.0), atol=1e-6)
     np.testing.assert_allclose(states.projected_gravity, (0.0, 0.0, -1.0), atol=1e-6)

@@ -37,7 +37,7 @@ class JointDelay:
     """The command of each physics step where joints get theirs late, each by its own delay.
 
     Args:
-        rows: the present command as of `Command.rows`, shape (5, n); read at each call.
+        rows: the present command as of `Command.rows`, shape (5, ..., n); read at each call.
         delay: in physics steps, shape (n,).
         decimation: physics steps in a tick.
     """
@@ -50,6 +50,7 @@ class JointDelay:
         self._parts = [(end - start, ticks + (start < begin)) for start, end in pairwise(edges)]
         self._past = np.zeros((int(ticks.max()) + 2, *rows.shape), rows.dtype)
         self._joints = np.arange(rows.shape[-1])
+        self._order = (*range(1, rows.ndim), 0)
         self.reset()
 
     def __call__(self) -> Iterator[tuple[int, Array]]:
@@ -59,7 +60,8 @@ class JointDelay:
             self._past[...] = self._rows
         self._past[self._tick % depth] = self._rows
         for steps, ages in self._parts:
-            yield steps, self._past[(self._tick - ages) % depth, :, self._joints].T
+            late = self._past[(self._tick - ages) % depth, ..., self._joints]
+            yield steps, late.transpose(self._order)
         self._tick += 1
 
     def memory(self) -> list[Any]:

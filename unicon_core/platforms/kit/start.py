@@ -42,6 +42,11 @@ class Start:
     floating: bool
     physics: JointPhysics
 
+    @property
+    def gravity(self) -> Float:
+        """Of the model, in the world in [m/s²], shape (3,)."""
+        return np.array(self.loaded.model.opt.gravity)
+
 
 def start_of(robot: Robot, scene: Scene) -> Start:
     """Return where a scene begins, in any simulator; see `initial_positions`.

@@ -1,10 +1,11 @@
-"""A simulator that is stepped from Python: give it four methods, and it is a platform."""
+"""A simulator that is stepped from Python: give it five methods, and it is a platform."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterable
 from dataclasses import replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ from unicon_core.platforms.kit.base import BaseStates, WorldPose
 from unicon_core.platforms.kit.clock import steps_in, tick_ns
 from unicon_core.platforms.kit.command import Command
 from unicon_core.platforms.kit.joint_delay import JointDelay, delay_of, strength_of
+from unicon_core.platforms.kit.joint_model import JointModel, lost
 from unicon_core.platforms.kit.servo import Servo
 from unicon_core.platforms.kit.start import Start
 from unicon_core.platforms.platform import Facts
@@ -26,26 +28,36 @@ __all__ = ["GRAVITY", "SteppedSimulator"]
 Float = NDArray[np.float64]
 
 GRAVITY = np.array((0.0, 0.0, -9.81))
-"""In the world in [m/s²], shape (3,)."""
+"""On earth, in the world in [m/s²], shape (3,)."""
 
 _TOO_FAST = 1e5  # [rad/s]: no robot's joint turns that fast
 
 
 class SteppedSimulator(ABC):
-    """One robot, its servos computed here at each physics step.
+    """N robots, each in a world of its own, their servos computed here at each physics step.
 
-    A class of it says `facts`, builds its world before it calls `super().__init__`, and has
-    `place`, `joints`, `base` and `step`.
+    A class of it says `facts` and `represents`, builds its worlds before it calls
+    `super().__init__`, and has `place`, `joints`, `base`, `step` and `add_velocity`. All of them
+    have the robots as first axis, also of one. Where the physics of a whole tick are one call, it
+    has `simulate` too.
 
     Args:
-        states: the states, without a batch axis.
+        states: the states; N is the length of their batch axis, 1 without.
         robot: the robot.
         period: of a tick in [s].
         timestep: of the physics in [s].
         start: where it begins; states of a base that cannot move are not written.
+        figures: of the joints, as the engine has been told them.
+
+    Attributes:
+        num_robots: N.
+        torque: of the last physics step in [N·m], shape (N, n).
+        notes: what of the model is left out or otherwise, one line each.
     """
 
     facts: Facts
+    represents: ClassVar[frozenset[str]] = frozenset()
+    """Words of `kit/joint_model.py` for what the engine has as the model says."""
 
     def __init__(
         self,
@@ -54,47 +66,65 @@ class SteppedSimulator(ABC):
         period: float,
         timestep: float,
         start: Start,
+        figures: JointModel,
     ) -> None:
         unmeasured = () if start.floating else BASE_STATES
         told = [name for name in self.facts.writes if name not in unmeasured]
-        self.facts = replace(self.facts, writes=tuple(told))
+        self.figures = figures
+        self.notes = [*start.loaded.notes, *lost(start, robot, figures, self.represents)]
+        notes = (*self.facts.notes, *self.notes)
+        self.facts = replace(self.facts, writes=tuple(told), notes=notes)
         self._names, self.start, self.model_path = robot.joint_names, start, start.loaded.path
         self.timestep, self.decimation = timestep, steps_in(period, timestep, self.model_path)
         self._tick_ns = tick_ns(timestep, self.decimation)
+        self.num_robots, self._alone = states.num_robots or 1, states.num_robots is None
         self._command = Command(states, robot.joint_names)
-        self._acting = np.zeros_like(self._command.rows)
+        rows = self._rows = self._command.rows.reshape(5, self.num_robots, -1)
+        self._acting = np.zeros_like(rows)
         self._servo = Servo(self._acting, robot.effort_limit)
+        self.torque = self._servo.torque
         self._strength = strength_of(start.physics)
         delay = delay_of(start.physics, timestep)
-        rows = self._command.rows
         self._delay = None if delay is None else JointDelay(rows, delay, self.decimation)
-        views = {name: states[name] for name in self.facts.writes}
+        views = {
+            name: states[name][None] if self._alone else states[name] for name in self.facts.writes
+        }
         self._told = [views[name] for name in JOINT_STATES]
         self._stamp = views["stamp_ns"]
-        self._base_states = BaseStates(views, robot, timestep, GRAVITY)
+        base = {name: view for name, view in views.items() if name in BASE_STATES}
+        self._base_states = BaseStates(base, robot, timestep, start.gravity)
         self.reset()
 
     @abstractmethod
     def place(self) -> None:
-        """Put the robot where it begins, at rest."""
+        """Put all robots where they begin, at rest, to the same bytes each time."""
 
     @abstractmethod
     def joints(self) -> tuple[Float, Float]:
-        """Return positions [rad] and velocities [rad/s] in the robot's order, shape (n,) each."""
+        """Return positions [rad] and velocities [rad/s] in the robot's order, shape (N, n) each."""
 
     @abstractmethod
     def base(self) -> WorldPose:
-        """Return where the base is."""
+        """Return where the bases are."""
 
     @abstractmethod
     def step(self, torque: Float) -> None:
-        """Apply torques [N·m], shape (n,), and step the physics once."""
+        """Apply torques [N·m], shape (N, n), and step the physics once."""
+
+    @abstractmethod
+    def add_velocity(self, velocity: Float) -> None:
+        """Add to the bases' velocities along the world's axes in [m/s], shape (N, 3)."""
+
+    def push(self, velocity: Float) -> None:
+        """Add to the bases' horizontal velocity [m/s] in the world, shape (2,) or (N, 2)."""
+        level = np.atleast_2d(velocity)
+        self.add_velocity(np.hstack((level, np.zeros((len(level), 1)))))
 
     def reset(self) -> None:
-        """Put the robot back where it began, at time 0, limp."""
+        """Put the robots back where they began, at time 0, limp."""
         self.place()
         self._ticks = 0
-        self._servo.torque[...] = 0.0
+        self.torque[...] = 0.0
         if self._delay is not None:
             self._delay.reset()
         self._measured = self.joints()
@@ -102,7 +132,7 @@ class SteppedSimulator(ABC):
 
     def recv(self) -> bool | None:
         """Copy what the simulation says into the states."""
-        for view, value in zip(self._told, (*self._measured, self._servo.torque)):
+        for view, value in zip(self._told, (*self._measured, self.torque)):
             view[...] = value
         self._base_states(self._before, self._now)
         self._stamp[...] = round(self._ticks * self._tick_ns)
@@ -115,34 +145,67 @@ class SteppedSimulator(ABC):
             Fault: a command is not finite, or the physics blew up.
         """
         self._command.take()
-        left, rows = self.decimation, self._command.rows
-        for steps, command in ((left, rows),) if self._delay is None else self._delay():
-            self._acting[...] = command
-            for _ in range(steps):
-                if left == 1:
-                    self._before = self.base()
-                left -= 1
-                torque = self._servo(*self._measured)
-                if self._strength is not None:
-                    torque *= self._strength
-                self.step(torque)
-                self._measured = self.joints()
-        self._now = self.base()
+        whole = ((self.decimation, self._rows),)
+        self._before = self.simulate(whole if self._delay is None else self._delay())
+        self._measured, self._now = self.joints(), self.base()
         self._ticks += 1
-        speeds = np.abs(self._measured[1])
-        if not speeds.max() < _TOO_FAST:  # true for NaN too
-            joint = int(np.argmax(np.nan_to_num(speeds, nan=np.inf)))
-            raise Fault(
-                f"the physics blew up before {self._ticks * self._tick_ns * 1e-9:.3f} s: joint "
-                f"{self._names[joint]} moves at {speeds[joint]:.3g} rad/s; lower the gains or the "
-                "physics step (timestep)"
-            )
+        speeds = self._measured[1].reshape(-1)
+        if not speeds.dot(speeds) < _TOO_FAST**2:  # false for NaN too
+            self._blown_up()
         return None
 
+    def simulate(self, parts: Iterable[tuple[int, Float]]) -> WorldPose:
+        """Simulate one tick; write `torque`.
+
+        Args:
+            parts: physics steps, and the command that acts in them: q*, qd*, tau_ff, kp, kd, shape
+                (5, N, n).
+
+        Returns:
+            Where the bases were one physics step before its end.
+        """
+        left, servo, strength, measured = self.decimation, self._servo, self._strength, self.joints
+        pos, vel = self._measured
+        for steps, command in parts:
+            self._acting[...] = command
+            for _ in range(steps):
+                torque = servo(pos, vel)
+                if strength is not None:
+                    torque *= strength
+                left -= 1
+                if not left:
+                    before = self.base()
+                self.step(torque)
+                if left:
+                    pos, vel = measured()
+        return before
+
+    def _blown_up(self) -> None:
+        """Raise the fault of the first robot whose joints move too fast.
+
+        Raises:
+            Fault: there is one; the sum of many that move fast is none.
+        """
+        speeds = np.abs(self._measured[1])
+        wrong = np.argwhere(~(speeds < _TOO_FAST))
+        if not len(wrong):
+            return
+        robot = int(wrong[0, 0])
+        joint = int(np.argmax(np.nan_to_num(speeds[robot], nan=np.inf)))
+        who = "" if self._alone else f"robot {robot}: "
+        raise Fault(
+            f"{who}the physics blew up before {self._ticks * self._tick_ns * 1e-9:.3f} s: joint "
+            f"{self._names[joint]} moves at {speeds[robot, joint]:.3g} rad/s; lower the gains or "
+            "the physics step (timestep)"
+        )
+
     def info(self) -> dict[str, Any]:
-        """Return model and physics step."""
+        """Return model, physics step, number of robots, and what of the model is otherwise."""
         return {
             "model": str(self.model_path),
             "physics_step_s": self.timestep,
             "physics_steps_per_tick": self.decimation,
+            "num_robots": self.num_robots,
+            "passive": self.figures.passive,
+            "notes": list(self.notes),
         }

@@ -17,7 +17,7 @@ from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.platforms.kit.clock import steps_in
 from unicon_core.platforms.kit.command import Command
 from unicon_core.platforms.kit.joint_delay import delay_of, strength_of
-from unicon_core.platforms.kit.passive import Passive, known_passive
+from unicon_core.platforms.kit.joint_model import Passive, known_passive
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.platforms.kit.start import initial_positions
 from unicon_core.platforms.platform import SIMULATED, Facts

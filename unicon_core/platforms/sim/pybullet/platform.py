@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from tempfile import NamedTemporaryFile
 from typing import Any
@@ -12,100 +12,173 @@ import numpy as np
 from unicon_core.errors import MissingDependencyError
 from unicon_core.models.physical import physical_urdf
 from unicon_core.platforms.kit.base import Float, WorldPose
-from unicon_core.platforms.kit.passive import Passive, known_passive
+from unicon_core.platforms.kit.joint_model import (
+    JointModel,
+    Passive,
+    ground_friction,
+    joint_model,
+)
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.platforms.kit.start import Start, start_of
-from unicon_core.platforms.kit.stepped import GRAVITY, SteppedSimulator
+from unicon_core.platforms.kit.stepped import SteppedSimulator
 from unicon_core.platforms.platform import SIMULATED, Facts
 from unicon_core.robots import Robot
 from unicon_core.states import States
 
 
 class PybulletPlatform(SteppedSimulator):
-    """One robot on a plane, which does not collide with itself; built by `make`."""
+    """Robots on planes, each in a world of its own; built by `make`."""
 
     facts = Facts(
-        "pybullet", simulated=True, writes=SIMULATED, physics=("strength", "friction", "delay")
+        "pybullet",
+        simulated=True,
+        batch=True,
+        writes=SIMULATED,
+        physics=("strength", "friction", "delay"),
     )
+    represents = frozenset({"damping", "friction", "limits"})
 
     def __init__(
         self,
-        client: Any,
+        clients: Sequence[Any],
         states: States,
         robot: Robot,
         period: float,
         step: float,
         start: Start,
-        passive: Passive = "replace",
+        figures: JointModel,
     ) -> None:
-        self._client, self._passive = client, known_passive(passive)
-        client.setPhysicsEngineParameter(fixedTimeStep=step)
-        client.setGravity(*GRAVITY)
-        client.createMultiBody(0.0, client.createCollisionShape(client.GEOM_PLANE))
-        how = {"useFixedBase": not start.floating, "flags": client.URDF_USE_INERTIA_FROM_FILE}
-        with NamedTemporaryFile("w", suffix=".urdf") as file:
-            print(physical_urdf(start.loaded, robot), file=file, flush=True)
-            self._body = body = client.loadURDF(file.name, **how)
-        names = [client.getJointInfo(body, i)[1].decode() for i in range(client.getNumJoints(body))]
-        self._joints = [names.index(name) for name in robot.joint_names]
-        rubber = {"lateralFriction": 1.2, "linearDamping": 0.0, "angularDamping": 0.0}
-        for link in range(-1, len(names)):  # friction: times the plane's 0.5
-            client.changeDynamics(body, link, **rubber)
-        model = start.loaded.model
-        own = model.dof_damping[model.jnt_dofadr[start.loaded.joints]]
-        self.passive_damping = own * (passive == "keep")
-        self._damp(self.passive_damping)
-        self._centre = client.getDynamicsInfo(body, -1)[3:5]  # of mass, in the base's frame
-        super().__init__(states, robot, period, step, start)
+        description = physical_urdf(start.loaded, robot)
+        self._worlds = [
+            _World(client, description, robot, step, start, figures) for client in clients
+        ]
+        super().__init__(states, robot, period, step, start, figures)
 
-    def _damp(self, damping: Float) -> None:
-        for joint, value in zip(self._joints, damping):
-            self._client.changeDynamics(self._body, joint, jointDamping=value)
+    @property
+    def passive_damping(self) -> Float:
+        """Damping of the joints themselves in [N·m·s/rad], shape (n,)."""
+        return self.figures.damping
 
     @contextmanager
     def undamped(self) -> Iterator[None]:
         """Do without the joints' own damping for a while, as with `passive: replace`."""
-        self._damp(np.zeros_like(self.passive_damping))
+        for world in self._worlds:
+            world.damp(np.zeros_like(self.figures.damping))
         try:
             yield
         finally:
-            self._damp(self.passive_damping)
-
-    def info(self) -> dict[str, Any]:
-        return super().info() | {"passive": self._passive}
+            for world in self._worlds:
+                world.damp(self.figures.damping)
 
     def place(self) -> None:
-        base = self.start.position, np.roll(self.start.quat, -1)
-        centre = self._client.multiplyTransforms(*base, *self._centre)
-        self._client.resetBasePositionAndOrientation(self._body, *centre)
-        self._client.resetBaseVelocity(self._body, (0, 0, 0), (0, 0, 0))
-        friction = np.nan_to_num(self.start.physics.friction)
-        for joint, angle, brake in zip(self._joints, self.start.joint_pos, friction):
-            self._client.resetJointState(self._body, joint, angle, 0.0)
-            # The engine's own motor brakes with this torque, as dry friction does.
-            self._client.setJointMotorControl2(self._body, joint, 0, force=brake)
+        for world in self._worlds:
+            world.place()
 
     def joints(self) -> tuple[Float, Float]:
-        pos, vel, _, _ = zip(*self._client.getJointStates(self._body, self._joints))
-        return np.array(pos), np.array(vel)
+        told = np.array([world.joints() for world in self._worlds])
+        return told[:, 0], told[:, 1]
 
     def base(self) -> WorldPose:
-        client, centre = self._client, self._client.getBasePositionAndOrientation(self._body)
-        place, quat = client.multiplyTransforms(*centre, *client.invertTransform(*self._centre))
-        linear, angular = np.array(client.getBaseVelocity(self._body))
-        linear += np.cross(angular, np.subtract(place, centre[0]))
-        return WorldPose(np.array(place), np.roll(quat, 1), linear, angular)
+        poses = [world.base() for world in self._worlds]
+        return WorldPose(*map(np.array, zip(*poses)))
 
     def step(self, torque: Float) -> None:
-        mode = self._client.TORQUE_CONTROL
-        self._client.setJointMotorControlArray(self._body, self._joints, mode, forces=torque)
-        self._client.stepSimulation()
+        for world, own in zip(self._worlds, torque):
+            world.step(own)
 
-    def push(self, velocity: Float) -> None:
-        linear, angular = self._client.getBaseVelocity(self._body)
-        self._client.resetBaseVelocity(self._body, np.add(linear, (*velocity, 0.0)), angular)
+    def add_velocity(self, velocity: Float) -> None:
+        for world, own in zip(self._worlds, velocity):
+            world.add_velocity(own)
 
     def close(self) -> None:
+        for world in self._worlds:
+            world.close()
+
+
+class _World:
+    """One robot on a plane, which does not collide with itself."""
+
+    def __init__(
+        self,
+        client: Any,
+        description: str,
+        robot: Robot,
+        step: float,
+        start: Start,
+        figures: JointModel,
+    ) -> None:
+        self._client, self._description, self._names = client, description, robot.joint_names
+        self._timestep, self._start, self._figures = step, start, figures
+        self._torque_control = client.TORQUE_CONTROL
+        self._friction = ground_friction(start)
+
+    def place(self) -> None:
+        """Build the world anew: what contacts and motors remember goes with the old one."""
+        client, start = self._client, self._start
+        client.resetSimulation()
+        client.setPhysicsEngineParameter(
+            fixedTimeStep=self._timestep, deterministicOverlappingPairs=1
+        )
+        client.setGravity(*start.gravity)
+        plane = client.createMultiBody(0.0, client.createCollisionShape(client.GEOM_PLANE))
+        client.changeDynamics(plane, -1, lateralFriction=1.0)  # two coefficients are multiplied
+        how = {"useFixedBase": not start.floating, "flags": client.URDF_USE_INERTIA_FROM_FILE}
+        with NamedTemporaryFile("w", suffix=".urdf") as file:
+            print(self._description, file=file, flush=True)
+            self._body = body = client.loadURDF(file.name, **how)
+        names = [client.getJointInfo(body, i)[1].decode() for i in range(client.getNumJoints(body))]
+        self._joints = [names.index(name) for name in self._names]
+        rubber = {"lateralFriction": self._friction, "linearDamping": 0.0, "angularDamping": 0.0}
+        for link in range(-1, len(names)):
+            client.changeDynamics(body, link, **rubber)
+        self.damp(self._figures.damping)
+        self._centre = client.getDynamicsInfo(body, -1)[3:5]  # of mass, in the base's frame
+        self._base_from_centre = client.invertTransform(*self._centre)
+        base = start.position, np.roll(start.quat, -1)
+        centre = client.multiplyTransforms(*base, *self._centre)
+        client.resetBasePositionAndOrientation(body, *centre)
+        client.resetBaseVelocity(body, (0, 0, 0), (0, 0, 0))
+        for joint, angle, brake in zip(self._joints, start.joint_pos, self._figures.friction):
+            client.resetJointState(body, joint, angle, 0.0)
+            # The engine's own motor brakes with this torque, as dry friction does.
+            client.setJointMotorControl2(body, joint, 0, force=brake)
+
+    def damp(self, damping: Float) -> None:
+        """Give the joints damping [N·m·s/rad], shape (n,)."""
+        for joint, value in zip(self._joints, damping):
+            self._client.changeDynamics(self._body, joint, jointDamping=value)
+
+    def joints(self) -> tuple[Any, Any]:
+        """Return positions and velocities, n each."""
+        pos, vel, _, _ = zip(*self._client.getJointStates(self._body, self._joints))
+        return pos, vel
+
+    def base(self) -> tuple[Any, ...]:
+        """Return the values of a `WorldPose`, each with 3 or 4 numbers."""
+        client, centre = self._client, self._client.getBasePositionAndOrientation(self._body)
+        place, (x, y, z, w) = client.multiplyTransforms(*centre, *self._base_from_centre)
+        linear, (p, q, r) = client.getBaseVelocity(self._body)
+        a, b, c = (end - start for end, start in zip(place, centre[0]))
+        u, v, w_ = linear
+        # v + ω × (from the centre of mass to the base's origin)
+        moved = (u + q * c - r * b, v + r * a - p * c, w_ + p * b - q * a)
+        return place, (w, x, y, z), moved, (p, q, r)
+
+    def step(self, torque: Float) -> None:
+        """Apply torques [N·m], shape (n,), and step the physics."""
+        client = self._client
+        client.setJointMotorControlArray(
+            self._body, self._joints, self._torque_control, forces=torque
+        )
+        client.stepSimulation()
+
+    def add_velocity(self, velocity: Float) -> None:
+        """Add to the base's velocity [m/s] in the world, shape (3,)."""
+        linear, angular = self._client.getBaseVelocity(self._body)
+        self._client.resetBaseVelocity(self._body, np.add(linear, velocity), angular)
+
+    def close(self) -> None:
+        """Let go; twice is fine."""
         if self._client.isConnected():
             self._client.disconnect()
 
@@ -122,7 +195,7 @@ def make(
     """Build the platform.
 
     Args:
-        states: without a batch axis.
+        states: with `num_robots` set, as many robots are simulated, each in a world of its own.
         robot: its joints are found in the model by name.
         period: of a tick in [s].
         scene: how it begins.
@@ -136,5 +209,6 @@ def make(
         install = "pip install 'unicon_ros[sim-pybullet]'"
         raise MissingDependencyError("platform 'pybullet'", "pybullet", install) from error
     start = start_of(robot, scene)
-    client = BulletClient(pybullet.DIRECT)
-    return PybulletPlatform(client, states, robot, period, timestep, start, passive)
+    figures = joint_model(start, passive)
+    clients = [BulletClient(pybullet.DIRECT) for _ in range(states.num_robots or 1)]
+    return PybulletPlatform(clients, states, robot, period, timestep, start, figures)

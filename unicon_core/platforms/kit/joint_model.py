@@ -1,0 +1,178 @@
+"""What a model says of its robot's joints and contacts, for simulators that are not MuJoCo.
+
+figures = joint_model(start, "replace")      # of the model file, `scene.joints` over it
+engine.set_armature(figures.armature)
+notes = lost(start, figures, represents=("damping", "friction", "contact friction"))
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from typing import Any, Literal, TypeAlias, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.errors import PlatformError, alternatives
+from unicon_core.models.loaded import import_mujoco
+from unicon_core.models.touching import floors, may_touch, on_floor
+from unicon_core.platforms.kit.start import Start
+from unicon_core.robots import Robot
+
+__all__ = ["JointModel", "Passive", "ground_friction", "joint_model", "known_passive", "lost"]
+
+Float = NDArray[np.float64]
+
+Passive: TypeAlias = Literal["keep", "replace"]
+"""`keep` the damping of a model's joints beside that of the command, or let that `replace` it."""
+
+
+@dataclass(frozen=True, eq=False)
+class JointModel:
+    """Figures of the joints in the robot's order, each float64 of shape (n,).
+
+    Attributes:
+        passive: whether `damping` is what the model says, or 0.
+        armature: inertia of the rotor, seen from the joint, in [kg·m²].
+        damping: torque for each velocity that the joint itself has in [N·m·s/rad].
+        friction: torque of dry friction in [N·m].
+        lower: limit of position in [rad] or [m], -inf for none.
+        upper: the same.
+    """
+
+    passive: Passive
+    armature: Float
+    damping: Float
+    friction: Float
+    lower: Float
+    upper: Float
+
+
+def joint_model(start: Start, passive: Passive) -> JointModel:
+    """Return what the model says, and where `scene.joints` says something, that.
+
+    Args:
+        start: has the model, and what was said.
+        passive: whether the model's damping acts.
+
+    Raises:
+        PlatformError: passive is another word.
+    """
+    model, physics, joints = start.loaded.model, start.physics, start.loaded.joints
+    dofs = model.jnt_dofadr[joints]
+    armature, friction = model.dof_armature[dofs], model.dof_frictionloss[dofs]
+    limited = model.jnt_limited[joints].astype(bool)
+    lower, upper = model.jnt_range[joints].T
+    return JointModel(
+        passive=known_passive(passive),
+        armature=np.where(np.isnan(physics.armature), armature, physics.armature),
+        damping=np.array(model.dof_damping[dofs]) * (passive == "keep"),
+        friction=np.where(np.isnan(physics.friction), friction, physics.friction),
+        lower=np.where(limited, lower, -np.inf),
+        upper=np.where(limited, upper, np.inf),
+    )
+
+
+def known_passive(word: Passive) -> Passive:
+    """Return the word.
+
+    Raises:
+        PlatformError: it is another one.
+    """
+    known = get_args(Passive)
+    if word not in known:
+        raise PlatformError(f"passive is {word!r}; {alternatives(str(word), known)}")
+    return word
+
+
+def ground_friction(start: Start) -> float:
+    """Return the coefficient of sliding friction between the robot and its floor.
+
+    As MuJoCo has it: that of a `<pair>`, else that of the geom of higher priority, else the larger
+    one. Of geoms that differ it is the median.
+    https://mujoco.readthedocs.io/en/stable/modeling.html#contact-parameters
+    """
+    model = start.loaded.model
+    found = [
+        _sliding(model, floor, geom)
+        for geom in on_floor(start.loaded)
+        for floor in floors(model)
+        if may_touch(model, floor, geom)
+    ]
+    return float(np.median(found)) if found else 1.0
+
+
+def _sliding(model: Any, one: int, other: int) -> float:
+    for pair in range(model.npair):
+        if {int(model.pair_geom1[pair]), int(model.pair_geom2[pair])} == {one, other}:
+            return float(model.pair_friction[pair, 0])
+    ranks = model.geom_priority[[one, other]]
+    values = model.geom_friction[[one, other], 0]
+    return float(values[np.argmax(ranks)] if ranks[0] != ranks[1] else values.max())
+
+
+def lost(start: Start, robot: Robot, figures: JointModel, represents: Collection[str]) -> list[str]:
+    """Return what the model says and an engine does not represent, one line each.
+
+    Args:
+        start: has the model.
+        robot: names the joints.
+        figures: of the joints.
+        represents: words of what it does represent: `armature`, `damping`, `friction`, `limits`
+            of joints, `self-collision`, `meshes` that collide, `contact friction` that turns and
+            rolls, `constraints`, `terrain`.
+    """
+    mujoco, loaded = import_mujoco(), start.loaded
+    model = loaded.model
+    has = {
+        "armature": _joints(robot, "armature", figures.armature, "kg·m²"),
+        "damping": _joints(robot, "damping", figures.damping, "N·m·s/rad"),
+        "friction": _joints(robot, "dry friction", figures.friction, "N·m"),
+        "limits": _limits(figures),
+    }
+    meshes = [g for g in on_floor(loaded) if model.geom_type[g] == mujoco.mjtGeom.mjGEOM_MESH]
+    has["meshes"] = f"{len(meshes)} geoms that collide as meshes" if meshes else ""
+    has["self-collision"] = "links that touch each other" if _touch_themselves(model) else ""
+    touching = on_floor(loaded)
+    turning = bool(touching) and bool((model.geom_condim[touching] > 3).any())
+    has["contact friction"] = "contacts with friction against turning or rolling" if turning else ""
+    has["constraints"] = f"{model.neq} equality constraints" if model.neq else ""
+    planes = set(floors(model))
+    around = [
+        geom
+        for geom in range(model.ngeom)
+        if not model.geom_bodyid[geom]
+        and geom not in planes
+        and (model.geom_contype[geom] or model.geom_conaffinity[geom])
+    ]
+    has["terrain"] = f"{len(around)} geoms of the surroundings" if around else ""
+    return [f"left out: {what}" for word, what in has.items() if what and word not in represents]
+
+
+def _touch_themselves(model: Any) -> bool:
+    """Return whether links of the robot may touch others than their own parents and children."""
+    types, affinities, bodies = model.geom_contype, model.geom_conaffinity, model.geom_bodyid
+    met = types[:, None] & affinities
+    met = (met | met.T).astype(bool)
+    parents = model.body_parentid[bodies]
+    met[model.pair_geom1, model.pair_geom2] = True
+    near = (bodies[:, None] == bodies) | (parents[:, None] == bodies)
+    own = bodies > 0
+    return bool((met & ~(near | near.T) & own & own[:, None]).any())
+
+
+def _joints(robot: Robot, what: str, values: Float, unit: str) -> str:
+    found = np.flatnonzero(values)
+    if not len(found):
+        return ""
+    most = int(np.argmax(values))
+    return (
+        f"{what} of {len(found)} joints, at most {values[most]:.3g} {unit} "
+        f"({robot.joint_names[most]})"
+    )
+
+
+def _limits(figures: JointModel) -> str:
+    count = int(np.isfinite(figures.lower).sum())
+    return f"position limits of {count} joints" if count else ""
