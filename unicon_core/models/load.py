@@ -8,6 +8,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from unicon_core.errors import ModelError
 from unicon_core.models.absent import drop_absent_meshes, drop_absent_textures
 from unicon_core.models.actuators import mend_actuators
@@ -85,7 +87,10 @@ def load_model(
         with _told(path):
             model = spec.compile()
     refuse_not_finite(path, model)
-    return LoadedModel(model, path, joints, notes, welded, tuple(absent))
+    arm = np.zeros(3)
+    if robot.imu is not None:
+        arm[...] = np.nan_to_num(robot.imu.position)
+    return LoadedModel(model, path, joints, notes, welded, tuple(absent), arm)
 
 
 def _read(mujoco: Any, path: Path, text: str | None) -> Any:

@@ -81,6 +81,8 @@ class LoadedModel:
         notes: what was changed or left out, one line each.
         welded: joints of the robot that the model lacks and that stand still.
         absent: what was left out since mesh files are absent, one line or none.
+        imu_position: where the robot's IMU is, from the base's origin along its axes in [m], shape
+            (3,); 0 where the robot file does not say.
     """
 
     model: Any
@@ -89,6 +91,7 @@ class LoadedModel:
     notes: list[str] = field(default_factory=list)
     welded: tuple[str, ...] = ()
     absent: tuple[str, ...] = ()
+    imu_position: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
 
     @property
     def base(self) -> int | None:

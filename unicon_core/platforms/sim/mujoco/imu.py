@@ -50,10 +50,18 @@ class BaseReader:
         data: the robot's `MjData`.
         joint: id of the free joint.
         views: the robot's own state arrays by name; absent ones are left out.
+        arm: where the IMU is in a model without an accelerometer, from the base's origin along its
+            axes in [m], shape (3,).
     """
 
     def __init__(
-        self, mujoco: Any, model: Any, data: Any, joint: int, views: dict[str, NDArray[Any]]
+        self,
+        mujoco: Any,
+        model: Any,
+        data: Any,
+        joint: int,
+        views: dict[str, NDArray[Any]],
+        arm: Float,
     ) -> None:
         body = int(model.jnt_bodyid[joint])
         qpos = data.qpos[model.jnt_qposadr[joint] :][:7]
@@ -85,7 +93,8 @@ class BaseReader:
             elif own is not None:
                 copies.append(_plain(out, own))
             else:
-                copies.append(_specific_force(out, qacc, self._rotation, model.opt.gravity))
+                gravity = model.opt.gravity
+                copies.append(_specific_force(out, qvel, qacc, self._rotation, gravity, arm))
         self._copies = tuple(copies)
         self._linear = qvel[:3]
         self._world = np.zeros((2, 3))
@@ -128,13 +137,30 @@ def _turned(mujoco: Any, out: NDArray[Any], source: Float, base_from_site: Float
     return turned
 
 
-def _specific_force(out: NDArray[Any], qacc: Float, rotation: Float, gravity: Float) -> Copy:
-    """What an accelerometer at the base's origin reads: Rᵀ (a - g)."""
-    world, base = np.zeros(3), np.zeros(3)
+def _specific_force(
+    out: NDArray[Any], qvel: Float, qacc: Float, rotation: Float, gravity: Float, arm: Float
+) -> Copy:
+    """What an accelerometer reads at p: Rᵀ (a - g) + α x p + ω x (ω x p), in the base's frame.
 
-    def copy() -> None:
+    A free joint's rates and their derivatives are along the body's own axes.
+    """
+    world, base = np.zeros(3), np.zeros(3)
+    if not arm.any():
+
+        def at_origin() -> None:
+            np.subtract(qacc[:3], gravity, out=world)
+            np.matmul(world, rotation, out=base)
+            out[...] = base
+
+        return at_origin
+    x, y, z = arm
+    across = np.array(((0.0, z, -y), (-z, 0.0, x), (y, -x, 0.0)))  # @ α = α x p
+
+    def at_arm() -> None:
         np.subtract(qacc[:3], gravity, out=world)
         np.matmul(world, rotation, out=base)
-        out[...] = base
+        rate = qvel[3:6]
+        # ω x (ω x p) = ω (ω · p) - p (ω · ω)
+        out[...] = base + across @ qacc[3:6] + rate * rate.dot(arm) - arm * rate.dot(rate)
 
-    return copy
+    return at_arm

@@ -39,7 +39,10 @@ class Reader:
             for name, (source, index) in zip(("joint_pos", "joint_vel", "joint_effort"), sources)
             if name in views
         ]
-        self._base = None if base is None else BaseReader(mujoco, model, data, base, dict(views))
+        arm = loaded.imu_position
+        self._base = (
+            None if base is None else BaseReader(mujoco, model, data, base, dict(views), arm)
+        )
         self.sources = {} if self._base is None else dict(self._base.source)
 
     def __call__(self) -> None:

@@ -1,0 +1,215 @@
+"""A small robot in any simulator, driven joint by joint; what the conformance suite stands on.
+
+rig = Rig("pybullet", tmp_path)
+rig.command(joint_effort_ff={"knee": 0.5})
+measured = rig.run(10)          # rows of ticks by state
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.errors import PlatformError
+from unicon_core.platforms.kit.disturbances import disturb
+from unicon_core.platforms.kit.scene import SCENE_KEYS, Scene
+from unicon_core.platforms.platform import Platform, info_of
+from unicon_core.robots import Robot, load_robot
+from unicon_core.states import States, standard_states
+from unicon_core.states.standard import COMMAND_STATES
+from unicon_core.workflow.registry import find_factory
+
+__all__ = ["EFFORT_LIMIT", "FRICTION", "IMU_POSITION", "JOINTS", "TIMESTEP", "Rig"]
+
+Array = NDArray[Any]
+
+TIMESTEP = 0.001
+"""Of the physics in [s], which every platform takes as its option `timestep`."""
+
+JOINTS = ("left", "knee", "right", "yaw")
+"""Of the robot file: the model has them in the order yaw, right, left, knee."""
+
+EFFORT_LIMIT = 6.0
+"""Of each joint in [N·m]."""
+
+FRICTION = 0.5
+"""Coefficient of sliding friction of box and floor."""
+
+IMU_POSITION = (0.05, 0.02, 0.03)
+"""On the base in [m]."""
+
+_ROBOT = """\
+schema: unicon.robot/1
+name: probe
+description: box with a limb of two links, an arm and a mast
+manufacturer: unicon_ros
+kind: {kind}
+models: {{}}
+base_frame: box
+joints:
+{joints}
+imu: {{frame: imu, position: {imu}, quat: [1, 0, 0, 0]}}
+{feet}transport: {{protocol: none}}
+sources: {{joints: ours, gains: ours, default: ours, rest: ours, imu: ours, feet: ours,
+  transport: ours}}
+unknown: []
+"""
+
+_JOINT = (
+    "  - {{name: {name}, lower: {lower}, upper: {upper}, velocity: 60.0, effort: {effort}, "
+    "default: 0.0, rest: 0.0, stiffness: 10.0, damping: 0.5}}"
+)
+
+_MODEL = """
+<mujoco model="probe">
+  <compiler angle="radian" autolimits="true"/>
+  <option timestep="0.001" gravity="0 0 {gravity}" cone="elliptic" impratio="10"/>
+  <default>
+    <geom contype="0" conaffinity="0" friction="{friction} 0.005 0.0001"/>
+    <joint range="{lower} {upper}" {joint}/>
+  </default>
+  <worldbody>
+    <geom name="floor" type="plane" size="0 0 1" contype="1" conaffinity="1"/>
+    <body name="box" pos="0 0 {height}" quat="{quat}">
+      {base}
+      <inertial pos="0.02 -0.01 0.01" mass="6" diaginertia="0.08 0.1 0.14"/>
+      <geom type="box" size="0.2 0.15 0.05" contype="1" conaffinity="1"/>
+      <body name="mast" pos="0 0 0.06">
+        <joint name="yaw" axis="0 0 1"/>
+        <inertial pos="0.1 0 0" mass="0.5" diaginertia="0.001 0.003 0.003"/>
+        <geom type="capsule" size="0.02" fromto="0.03 0 0 0.18 0 0"/>
+      </body>
+      <body name="arm" pos="-0.2 -0.1 0.05">
+        <joint name="right" axis="1 0 0"/>
+        <inertial pos="0 0 0.1" mass="0.6" diaginertia="0.004 0.004 0.001"/>
+        <geom type="capsule" size="0.02" fromto="0 0 0.03 0 0 0.2"/>
+      </body>
+      <body name="thigh" pos="0.2 0.1 0.05">
+        <joint name="left" axis="0 1 0"/>
+        <inertial pos="0 0 0.1" mass="0.8" diaginertia="0.005 0.005 0.001"/>
+        <geom type="capsule" size="0.02" fromto="0 0 0.03 0 0 0.17"/>
+        <body name="shank" pos="0 0 0.2">
+          <joint name="knee" axis="0 1 0"/>
+          <inertial pos="0 0 0.1" mass="0.4" diaginertia="0.003 0.003 0.001"/>
+          <geom type="box" size="0.02 0.02 0.08" pos="0 0 0.1"/>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+    <motor joint="right"/>
+    <motor joint="knee"/>
+    <motor joint="yaw"/>
+    <motor joint="left"/>
+  </actuator>
+</mujoco>
+"""
+
+
+class Rig:
+    """The robot on a platform; close it.
+
+    Args:
+        platform: registered name, or `module:factory`.
+        folder: takes robot file and model.
+        options: of the platform.
+        order: joints in the order of the robot file.
+        floating: whether the box can move.
+        num_robots: batch axis of the states, None for none.
+        steps: physics steps in a tick.
+        model: values of the model: `gravity` [m/s²], `friction`, `lower` and `upper` limits [rad],
+            `joint` (attributes of all joints), `height` [m], `quat`.
+        effort: limit of each joint in [N·m].
+        scene: keys of a workflow's `scene:`.
+    """
+
+    def __init__(
+        self,
+        platform: str,
+        folder: Path,
+        options: Mapping[str, Any] | None = None,
+        *,
+        order: Sequence[str] = JOINTS,
+        floating: bool = True,
+        num_robots: int | None = None,
+        steps: int = 10,
+        model: Mapping[str, Any] | None = None,
+        effort: float = EFFORT_LIMIT,
+        **scene: Any,
+    ) -> None:
+        says = {
+            "gravity": -9.81,
+            "friction": FRICTION,
+            "lower": -3.0,
+            "upper": 3.0,
+            "joint": "",
+            "height": 2.0,
+            "quat": "1 0 0 0",
+        } | dict(model or {})
+        limits = {key: says[key] for key in ("lower", "upper")}
+        file, path = folder / "probe.yaml", folder / "probe.xml"
+        joints = "\n".join(_JOINT.format(name=name, effort=effort, **limits) for name in order)
+        kind, feet = ("quadruped", "feet: [box]\n") if floating else ("arm", "")
+        robot = _ROBOT.format(kind=kind, joints=joints, imu=list(IMU_POSITION), feet=feet)
+        file.write_text(robot, encoding="utf-8")
+        base = "<freejoint/>" if floating else ""
+        path.write_text(_MODEL.format(base=base, **says), encoding="utf-8")
+        self.robot: Robot = load_robot(str(file))
+        self.states = States(standard_states(self.robot.joint_names), num_robots)
+        self.period = steps * TIMESTEP
+        said = {"initial_pose": "model", "model": str(path)} | scene
+        if set(said) - set(SCENE_KEYS):
+            raise TypeError(f"no key of a scene: {', '.join(set(said) - set(SCENE_KEYS))}")
+        begin = Scene(**said)
+        make = find_factory("platforms", platform, PlatformError)
+        whole = {"timestep": TIMESTEP} | dict(options or {})
+        built = make(self.states, self.robot, self.period, scene=begin, **whole)
+        self.platform: Platform = disturb(built, begin, self.states, self.robot, self.period)
+        self.info = info_of(self.platform)
+        self.platform.recv()
+
+    def close(self) -> None:
+        """Close the platform."""
+        self.platform.close()
+
+    def command(self, robot: int | None = None, **values: Mapping[str, float] | float) -> None:
+        """Set command states, one number for all joints or by name; what is not said is 0.
+
+        Args:
+            robot: of a batch, all if None.
+            values: command state to value.
+        """
+        for state in COMMAND_STATES:
+            view = self.states[state] if robot is None else self.states[state][robot]
+            said = values.get(state, 0.0)
+            view[...] = 0.0 if isinstance(said, Mapping) else said
+            if isinstance(said, Mapping):
+                for name, value in said.items():
+                    view[..., self.robot.joint_names.index(name)] = value
+
+    def run(self, ticks: int) -> dict[str, Array]:
+        """Tick; return what was measured before the first tick and after each.
+
+        Returns:
+            State to values of shape (ticks + 1, ..., shape of the state), float64.
+        """
+        names = ("stamp_ns", *self.platform.facts.writes)
+        rows = {name: [np.array(self.states[name], np.float64)] for name in names}
+        for _ in range(ticks):
+            self.platform.send()
+            self.platform.recv()
+            for name, row in rows.items():
+                row.append(np.array(self.states[name], np.float64))
+        return {name: np.array(row) for name, row in rows.items()}
+
+    def joint(self, name: str) -> int:
+        """Return where a joint stands in the robot's order."""
+        return self.robot.joint_names.index(name)
+
+    def bytes(self) -> bytes:
+        """Return all that is measured now."""
+        return b"".join(self.states[name].tobytes() for name in self.platform.facts.writes)
