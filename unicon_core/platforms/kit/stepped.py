@@ -1,4 +1,4 @@
-"""A simulator that is stepped from Python: give it five methods, and it is a platform."""
+"""A simulator that is stepped from Python: give it six methods, and it is a platform."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ class SteppedSimulator(ABC):
     """N robots, each in a world of its own, their servos computed here at each physics step.
 
     A class of it says `facts` and `represents`, builds its worlds before it calls
-    `super().__init__`, and has `place`, `joints`, `base`, `step` and `add_velocity`. All of them
-    have the robots as first axis, also of one. Where the physics of a whole tick are one call, it
-    has `simulate` too.
+    `super().__init__`, and has `place`, `joints`, `base`, `step`, `add_velocity` and `close`.
+    All of them have the robots as first axis, also of one. Where the physics of a whole tick are
+    one call, it has `simulate` too.
 
     Args:
         states: the states; N is the length of their batch axis, 1 without.
@@ -115,6 +115,10 @@ class SteppedSimulator(ABC):
     def add_velocity(self, velocity: Float) -> None:
         """Add to the bases' velocities along the world's axes in [m/s], shape (N, 3)."""
 
+    @abstractmethod
+    def close(self) -> None:
+        """Let go of the engine; safe to call twice."""
+
     def push(self, velocity: Float) -> None:
         """Add to the bases' horizontal velocity [m/s] in the world, shape (2,) or (N, 2)."""
         level = np.atleast_2d(velocity)
@@ -145,14 +149,18 @@ class SteppedSimulator(ABC):
             Fault: a command is not finite, or the physics blew up.
         """
         self._command.take()
+        self.advance()
+        self._ticks += 1
+        speeds = self._measured[1]
+        if not np.vdot(speeds, speeds) < _TOO_FAST**2:  # false for NaN too
+            self._blown_up()
+        return None
+
+    def advance(self) -> None:
+        """Simulate one tick of the command that was taken, and read what came of it."""
         whole = ((self.decimation, self._rows),)
         self._before = self.simulate(whole if self._delay is None else self._delay())
         self._measured, self._now = self.joints(), self.base()
-        self._ticks += 1
-        speeds = self._measured[1].reshape(-1)
-        if not speeds.dot(speeds) < _TOO_FAST**2:  # false for NaN too
-            self._blown_up()
-        return None
 
     def simulate(self, parts: Iterable[tuple[int, Float]]) -> WorldPose:
         """Simulate one tick; write `torque`.
