@@ -92,6 +92,7 @@ class SteppedSimulator(ABC):
         self._told = [views[name] for name in JOINT_STATES]
         self._stamp = views["stamp_ns"]
         base = {name: view for name, view in views.items() if name in BASE_STATES}
+        self._where = self.base if start.floating else self._nowhere
         self._base_states = BaseStates(base, robot, timestep, start.gravity)
         self.reset()
 
@@ -105,7 +106,12 @@ class SteppedSimulator(ABC):
 
     @abstractmethod
     def base(self) -> WorldPose:
-        """Return where the bases are."""
+        """Return where the bases are; asked only where they can move."""
+
+    def _nowhere(self) -> WorldPose:
+        """Return what stands for bases that cannot move; nobody is told."""
+        zeros = np.zeros((self.num_robots, 3))
+        return WorldPose(zeros, np.tile((1.0, 0.0, 0.0, 0.0), (self.num_robots, 1)), zeros, zeros)
 
     @abstractmethod
     def step(self, torque: Float) -> None:
@@ -132,7 +138,7 @@ class SteppedSimulator(ABC):
         if self._delay is not None:
             self._delay.reset()
         self._measured = self.joints()
-        self._now = self._before = self.base()
+        self._now = self._before = self._where()
 
     def recv(self) -> bool | None:
         """Copy what the simulation says into the states."""
@@ -160,7 +166,7 @@ class SteppedSimulator(ABC):
         """Simulate one tick of the command that was taken, and read what came of it."""
         whole = ((self.decimation, self._rows),)
         self._before = self.simulate(whole if self._delay is None else self._delay())
-        self._measured, self._now = self.joints(), self.base()
+        self._measured, self._now = self.joints(), self._where()
 
     def simulate(self, parts: Iterable[tuple[int, Float]]) -> WorldPose:
         """Simulate one tick; write `torque`.
@@ -182,7 +188,7 @@ class SteppedSimulator(ABC):
                     torque *= strength
                 left -= 1
                 if not left:
-                    before = self.base()
+                    before = self._where()
                 self.step(torque)
                 if left:
                     pos, vel = measured()
