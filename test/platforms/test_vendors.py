@@ -1,0 +1,112 @@
+"""Simulators of vendors that cannot be installed here, against stand-ins that mind each call."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from unicon_core.conformance import Conformance, Rig
+from unicon_core.errors import MissingDependencyError, PlatformError
+
+pytest.importorskip("mujoco", reason="mujoco is not installed: pip install 'unicon_ros[sim]'")
+
+MODULES = Path(__file__).parent / "vendor_modules"
+REMEDIES = {"isaacgym": "unpack NVIDIA's Isaac Gym Preview 4"}
+"""What says how to install each."""
+
+OURS = tuple({path.stem for path in MODULES.iterdir()})
+
+
+def _forget() -> None:
+    for name in [name for name in sys.modules if name.split(".")[0] in OURS]:
+        del sys.modules[name]
+
+
+@pytest.fixture
+def vendors(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """The stand-ins, fresh, in place of what may be installed."""
+    kept = {name: module for name, module in sys.modules.items() if name.split(".")[0] in OURS}
+    _forget()
+    monkeypatch.syspath_prepend(str(MODULES))
+    yield
+    _forget()
+    sys.modules.update(kept)
+
+
+class _Left(Conformance):
+    """Conformance of an engine that has no dry friction in N·m."""
+
+    def test_dry_friction_holds_and_brakes(self, rig: Any) -> None:
+        joints = {"yaw": {"friction": 0.06}}
+        it = rig(floating=False, model={"gravity": 0.0}, joints=joints)
+        (note,) = [note for note in it.info["notes"] if "friction" in note]
+        assert note == "left out: dry friction of 1 joints, at most 0.06 N·m (yaw)"
+        assert "friction" not in it.platform.facts.physics  # so a workflow is refused
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("vendors")
+class TestIsaacGym(_Left):
+    platform = "isaacgym"
+
+
+@pytest.mark.parametrize("word", ["isaacgym"])
+def test_what_is_not_installed_is_one_line(word: str, tmp_path: Path) -> None:
+    with pytest.raises(MissingDependencyError) as said:
+        Rig(word, tmp_path)
+    (line,) = str(said.value).splitlines()
+    assert line.startswith(f"platform '{word}' needs ")
+    assert REMEDIES[word] in line
+
+
+@pytest.mark.usefixtures("vendors")
+def test_isaac_gym_says_what_is_wrong_and_leaves_nothing(tmp_path: Path) -> None:
+    with pytest.raises(PlatformError, match=r"^platform 'isaacgym': no simulation on cuda"):
+        Rig("isaacgym", tmp_path, {"device": "cuda:0"})
+    import torch  # noqa: F401
+    from isaacgym import gymapi
+
+    assert gymapi.LIVE == []
+    it = Rig("isaacgym", tmp_path, num_robots=2)
+    assert len(gymapi.LIVE) == 1
+    it.close()
+    it.close()
+    assert gymapi.LIVE == []
+
+
+@pytest.mark.usefixtures("vendors")
+def test_the_stand_in_of_isaac_gym_refuses_what_gym_would() -> None:
+    from isaacgym import gymapi
+    from vendor_world import Refused
+
+    gym, params = gymapi.acquire_gym(), gymapi.SimParams()
+    params.up_axis = gymapi.UP_AXIS_Z
+    sim = gym.create_sim(0, -1, gymapi.SIM_PHYSX, params)
+    assert sim is not None
+    for early in (gym.simulate, gym.acquire_dof_state_tensor, gym.refresh_dof_state_tensor):
+        with pytest.raises(Refused, match="before prepare_sim"):
+            early(sim)
+    with pytest.raises(AttributeError, match="SimParams has no gravitiy"):
+        params.gravitiy = gymapi.Vec3()
+    with pytest.raises(Refused, match=r"SimParams.gravity is a tuple"):
+        params.gravity = (0.0, 0.0, -9.81)
+    gym.add_ground(sim, _plane(gymapi))
+    gym.prepare_sim(sim)
+    with pytest.raises(Refused, match="after prepare_sim"):
+        gym.create_env(sim, gymapi.Vec3(), gymapi.Vec3(), 1)
+    gym.simulate(sim)
+    with pytest.raises(Refused, match="simulate without fetch_results"):
+        gym.simulate(sim)
+    gym.destroy_sim(sim)
+    with pytest.raises(Refused, match="destroyed"):
+        gym.simulate(sim)
+
+
+def _plane(gymapi: Any) -> Any:
+    plane = gymapi.PlaneParams()
+    plane.normal = gymapi.Vec3(0.0, 0.0, 1.0)
+    return plane
