@@ -4,18 +4,24 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from unicon_core.conformance import Conformance, Rig
 from unicon_core.errors import MissingDependencyError, PlatformError
+from unicon_core.platforms.sim.isaaclab import platform as isaaclab
 
 pytest.importorskip("mujoco", reason="mujoco is not installed: pip install 'unicon_ros[sim]'")
 
 MODULES = Path(__file__).parent / "vendor_modules"
-REMEDIES = {"isaacgym": "unpack NVIDIA's Isaac Gym Preview 4"}
+REMEDIES = {
+    "isaacgym": "unpack NVIDIA's Isaac Gym Preview 4",
+    "isaaclab": "pip install 'isaaclab[isaacsim,all]==2.3.2.post1'",
+}
 """What says how to install each."""
 
 OURS = tuple({path.stem for path in MODULES.iterdir()})
@@ -32,6 +38,7 @@ def vendors(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     kept = {name: module for name, module in sys.modules.items() if name.split(".")[0] in OURS}
     _forget()
     monkeypatch.syspath_prepend(str(MODULES))
+    monkeypatch.setattr(isaaclab, "_APP", [])
     yield
     _forget()
     sys.modules.update(kept)
@@ -54,12 +61,34 @@ class TestIsaacGym(_Left):
     platform = "isaacgym"
 
 
-@pytest.mark.parametrize("word", ["isaacgym"])
+@pytest.mark.slow
+@pytest.mark.usefixtures("vendors")
+class TestIsaacLab(Conformance):
+    platform = "isaaclab"
+
+    @pytest.fixture(autouse=True)
+    def several(self, vendors: None, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(import_module("isaaclab"), "SINGLE", False)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("vendors")
+class TestIsaacLab3(TestIsaacLab):
+    """The same, told with w at the end and behind proxies."""
+
+    platform = "isaacsim"
+
+    @pytest.fixture(autouse=True)
+    def newer(self, several: None, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(import_module("isaaclab"), "QUAT", "xyzw")
+
+
+@pytest.mark.parametrize("word", list(REMEDIES))
 def test_what_is_not_installed_is_one_line(word: str, tmp_path: Path) -> None:
     with pytest.raises(MissingDependencyError) as said:
         Rig(word, tmp_path)
     (line,) = str(said.value).splitlines()
-    assert line.startswith(f"platform '{word}' needs ")
+    assert line.startswith(f"platform '{word}' needs "), line
     assert REMEDIES[word] in line
 
 
@@ -110,3 +139,42 @@ def _plane(gymapi: Any) -> Any:
     plane = gymapi.PlaneParams()
     plane.normal = gymapi.Vec3(0.0, 0.0, 1.0)
     return plane
+
+
+@pytest.mark.usefixtures("vendors")
+def test_isaac_lab_has_one_simulation_and_lets_go_of_it(tmp_path: Path) -> None:
+    folders = [tmp_path / name for name in ("one", "other", "third")]
+    for folder in folders:
+        folder.mkdir()
+    one = Rig("isaaclab", folders[0])
+    with pytest.raises(PlatformError, match=r"one simulation in a process, and there is one"):
+        Rig("isaaclab", folders[1])
+    one.run(1)
+    one.close()
+    one.close()
+    Rig("isaacsim", folders[2]).close()
+    with pytest.raises(PlatformError, match=r"^platforms.isaaclab.device is 'gpu'; give cpu or"):
+        Rig("isaaclab", folders[1], {"device": "gpu"})
+
+
+@pytest.mark.usefixtures("vendors")
+def test_the_stand_in_of_isaac_lab_refuses_what_lab_would(tmp_path: Path) -> None:
+    from vendor_world import Refused
+
+    with pytest.raises(Refused, match="modules of Isaac Sim before the app"):
+        import_module("isaaclab.sim")
+    it = Rig("isaaclab", tmp_path)
+    lab, torch = import_module("isaaclab.lab"), import_module("torch")
+    context, robot = lab.SimulationContext.instance(), it.platform._robot  # type: ignore[attr-defined]
+    it.run(1)
+    with pytest.raises(Refused, match="a step without write_data_to_sim"):
+        context.step(render=False)
+    with pytest.raises(Refused, match="a step that renders"):
+        context.step()
+    with pytest.raises(Refused, match=r"a tensor float64 \(1, 4\)"):
+        robot.set_joint_effort_target(torch.from_numpy(np.zeros((1, 4))))
+    with pytest.raises(TypeError, match="unexpected keyword argument 'friktion'"):
+        lab.ImplicitActuatorCfg(friktion=0.0)
+    with pytest.raises(Refused, match="cleared while it plays"):
+        context.clear_instance()
+    it.close()

@@ -60,7 +60,7 @@ class World:
             if joint.type == mujoco.mjtJoint.mjJNT_FREE:
                 continue
             joint.armature = (armature or {}).get(joint.name, 0.0)
-            joint.damping = np.full(3, (damping or {}).get(joint.name, 0.0))
+            joint.damping = ((damping or {}).get(joint.name, 0.0), 0.0, 0.0)  # of v, v², v³
             joint.frictionloss = (dry or {}).get(joint.name, 0.0)
         for geom in spec.geoms:
             geom.contype, geom.conaffinity, geom.friction[0] = 2, 1, friction
