@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 
 from unicon_core.conformance import Conformance, Rig
-from unicon_core.errors import MissingDependencyError, PlatformError
+from unicon_core.errors import Fault, MissingDependencyError, PlatformError
 from unicon_core.platforms.sim.isaaclab import platform as isaaclab
+from unicon_core.platforms.sim.webots import platform as webots
 
 pytest.importorskip("mujoco", reason="mujoco is not installed: pip install 'unicon_ros[sim]'")
 
@@ -21,6 +22,7 @@ MODULES = Path(__file__).parent / "vendor_modules"
 REMEDIES = {
     "isaacgym": "unpack NVIDIA's Isaac Gym Preview 4",
     "isaaclab": "pip install 'isaaclab[isaacsim,all]==2.3.2.post1'",
+    "webots": "install Webots, and put $WEBOTS_HOME/lib/controller/python on PYTHONPATH",
 }
 """What says how to install each."""
 
@@ -39,6 +41,8 @@ def vendors(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     _forget()
     monkeypatch.syspath_prepend(str(MODULES))
     monkeypatch.setattr(isaaclab, "_APP", [])
+    for name in ("_HELD", "_SUPERVISORS"):
+        monkeypatch.setattr(webots, name, [])
     yield
     _forget()
     sys.modules.update(kept)
@@ -50,7 +54,7 @@ class _Left(Conformance):
     def test_dry_friction_holds_and_brakes(self, rig: Any) -> None:
         joints = {"yaw": {"friction": 0.06}}
         it = rig(floating=False, model={"gravity": 0.0}, joints=joints)
-        (note,) = [note for note in it.info["notes"] if "friction" in note]
+        (note,) = [note for note in it.info["notes"] if "dry friction" in note]
         assert note == "left out: dry friction of 1 joints, at most 0.06 N·m (yaw)"
         assert "friction" not in it.platform.facts.physics  # so a workflow is refused
 
@@ -81,6 +85,24 @@ class TestIsaacLab3(TestIsaacLab):
     @pytest.fixture(autouse=True)
     def newer(self, several: None, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(import_module("isaaclab"), "QUAT", "xyzw")
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("vendors")
+class TestWebots(_Left):
+    """One robot alone; the world is made of each rig's model."""
+
+    platform = "webots_world:make"
+
+    @pytest.mark.skip(reason="a process is the controller of one robot")
+    def test_robots_of_a_batch_do_not_know_each_other(self, rig: Any) -> None: ...
+
+    @pytest.mark.skip(reason="a process is the controller of one robot")
+    def test_a_robot_of_a_batch_does_as_it_would_alone(self, rig: Any) -> None: ...
+
+    def test_a_fault_of_a_batch_names_its_robot(self, rig: Any) -> None:
+        with pytest.raises(PlatformError, match=r"^platform 'webots' has one robot; leave num_"):
+            rig(num_robots=3)
 
 
 @pytest.mark.parametrize("word", list(REMEDIES))
@@ -178,3 +200,51 @@ def test_the_stand_in_of_isaac_lab_refuses_what_lab_would(tmp_path: Path) -> Non
     with pytest.raises(Refused, match="cleared while it plays"):
         context.clear_instance()
     it.close()
+
+
+def test_webots_says_what_is_wrong_with_a_world(vendors: None, tmp_path: Path) -> None:
+    it = Rig("webots_world:make", tmp_path)
+    controller = import_module("controller")
+    with pytest.raises(PlatformError, match=r"the controller of one robot, and is so already"):
+        Rig("webots", _folder(tmp_path, "second"))
+    it.close()
+    again = Rig("webots", _folder(tmp_path, "again"))  # by the same supervisor
+    again.run(1)
+    controller.WORLD[-1].ended = True
+    with pytest.raises(Fault, match=r"^Webots ended the simulation$"):
+        again.run(1)
+    again.close()
+    with pytest.raises(PlatformError, match=r"basicTimeStep is 1 ms, not 2 ms; correct it in"):
+        Rig("webots", _folder(tmp_path, "slow"), {"timestep": 0.002})
+    controller.WORLD[-1].strongest = 5.0
+    with pytest.raises(PlatformError, match=r"motor left gives at most 5 N·m, and the robot file"):
+        Rig("webots", _folder(tmp_path, "weak"))
+    del webots._SUPERVISORS[0].devices["knee_sensor"]
+    controller.WORLD[-1].strongest = 9.0
+    with pytest.raises(PlatformError, match=r"has no device 'knee_sensor'; did you mean") as said:
+        Rig("webots", _folder(tmp_path, "blind"))
+    assert len(str(said.value).splitlines()) == 1
+
+
+def test_the_stand_in_of_webots_refuses_what_webots_would(vendors: None, tmp_path: Path) -> None:
+    from vendor_world import Refused
+
+    it = Rig("webots_world:make", tmp_path)
+    supervisor = webots._SUPERVISORS[0]
+    it.run(1)
+    with pytest.raises(Refused, match="torque is a int"):
+        supervisor.getDevice("yaw").setTorque(1)
+    with pytest.raises(Refused, match=r"no field Robot\.rotatoin"):
+        supervisor.getSelf().getField("rotatoin")
+    with pytest.raises(Refused, match="value is a tuple"):
+        supervisor.getSelf().getField("translation").setSFVec3f((0.0, 0.0, 1.0))
+    with pytest.raises(Refused, match="a step of 2 ms"):
+        supervisor.step(2)
+    supervisor.getSelf().setVelocity([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    with pytest.raises(Refused, match="a push of some solids only"):
+        supervisor.step(1)
+
+
+def _folder(path: Path, name: str) -> Path:
+    (path / name).mkdir()
+    return path / name

@@ -6,6 +6,7 @@ BUILTIN = {
     "isaacgym": "unicon_core.platforms.sim.isaacgym.platform:make",
     "isaaclab": "unicon_core.platforms.sim.isaaclab.platform:make",
     "isaacsim": "unicon_core.platforms.sim.isaaclab.platform:make",
+    "webots": "unicon_core.platforms.sim.webots.platform:make",
     "fake": "unicon_core.platforms.fake:make",
     "fake_robot": "unicon_core.platforms.fake:make_robot",
 }
