@@ -169,7 +169,7 @@ class _Reader:
         rgba = tuple(round(float(x), 4) for x in colour)
 
         def part(shape: str, *sizes: float, at: Float = position) -> Geom:
-            return Geom(shape, sizes, at, quat, rgba)
+            return Geom(shape, sizes, at, quat, rgba, geom)
 
         if kind == int(kinds.mjGEOM_SPHERE):
             return [part("sphere", size[0])]

@@ -21,6 +21,7 @@ class Geom:
         position: in the link's frame, [m], shape (3,).
         quat: geom to link, wxyz.
         rgba: colour.
+        number: of the model's geom of which it is a part, -1 for none.
     """
 
     shape: str
@@ -28,6 +29,7 @@ class Geom:
     position: Float
     quat: Float
     rgba: tuple[float, ...]
+    number: int = -1
 
 
 @dataclass

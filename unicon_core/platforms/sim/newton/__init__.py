@@ -1,0 +1,1 @@
+"""Newton, of NVIDIA and others under the Linux Foundation: MuJoCo's physics behind its own model."""
