@@ -51,6 +51,7 @@ class Link:
         inertia_quat: principal axes to link, wxyz.
         inertia: principal moments in [kg·m²], shape (3,).
         geoms: what it looks like.
+        number: of the model's joint that carries it, -1 where it is fixed.
     """
 
     name: str
@@ -68,3 +69,4 @@ class Link:
     inertia_quat: Float = field(default_factory=lambda: np.array((1.0, 0.0, 0.0, 0.0)))
     inertia: Float = field(default_factory=lambda: np.zeros(3))
     geoms: list[Geom] = field(default_factory=list)
+    number: int = -1

@@ -1,1 +1,1 @@
-"""Newton, of NVIDIA and others under the Linux Foundation: MuJoCo's physics behind its own model."""
+"""Newton as a platform: the robot's model is built in it link by link."""

@@ -1,34 +1,39 @@
-"""The `newton` platform: NVIDIA's Newton steps a robot of its own, MuJoCo's solver inside.
-
-Of Newton 1.8 (https://newton-physics.github.io/newton/latest/concepts/conventions.html):
-quaternions are xyzw. A free joint has seven coordinates, position of the body's origin and
-quaternion, and six velocities along the world's axes: of the centre of mass, then the rate. What is
-in float32 there is so here.
-"""
+"""The `newton` platform: Newton steps the robot's model, MuJoCo or MuJoCo Warp in it."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from itertools import pairwise
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.errors import MissingDependencyError, PlatformError, alternatives
-from unicon_core.platforms.kit.base import WorldPose, rotation
+from unicon_core.errors import MissingDependencyError, PlatformError, alternatives, one_line
+from unicon_core.models.loaded import import_mujoco
+from unicon_core.platforms.kit.base import WorldPose
 from unicon_core.platforms.kit.joint_model import JointModel, Passive, joint_model
+from unicon_core.platforms.kit.patience import told_if_long
 from unicon_core.platforms.kit.quiet import quiet
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.platforms.kit.start import Start, start_of
 from unicon_core.platforms.kit.stepped import SteppedSimulator
 from unicon_core.platforms.platform import SIMULATED, Facts
-from unicon_core.platforms.sim.newton.world import build_world, solver_options
+from unicon_core.platforms.sim.newton.engine import Engine
+from unicon_core.platforms.sim.newton.world import build_world, not_told, solver_options
 from unicon_core.robots import Robot
 from unicon_core.states import States
 
 __all__ = ["NewtonPlatform", "make"]
 
 Float = NDArray[np.float64]
+
+Solver = Literal["mujoco", "warp"]
+"""MuJoCo's own library, robot by robot, or MuJoCo Warp, all of them in one step."""
+
+_COMPILES = "newton compiles its kernels: a minute or two the first time, seconds from then on"
 
 
 class NewtonPlatform(SteppedSimulator):
@@ -42,21 +47,13 @@ class NewtonPlatform(SteppedSimulator):
         physics=("strength", "friction", "armature", "delay"),
     )
     represents = frozenset(
-        {
-            "armature",
-            "damping",
-            "friction",
-            "limits",
-            "self-collision",
-            "meshes",
-            "contact friction",
-            "terrain",
-        }
+        {"armature", "damping", "friction", "limits", "self-collision", "meshes"}
+        | {"contact friction", "terrain"}
     )
 
     def __init__(
         self,
-        engines: Sequence[_Engine],
+        engines: Sequence[Engine],
         states: States,
         robot: Robot,
         period: float,
@@ -65,7 +62,11 @@ class NewtonPlatform(SteppedSimulator):
         figures: JointModel,
     ) -> None:
         self._engines = list(engines)
+        bounds = np.cumsum([0, *(engine.worlds for engine in engines)])
+        self._parts = [slice(*ends) for ends in pairwise(bounds)]
         super().__init__(states, robot, period, step, start, figures)
+        self.step(self.torque)  # else the first tick would compile kernels
+        self.reset()
 
     def place(self) -> None:
         for engine in self._engines:
@@ -80,102 +81,15 @@ class NewtonPlatform(SteppedSimulator):
         return WorldPose(*map(np.concatenate, zip(*poses)))
 
     def step(self, torque: Float) -> None:
-        first = 0
-        for engine in self._engines:
-            engine.step(torque[first : first + engine.worlds], self.timestep)
-            first += engine.worlds
+        for engine, part in zip(self._engines, self._parts):
+            engine.step(torque[part], self.timestep)
 
     def add_velocity(self, velocity: Float) -> None:
-        first = 0
-        for engine in self._engines:
-            engine.add_velocity(velocity[first : first + engine.worlds])
-            first += engine.worlds
+        for engine, part in zip(self._engines, self._parts):
+            engine.add_velocity(velocity[part])
 
     def close(self) -> None:
         self._engines.clear()
-
-
-class _Engine:
-    """A model of one world or several, its solver and its two states.
-
-    Args:
-        newton: the module.
-        model: a finalized model of equal worlds.
-        joints: number of Newton's joint by name, in the first world.
-        robot: names the joints.
-        start: where it begins.
-        options: of `SolverMuJoCo`.
-    """
-
-    def __init__(
-        self,
-        newton: Any,
-        model: Any,
-        joints: dict[str, int],
-        robot: Robot,
-        start: Start,
-        options: dict[str, Any],
-    ) -> None:
-        self.worlds = max(model.world_count, 1)
-        self._model, self._floating = model, start.floating
-        coordinates, velocities = model.joint_q_start.numpy(), model.joint_qd_start.numpy()
-        numbers = [joints[name] for name in robot.joint_names]
-        self._q, self._v = coordinates[numbers], velocities[numbers]
-        if start.floating:
-            self._centre = np.array(model.body_com.numpy()[0], np.float64)
-        self._begin(start, joints)
-        self._solver = newton.solvers.SolverMuJoCo(model, **options)
-        self._now, self._next, self._control = model.state(), model.state(), model.control()
-        self._force = np.zeros((self.worlds, model.joint_dof_count // self.worlds), np.float32)
-
-    def _begin(self, start: Start, joints: dict[str, int]) -> None:
-        """Let the model begin where the scene says: a reset goes back there."""
-        q = self._rows(self._model.joint_q).copy()
-        loaded, starts = start.loaded, self._model.joint_q_start.numpy()
-        for name, number in joints.items():
-            if name and name not in loaded.model.names.decode():
-                continue
-        if start.floating:
-            w, x, y, z = start.quat
-            q[:, :7] = *start.position, x, y, z, w
-        q[:, self._q] = start.joint_pos
-        self._model.joint_q.assign(q.ravel())
-
-    def _rows(self, array: Any) -> NDArray[np.float32]:
-        """Return what Newton has in one array for all worlds, one row each."""
-        rows: NDArray[np.float32] = array.numpy().reshape(self.worlds, -1)
-        return rows
-
-    def place(self) -> None:
-        self._control.joint_f.zero_()
-        self._solver.reset(self._now)
-
-    def joints(self) -> tuple[Any, Any]:
-        """Return positions and velocities, shape (worlds, n) each, float32."""
-        now = self._now
-        return self._rows(now.joint_q)[:, self._q], self._rows(now.joint_qd)[:, self._v]
-
-    def base(self) -> tuple[Float, Float, Float, Float]:
-        """Return the values of a `WorldPose`, shape (worlds, 3) or (worlds, 4)."""
-        pose = self._rows(self._now.joint_q)[:, :7].astype(np.float64)
-        twist = self._rows(self._now.joint_qd)[:, :6].astype(np.float64)
-        quat, rate = pose[:, (6, 3, 4, 5)], twist[:, 3:]
-        quat /= np.linalg.norm(quat, axis=1, keepdims=True)
-        centre = rotation(quat) @ self._centre  # from the origin, in the world
-        return pose[:, :3], quat, twist[:, :3] - np.cross(rate, centre), rate
-
-    def step(self, torque: Float, timestep: float) -> None:
-        """Apply torques [N·m], shape (worlds, n), and step the physics."""
-        self._force[:, self._v] = torque
-        self._control.joint_f.assign(self._force.ravel())
-        self._solver.step(self._now, self._next, self._control, None, timestep)
-        self._now, self._next = self._next, self._now
-
-    def add_velocity(self, velocity: Float) -> None:
-        """Add to the bases' velocities [m/s] in the world, shape (worlds, 3)."""
-        rows = self._rows(self._now.joint_qd).copy()
-        rows[:, :3] += velocity
-        self._now.joint_qd.assign(rows.ravel())
 
 
 def make(
@@ -186,8 +100,8 @@ def make(
     scene: Scene,
     timestep: float | None = None,
     passive: Passive = "replace",
-    solver: str = "mujoco",
     device: str = "cpu",
+    solver: Solver | None = None,
 ) -> NewtonPlatform:
     """Build the platform.
 
@@ -196,37 +110,96 @@ def make(
         robot: its joints are found in the model by name.
         period: of a tick in [s].
         scene: how it begins.
-        timestep: physics step in [s], the model's unless said.
+        timestep: physics step in [s], that of the model unless said.
         passive: damping of the joints in the model: `keep` it beside that of the command, or
             `replace` it by that.
-        solver: `mujoco`, MuJoCo's own library for each robot, or `warp`, MuJoCo Warp for all of
-            them at once.
-        device: of Warp: `cpu`, or `cuda:0` with `warp`.
+        device: of Warp: `cpu`, `cuda:0`, ….
+        solver: `mujoco` or `warp`; unless said `mujoco` on the CPU, and `warp` elsewhere.
+
+    Raises:
+        PlatformError: no such solver or device, or Newton refuses the model.
     """
+    newton, warp = _imported(device)
+    inside = _known(solver or ("mujoco" if device == "cpu" else "warp"), device)
+    start = start_of(robot, scene)
+    figures = joint_model(start, passive)
+    step = float(start.loaded.model.opt.timestep) if timestep is None else timestep
+    world, numbers = build_world(newton, warp, start, robot, figures)
+    start.loaded.notes += not_told(start)
+    joints = [numbers[name] for name in robot.joint_names]
+    count, options = states.num_robots or 1, solver_options(start)
+
+    def engine(builder: Any, **more: Any) -> Engine:
+        model = builder.finalize()
+        with _noted(start.loaded.notes.append):
+            solving = newton.solvers.SolverMuJoCo(model, **options, **more)
+        if more:  # a robot that blew up would go on from where it began, and nobody would know
+            off = int(import_mujoco().mjtDisableBit.mjDSBL_AUTORESET)
+            solving.mj_model.opt.disableflags |= off
+        return Engine(model, solving, joints)
+
+    with told_if_long(_COMPILES), warp.ScopedDevice(device):
+        if inside == "mujoco":
+            engines = [engine(world, use_mujoco_cpu=True) for _ in range(count)]
+        else:
+            worlds = newton.ModelBuilder(gravity=warp.vec3(*start.gravity))
+            newton.solvers.SolverMuJoCo.register_custom_attributes(worlds)
+            worlds.replicate(world, count)
+            engines = [engine(worlds)]
+        return NewtonPlatform(engines, states, robot, period, step, start, figures)
+
+
+def _imported(device: str) -> tuple[Any, Any]:
+    """Return the modules newton and warp, which is to use a device.
+
+    Raises:
+        MissingDependencyError: one is not installed, or newton without its part `sim`.
+        PlatformError: there is no such device.
+    """
+    import_mujoco()  # our way, without a window library
     try:
         import newton
         import warp
+        from newton.solvers import SolverMuJoCo
+
+        SolverMuJoCo.import_mujoco()
     except ImportError as error:
         install = "pip install 'unicon_ros[sim-newton]'"
         raise MissingDependencyError("platform 'newton'", "newton", install) from error
-    warp.config.log_level = 40
-    start = start_of(robot, scene)
-    figures = joint_model(start, passive)
-    template, joints = build_world(newton, warp, start, robot, figures)
-    count = states.num_robots or 1
-    step = float(start.loaded.model.opt.timestep) if timestep is None else timestep
-    options = solver_options(start)
-    engines = []
-    with warp.ScopedDevice(device):
-        if solver == "mujoco":
-            for _ in range(count):
-                model = template.finalize()
-                engines.append(
-                    _Engine(newton, model, joints, robot, start, {**options, "use_mujoco_cpu": True})
-                )
-        else:
-            builder = newton.ModelBuilder(gravity=warp.vec3(*start.gravity))
-            newton.solvers.SolverMuJoCo.register_custom_attributes(builder)
-            builder.replicate(template, count)
-            engines.append(_Engine(newton, builder.finalize(), joints, robot, start, options))
-    return NewtonPlatform(engines, states, robot, period, step, start, figures)
+    warp.config.log_level = max(warp.config.log_level, warp.LOG_ERROR)
+    with quiet(2):  # that there is no CUDA is nothing to complain of
+        warp.init()
+    names = [str(known) for known in warp.get_devices()]
+    if device not in names:
+        raise PlatformError(
+            f"platform 'newton': device is {device!r}; {alternatives(device, names)}"
+        )
+    return newton, warp
+
+
+def _known(solver: str, device: str) -> str:
+    """Return the solver.
+
+    Raises:
+        PlatformError: there is none of that name, or none on the device.
+    """
+    if solver not in get_args(Solver):
+        known = alternatives(solver, get_args(Solver))
+        raise PlatformError(f"platform 'newton': solver is {solver!r}; {known}")
+    if solver == "mujoco" and device != "cpu":
+        raise PlatformError("platform 'newton': solver mujoco has device cpu alone; give warp")
+    return solver
+
+
+@contextmanager
+def _noted(note: Callable[[str], None]) -> Iterator[None]:
+    """Tell warnings as notes, and what Newton refuses as a PlatformError."""
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        try:
+            yield
+        except (NotImplementedError, ValueError) as error:
+            raise PlatformError(f"platform 'newton': {one_line(error)}") from error
+        finally:
+            for text in dict.fromkeys(" ".join(str(one.message).split()) for one in told):
+                note(f"newton: {text}")

@@ -22,7 +22,7 @@ from unicon_core.platforms.kit.joint_model import JointModel
 from unicon_core.platforms.kit.start import Start
 from unicon_core.robots import Robot
 
-__all__ = ["build_world", "solver_options"]
+__all__ = ["build_world", "not_told", "solver_options"]
 
 Float = NDArray[np.float64]
 
@@ -60,7 +60,27 @@ def solver_options(start: Start) -> dict[str, Any]:
         "ls_iterations": int(option.ls_iterations),
         "tolerance": float(option.tolerance),
         "ls_tolerance": float(option.ls_tolerance),
+        "density": float(option.density),
+        "viscosity": float(option.viscosity),
+        "wind": tuple(map(float, option.wind)),
     }
+
+
+def not_told(start: Start) -> list[str]:
+    """Return what the model has and `build_world` leaves out, one line each.
+
+    What `kit/joint_model.py` has a word for is not among it.
+    """
+    model, field = start.loaded.model, int(import_mujoco().mjtGeom.mjGEOM_HFIELD)
+    option, fields = model.opt, int((model.geom_type == field).sum())
+    found = {
+        f"{model.ntendon} tendons": model.ntendon,
+        f"{fields} height fields": fields,
+        "forces against gravity on bodies (gravcomp)": model.body_gravcomp.any(),
+        f"{option.noslip_iterations} iterations against slip": option.noslip_iterations,
+        "what its options switch off or on (flag)": option.disableflags | option.enableflags,
+    }
+    return [f"left out: {what}" for what, there in found.items() if there]
 
 
 class _Builder:
@@ -116,6 +136,8 @@ class _Builder:
         joint: int
         if link.parent < 0:
             joint = builder.add_joint_free(body, label="base")
+            w, x, y, z = self._start.quat
+            self._begin(joint, *self._start.position, x, y, z, w)
             return joint
         where = {"parent_xform": self._transform(link.position, link.quat)}
         parent = bodies[link.parent]
@@ -126,13 +148,20 @@ class _Builder:
         axis = self._warp.vec3(*link.axis)
         says = self._figures_of(link)
         joint = add(parent, body, **where, axis=axis, label=link.joint, **says)
+        others = self._model.qpos0[self._model.jnt_qposadr[link.number]]
+        self._begin(joint, self._start.joint_pos[link.index] if link.index >= 0 else others)
         return joint
+
+    def _begin(self, joint: int, *coordinates: float) -> None:
+        """Say where a joint begins, to which a reset leads back."""
+        first = self._builder.joint_q_start[joint]
+        for i, value in enumerate(coordinates):
+            self._builder.joint_q[first + i] = float(value)
 
     def _figures_of(self, link: Link) -> dict[str, Any]:
         """Return what Newton is told of a joint; it has no drive of its own."""
         model, figures, at = self._model, self._figures, link.index
-        found = self._start.loaded.joints[at] if at >= 0 else model.joint(link.joint).id
-        dof = int(model.jnt_dofadr[found])
+        dof = int(model.jnt_dofadr[link.number])
         if at >= 0:
             own = figures.armature[at], figures.damping[at], figures.friction[at]
             limits = figures.lower[at], figures.upper[at]
@@ -141,23 +170,23 @@ class _Builder:
             limits = link.lower, link.upper
         armature, damping, friction = map(float, own)
         lower, upper = (float(limit) for limit in limits)
-        spring = float(model.qpos_spring[model.jnt_qposadr[found]])
+        spring = float(model.qpos_spring[model.jnt_qposadr[link.number]])
         return {
             "armature": armature,
             "damping": damping,
             "friction": friction,
             "limit_lower": lower,
             "limit_upper": upper,
-            "stiffness": float(np.ravel(model.jnt_stiffness[found])[0]),
+            "stiffness": float(np.ravel(model.jnt_stiffness[link.number])[0]),
             "rest_q": spring,
             "target_ke": 0.0,
             "target_kd": 0.0,
             "actuator_mode": self._newton.JointTargetMode.NONE,
             "custom_attributes": {
-                "mujoco:limit_margin": float(model.jnt_margin[found]),
-                "mujoco:solreflimit": self._vector(model.jnt_solref[found]),
+                "mujoco:limit_margin": float(model.jnt_margin[link.number]),
+                "mujoco:solreflimit": self._vector(model.jnt_solref[link.number]),
                 "mujoco:solreflimit_mode": _RAW,
-                "mujoco:solimplimit": self._vector(model.jnt_solimp[found]),
+                "mujoco:solimplimit": self._vector(model.jnt_solimp[link.number]),
                 "mujoco:solreffriction": self._vector(model.dof_solref[dof]),
                 "mujoco:solimpfriction": self._vector(model.dof_solimp[dof]),
             },
