@@ -4,6 +4,7 @@ BUILTIN = {
     "mujoco": "unicon_core.platforms.sim.mujoco.platform:make",
     "newton": "unicon_core.platforms.sim.newton.platform:make",
     "pybullet": "unicon_core.platforms.sim.pybullet.platform:make",
+    "mjx": "unicon_core.platforms.sim.mjx.platform:make",
     "fake": "unicon_core.platforms.fake:make",
     "fake_robot": "unicon_core.platforms.fake:make_robot",
 }

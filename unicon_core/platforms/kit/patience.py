@@ -1,30 +1,40 @@
-"""A line for who waits: engines that compile take a minute the first time, and say nothing."""
+"""A line for people who wait: engines compile for seconds to minutes before their first step."""
 
 from __future__ import annotations
 
-import threading
+import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from threading import Timer
 
-from unicon_core.outlet import to_stderr
+__all__ = ["patience"]
 
-__all__ = ["told_if_long"]
-
-_LONG = 5.0  # [s]
+AFTER = 2.0
+"""Seconds for which nobody asks."""
 
 
 @contextmanager
-def told_if_long(line: str, after: float = _LONG) -> Iterator[None]:
-    """Tell in a line on standard error why it takes long, once, where it does.
+def patience(what: str) -> Iterator[None]:
+    """Say on standard error what takes long, once it does, and how long it took.
 
     Args:
-        line: what is told.
-        after: in [s].
+        what: such as "mjx: compiling the physics of 64 robots, some 10 s the first time".
     """
-    timer = threading.Timer(after, to_stderr(), (f"{line}\n",))
+    begin = time.monotonic()
+    said = []
+
+    def say() -> None:
+        said.append(True)
+        print(f"{what} …", file=sys.stderr, flush=True)
+
+    timer = Timer(AFTER, say)
     timer.daemon = True
     timer.start()
     try:
         yield
     finally:
         timer.cancel()
+        if said:
+            took = time.monotonic() - begin
+            print(f"{what.partition(':')[0]}: ready after {took:.0f} s", file=sys.stderr)

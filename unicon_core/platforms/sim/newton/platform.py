@@ -15,7 +15,7 @@ from unicon_core.errors import MissingDependencyError, PlatformError, alternativ
 from unicon_core.models.loaded import import_mujoco
 from unicon_core.platforms.kit.base import WorldPose
 from unicon_core.platforms.kit.joint_model import JointModel, Passive, joint_model
-from unicon_core.platforms.kit.patience import told_if_long
+from unicon_core.platforms.kit.patience import patience
 from unicon_core.platforms.kit.quiet import quiet
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.platforms.kit.start import Start, start_of
@@ -33,7 +33,7 @@ Float = NDArray[np.float64]
 Solver = Literal["mujoco", "warp"]
 """MuJoCo's own library, robot by robot, or MuJoCo Warp, all of them in one step."""
 
-_COMPILES = "newton compiles its kernels: a minute or two the first time, seconds from then on"
+_COMPILES = "newton: loading its kernels, which compile for a minute or two the first time"
 
 
 class NewtonPlatform(SteppedSimulator):
@@ -138,7 +138,7 @@ def make(
             solving.mj_model.opt.disableflags |= off
         return Engine(model, solving, joints)
 
-    with told_if_long(_COMPILES), warp.ScopedDevice(device):
+    with patience(_COMPILES), warp.ScopedDevice(device):
         if inside == "mujoco":
             engines = [engine(world, use_mujoco_cpu=True) for _ in range(count)]
         else:
