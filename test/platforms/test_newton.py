@@ -15,7 +15,7 @@ from unicon_core.errors import Fault, MissingDependencyError, PlatformError
 from unicon_core.platforms.kit.joint_model import joint_model
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.platforms.kit.start import Start, start_of
-from unicon_core.platforms.sim.newton.platform import NewtonPlatform
+from unicon_core.platforms.sim.newton.platform import NewtonPlatform, make
 from unicon_core.robots import Robot, load_robot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import load_workflow
@@ -33,20 +33,24 @@ def newton() -> Any:
 @lru_cache
 def built(name: str, pose: str = "default") -> tuple[Robot, Start, Any, dict[str, int]]:
     """Return a robot, where it begins, the MuJoCo model that Newton made of it, and its joints."""
+    robot = load_robot(name)
+    start = start_of(robot, Scene(initial_pose=pose))
+    return robot, start, *made_of(robot, start)
+
+
+def made_of(robot: Robot, start: Start) -> tuple[Any, dict[str, int]]:
+    """Return the MuJoCo model that Newton makes of a robot's, and first velocity of each joint."""
     import newton
     import warp
 
     from unicon_core.platforms.sim.newton.world import build_world, solver_options
 
-    robot = load_robot(name)
-    start = start_of(robot, Scene(initial_pose=pose))
     world, numbers = build_world(newton, warp, start, robot, joint_model(start, "keep"))
     with warp.ScopedDevice("cpu"):
         model = world.finalize()
         solver = newton.solvers.SolverMuJoCo(model, use_mujoco_cpu=True, **solver_options(start))
     firsts = model.joint_qd_start.numpy()
-    dofs = {joint: int(firsts[number]) for joint, number in numbers.items()}
-    return robot, start, solver.mj_model, dofs
+    return solver.mj_model, {joint: int(firsts[number]) for joint, number in numbers.items()}
 
 
 def both(name: str, pose: str = "default") -> tuple[list[Any], list[list[int]]]:
@@ -165,6 +169,115 @@ def test_what_touches_touches_in_newton_too(newton: Any, name: str, pose: str) -
         for of in range(4, 17):  # of equally deep ones any may be first, with the same settings
             assert np.sort(touched[1][:, of]) == pytest.approx(np.sort(touched[0][:, of]), rel=1e-4)
     assert most >= 4
+
+
+_ODD = """
+<mujoco>
+  <compiler angle="radian" autolimits="true"/>
+  <option timestep="0.001" cone="elliptic" impratio="10" {option}/>
+  <asset><mesh name="rock" vertex="0 0 0 .2 0 0 0 .2 0 0 0 .2 .1 .1 .15"/></asset>
+  <worldbody>
+    <geom name="floor" type="plane" size="0 0 1" quat=".998 .05 0 0" friction=".7 .01 .001"/>
+    <geom type="box" size=".3 .3 .05" pos=".3 0 .02" quat=".98 0 0 .2" priority="2"
+      friction=".3" solref=".01 .9" solimp=".8 .9 .002"/>
+    <geom type="sphere" size=".1" pos="-.3 0 0" condim="1"/>
+    <geom type="ellipsoid" size=".1 .2 .05" pos="0 .3 0"/>
+    <body name="box" pos="0 0 .1">
+      <freejoint/>
+      <inertial pos=".02 -.01 .01" mass="6" diaginertia=".08 .1 .14"/>
+      <geom type="mesh" mesh="rock" pos=".1 0 -.1" condim="6" friction=".9 .02 .03"/>
+      <geom type="ellipsoid" size=".2 .1 .08" pos="-.2 0 0" condim="4" margin="{margin}"/>
+      <body name="mast" pos="0 0 .06">
+        <joint name="yaw" axis="0 0 1" range="-3 3" ref=".3" stiffness="2" springref=".1"/>
+        <inertial pos=".1 0 0" mass=".5" diaginertia=".001 .003 .003"/>
+        <geom type="capsule" size=".02" fromto=".03 0 0 .18 0 0"/>
+      </body>
+      <body name="arm" pos="-.2 -.1 .05">
+        <joint name="right" axis="1 0 0" range="-3 3" damping=".2" solreffriction=".03 1"/>
+        <inertial pos="0 0 .1" mass=".6" diaginertia=".004 .004 .001"/>
+        <geom type="cylinder" size=".03 .1" pos="0 0 .1"/>
+      </body>
+      <body name="thigh" pos=".2 .1 .05">
+        <joint name="left" axis="0 1 0" pos=".01 .02 .03" range="-3 3" armature=".02"/>
+        <joint name="beside" axis="1 1 0" damping=".1" ref=".2"/>
+        <inertial pos="0 0 .1" mass=".8" diaginertia=".005 .005 .001"/>
+        <geom type="capsule" size=".02" fromto="0 0 .03 0 0 .17"/>
+        <body name="shank" pos="0 0 .2">
+          <joint name="knee" axis="0 1 0" range="-3 3"/>
+          <inertial pos="0 0 .1" mass=".4" diaginertia=".003 .003 .001"/>
+          <geom type="box" size=".02 .02 .08" pos="0 0 .1"/>
+          <geom name="foot" size=".04" pos="0 0 .2" contype="0" conaffinity="0"/>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+  <contact>
+    <pair geom1="foot" geom2="floor" friction=".4 .4 .01 .001 .001" condim="4" solref=".015 1"/>
+    <exclude body1="mast" body2="arm"/>
+  </contact>
+  {more}
+</mujoco>
+"""
+
+
+@pytest.mark.slow
+def test_all_kinds_of_geoms_joints_and_contacts_are_the_models(newton: Any, tmp_path: Path) -> None:
+    rig = Rig("mujoco", tmp_path)
+    (tmp_path / "odd.xml").write_text(_ODD.format(margin=0, option="", more=""), encoding="utf-8")
+    start = start_of(rig.robot, Scene(model=str(tmp_path / "odd.xml"), initial_pose="model"))
+    made, dofs = made_of(rig.robot, start)
+    given = start.loaded.model
+    names = [*rig.robot.joint_names, "beside"]
+    orders = [*range(6), *(int(given.joint(name).dofadr[0]) for name in names)]
+    others = [*range(6), *(dofs[name] for name in names)]
+    rng = np.random.default_rng(0)
+    met = 0
+    for _ in range(100):
+        quat = rng.normal(size=4) * (0.4, 1.0, 1.0, 1.0)
+        place = [*rng.normal(scale=0.1, size=3), *quat / np.linalg.norm(quat)]
+        angles, speeds = rng.uniform(-2.5, 2.5, 5), rng.normal(size=11)
+        told = []
+        for model, order in ((given, orders), (made, others)):
+            data = mujoco.MjData(model)
+            data.qpos[:7], data.qpos[np.array(order[6:]) + 1] = place, angles
+            data.qvel[order] = speeds
+            mujoco.mj_forward(model, data)
+            forces = np.hstack((data.qfrc_passive[order], data.qfrc_bias[order]))
+            told.append((_deepest(data, made), forces))
+        assert told[1][0].keys() == told[0][0].keys()
+        for pair, contact in told[0][0].items():
+            assert told[1][0][pair] == pytest.approx(contact, rel=1e-4, abs=1e-5)
+        assert told[1][1] == pytest.approx(told[0][1], rel=1e-3, abs=2e-3)
+        met += len(told[0][0])
+    assert met > 500
+
+
+def _deepest(data: Any, made: Any) -> dict[tuple[int, ...], tuple[float, ...]]:
+    """Return the deepest contact of each pair of the given model's geoms that touch."""
+    found: dict[tuple[int, ...], tuple[float, ...]] = {}
+    for c in sorted(data.contact, key=lambda contact: -contact.dist):
+        numbers = [int(geom) for geom in c.geom]
+        if data.model is made:  # Newton names them geom_NUMBER_SHAPE, by the names that we gave
+            numbers = [int(made.geom(geom).name.split("_")[1]) for geom in numbers]
+        if c.dist < -1e-3:  # less is a matter of rounding
+            found[tuple(sorted(numbers))] = (c.dist, c.dim, *c.friction, *c.solref, *c.solimp)
+    return found
+
+
+@pytest.mark.slow
+def test_what_newton_leaves_out_is_a_note(newton: Any, tmp_path: Path) -> None:
+    more = """<tendon><fixed><joint joint="knee" coef="1"/></fixed></tendon>
+      <equality><joint joint1="yaw" joint2="right"/></equality>"""
+    text = _ODD.format(margin=0.01, option='noslip_iterations="3"', more=more)
+    (tmp_path / "odd.xml").write_text(text, encoding="utf-8")
+    rig = Rig("mujoco", tmp_path)
+    scene = Scene(model=str(tmp_path / "odd.xml"), initial_pose="model")
+    platform = make(rig.states, rig.robot, rig.period, scene=scene)
+    notes = platform.info()["notes"]
+    for told in ("1 tendons", "1 equality", "3 iterations against slip", "margin=0.0"):
+        assert any(told in note for note in notes), told
+    assert set(notes) <= set(platform.facts.notes)
+    platform.close()
 
 
 def walked(name: str, seconds: float) -> tuple[Any, float]:

@@ -6,6 +6,7 @@ Newton has readers of URDF and MJCF of its own, but what a workflow simulates is
 
 from __future__ import annotations
 
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -51,7 +52,9 @@ def build_world(
 def solver_options(start: Start) -> dict[str, Any]:
     """Return the settings of the model's own solver, as `SolverMuJoCo` takes them."""
     option = start.loaded.model.opt
+    single = getattr(import_mujoco().mjtDisableBit, "mjDSBL_MULTICCD", None)
     return {
+        "enable_multiccd": single is not None and not option.disableflags & int(single),
         "solver": int(option.solver),
         "integrator": int(option.integrator),
         "cone": int(option.cone),
@@ -260,14 +263,21 @@ class _Builder:
         )
 
     def _exclude(self) -> None:
-        """Keep apart the bodies that the model excludes."""
-        model = self._model
-        for signature in model.exclude_signature:
-            one, other = int(signature) >> 16, int(signature) & 0xFFFF
-            for a, first in self._shapes.items():
-                for b, second in self._shapes.items():
-                    if (model.geom_bodyid[a], model.geom_bodyid[b]) == (one, other):
-                        self._builder.add_shape_collision_filter_pair(first, second)
+        """Keep apart what MuJoCo does: links and their parents, and bodies that the model names.
+
+        A body with two joints is two bodies in Newton, so that its parent is not its own.
+        """
+        model, shapes = self._model, self._shapes
+        welded = np.array(model.body_weldid)
+        parents = welded[model.body_parentid[welded]]
+        named = {(int(s) >> 16, int(s) & 0xFFFF) for s in model.exclude_signature}
+        for a, b in combinations(shapes, 2):
+            one, other = int(model.geom_bodyid[a]), int(model.geom_bodyid[b])
+            own, others = int(welded[one]), int(welded[other])
+            near = own in (others, parents[other]) or others == parents[one]
+            near = near and own > 0 and others > 0
+            if near or (one, other) in named or (other, one) in named:
+                self._builder.add_shape_collision_filter_pair(shapes[a], shapes[b])
 
     def _pair(self) -> None:
         """Add the `<pair>` elements of the model."""
