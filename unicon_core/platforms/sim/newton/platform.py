@@ -99,7 +99,7 @@ def make(
     *,
     scene: Scene,
     timestep: float | None = None,
-    passive: Passive = "replace",
+    passive: Passive = "keep",
     device: str = "cpu",
     solver: Solver | None = None,
 ) -> NewtonPlatform:
