@@ -7,6 +7,7 @@ standard output, and a logger that does.
 from __future__ import annotations
 
 import logging
+import os
 import sys
 import threading
 from collections.abc import Iterator
@@ -38,6 +39,7 @@ def begun() -> Any:
         MissingDependencyError: it is not installed, or torch is not.
     """
     hook = sys.excepthook
+    os.environ.setdefault("QD_ENABLE_PYBUF", "0")  # else it warns of notebooks and pytest
     try:
         import genesis
     except ImportError as error:
