@@ -184,7 +184,7 @@ def test_masses_and_places_of_links_are_mujocos(name: str) -> None:
 def test_a_robot_in_the_air_moves_as_in_mujoco(name: str) -> None:
     """Inertia, armature, damping, dry friction and limits at once; measured: 1e-14."""
     scene = "scene.initial_height=3.0"
-    workflow = load_workflow(name, ["platform=genesis", scene, "platforms.genesis.passive=keep"])
+    workflow = load_workflow(name, ["platform=genesis", scene])
     platform: Any = workflow.platform
     model = adapted(platform.start, platform.figures)
     model.opt.timestep = platform.timestep
@@ -291,8 +291,8 @@ def test_it_keeps_to_itself_in_a_process_whoever_began(init: str) -> None:
     assert done.returncode == 0, done.stderr
     assert done.stdout == ""
     lines = done.stderr.splitlines()
-    assert [line for line in lines if "compiles its kernels" not in line] == []
-    assert len(lines) <= 2
+    assert [line for line in lines if not line.startswith("genesis: ")] == []
+    assert len(lines) <= 4
 
 
 @needs_genesis

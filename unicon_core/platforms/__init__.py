@@ -3,6 +3,7 @@
 BUILTIN = {
     "mujoco": "unicon_core.platforms.sim.mujoco.platform:make",
     "pybullet": "unicon_core.platforms.sim.pybullet.platform:make",
+    "mjx": "unicon_core.platforms.sim.mjx.platform:make",
     "genesis": "unicon_core.platforms.sim.genesis.platform:make",
     "fake": "unicon_core.platforms.fake:make",
     "fake_robot": "unicon_core.platforms.fake:make_robot",

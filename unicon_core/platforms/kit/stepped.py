@@ -92,7 +92,7 @@ class SteppedSimulator(ABC):
         self._told = [views[name] for name in JOINT_STATES]
         self._stamp = views["stamp_ns"]
         base = {name: view for name, view in views.items() if name in BASE_STATES}
-        self._where = self.base if start.floating else self._nowhere
+        self._where = self.base if start.floating else self.nowhere
         self._base_states = BaseStates(base, robot, timestep, start.gravity)
         self.reset()
 
@@ -108,7 +108,7 @@ class SteppedSimulator(ABC):
     def base(self) -> WorldPose:
         """Return where the bases are; asked only where they can move."""
 
-    def _nowhere(self) -> WorldPose:
+    def nowhere(self) -> WorldPose:
         """Return what stands for bases that cannot move; nobody is told."""
         zeros = np.zeros((self.num_robots, 3))
         return WorldPose(zeros, np.tile((1.0, 0.0, 0.0, 0.0), (self.num_robots, 1)), zeros, zeros)
@@ -144,7 +144,8 @@ class SteppedSimulator(ABC):
         """Copy what the simulation says into the states."""
         for view, value in zip(self._told, (*self._measured, self.torque)):
             view[...] = value
-        self._base_states(self._before, self._now)
+        if self.start.floating:
+            self._base_states(self._before, self._now)
         self._stamp[...] = round(self._ticks * self._tick_ns)
         return None
 

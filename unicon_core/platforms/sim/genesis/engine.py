@@ -9,24 +9,18 @@ from __future__ import annotations
 import logging
 import os
 import sys
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 
 from unicon_core.errors import MissingDependencyError
 from unicon_core.models.loaded import import_mujoco
-from unicon_core.outlet import to_stderr
 from unicon_core.platforms.kit.base import Float
 
 __all__ = ["begun", "built"]
 
 _FIRST = 3
 """Steps and resets after which nothing is left to be compiled."""
-
-_LONG = 12.0  # [s] after which a build says that it compiles
 
 
 def begun() -> Any:
@@ -82,26 +76,25 @@ def built(genesis: Any, model: Any, timestep: float, begin: Float) -> tuple[Any,
         def _identifier(self) -> str:
             return "robot"
 
-    with _told_if_long():
-        morph = Compiled(
-            file=model,
-            visualization=False,
-            default_armature=None,  # else 0.1 kg·m² where the model has none
-            align=False,  # the base's frame stays where it is
-            decimate=False,
-            decompose_object_error_threshold=float("inf"),  # convex hulls, as MuJoCo has them
-        )
-        entity = scene.add_entity(morph)
-        scene.build(n_envs=len(begin))
-        still = np.zeros((len(begin), entity.n_dofs))
-        for _ in range(_FIRST):  # the rest is compiled as it is used
-            scene.reset()
-            entity.set_qpos(begin)
-            for _ in range(_FIRST):
-                entity.control_dofs_force(still)
-                scene.step(update_visualizer=False)
-            entity.set_dofs_velocity(still)
+    morph = Compiled(
+        file=model,
+        visualization=False,
+        default_armature=None,  # else 0.1 kg·m² where the model has none
+        align=False,  # the base's frame stays where it is
+        decimate=False,
+        decompose_object_error_threshold=float("inf"),  # convex hulls, as MuJoCo has them
+    )
+    entity = scene.add_entity(morph)
+    scene.build(n_envs=len(begin))
+    still = np.zeros((len(begin), entity.n_dofs))
+    for _ in range(_FIRST):  # the rest is compiled as it is used
+        scene.reset()
+        entity.set_qpos(begin)
+        for _ in range(_FIRST):
+            entity.control_dofs_force(still)
             scene.step(update_visualizer=False)
+        entity.set_dofs_velocity(still)
+        scene.step(update_visualizer=False)
     return scene, entity
 
 
@@ -127,17 +120,3 @@ def _solver(genesis: Any, model: Any) -> dict[str, Any]:
         "enable_rolling_friction": dimensions > 4,
         "constraint_timeconst": None,  # each geom and joint has the model's
     }
-
-
-@contextmanager
-def _told_if_long() -> Iterator[None]:
-    """Tell in a line on standard error why it takes long, once, where it does."""
-    write = to_stderr()
-    said = "genesis compiles its kernels: a minute or two the first time, seconds from then on\n"
-    timer = threading.Timer(_LONG, write, (said,))
-    timer.daemon = True
-    timer.start()
-    try:
-        yield
-    finally:
-        timer.cancel()

@@ -9,6 +9,7 @@ import numpy as np
 from unicon_core.errors import Fault, ModelError
 from unicon_core.platforms.kit.base import Float, WorldPose, rotation
 from unicon_core.platforms.kit.joint_model import JointModel, Passive, joint_model
+from unicon_core.platforms.kit.patience import patience
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.platforms.kit.start import Start, start_of
 from unicon_core.platforms.kit.stepped import SteppedSimulator
@@ -124,7 +125,7 @@ def make(
     *,
     scene: Scene,
     timestep: float | None = None,
-    passive: Passive = "replace",
+    passive: Passive = "keep",
 ) -> GenesisPlatform:
     """Build the platform.
 
@@ -141,8 +142,9 @@ def make(
         MissingDependencyError: Genesis is not installed.
         ModelError: Genesis does not take the model.
     """
-    genesis = begun()
-    start = start_of(robot, scene)
-    figures = joint_model(start, passive)
-    step = float(start.loaded.model.opt.timestep) if timestep is None else timestep
-    return GenesisPlatform(genesis, states, robot, period, step, start, figures)
+    with patience("genesis: compiling its kernels, some 90 s the first time, 20 s from then on"):
+        genesis = begun()
+        start = start_of(robot, scene)
+        figures = joint_model(start, passive)
+        step = float(start.loaded.model.opt.timestep) if timestep is None else timestep
+        return GenesisPlatform(genesis, states, robot, period, step, start, figures)
