@@ -58,7 +58,7 @@ LIMB = """
     </body>
   </worldbody>
   <contact><pair geom1="floor" geom2="pad" condim="3" friction="0.2 0.2"/>{pair}</contact>
-  <actuator><motor joint="hip" ctrlrange="-1 1" ctrllimited="true"/></actuator>
+  <actuator><motor joint="hip" ctrlrange="-20 20" ctrllimited="true"/></actuator>
 </mujoco>
 """
 
