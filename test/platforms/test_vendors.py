@@ -226,6 +226,13 @@ def test_webots_says_what_is_wrong_with_a_world(vendors: None, tmp_path: Path) -
     assert len(str(said.value).splitlines()) == 1
 
 
+def test_stops_that_webots_does_not_have_are_told(vendors: None, tmp_path: Path) -> None:
+    it = Rig("webots_world:make", tmp_path, model={"upper": 4.5})
+    note = "left out: stops beyond ±π, which Webots does not have, of left, knee, right, yaw"
+    assert note in it.info["notes"]
+    assert note in it.platform.facts.notes
+
+
 def test_the_stand_in_of_webots_refuses_what_webots_would(vendors: None, tmp_path: Path) -> None:
     from vendor_world import Refused
 
