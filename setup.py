@@ -26,10 +26,13 @@ PYBULLET_WHEELS = (
     "and implementation_name == 'cpython' and python_version < '3.12'"
 )
 
+# MuJoCo reads the models for all simulators. 4.0.0 has a regression in its sparse Cholesky
+# factorization, noted upstream.
+SIM = ["mujoco>=3.3,!=4.0.0", "onnxruntime"]
+
 EXTRAS = {
-    # 4.0.0 has a regression in its sparse Cholesky factorization, noted upstream.
-    "sim": ["mujoco>=3.3,!=4.0.0", "onnxruntime"],
-    "sim-pybullet": [f"pybullet==3.2.7; {PYBULLET_WHEELS}"],
+    "sim": SIM,
+    "sim-pybullet": [*SIM, f"pybullet==3.2.7; {PYBULLET_WHEELS}"],
     "bags": ["rosbags>=0.11"],
     "ros": [
         f"ros-rclpy[fastrtps]==7.1.6; {ROS_WHEELS}",
@@ -58,7 +61,12 @@ EXTRAS = {
     "dev": ["ruff==0.17.*", "mypy==2.4.*", "import-linter>=2.1", "types-PyYAML", "pdoc>=15"],
 }
 EXTRAS["all"] = sorted({requirement for extra in EXTRAS.values() for requirement in extra})
-# Not in `all`: 754 MB installed (2.13, CPU), for TorchScript policies alone.
+# Not in `all`: 765 MB, 703 MB and 4 GB. All are held at what was tried; MJX must be of MuJoCo's own
+# version.
+EXTRAS["sim-mjx"] = ["mujoco==3.17.0", "mujoco-mjx==3.17.0", "jax[cpu]==0.10.2", "onnxruntime"]
+EXTRAS["sim-newton"] = ["newton[sim]==1.8.0", *SIM]
+EXTRAS["sim-genesis"] = ["genesis-world==1.4.5", "torch>=2.13", *SIM]
+# Nor this: 754 MB installed (2.13, CPU), for TorchScript policies alone.
 EXTRAS["torch"] = ["torch"]
 # Nor this: 130 MB installed, for exports to Parquet alone.
 EXTRAS["parquet"] = ["pyarrow"]

@@ -150,11 +150,12 @@ def optional_modules() -> set[str]:
     return named
 
 
-def test_all_is_the_union_of_the_other_extras_but_torch_parquet_and_hardware() -> None:
+def test_all_is_the_union_of_the_other_extras_but_what_is_large_or_hardware() -> None:
     extras = metadata()["extras_require"]
     assert isinstance(extras, dict)
     assert set(extras) >= {"sim", "bags", "ros", "test", "all"}
     left = {name for name in extras if name.startswith("hw-")} | {"all", "torch", "parquet"}
+    left |= {"sim-mjx", "sim-newton", "sim-genesis"}
     united = {r for name, e in extras.items() if name not in left for r in e}
     assert set(extras["all"]) == united
     assert extras["torch"] == ["torch"]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import pytest
 
 from unicon_core.conformance import Conformance
@@ -9,13 +11,41 @@ from unicon_core.conformance import Conformance
 pytest.importorskip("mujoco", reason="mujoco is not installed: pip install 'unicon_ros[sim]'")
 
 
+class Installed(Conformance):
+    """Of an engine that may not be there; on a class that is not collected itself."""
+
+    __test__ = False
+    module: ClassVar[str]
+
+    @pytest.fixture(autouse=True)
+    def installed(self) -> None:
+        pytest.importorskip(self.module, reason=f"pip install 'unicon_ros[sim-{self.platform}]'")
+
+
 class TestMujoco(Conformance):
     platform = "mujoco"
 
 
-class TestPybullet(Conformance):
-    platform = "pybullet"
+class TestPybullet(Installed):
+    __test__ = True
+    platform = module = "pybullet"
 
-    @pytest.fixture(autouse=True)
-    def installed(self) -> None:
-        pytest.importorskip("pybullet", reason="pip install 'unicon_ros[sim-pybullet]'")
+
+@pytest.mark.slow
+class TestMjx(Installed):
+    __test__ = True
+    platform, module, near = "mjx", "mujoco.mjx", 1e-3
+
+
+@pytest.mark.slow
+class TestNewton(Installed):
+    __test__ = True
+    platform = module = "newton"
+    near = 1e-3
+
+
+@pytest.mark.slow
+class TestGenesis(Installed):
+    __test__ = True
+    platform = module = "genesis"
+    near = 1e-3

@@ -128,6 +128,12 @@ def test_a_command_that_is_not_finite_moves_nothing() -> None:
     workflow.close()
 
 
+@needs_pybullet
+def test_it_prints_nothing(capfd: pytest.CaptureFixture[str]) -> None:
+    load_workflow("go2_stand", ["platform=pybullet"]).close()
+    assert capfd.readouterr().out == ""
+
+
 def test_without_pybullet_the_install_command_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pybullet_utils", None)
     monkeypatch.setitem(sys.modules, "pybullet_utils.bullet_client", None)

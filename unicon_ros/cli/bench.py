@@ -19,6 +19,7 @@ BENCHES = {
     "policy": "unicon_ros.bench.policy",
     "record": "unicon_ros.bench.record",
     "safety": "unicon_ros.bench.safety",
+    "simulators": "unicon_ros.bench.simulators",
     "sloc": "unicon_ros.bench.sloc",
     "start": "unicon_ros.bench.start",
     "stores": "unicon_ros.bench.stores",

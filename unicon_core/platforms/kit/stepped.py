@@ -1,4 +1,4 @@
-"""A simulator that is stepped from Python: give it five methods, and it is a platform."""
+"""A simulator that is stepped from Python: give it six methods, and it is a platform."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ class SteppedSimulator(ABC):
     """N robots, each in a world of its own, their servos computed here at each physics step.
 
     A class of it says `facts` and `represents`, builds its worlds before it calls
-    `super().__init__`, and has `place`, `joints`, `base`, `step` and `add_velocity`. All of them
-    have the robots as first axis, also of one. Where the physics of a whole tick are one call, it
-    has `simulate` too.
+    `super().__init__`, and has `place`, `joints`, `base`, `step`, `add_velocity` and `close`.
+    All of them have the robots as first axis, also of one. Where the physics of a whole tick are
+    one call, it has `simulate` too.
 
     Args:
         states: the states; N is the length of their batch axis, 1 without.
@@ -92,6 +92,7 @@ class SteppedSimulator(ABC):
         self._told = [views[name] for name in JOINT_STATES]
         self._stamp = views["stamp_ns"]
         base = {name: view for name, view in views.items() if name in BASE_STATES}
+        self._where = self.base if start.floating else self.nowhere
         self._base_states = BaseStates(base, robot, timestep, start.gravity)
         self.reset()
 
@@ -105,7 +106,12 @@ class SteppedSimulator(ABC):
 
     @abstractmethod
     def base(self) -> WorldPose:
-        """Return where the bases are."""
+        """Return where the bases are; asked only where they can move."""
+
+    def nowhere(self) -> WorldPose:
+        """Return what stands for bases that cannot move; nobody is told."""
+        zeros = np.zeros((self.num_robots, 3))
+        return WorldPose(zeros, np.tile((1.0, 0.0, 0.0, 0.0), (self.num_robots, 1)), zeros, zeros)
 
     @abstractmethod
     def step(self, torque: Float) -> None:
@@ -114,6 +120,10 @@ class SteppedSimulator(ABC):
     @abstractmethod
     def add_velocity(self, velocity: Float) -> None:
         """Add to the bases' velocities along the world's axes in [m/s], shape (N, 3)."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Let go of the engine; safe to call twice."""
 
     def push(self, velocity: Float) -> None:
         """Add to the bases' horizontal velocity [m/s] in the world, shape (2,) or (N, 2)."""
@@ -128,13 +138,14 @@ class SteppedSimulator(ABC):
         if self._delay is not None:
             self._delay.reset()
         self._measured = self.joints()
-        self._now = self._before = self.base()
+        self._now = self._before = self._where()
 
     def recv(self) -> bool | None:
         """Copy what the simulation says into the states."""
         for view, value in zip(self._told, (*self._measured, self.torque)):
             view[...] = value
-        self._base_states(self._before, self._now)
+        if self.start.floating:
+            self._base_states(self._before, self._now)
         self._stamp[...] = round(self._ticks * self._tick_ns)
         return None
 
@@ -145,14 +156,18 @@ class SteppedSimulator(ABC):
             Fault: a command is not finite, or the physics blew up.
         """
         self._command.take()
-        whole = ((self.decimation, self._rows),)
-        self._before = self.simulate(whole if self._delay is None else self._delay())
-        self._measured, self._now = self.joints(), self.base()
+        self.advance()
         self._ticks += 1
-        speeds = self._measured[1].reshape(-1)
-        if not speeds.dot(speeds) < _TOO_FAST**2:  # false for NaN too
+        speeds = self._measured[1]
+        if not np.vdot(speeds, speeds) < _TOO_FAST**2:  # false for NaN too
             self._blown_up()
         return None
+
+    def advance(self) -> None:
+        """Simulate one tick of the command that was taken, and read what came of it."""
+        whole = ((self.decimation, self._rows),)
+        self._before = self.simulate(whole if self._delay is None else self._delay())
+        self._measured, self._now = self.joints(), self._where()
 
     def simulate(self, parts: Iterable[tuple[int, Float]]) -> WorldPose:
         """Simulate one tick; write `torque`.
@@ -174,7 +189,7 @@ class SteppedSimulator(ABC):
                     torque *= strength
                 left -= 1
                 if not left:
-                    before = self.base()
+                    before = self._where()
                 self.step(torque)
                 if left:
                     pos, vel = measured()

@@ -18,6 +18,7 @@ from unicon_core.platforms.kit.joint_model import (
     ground_friction,
     joint_model,
 )
+from unicon_core.platforms.kit.quiet import quiet
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.platforms.kit.start import Start, start_of
 from unicon_core.platforms.kit.stepped import SteppedSimulator
@@ -210,5 +211,6 @@ def make(
         raise MissingDependencyError("platform 'pybullet'", "pybullet", install) from error
     start = start_of(robot, scene)
     figures = joint_model(start, passive)
-    clients = [BulletClient(pybullet.DIRECT) for _ in range(states.num_robots or 1)]
+    with quiet():  # it says "argv[0]=" at each connection
+        clients = [BulletClient(pybullet.DIRECT) for _ in range(states.num_robots or 1)]
     return PybulletPlatform(clients, states, robot, period, timestep, start, figures)

@@ -1,0 +1,1 @@
+"""MJX: MuJoCo's physics compiled by JAX, many robots in one step."""

@@ -1,0 +1,216 @@
+"""MJX behind the platform contract, for workflows that say `platform: mjx`.
+
+A tick of all robots is one compiled call: the servo and a physics step as often as a tick has them.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.errors import MissingDependencyError, ModelError
+from unicon_core.models.loaded import import_mujoco
+from unicon_core.platforms.kit.base import Float, WorldPose, rotation
+from unicon_core.platforms.kit.joint_delay import strength_of
+from unicon_core.platforms.kit.joint_model import JointModel, Passive, joint_model
+from unicon_core.platforms.kit.patience import patience
+from unicon_core.platforms.kit.quiet import quiet
+from unicon_core.platforms.kit.scene import Scene
+from unicon_core.platforms.kit.start import Start, start_of
+from unicon_core.platforms.kit.stepped import SteppedSimulator
+from unicon_core.platforms.platform import SIMULATED, Facts
+from unicon_core.platforms.sim.mjx.tick import Places, compiled_tick
+from unicon_core.robots import Robot
+from unicon_core.robots.joint_physics import JOINT_PHYSICS
+from unicon_core.states import States
+
+__all__ = ["MjxPlatform", "make"]
+
+
+class MjxPlatform(SteppedSimulator):
+    """N robots in one batch of MJX, in float32; built by `make`."""
+
+    facts = Facts("mjx", simulated=True, batch=True, writes=SIMULATED, physics=tuple(JOINT_PHYSICS))
+    represents = frozenset(
+        {
+            *("armature", "damping", "friction", "limits"),
+            *("self-collision", "meshes", "contact friction", "constraints", "terrain"),
+        }
+    )
+
+    def __init__(
+        self,
+        states: States,
+        robot: Robot,
+        period: float,
+        step: float,
+        start: Start,
+        figures: JointModel,
+    ) -> None:
+        import jax
+        from mujoco import mjx
+
+        count = states.num_robots or 1
+        self._count, self._size = count, robot.num_joints
+        model = _model(start, figures, step)
+        compiled, first = _put(mjx, model, start)
+        places = Places.of(model, start)
+        # On the same device as all else: JAX would compile anew for the first tick.
+        qpos = jax.device_put(_qpos(model, start), first.qpos.device)
+        first = first.replace(qpos=qpos)
+        self._first = jax.tree.map(lambda leaf: jax.numpy.stack([leaf] * count), first)
+        self._moving = slice(places.base_vel, places.base_vel + 3)
+        limit = np.nan_to_num(robot.effort_limit.astype(np.float32), nan=np.inf)
+        strength = strength_of(start.physics)
+        factor = np.ones_like(limit) if strength is None else strength.astype(np.float32)
+        self._tick = partial(compiled_tick(places), compiled, limit, factor)
+        with patience(f"mjx: compiling the physics of {count} robots for JAX"):
+            self._begin()
+        super().__init__(states, robot, period, step, start, figures)
+
+    def _command_of(self, torque: Float | float) -> Any:
+        """Return the command of a torque [N·m] alone, shape (5, N, n)."""
+        command = np.zeros((5, self._count, self._size), np.float32)
+        command[2] = torque
+        return command
+
+    def _begin(self) -> None:
+        """Go to where the robots begin; no physics step is made."""
+        self._state, told = self._tick(self._first, self._command_of(0.0), 0)
+        self._read = _arrays(told)
+
+    def place(self) -> None:
+        self._begin()
+
+    def joints(self) -> tuple[Float, Float]:
+        return self._read["pos"], self._read["vel"]
+
+    def base(self) -> WorldPose:
+        return _pose(self._read["base"])
+
+    def simulate(self, parts: Iterable[tuple[int, Float]]) -> WorldPose:
+        for steps, command in parts:
+            self._state, told = self._tick(self._state, command.astype(np.float32), steps)
+        self._read = _arrays(told)
+        self.torque[...] = self._read["torque"]
+        return _pose(self._read["before"]) if self.start.floating else self.nowhere()
+
+    def step(self, torque: Float) -> None:
+        self.simulate([(1, self._command_of(torque))])
+
+    def add_velocity(self, velocity: Float) -> None:
+        qvel = self._state.qvel.at[:, self._moving].add(velocity.astype(np.float32))
+        self._state = self._state.replace(qvel=qvel)
+
+    def close(self) -> None:
+        pass  # memory goes with the arrays
+
+    def info(self) -> dict[str, Any]:
+        devices = sorted({str(device) for device in self._state.qpos.devices()})
+        return super().info() | {"devices": devices}
+
+
+def _model(start: Start, figures: JointModel, step: float) -> Any:
+    """Return the model with the joints' figures and without its own actuators."""
+    mujoco, model = import_mujoco(), start.loaded.model
+    model.opt.timestep = step
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
+    dofs = model.jnt_dofadr[start.loaded.joints]
+    model.dof_armature[dofs], model.dof_damping[dofs] = figures.armature, figures.damping
+    model.dof_frictionloss[dofs] = figures.friction
+    mujoco.mj_setConst(model, mujoco.MjData(model))  # the solver's inverse inertias follow
+    return model
+
+
+def _put(mjx: Any, model: Any, start: Start) -> tuple[Any, Any]:
+    """Return model and data of MJX.
+
+    Raises:
+        ModelError: it lacks something that the model has.
+    """
+    try:
+        compiled = mjx.put_model(model)
+        data = mjx.make_data(compiled)
+    except (NotImplementedError, ValueError) as error:
+        reason = " ".join(str(error).split())
+        raise ModelError(
+            f"platform 'mjx' cannot simulate model {start.loaded.path}: {reason}; change the "
+            "model, or take platform: mujoco"
+        ) from error
+    pyramid = import_mujoco().mjtCone.mjCONE_PYRAMIDAL
+    if not data._impl.ncon and model.opt.cone != pyramid:
+        # MJX 3.17 fails with elliptic cones where nothing can touch, where they mean nothing.
+        model.opt.cone = pyramid
+        return _put(mjx, model, start)
+    return compiled, data
+
+
+def _qpos(model: Any, start: Start) -> NDArray[np.float32]:
+    """Return where a robot begins, shape (nq,), in float32."""
+    qpos, base = np.array(model.qpos0, np.float32), start.loaded.base
+    if base is not None:
+        qpos[int(model.jnt_qposadr[base]) :][:7] = *start.position, *start.quat
+    qpos[start.loaded.addresses] = start.joint_pos
+    return qpos
+
+
+def _arrays(told: dict[str, Any]) -> dict[str, Float]:
+    return {name: np.asarray(value, np.float64) for name, value in told.items()}
+
+
+def _pose(base: Float) -> WorldPose:
+    """Return where bases are, of their free joints; its rates are along the base's own axes."""
+    position, quat, linear, angular = np.split(base, (3, 7, 10), axis=1)
+    quat /= np.linalg.norm(quat, axis=1, keepdims=True)
+    return WorldPose(position, quat, linear, (rotation(quat) @ angular[:, :, None])[:, :, 0])
+
+
+def _cache() -> Path:
+    """Return where compiled physics are kept for the next start, which is four times as quick."""
+    home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(home) / "unicon_ros" / "jax"
+
+
+def make(
+    states: States,
+    robot: Robot,
+    period: float,
+    *,
+    scene: Scene,
+    timestep: float | None = None,
+    passive: Passive = "keep",
+) -> MjxPlatform:
+    """Build the platform.
+
+    Args:
+        states: with `num_robots` set, as many robots are simulated, in one batch.
+        robot: its joints are found in the model by name.
+        period: of a tick in [s].
+        scene: how it begins.
+        timestep: physics step in [s]; the model's own if None.
+        passive: damping of the joints in the model: `keep` it beside that of the command, or
+            `replace` it by that.
+
+    Raises:
+        MissingDependencyError: mujoco-mjx or jax is not installed.
+        ModelError: MJX cannot simulate the model.
+    """
+    try:
+        with quiet():  # it tells that warp is not there
+            import jax
+            import mujoco.mjx  # noqa: F401
+    except ImportError as error:
+        install = "pip install 'unicon_ros[sim-mjx]'"
+        raise MissingDependencyError("platform 'mjx'", "mujoco-mjx", install) from error
+    if jax.config.jax_compilation_cache_dir is None:  # nobody wants it elsewhere
+        jax.config.update("jax_compilation_cache_dir", str(_cache()))
+    start = start_of(robot, scene)
+    step = float(start.loaded.model.opt.timestep) if timestep is None else timestep
+    figures = joint_model(start, passive)
+    return MjxPlatform(states, robot, period, step, start, figures)
