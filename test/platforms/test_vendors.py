@@ -15,6 +15,8 @@ from unicon_core.conformance import Conformance, Rig
 from unicon_core.errors import Fault, MissingDependencyError, PlatformError
 from unicon_core.platforms.sim.isaaclab import platform as isaaclab
 from unicon_core.platforms.sim.webots import platform as webots
+from unicon_core.runtime import Runner, RunOptions
+from unicon_core.workflow import load_workflow
 
 pytest.importorskip("mujoco", reason="mujoco is not installed: pip install 'unicon_ros[sim]'")
 
@@ -103,6 +105,17 @@ class TestWebots(_Left):
     def test_a_fault_of_a_batch_names_its_robot(self, rig: Any) -> None:
         with pytest.raises(PlatformError, match=r"^platform 'webots' has one robot; leave num_"):
             rig(num_robots=3)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("vendors")
+@pytest.mark.parametrize("word", ["isaacgym", "isaaclab", "webots_world:make"])
+def test_go2_walk_walks_through_a_stand_in_by_one_word(word: str) -> None:
+    program = load_workflow("go2_walk", [f"platform={word}"])
+    report = Runner(program, RunOptions(speed="max")).run()
+    assert report.faults == []
+    assert not report.fell
+    assert float(program.states.base_pos_w.reshape(-1, 3)[0, 0]) > 3.0
 
 
 @pytest.mark.parametrize("word", list(REMEDIES))
