@@ -221,13 +221,6 @@ class Supervisor:
         exact(name, str, "name")
         return self.devices.get(name)
 
-    def getDeviceByIndex(self, index: int) -> Device:
-        exact(index, int, "index")
-        return list(self.devices.values())[index]
-
-    def getNumberOfDevices(self) -> int:
-        return len(self.devices)
-
     def getBasicTimeStep(self) -> float:
         return self.wbt.step
 

@@ -119,10 +119,7 @@ class WebotsPlatform(SteppedSimulator):
 
     def _device(self, name: str) -> Any:
         supervisor = self._supervisor
-        devices = (
-            supervisor.getDeviceByIndex(i).getName() for i in range(supervisor.getNumberOfDevices())
-        )
-        known = tuple(devices)
+        known = tuple(supervisor.devices)
         if name not in known:
             raise PlatformError(
                 f"platform 'webots': robot {supervisor.getName()!r} has no device {name!r}; "
