@@ -30,7 +30,7 @@ ROS_DEPENDS = {
 }
 # Private modules that come with rclpy, and modules named otherwise than their distribution.
 COMES_WITH = {"_rclpy_pybind11": "rclpy", "yaml": "pyyaml", "ruamel": "rosbags"}
-COMES_WITH |= {"pybullet_utils": "pybullet", "zmq": "pyzmq", "can": "python_can"}
+COMES_WITH |= {"pybullet_utils": "pybullet", "warp": "newton", "zmq": "pyzmq", "can": "python_can"}
 
 
 @lru_cache(maxsize=1)
@@ -136,8 +136,9 @@ def test_every_other_module_that_the_code_imports_is_a_requirement_or_guarded() 
     assert foreign <= allowed, f"undeclared: {sorted(foreign - allowed)}"
 
 
-ELSEWHERE = {"unitree_sdk2py"}
-"""Imported by a pipeline of the bench that runs in another interpreter, with the SDK's checkout."""
+ELSEWHERE = {"unitree_sdk2py", "controller", "isaacgym"}
+"""Imported by a pipeline of the bench that runs in another interpreter, with the SDK's checkout;
+modules that Webots and NVIDIA's archive bring, in no registry."""
 
 
 def optional_modules() -> set[str]:

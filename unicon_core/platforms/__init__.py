@@ -2,6 +2,7 @@
 
 BUILTIN = {
     "mujoco": "unicon_core.platforms.sim.mujoco.platform:make",
+    "newton": "unicon_core.platforms.sim.newton.platform:make",
     "pybullet": "unicon_core.platforms.sim.pybullet.platform:make",
     "mjx": "unicon_core.platforms.sim.mjx.platform:make",
     "isaacgym": "unicon_core.platforms.sim.isaacgym.platform:make",

@@ -32,8 +32,8 @@ from unicon_core.robots import Robot
 from unicon_core.states import States
 
 INSTALL = (
-    "pip install 'isaaclab[isaacsim,all]==2.3.2.post1' in Python 3.11, with NVIDIA's index as "
-    "--extra-index-url (Isaac Lab's installation guide has it)"
+    "pip install 'isaaclab[isaacsim,all]==2.3.2.post1' in Python 3.11, from NVIDIA's own index "
+    "(Isaac Lab's installation guide names it)"
 )
 
 _FAST, _STRONG = 1000.0, 1e6  # [m/s], [rad/s] and [N·m]: nothing is held back
