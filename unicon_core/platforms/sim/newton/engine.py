@@ -33,7 +33,7 @@ class Engine:
 
     def __init__(self, model: Any, solver: Any, joints: list[int]) -> None:
         self.worlds = max(int(model.world_count), 1)
-        self._solver = solver
+        self._model, self._solver = model, solver
         self._q = model.joint_q_start.numpy()[joints]
         self._v = model.joint_qd_start.numpy()[joints]
         self._centre = np.array(model.body_com.numpy()[0], np.float64)  # of the base
@@ -76,3 +76,15 @@ class Engine:
         rows = self._rows(self._now.joint_qd).copy()
         rows[:, :3] += velocity
         self._now.joint_qd.assign(rows.ravel())
+
+    def damp(self, damping: Float, flag: Any) -> None:
+        """Give the joints damping [N·m·s/rad], shape (n,).
+
+        Args:
+            damping: in the robot's order.
+            flag: of `newton.ModelFlags`, for a force of joints that has changed.
+        """
+        rows = self._rows(self._model.joint_damping).copy()
+        rows[:, self._v] = damping
+        self._model.joint_damping.assign(rows.ravel())
+        self._solver.notify_model_changed(flag)

@@ -68,6 +68,26 @@ class NewtonPlatform(SteppedSimulator):
         self.step(self.torque)  # else the first tick would compile kernels
         self.reset()
 
+    @property
+    def passive_damping(self) -> Float:
+        """Damping of the joints themselves in [N·m·s/rad], shape (n,)."""
+        return self.figures.damping
+
+    @contextmanager
+    def undamped(self) -> Iterator[None]:
+        """Do without the joints' own damping for a while, as with `passive: replace`."""
+        self._damp(np.zeros_like(self.figures.damping))
+        try:
+            yield
+        finally:
+            self._damp(self.figures.damping)
+
+    def _damp(self, damping: Float) -> None:
+        from newton import ModelFlags
+
+        for engine in self._engines:
+            engine.damp(damping, ModelFlags.JOINT_DOF_FORCE_PROPERTIES)
+
     def place(self) -> None:
         for engine in self._engines:
             engine.place()
