@@ -152,6 +152,7 @@ setup(
             "booster = unicon_ros.hardware.booster.platform:make",
             "dobot = unicon_ros.hardware.dobot.platform:make",
             "fourier = unicon_ros.hardware.fourier.platform:make",
+            "gazebo = unicon_ros.bridge.gazebo:make",
             "inspire = unicon_ros.hardware.inspire.platform:make",
             "pnd = unicon_ros.hardware.pnd.platform:make",
             "replay = unicon_ros.replay.platform:make",

@@ -21,7 +21,7 @@ from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
@@ -55,7 +55,9 @@ from unicon_ros.bridge.qos import LATEST
 from unicon_ros.bridge.topics_in import TopicIn
 from unicon_ros.bridge.topics_out import TopicOut
 
-__all__ = ["RosPlatform", "make"]
+__all__ = ["RosPlatform", "make", "opened"]
+
+Made = TypeVar("Made", bound="RosPlatform")
 
 TIMEOUT = 0.5
 """Silence that is a fault where the map gives no `timeout`, [s]."""
@@ -99,20 +101,37 @@ def make(
         MissingDependencyError: rclpy is not installed.
         PlatformError: the map does not fit, or no message came in time.
     """
-    if not 0.0 < connect < float("inf"):
-        raise PlatformError(f"platform 'ros': connect is {connect} s; give a time above 0")
-    if not 0.0 <= damping <= LONGEST_DAMPING:
-        raise PlatformError(f"platform 'ros': damping is {damping} s; give 0 to {LONGEST_DAMPING}")
     path = find_config("maps", map, error=PlatformError, relative_to=relative_to)
-    own = OwnNode(node_name, namespace, ros_args)
+    node = partial(OwnNode, node_name, namespace, ros_args)
+    return opened(RosPlatform, states, robot, period, path, node, connect, damping, silent)
+
+
+def opened(
+    kind: type[Made],
+    states: States,
+    robot: Robot,
+    period: float,
+    path: Path,
+    node: Callable[[], OwnNode],
+    connect: float,
+    damping: float,
+    silent: bool,
+) -> Made:
+    """Build a platform of this kind and wait for the robot; see `make`."""
+    name = f"platform {kind.facts.name!r}"
+    if not 0.0 < connect < float("inf"):
+        raise PlatformError(f"{name}: connect is {connect} s; give a time above 0")
+    if not 0.0 <= damping <= LONGEST_DAMPING:
+        raise PlatformError(f"{name}: damping is {damping} s; give 0 to {LONGEST_DAMPING}")
+    own = node()
     try:
-        platform = RosPlatform(states, robot, period, path, own, connect, damping, silent)
+        platform = kind(states, robot, period, path, own, connect, damping, silent)
     except MissingDependencyError:
         own.close()
         raise
     except UniconError as error:
         own.close()
-        raise PlatformError(f"platform 'ros': {error}") from error
+        raise PlatformError(f"{name}: {error}") from error
     try:
         platform.connect()
     except BaseException:
@@ -129,6 +148,7 @@ class RosPlatform:
     """
 
     facts = Facts("ros", examine=examine_platform)
+    remedy: ClassVar[str] = "start the robot"
 
     def __init__(
         self,
@@ -211,9 +231,9 @@ class RosPlatform:
                 errors += [other_types(node, t.topic, t.decoder.spec.type) for t in silent]
                 said = "; ".join(each for each in dict.fromkeys([*self._warnings, *errors]) if each)
                 raise PlatformError(
-                    f"platform 'ros': no message {missing} within {self._patience:g} s"
-                    f"{f' ({said})' if said else ''}; start the robot, or correct namespace, "
-                    f"remaps or the map {self._path}"
+                    f"platform {self.facts.name!r}: no message {missing} within "
+                    f"{self._patience:g} s{f' ({said})' if said else ''}; {self.remedy}, or "
+                    f"correct namespace, remaps or the map {self._path}"
                 )
             self._own.executor.spin_once(0.005)  # tells what a peer's QoS does not match
         calm_middleware_threads()

@@ -5,8 +5,10 @@ A tick of all robots is one compiled call: the servo and a physics step as often
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -169,6 +171,12 @@ def _pose(base: Float) -> WorldPose:
     return WorldPose(position, quat, linear, (rotation(quat) @ angular[:, :, None])[:, :, 0])
 
 
+def _cache() -> Path:
+    """Return where compiled physics are kept for the next start, which is four times as quick."""
+    home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(home) / "unicon_ros" / "jax"
+
+
 def make(
     states: States,
     robot: Robot,
@@ -195,11 +203,13 @@ def make(
     """
     try:
         with quiet():  # it tells that warp is not there
-            import jax  # noqa: F401
+            import jax
             import mujoco.mjx  # noqa: F401
     except ImportError as error:
         install = "pip install 'unicon_ros[sim-mjx]'"
         raise MissingDependencyError("platform 'mjx'", "mujoco-mjx", install) from error
+    if jax.config.jax_compilation_cache_dir is None:  # nobody wants it elsewhere
+        jax.config.update("jax_compilation_cache_dir", str(_cache()))
     start = start_of(robot, scene)
     step = float(start.loaded.model.opt.timestep) if timestep is None else timestep
     figures = joint_model(start, passive)

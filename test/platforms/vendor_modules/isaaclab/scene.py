@@ -1,0 +1,5 @@
+"""Stand-in for isaaclab.scene."""
+
+from isaaclab.lab import InteractiveScene, InteractiveSceneCfg
+
+__all__ = ["InteractiveScene", "InteractiveSceneCfg"]

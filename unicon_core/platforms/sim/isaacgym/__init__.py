@@ -1,0 +1,1 @@
+"""Isaac Gym Preview 4 as a platform, never run against NVIDIA's own module."""

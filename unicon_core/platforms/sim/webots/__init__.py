@@ -1,0 +1,1 @@
+"""Webots as a platform: unicon is the extern controller; never run against Webots itself."""

@@ -1,0 +1,103 @@
+"""Gazebo (gz sim) as a platform: a robot of gz_ros2_control behind topics; see docs/gazebo.md."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from unicon_core.errors import PlatformError
+from unicon_core.platforms.kit.damping import DAMPING_TIME
+from unicon_core.platforms.platform import Binding, Facts
+from unicon_core.resources import find_config
+from unicon_core.robots import Robot
+from unicon_core.states import States
+from unicon_ros.bridge.map_fit import examine_platform
+from unicon_ros.bridge.own_node import OwnNode
+from unicon_ros.bridge.ros_platform import RosPlatform, opened
+
+__all__ = ["GazeboPlatform", "make"]
+
+
+def examine(
+    states: States,
+    robot: Robot,
+    period: float,
+    *,
+    map: str = "gazebo",
+    relative_to: Path | None = None,
+    **others: Any,
+) -> Binding:
+    """Return what platform `gazebo` would read and write; takes what its factory takes.
+
+    Raises:
+        PlatformError: the map does not fit the states or the robot.
+    """
+    bound = examine_platform(states, robot, period, map=map, relative_to=relative_to)
+    facts = bound.facts
+    notes = (*facts.notes, *_servo_notes(facts.reads, period))
+    return replace(bound, facts=replace(facts, name="gazebo", notes=notes))
+
+
+def _servo_notes(reads: Sequence[str], period: float) -> tuple[str, ...]:
+    """Return where the servo is, which over topics is not at each physics step."""
+    if "joint_stiffness" in reads:
+        return (
+            f"the servo runs here, {1.0 / period:.4g} times a second, not at each physics step of "
+            "Gazebo; a controller in gz is stiffer: map gazebo, docs/gazebo.md",
+        )
+    return (
+        "joint_stiffness, joint_damping and joint_effort_ff do not reach Gazebo: its "
+        "pid_controller has gains of its own, docs/gazebo.md",
+    )
+
+
+class GazeboPlatform(RosPlatform):
+    """A robot in Gazebo, which keeps its own time; build it with `make`."""
+
+    facts = Facts("gazebo", examine=examine)
+    remedy = "start Gazebo with its controllers and bridge (docs/gazebo.md)"
+
+    def __init__(self, states: States, robot: Robot, period: float, *rest: Any) -> None:
+        super().__init__(states, robot, period, *rest)
+        notes = _servo_notes(self.facts.reads, period)
+        self.facts = replace(self.facts, notes=(*self.facts.notes, *notes))
+        self._warnings += notes
+
+
+def make(
+    states: States,
+    robot: Robot,
+    period: float,
+    *,
+    map: str = "gazebo",
+    node_name: str = "unicon_platform",
+    namespace: str | None = None,
+    ros_args: Sequence[str] = (),
+    connect: float = 20.0,
+    damping: float = DAMPING_TIME,
+    relative_to: Path | None = None,
+    silent: bool = False,
+) -> GazeboPlatform:
+    """Build the platform and wait for Gazebo: platform `ros` with Gazebo's maps.
+
+    Args:
+        period: of a tick in [s].
+        map: `gazebo` for targets to controllers in gz, `gazebo_effort` for torques, or a path.
+        node_name: of the node of its own that the platform makes.
+        namespace: of that node.
+        ros_args: ROS arguments of that node, such as remaps.
+        connect: how long to wait for the first message of each topic in [s].
+        damping: how long the last command is repeated at the end in [s], at most 0.8.
+        relative_to: folder of the workflow, for a relative map path.
+        silent: receive only: nothing is published, at the end either.
+
+    Raises:
+        MissingDependencyError: rclpy is not installed.
+        PlatformError: the map does not fit, or no message came in time.
+    """
+    path = find_config("maps", map, error=PlatformError, relative_to=relative_to)
+    node = partial(OwnNode, node_name, namespace, ros_args)
+    return opened(GazeboPlatform, states, robot, period, path, node, connect, damping, silent)
