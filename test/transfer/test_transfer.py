@@ -2,19 +2,29 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
 import time
+from contextlib import redirect_stderr, redirect_stdout
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+from unicon_core.resources import sha256_of
+from unicon_core.robots import load_robot
+from unicon_ros.analysis.run import read_run
 from unicon_ros.cli.main import main
+from unicon_ros.transfer.pictures import PICTURES
 from unicon_ros.transfer.plan import make_plan, simulators
+from unicon_ros.transfer.table import COLUMNS
 
 STAND = ("transfer", "go2_stand", "--duration", "1.0")
 NOISE = ("--set", "scene.noise.joint_vel=0.1")
@@ -95,31 +105,38 @@ def test_all_simulators_are_the_default_and_the_workflows_own_is_the_first() -> 
 # -- runs ------------------------------------------------------------------------------------------
 
 
-def test_a_table_in_one_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.fixture(scope="module")
+def transfer(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str, str]:
+    """The folder that a transfer leaves, and what it prints and says meanwhile."""
     pytest.importorskip("pybullet")
-    out = tmp_path / "out"
-    told = ("--platforms", "mujoco,pybullet", "--out", str(out))
-    assert main([*STAND, *told]) == 0
-    printed = capsys.readouterr()
-    assert printed.err == ""  # no progress where nobody looks
-    assert "unfolded MSE [rad²]" in printed.out
+    pytest.importorskip("matplotlib")
+    out = tmp_path_factory.mktemp("transfer") / "out"
+    with redirect_stdout(StringIO()) as printed, redirect_stderr(StringIO()) as said:
+        assert main([*STAND, "--platforms", "mujoco,pybullet", "--out", str(out)]) == 0
+    return out, printed.getvalue(), said.getvalue()
+
+
+def test_a_table_in_one_command(
+    transfer: tuple[Path, str, str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, printed, said = transfer
+    assert said == ""  # no progress where nobody looks
+    assert "unfolded MSE [rad²]" in printed
     result = read(out)
     assert result["schema"] == "unicon.transfer/1"
     assert result["first"] == "mujoco"
-    assert len(result["workflow"]["sha256"]) == 64
     both = rows(result)
     assert list(both) == ["mujoco", "pybullet"]
     for row in both.values():
         assert (row["outcome"], row["runs_done"], row["falls"]) == ("ran", 1, 0)
         assert row["figures"]["wall_per_simulated_s"]["mean"] > 0.0
-        assert (out / row["runs"][0]["file"]).is_file()
     figures = both["pybullet"]["figures"]
     assert 1e-8 < figures["mse"]["mean"] < 0.01
     assert 0.0 < figures["unfolded_mse"]["mean"] <= 24 * figures["mse"]["mean"] * (1 + 1e-9)
     assert both["mujoco"]["figures"]["mse"]["mean"] is None
     # A second transfer into the same folder replaces nothing.
     before = (out / "transfer.json").read_bytes()
-    assert "has a transfer already" in refused(capsys, *STAND[1:], *told)
+    assert "has a transfer already" in refused(capsys, *STAND[1:], "--out", str(out))
     assert (out / "transfer.json").read_bytes() == before
 
 
@@ -147,8 +164,8 @@ def test_a_simulator_that_ends_badly_is_a_row_that_says_so(
     assert result["odd_simulators:falls"]["falls"] == 1
     assert result["odd_simulators:not_a_number"]["figures"]["mse"]["mean"] == pytest.approx(0.0)
     assert result["fake"]["outcome"] == "ran"
-    printed = capsys.readouterr().out
-    assert "the engine said this" in printed
+    assert "the engine said this" in capsys.readouterr().out
+    assert "the engine said this" in (tmp_path / "report.html").read_text("utf-8")
 
 
 @pytest.mark.slow
@@ -197,3 +214,48 @@ def test_ctrl_c_keeps_what_is_done_and_ends_the_run_at_hand(tmp_path: Path) -> N
     assert rows(result)["fake"]["outcome"] == "ran"
     assert rows(result)["odd_simulators:stopped"]["outcome"] == "interrupted"
     assert "It was interrupted" in printed
+
+
+# -- the page --------------------------------------------------------------------------------------
+
+
+def test_the_page_needs_nothing_beside_it_and_tells_what_it_shows(
+    transfer: tuple[Path, str, str],
+) -> None:
+    out = transfer[0]
+    page = (out / "report.html").read_text("utf-8")
+    assert "http" not in page.replace("data:image/png;base64", "")
+    assert not re.search(r"<(script|link rel=\"stylesheet\")", page)
+    assert page.count("<img ") == page.count("<source media=") == len(PICTURES)
+    for heading, unit, meaning in COLUMNS.values():
+        assert f"<th>{heading}<br><small>{unit}</small></th>" in page
+        assert f"[{unit}] {meaning}" in page
+    assert "prefers-color-scheme: dark" in page
+    light, dark = (out / "joints.png").read_bytes(), re.findall(r'srcset="([^"]+)"', page)
+    assert light.startswith(b"\x89PNG")
+    assert base64.b64encode(light).decode() in page
+    assert base64.b64encode(light).decode() not in dark
+
+
+def test_the_json_is_plain_and_names_what_was_run(transfer: tuple[Path, str, str]) -> None:
+    out = transfer[0]
+    text = (out / "transfer.json").read_text("utf-8")
+    result = json.loads(text, parse_constant=lambda word: pytest.fail(f"{word} is not JSON"))
+    workflow = result["workflow"]
+    assert workflow["sha256"] == sha256_of(Path(workflow["file"]))
+    assert result["robot"] == "go2"
+    for row in result["platforms"]:
+        run = row["runs"][0]
+        assert run["ticks"] == 50
+        with np.load(out / run["file"]) as kept:
+            assert kept["joint_pos"].shape == (50, 12)
+            assert kept["velocity_command"].shape == (50, 3)
+            assert kept["joint_names"][0] == load_robot("go2").joint_names[0]
+
+
+def test_the_runs_are_read_by_analyze(transfer: tuple[Path, str, str]) -> None:
+    files = [str(path) for path in sorted((transfer[0] / "runs").glob("*/seed_0.npz"))]
+    assert len(files) == 2
+    real, sim = (read_run(Path(file), (0.0, 0.7)) for file in files)
+    assert real.joints == sim.joints == load_robot("go2").joint_names
+    np.testing.assert_allclose(real.states["joint_pos"], sim.states["joint_pos"], atol=0.1)

@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from unicon_core.errors import UniconError
+from unicon_core.errors import MissingDependencyError, UniconError
 from unicon_core.signals import SIGNALS
 from unicon_ros.cli.console import Console
 from unicon_ros.cli.workflow_arguments import add_workflow, positive
@@ -90,6 +90,12 @@ def _transfer(arguments: argparse.Namespace) -> int:
 
 def _new_folder(text: str) -> tuple[Path, Path]:
     """Return the folder and the JSON in it, which is there from now on and was not before."""
+    try:
+        import matplotlib  # noqa: F401 - said before the work, not after it
+    except ModuleNotFoundError as error:
+        raise MissingDependencyError(
+            "unicon transfer --out", "matplotlib", "pip install 'unicon_ros[plots]'"
+        ) from error
     folder = Path(text)
     if not text:  # as of a variable that is not set
         raise UniconError("--out has no name; give a folder")
@@ -118,11 +124,22 @@ def _run(plan: Plan, folder: Path, out: Path | None) -> int:
         finally:
             console.close()
         result = _write(results, out)
-    for text in results.left_out():
-        print(f"unicon transfer: left out: {text}", file=sys.stderr)
+    left_out = ", ".join(results.left_out())
     if not result["platforms"]:
-        raise UniconError("unicon transfer: no simulator is installed; " + results.left_out()[0])
+        raise UniconError(
+            f"no simulator is installed; --platforms {left_out.replace(' ', '')} tells how each is"
+        )
+    if left_out:
+        print(
+            f"unicon transfer: not installed, so left out: {left_out} (--platforms tells how each "
+            "is installed)",
+            file=sys.stderr,
+        )
     print(table(result))
+    if out is not None:
+        from unicon_ros.transfer.report import write_report
+
+        print(f"\nreport  {write_report(result, folder)}")
     SIGNALS.check()
     bad = ("crashed", "timeout", "fault")
     return 3 if any(each["outcome"] in bad for each in result["platforms"]) else 0

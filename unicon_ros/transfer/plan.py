@@ -158,8 +158,11 @@ def _every(document: WorkflowDocument, notes: list[str]) -> tuple[str, ...]:
 
 
 def simulators() -> tuple[str, ...]:
-    """Return the names of all simulators that are known, installed or not; ours come first."""
-    found = []
+    """Return the names of all simulators that are known, installed or not; ours come first.
+
+    Of two names of one factory it is the first.
+    """
+    found: list[str] = []
     targets = known("platforms")
     for name in sorted(targets, key=lambda name: name not in BUILTIN):
         if name in WITHOUT_PHYSICS or targets[name].startswith(ROBOTS):
@@ -168,7 +171,7 @@ def simulators() -> tuple[str, ...]:
             robot = _is_robot(name)
         except (MissingDependencyError, PlatformError):
             robot = True  # nobody can say what it is
-        if not robot:
+        if not robot and targets[name] not in [targets[other] for other in found]:
             found.append(name)
     return tuple(found)
 

@@ -127,9 +127,9 @@ class Results:
         ]
 
     def left_out(self) -> list[str]:
-        """Return why a platform that nobody named has no row."""
+        """Return the platforms that have no row: nobody named them, and they are not installed."""
         shown = self._shown()
-        return [runs[0]["text"] for name, runs in self.runs.items() if name not in shown]
+        return [name for name in self.runs if name not in shown]
 
     def _platform(self, name: str, commanded: float) -> dict[str, Any]:
         runs = self.runs[name]
