@@ -6,6 +6,7 @@ import base64
 import json
 import os
 import re
+import resource
 import signal
 import subprocess
 import sys
@@ -166,6 +167,38 @@ def test_a_simulator_that_ends_badly_is_a_row_that_says_so(
     assert result["fake"]["outcome"] == "ran"
     assert "the engine said this" in capsys.readouterr().out
     assert "the engine said this" in (tmp_path / "report.html").read_text("utf-8")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("platform", ["mujoco", "pybullet"])
+def test_a_robot_that_is_pushed_over_falls_in_each_run(platform: str, tmp_path: Path) -> None:
+    push = ("--set", "scene.push={every: 0.5, velocity: 6.0}", "--seeds", "2")
+    out = ("--platforms", platform, "--out", str(tmp_path))
+    assert main(["transfer", "go2_walk", "--duration", "8", *push, *out]) == 3  # of tilt_stop
+    row = rows(read(tmp_path))[platform]
+    assert row["falls"] == 2
+    assert row["figures"]["distance_m"]["mean"] == 0.0  # it lay before it was commanded
+    assert "allowed are 1.00" in row["troubles"][0]
+
+
+@pytest.mark.slow
+def test_where_nothing_can_be_run_or_written_the_exit_status_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    told = (*STAND, "--platforms", "replay")
+    assert main([*told]) == 1
+    assert "needs a recording" in capsys.readouterr().out
+    assert main(["transfer", "go2_stand", "--platforms", "fake", "--duration", "0.001"]) == 1
+    assert "it has no tick" in capsys.readouterr().out
+    full = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, full[1]))  # as a full disk
+    try:
+        assert main([*STAND, "--platforms", "fake", "--out", str(tmp_path / "full")]) == 1
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, full)
+    told_of = capsys.readouterr()
+    assert "seed_0: File too large" in told_of.out
+    assert "report.html: File too large" in told_of.err
 
 
 @pytest.mark.slow

@@ -69,10 +69,18 @@ def test_way_aside_and_backwards_is_not_walked() -> None:
     ] == pytest.approx(-0.99)
 
 
-def test_a_fall_is_dated_and_nothing_is_made_up_of_one_sample() -> None:
+def test_nothing_counts_after_a_fall_and_one_sample_says_nothing() -> None:
     states = driven(commanded((0.5, 0.0, 0.0)))
     states["projected_gravity"][60:] = (1.0, 0.0, 0.0)
-    assert moved(states, PERIOD)["fall_s"] == pytest.approx(1.2)
+    states["base_pos_w"][60:, 0] += 2.0  # it topples ahead, which is no walk
+    figures = moved(states, PERIOD)
+    assert figures["fall_s"] == pytest.approx(1.2)
+    assert figures["distance_m"] == pytest.approx(0.5 * 1.2, rel=0.02)
+    assert figures["commanded_m"] == pytest.approx(0.5 * 1.98)
+    assert figures["speed_error"] == pytest.approx(0.0, abs=1e-9)
+    states["projected_gravity"][:] = (1.0, 0.0, 0.0)
+    figures = moved(states, PERIOD)
+    assert (figures["fall_s"], figures["distance_m"], figures["speed_error"]) == (0.0, 0.0, None)
     one = {name: values[:1] for name, values in states.items()}
     assert set(moved(one, PERIOD).values()) == {None}
 

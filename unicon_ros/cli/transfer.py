@@ -29,6 +29,8 @@ BAR = 24
 EVERY = 0.2
 """Time in [s] between two looks of it."""
 JSON = "transfer.json"
+BAD = ("crashed", "timeout", "fault")
+"""Outcomes of which the exit status tells."""
 
 
 def add(commands: Any) -> None:
@@ -71,7 +73,11 @@ def _count(text: str) -> int:
 
 
 def _transfer(arguments: argparse.Namespace) -> int:
-    """Run the command; exit status 0, 3 where a run ended with a fault, a crash or not at all."""
+    """Run the command.
+
+    Exit status: 0; 1 where no simulator could be run; 3 where a run ended with a fault, in a crash
+    or not at all.
+    """
     from unicon_ros.transfer.plan import make_plan
 
     plan = make_plan(
@@ -123,7 +129,8 @@ def _run(plan: Plan, folder: Path, out: Path | None) -> int:
             _all_runs(results, console, out)
         finally:
             console.close()
-        result = _write(results, out)
+        result = results.to_json()
+        problem = _write(result, out)
     left_out = ", ".join(results.left_out())
     if not result["platforms"]:
         raise UniconError(
@@ -136,13 +143,17 @@ def _run(plan: Plan, folder: Path, out: Path | None) -> int:
             file=sys.stderr,
         )
     print(table(result))
+    if problem:
+        raise UniconError(problem)
     if out is not None:
         from unicon_ros.transfer.report import write_report
 
         print(f"\nreport  {write_report(result, folder)}")
     SIGNALS.check()
-    bad = ("crashed", "timeout", "fault")
-    return 3 if any(each["outcome"] in bad for each in result["platforms"]) else 0
+    outcomes = [each["outcome"] for each in result["platforms"]]
+    if any(outcome in BAD for outcome in outcomes):
+        return 3
+    return 0 if any(each["runs_done"] for each in result["platforms"]) else 1
 
 
 class Bar:
@@ -195,14 +206,17 @@ def _all_runs(results: Results, console: Console, out: Path | None) -> None:
             if run["outcome"] == "interrupted":
                 results.interrupted = True
                 return
-            _write(results, out)
+            _write(results.to_json(), out)
 
 
-def _write(results: Results, out: Path | None) -> dict[str, Any]:
-    """Write what there is so far; return it."""
-    result = results.to_json()
-    if out is not None:
-        from unicon_ros.analysis.page import write_file
+def _write(result: dict[str, Any], out: Path | None) -> str:
+    """Write what there is so far; return what went wrong: a full disk ends no run."""
+    if out is None:
+        return ""
+    from unicon_ros.analysis.page import write_file
 
+    try:
         write_file(out, (json.dumps(result, indent=1, ensure_ascii=False) + "\n").encode())
-    return result
+    except UniconError as error:
+        return str(error)
+    return ""

@@ -1,7 +1,7 @@
 """Figures: what a run's base did of what it was commanded, and how far joints are from another's.
 
-Distance counts in the commanded direction, so that a robot which is pushed aside or slides after a
-fall has not walked; a base that only turns has distance 0.
+Distance counts in the commanded direction and up to a fall, so that a robot which is pushed aside
+or topples has not walked; a base that only turns has distance 0.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ def finite_rows(states: Mapping[str, Array]) -> int:
     """Return how many samples there are before the first in which something is not a number."""
     good = np.ones(len(states["joint_pos"]), np.bool_)
     for values in states.values():
-        good &= np.isfinite(values.reshape(len(good), -1)).all(axis=1)
+        good &= np.isfinite(values).all(axis=1)
     return len(good) if good.all() else int(np.argmin(good))
 
 
 def moved(states: Mapping[str, Array], period: float) -> dict[str, float | None]:
-    """Return what the base did.
+    """Return what the base did until it fell.
 
     Args:
         states: `base_pos_w` [m], `base_quat` (wxyz, base to world), `base_ang_vel` [rad/s],
@@ -49,9 +49,9 @@ def moved(states: Mapping[str, Array], period: float) -> dict[str, float | None]
 
     Returns:
         `distance_m`: way in the commanded direction; `commanded_m`: integral of the commanded
-        speed; `speed_error` [m/s] and `turn_error` [rad/s]: RMS of measured minus commanded,
-        (vx, vy) by the way in each tick and wz by the gyro, from the first to the last tick with a
-        command; `fall_s`: when it fell. None where there is none.
+        speed, also after a fall; `speed_error` [m/s] and `turn_error` [rad/s]: RMS of measured
+        minus commanded, (vx, vy) by the way in each tick and wz by the gyro, from the first to the
+        last tick with a command; `fall_s`: when it fell. None where there is none.
     """
     figures: dict[str, float | None] = dict.fromkeys(
         ("distance_m", "commanded_m", "speed_error", "turn_error", "fall_s")
@@ -59,6 +59,13 @@ def moved(states: Mapping[str, Array], period: float) -> dict[str, float | None]
     command = states["velocity_command"]
     if len(command) < 2:
         return figures
+    figures["commanded_m"] = float(np.sum(np.linalg.norm(command[:-1, :2], axis=1)) * period)
+    fall = float(fall_time(states["projected_gravity"], period))
+    if not math.isnan(fall):
+        figures["fall_s"] = fall
+        upright = round(fall / period)
+        states = {name: values[:upright] for name, values in states.items()}
+        command = states["velocity_command"]
     w, x, y, z = states["base_quat"][:-1].T
     yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
     step = np.diff(states["base_pos_w"], axis=0)
@@ -68,7 +75,6 @@ def moved(states: Mapping[str, Array], period: float) -> dict[str, float | None]
     speed = np.linalg.norm(asked, axis=1)
     along = np.sum(way * asked, axis=1) / np.maximum(speed, STILL)
     figures["distance_m"] = float(np.sum(along[speed > STILL]))
-    figures["commanded_m"] = float(np.sum(speed) * period)
     active = np.flatnonzero((np.abs(command[:-1]) > STILL).any(axis=1))
     if len(active):
         part = slice(active[0], active[-1] + 1)
@@ -76,8 +82,6 @@ def moved(states: Mapping[str, Array], period: float) -> dict[str, float | None]
         turn = states["base_ang_vel"][:-1][part, 2] - command[:-1][part, 2]
         figures["speed_error"] = float(np.sqrt(np.mean(np.sum(wrong**2, axis=1))))
         figures["turn_error"] = float(np.sqrt(np.mean(turn**2)))
-    fall = float(fall_time(states["projected_gravity"], period))
-    figures["fall_s"] = None if math.isnan(fall) else fall
     return figures
 
 

@@ -68,10 +68,11 @@ class Results:
         self.runs[platform].append(run)
         if run["outcome"] != "ran":
             return
-        if run["finite_rows"] < run["ticks"]:  # nothing that was commanded came of it
+        if run["finite_rows"] < run["kept_rows"]:  # nothing that was commanded came of it
             when = run["finite_rows"] * run["period_s"]
             run["faults"].append(f"a measured state is not a number from {when:.2f} s on")
-        run["wall_per_simulated_s"] = run["wall_s"] / max(run["duration_s"], 1e-9)
+        simulated = run["duration_s"]
+        run["wall_per_simulated_s"] = run["wall_s"] / simulated if simulated else None
         if platform == self.first:
             return
         other = next((r for r in self.runs[self.first] if r["seed"] == run["seed"]), None)

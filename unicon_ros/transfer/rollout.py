@@ -102,11 +102,17 @@ def roll_out(task: dict[str, Any]) -> dict[str, Any]:
     }
     warnings: list[str] = []
     report = run(program, duration=task["duration"], speed="max", warn=warnings.append)
-    states = keeper.states()
+    # What is behind these ticks is no run any more: the robot is damped after a fault.
+    states = {name: rows[: report.ticks] for name, rows in keeper.states().items()}
+    if not report.ticks and not report.faults:
+        raise UniconError(
+            f"it has no tick: they are {program.period:g} s; give a longer --duration"
+        )
     joints = np.array(program.robot.joint_names)
     values = report.to_dict()
     told |= {name: values[name] for name in REPORTED}
     told["warnings"], told["versions"] = warnings, versions_here()
+    told["kept_rows"] = len(states["joint_pos"])
     told["finite_rows"] = count = finite_rows(states)
     told |= moved({name: rows[:count] for name, rows in states.items()}, program.period)
     whole: dict[str, Any] = {"dt": program.period, "joint_names": joints} | states
