@@ -17,4 +17,4 @@ def test_a_tick_is_its_engine_and_little_beyond() -> None:
     assert engine["samples"] == TICKS
     assert 0.0 < beyond["p50"] < engine["p50"] < tick["p50"]
     assert 1.0 < result["ratios"]["pybullet"]["value"] < 2.0
-    assert result["facts"]["pybullet: physics steps in a tick"] == 20
+    assert result["facts"]["pybullet: physics steps in a tick"] == 40

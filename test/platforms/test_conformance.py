@@ -45,7 +45,7 @@ class TestNewton(Installed):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(400)  # compiled at first
 class TestGenesis(Installed):
     __test__ = True
     platform = module = "genesis"
-    near = 1e-3

@@ -121,6 +121,28 @@ def test_base_states_of_a_base_that_turns_and_falls() -> None:
     np.testing.assert_allclose(states.base_lin_acc, 0.0, atol=1e-5)
 
 
+@given(seed=st.integers(0, 2**32 - 1))
+def test_a_base_alone_is_told_as_one_of_many(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    robot = load_robot("go2")
+    poses = []
+    for _ in range(2):
+        quat = rng.standard_normal((1, 4))
+        quat /= np.linalg.norm(quat)
+        place, linear, angular = 3.0 * rng.standard_normal((3, 1, 3))
+        poses.append(WorldPose(place, quat, linear, angular))
+    told = []
+    for count in (1, 3):
+        states = states_of(robot, count)
+        views = {name: states[name] for name in BASE_STATES}
+        base = BaseStates(views, robot, 0.002, np.array((0.0, 0.0, -9.81)))
+        base(*(WorldPose(*(np.repeat(part, count, axis=0) for part in pose)) for pose in poses))
+        told.append(states)
+    for name in BASE_STATES:
+        for k in range(3):
+            np.testing.assert_allclose(told[0][name][0], told[1][name][k], rtol=2e-5, atol=2e-5)
+
+
 def test_commands_come_late_by_the_delay_and_others_see_them_at_once() -> None:
     robot = load_robot("go2")
     states = states_of(robot)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import sys
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -44,11 +45,15 @@ def ticked(name: str, overrides: list[str], seconds: float) -> dict[str, Any]:
     return {name: np.array(row) for name, row in rows.items()}
 
 
+COARSE = "platforms={pybullet: {timestep: 0.001}}"
+"""Enough for a Go2, in half the time."""
+
+
 @needs_pybullet
 def test_go2_stand_lies_stands_and_lies_as_on_mujoco() -> None:
     heights = {}
     for platform in ("mujoco", "pybullet"):
-        told = ticked("go2_stand", [f"platform={platform}"], 15.0)
+        told = ticked("go2_stand", [f"platform={platform}", COARSE], 15.0)
         heights[platform] = told["base_pos_w"][:, 2]
         assert told["stamp_ns"][1] == 20_000_000
         assert np.abs(np.linalg.norm(told["base_quat"], axis=1) - 1.0).max() < 1e-5
@@ -66,12 +71,24 @@ def test_go2_stand_lies_stands_and_lies_as_on_mujoco() -> None:
 @needs_pybullet
 def test_go2_walk_walks_there() -> None:
     pytest.importorskip("onnxruntime", reason="the policy needs onnxruntime")
-    workflow = load_workflow("go2_walk", ["platform=pybullet"])
+    workflow = load_workflow("go2_walk", ["platform=pybullet", COARSE])
     report = Runner(workflow, RunOptions(speed="max")).run()
     assert report.faults == []
     assert report.ended == "done"
     assert not report.fell
     assert np.hypot(*report.base_displacement_m[:2]) >= 3.5
+
+
+@needs_pybullet
+@pytest.mark.slow
+def test_g1_walks_there(assets: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("UNICON_ASSETS", str(assets))
+    pytest.importorskip("onnxruntime", reason="the policy needs onnxruntime")
+    workflow = load_workflow("g1_walk", ["platform=pybullet", "duration=20"])
+    report = Runner(workflow, RunOptions(speed="max")).run()
+    assert report.faults == []
+    assert not report.fell
+    assert np.hypot(*report.base_displacement_m[:2]) >= 8.0
 
 
 @needs_pybullet

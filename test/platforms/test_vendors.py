@@ -15,6 +15,8 @@ from unicon_core.conformance import Conformance, Rig
 from unicon_core.errors import Fault, MissingDependencyError, PlatformError
 from unicon_core.platforms.sim.isaaclab import platform as isaaclab
 from unicon_core.platforms.sim.webots import platform as webots
+from unicon_core.runtime import Runner, RunOptions
+from unicon_core.workflow import load_workflow
 
 pytest.importorskip("mujoco", reason="mujoco is not installed: pip install 'unicon_ros[sim]'")
 
@@ -103,6 +105,17 @@ class TestWebots(_Left):
     def test_a_fault_of_a_batch_names_its_robot(self, rig: Any) -> None:
         with pytest.raises(PlatformError, match=r"^platform 'webots' has one robot; leave num_"):
             rig(num_robots=3)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("vendors")
+@pytest.mark.parametrize("word", ["isaacgym", "isaaclab", "webots_world:make"])
+def test_go2_walk_walks_through_a_stand_in_by_one_word(word: str) -> None:
+    program = load_workflow("go2_walk", [f"platform={word}"])
+    report = Runner(program, RunOptions(speed="max")).run()
+    assert report.faults == []
+    assert not report.fell
+    assert float(program.states.base_pos_w.reshape(-1, 3)[0, 0]) > 3.0
 
 
 @pytest.mark.parametrize("word", list(REMEDIES))
@@ -197,7 +210,7 @@ def test_the_stand_in_of_isaac_lab_refuses_what_lab_would(tmp_path: Path) -> Non
         robot.set_joint_effort_target(torch.from_numpy(np.zeros((1, 4))))
     with pytest.raises(TypeError, match="unexpected keyword argument 'friktion'"):
         lab.ImplicitActuatorCfg(friktion=0.0)
-    with pytest.raises(Refused, match="cleared while it plays"):
+    with pytest.raises(Refused, match="cleared before its callbacks"):
         context.clear_instance()
     it.close()
 
@@ -224,6 +237,13 @@ def test_webots_says_what_is_wrong_with_a_world(vendors: None, tmp_path: Path) -
     with pytest.raises(PlatformError, match=r"has no device 'knee_sensor'; did you mean") as said:
         Rig("webots", _folder(tmp_path, "blind"))
     assert len(str(said.value).splitlines()) == 1
+
+
+def test_stops_that_webots_does_not_have_are_told(vendors: None, tmp_path: Path) -> None:
+    it = Rig("webots_world:make", tmp_path, model={"upper": 4.5})
+    note = "left out: stops beyond ±π, which Webots does not have, of left, knee, right, yaw"
+    assert note in it.info["notes"]
+    assert note in it.platform.facts.notes
 
 
 def test_the_stand_in_of_webots_refuses_what_webots_would(vendors: None, tmp_path: Path) -> None:

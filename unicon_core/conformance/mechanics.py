@@ -206,6 +206,14 @@ class Mechanics(Case):
         assert told["joint_effort"][1:, yaw] == pytest.approx(0.5, rel=1e-3)
         assert told["joint_vel"][-1][yaw] == pytest.approx(0.5 / YAW_INERTIA * 0.010, rel=0.02)
 
+    def test_the_models_motor_may_be_weaker(self, rig: Build) -> None:
+        model = {"gravity": 0.0, "motor": 'ctrlrange="-0.3 0.2"'}
+        it = rig(floating=False, steps=1, model=model)
+        for target, torque in ((100.0, 0.2), (-100.0, -0.3)):
+            it.command(joint_pos_target={"yaw": target}, joint_stiffness=1000.0)
+            found = it.run(3)["joint_effort"][-1][it.joint("yaw")]
+            assert found == pytest.approx(torque, rel=1e-3)
+
     def test_a_velocity_is_followed_by_damping_alone(self, rig: Build) -> None:
         it = rig(floating=False, model={"gravity": 0.0})
         it.command(joint_vel_target={"yaw": 2.0}, joint_damping={"yaw": 1.0})

@@ -103,7 +103,7 @@ _MODEL = """
   <actuator>
     <motor joint="right"/>
     <motor joint="knee"/>
-    <motor joint="yaw"/>
+    <motor joint="yaw" {motor}/>
     <motor joint="left"/>
   </actuator>
 </mujoco>
@@ -122,7 +122,7 @@ class Rig:
         num_robots: batch axis of the states, None for none.
         steps: physics steps in a tick.
         model: values of the model: `gravity` [m/s²], `friction`, `lower` and `upper` limits [rad],
-            `joint` (attributes of all joints), `height` [m], `quat`.
+            `joint` (attributes of all joints), `motor` (of the mast's), `height` [m], `quat`.
         effort: limit of each joint in [N·m].
         scene: keys of a workflow's `scene:`.
     """
@@ -147,6 +147,7 @@ class Rig:
             "lower": -3.0,
             "upper": 3.0,
             "joint": "",
+            "motor": "",
             "height": 2.0,
             "quat": "1 0 0 0",
         } | dict(model or {})

@@ -36,7 +36,10 @@ OBJECTS = 4000
 _CONTAINERS = (list, dict, set, deque, bytearray)
 
 _FOREIGN = frozenset(
-    {"jax", "jaxlib", "mujoco", "numpy", "onnxruntime", "pybullet", "rclpy", "torch", "warp", "zmq"}
+    {
+        *("genesis", "jax", "jaxlib", "mujoco", "numpy", "onnxruntime", "pybullet", "quadrants"),
+        *("rclpy", "torch", "warp", "zmq"),
+    }
 )
 """Packages whose objects are not looked into; the standard library's are not either."""
 

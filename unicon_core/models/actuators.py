@@ -1,13 +1,75 @@
-"""Gives each joint of a robot a motor without dynamics of its own, for the model loader."""
+"""What drives the joints in a model: a motor for each, of which kind, and how strong."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import Any
 
-from unicon_core.models.joints import drives
+import numpy as np
+from numpy.typing import NDArray
 
-__all__ = ["mend_actuators"]
+from unicon_core.models.joints import drives
+from unicon_core.models.loaded import LoadedModel, import_mujoco
+from unicon_core.robots import Robot
+
+__all__ = ["actuator_kind", "effort_range", "effort_ranges", "mend_actuators"]
+
+Float = NDArray[np.float64]
+
+
+def actuator_kind(mujoco: Any, model: Any, i: int) -> str:
+    """Return what an actuator is: `motor`, `position`, `velocity` or `general`."""
+    if model.actuator_gaintype[i] != int(mujoco.mjtGain.mjGAIN_FIXED):
+        return "general"
+    if model.actuator_biastype[i] == int(mujoco.mjtBias.mjBIAS_NONE):
+        return "motor"
+    if model.actuator_biastype[i] != int(mujoco.mjtBias.mjBIAS_AFFINE):
+        return "general"
+    if model.actuator_biasprm[i, 1] != 0.0:
+        return "position"
+    return "velocity" if model.actuator_biasprm[i, 2] != 0.0 else "motor"
+
+
+def effort_range(
+    mujoco: Any, model: Any, joint: int, actuator: int, effort: float
+) -> tuple[float, float]:
+    """Return the torques in [N·m] between which a joint's motor stays, infinite for no limit.
+
+    It is the tightest of the robot file's, and in the model of the control range of a motor, the
+    actuator's force range and the joint's.
+
+    Args:
+        mujoco: the module.
+        model: the `MjModel`, its actuators as the file has them.
+        joint: its number.
+        actuator: number of the one that turns it.
+        effort: of the robot file in [N·m], NaN for none.
+    """
+    gear, torques = float(model.actuator_gear[actuator, 0]), []
+    if np.isfinite(effort):
+        torques.append((-effort, effort))
+    if model.actuator_ctrllimited[actuator] and actuator_kind(mujoco, model, actuator) == "motor":
+        torques.append(
+            model.actuator_ctrlrange[actuator] * model.actuator_gainprm[actuator, 0] * gear
+        )
+    if model.actuator_forcelimited[actuator]:
+        torques.append(model.actuator_forcerange[actuator] * gear)
+    if model.jnt_actfrclimited[joint]:
+        torques.append(model.jnt_actfrcrange[joint])
+    lower = max((float(min(pair)) for pair in torques), default=-np.inf)
+    return lower, min((float(max(pair)) for pair in torques), default=np.inf)
+
+
+def effort_ranges(loaded: LoadedModel, robot: Robot) -> tuple[Float, Float]:
+    """Return the same of all joints of a robot: lower and upper, shape (n,) each."""
+    mujoco, model = import_mujoco(), loaded.model
+    driven = drives(mujoco, model)
+    pairs = [
+        effort_range(mujoco, model, joint, driven[joint][0], float(effort))
+        for joint, effort in zip(loaded.joints, robot.effort_limit)
+    ]
+    lower, upper = np.array(pairs, np.float64).reshape(-1, 2).T
+    return lower, upper
 
 
 def mend_actuators(

@@ -135,6 +135,7 @@ class _Reader:
             rank = self._rank.get(joint, -1)
             label = self._robot.joint_names[rank] if rank >= 0 else model.joint(joint).name
             link = Link(own, parent, position, quat, label or f"joint_{joint}", rank, sliding, axis)
+            link.number = joint
             if model.jnt_limited[joint]:
                 link.lower, link.upper = map(float, model.jnt_range[joint])
             self.links.append(link)
@@ -169,7 +170,7 @@ class _Reader:
         rgba = tuple(round(float(x), 4) for x in colour)
 
         def part(shape: str, *sizes: float, at: Float = position) -> Geom:
-            return Geom(shape, sizes, at, quat, rgba)
+            return Geom(shape, sizes, at, quat, rgba, geom)
 
         if kind == int(kinds.mjGEOM_SPHERE):
             return [part("sphere", size[0])]

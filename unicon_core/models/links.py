@@ -21,6 +21,7 @@ class Geom:
         position: in the link's frame, [m], shape (3,).
         quat: geom to link, wxyz.
         rgba: colour.
+        number: of the model's geom of which it is a part, -1 for none.
     """
 
     shape: str
@@ -28,6 +29,7 @@ class Geom:
     position: Float
     quat: Float
     rgba: tuple[float, ...]
+    number: int = -1
 
 
 @dataclass
@@ -49,6 +51,7 @@ class Link:
         inertia_quat: principal axes to link, wxyz.
         inertia: principal moments in [kg·m²], shape (3,).
         geoms: what it looks like.
+        number: of the model's joint that carries it, -1 where it is fixed.
     """
 
     name: str
@@ -66,3 +69,4 @@ class Link:
     inertia_quat: Float = field(default_factory=lambda: np.array((1.0, 0.0, 0.0, 0.0)))
     inertia: Float = field(default_factory=lambda: np.zeros(3))
     geoms: list[Geom] = field(default_factory=list)
+    number: int = -1

@@ -2,8 +2,10 @@
 
 BUILTIN = {
     "mujoco": "unicon_core.platforms.sim.mujoco.platform:make",
+    "newton": "unicon_core.platforms.sim.newton.platform:make",
     "pybullet": "unicon_core.platforms.sim.pybullet.platform:make",
     "mjx": "unicon_core.platforms.sim.mjx.platform:make",
+    "genesis": "unicon_core.platforms.sim.genesis.platform:make",
     "isaacgym": "unicon_core.platforms.sim.isaacgym.platform:make",
     "isaaclab": "unicon_core.platforms.sim.isaaclab.platform:make",
     "isaacsim": "unicon_core.platforms.sim.isaaclab.platform:make",

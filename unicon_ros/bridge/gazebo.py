@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -64,7 +64,11 @@ class GazeboPlatform(RosPlatform):
         super().__init__(states, robot, period, *rest)
         notes = _servo_notes(self.facts.reads, period)
         self.facts = replace(self.facts, notes=(*self.facts.notes, *notes))
-        self._warnings += notes
+
+    def info(self) -> Mapping[str, Any]:
+        """Return map, topics, what came in, and where the servo is."""
+        told = super().info()
+        return {**told, "notes": [*told["notes"], *self.facts.notes]}
 
 
 def make(

@@ -39,7 +39,7 @@ __all__ = [
 ]
 
 SCHEMA = "unicon.record/1"
-VERSIONS = ("numpy", "onnxruntime", "torch", "mujoco", "pybullet", "rclpy")
+VERSIONS = ("numpy", "onnxruntime", "torch", "mujoco", "pybullet", "jax", "newton", "rclpy")
 
 
 def layout_facts(layout: Layout, kept: Kept) -> dict[str, str]:

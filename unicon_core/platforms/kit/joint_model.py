@@ -15,6 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import PlatformError, alternatives
+from unicon_core.models.actuators import actuator_kind
+from unicon_core.models.joints import drives
 from unicon_core.models.loaded import import_mujoco
 from unicon_core.models.touching import floors, may_touch, on_floor
 from unicon_core.platforms.kit.start import Start
@@ -121,7 +123,7 @@ def lost(start: Start, robot: Robot, figures: JointModel, represents: Collection
         figures: of the joints.
         represents: words of what it does represent: `armature`, `damping`, `friction`, `limits`
             of joints, `self-collision`, `meshes` that collide, `contact friction` that turns and
-            rolls, `constraints`, `terrain`.
+            rolls, `targets` cut by position actuators, `constraints`, `terrain`.
     """
     mujoco, loaded = import_mujoco(), start.loaded
     model = loaded.model
@@ -137,6 +139,14 @@ def lost(start: Start, robot: Robot, figures: JointModel, represents: Collection
     touching = on_floor(loaded)
     turning = bool(touching) and bool((model.geom_condim[touching] > 3).any())
     has["contact friction"] = "contacts with friction against turning or rolling" if turning else ""
+    cut = [
+        actuators[0]
+        for joint, actuators in drives(mujoco, model).items()
+        if joint in loaded.joints
+        and model.actuator_ctrllimited[actuators[0]]
+        and actuator_kind(mujoco, model, actuators[0]) == "position"
+    ]
+    has["targets"] = f"control ranges that cut the targets of {len(cut)} joints" if cut else ""
     has["constraints"] = f"{model.neq} equality constraints" if model.neq else ""
     planes = set(floors(model))
     around = [

@@ -11,25 +11,29 @@ __all__ = ["quiet"]
 
 
 @contextmanager
-def quiet() -> Iterator[None]:
+def quiet(handle: int = 1) -> Iterator[None]:
     """Let nothing reach standard output, of Python or of C, as long as it lasts.
 
     Short, and while no other thread prints: what goes there is lost. Errors have an output of
     their own, which stays.
+
+    Args:
+        handle: 2 for that of errors, where a library complains of what is no error.
     """
-    sys.stdout.flush()
+    stream = sys.stdout if handle == 1 else sys.stderr
+    stream.flush()
     try:
-        kept = os.dup(1)
+        kept = os.dup(handle)
     except OSError:  # there is none
         yield
         return
     try:
         with open(os.devnull, "wb") as nowhere:
-            os.dup2(nowhere.fileno(), 1)
+            os.dup2(nowhere.fileno(), handle)
         try:
             yield
         finally:
-            sys.stdout.flush()
-            os.dup2(kept, 1)
+            stream.flush()
+            os.dup2(kept, handle)
     finally:
         os.close(kept)

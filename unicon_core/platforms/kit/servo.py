@@ -22,14 +22,21 @@ class Servo:
         rows: q*, qd*, tau_ff, kp, kd as of `Command.rows`, shape (5, ..., n), or five arrays of
             shape (..., n); read at each call.
         effort_limit: largest torque of each joint in [N·m], NaN for none, shape (n,).
+        lower: smallest torque in [N·m], shape (n,); the opposite of the largest if None.
 
     Attributes:
         torque: of the last call in [N·m], shape (..., n).
     """
 
-    def __init__(self, rows: Array | Sequence[Array], effort_limit: ArrayLike) -> None:
+    def __init__(
+        self,
+        rows: Array | Sequence[Array],
+        effort_limit: ArrayLike,
+        lower: ArrayLike | None = None,
+    ) -> None:
         self._rows = rows
         self._limit = np.nan_to_num(np.asarray(effort_limit, rows[0].dtype), nan=np.inf)
+        self._lower = -self._limit if lower is None else np.asarray(lower, rows[0].dtype)
         self.torque: Array = np.zeros_like(rows[0])
         self._part = np.zeros_like(rows[0])
 
@@ -43,5 +50,5 @@ class Servo:
         self._part *= damping
         self._part += feed_forward
         torque += self._part
-        np.clip(torque, -self._limit, self._limit, out=torque)
+        np.clip(torque, self._lower, self._limit, out=torque)
         return torque

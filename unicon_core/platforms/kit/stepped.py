@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import Fault
+from unicon_core.models.actuators import effort_ranges
 from unicon_core.platforms.kit.base import BaseStates, WorldPose
 from unicon_core.platforms.kit.clock import steps_in, tick_ns
 from unicon_core.platforms.kit.command import Command
@@ -81,7 +82,9 @@ class SteppedSimulator(ABC):
         self._command = Command(states, robot.joint_names)
         rows = self._rows = self._command.rows.reshape(5, self.num_robots, -1)
         self._acting = np.zeros_like(rows)
-        self._servo = Servo(self._acting, robot.effort_limit)
+        lower, upper = effort_ranges(start.loaded, robot)
+        self._servo = Servo(self._acting, upper, lower)
+        self._effort = dict(zip(("effort_lower", "effort_upper"), (lower, upper)))
         self.torque = self._servo.torque
         self._strength = strength_of(start.physics)
         delay = delay_of(start.physics, timestep)
@@ -221,6 +224,7 @@ class SteppedSimulator(ABC):
             "physics_step_s": self.timestep,
             "physics_steps_per_tick": self.decimation,
             "num_robots": self.num_robots,
+            **{key: dict(zip(self._names, of.tolist())) for key, of in self._effort.items()},
             "passive": self.figures.passive,
             "notes": list(self.notes),
         }

@@ -110,8 +110,16 @@ class Field:
         model = self._robot.world.model
         if self._where == "WorldInfo.gravity":
             model.opt.gravity = (0.0, 0.0, -value)
-        else:
-            model.dof_damping[self._robot.world._dofs[self._joint]] = value
+            return
+        dof = self._robot.world._dofs[self._joint]
+        joint = model.dof_jntid[dof]
+        if self._where == "JointParameters.dampingConstant":
+            model.dof_damping[dof] = value
+            return
+        if abs(value) > np.pi:
+            raise Refused(f"{self._where} = {value}")
+        model.jnt_range[joint, int(self._where == "JointParameters.maxStop")] = value
+        model.jnt_limited[joint] = model.jnt_range[joint].all()
 
     def setSFVec3f(self, value: list[float]) -> None:
         self._is("SFVec3f")
@@ -140,6 +148,8 @@ FIELDS = {
     "HingeJoint.jointParameters": "SFNode",
     "HingeJoint.endPoint": "SFNode",
     "JointParameters.dampingConstant": "SFFloat",
+    "JointParameters.minStop": "SFFloat",
+    "JointParameters.maxStop": "SFFloat",
 }
 
 
@@ -195,6 +205,8 @@ class Supervisor:
             wbt.urdf, timestep=wbt.step * 1e-3, gravity=(0, 0, -9.81), friction=1.0, fixed=wbt.fixed
         )
         self.world.put((0, 0, 1), (1, 0, 0, 0), np.zeros(len(self.world.names)))
+        self.world.model.jnt_limited[:] = 0  # stops are 0, and so none
+        self.world.model.jnt_range[:] = 0.0
         self.contacts, self.pushed = 0, {}  # type: ignore[var-annotated]
         self.torque = np.full(len(self.world.names), np.nan)
         self.devices: dict[str, Device] = {}
@@ -208,13 +220,6 @@ class Supervisor:
     def getDevice(self, name: str) -> Device | None:
         exact(name, str, "name")
         return self.devices.get(name)
-
-    def getDeviceByIndex(self, index: int) -> Device:
-        exact(index, int, "index")
-        return list(self.devices.values())[index]
-
-    def getNumberOfDevices(self) -> int:
-        return len(self.devices)
 
     def getBasicTimeStep(self) -> float:
         return self.wbt.step

@@ -192,11 +192,14 @@ class SimulationContext:
             scene["robot"].step()
 
     def stop(self) -> None:
+        raise Refused("it renders until somebody plays again")
+
+    def clear_all_callbacks(self) -> None:
         self.playing = False
 
     def clear_instance(self) -> None:
         if self.playing:
-            raise Refused("cleared while it plays")
+            raise Refused("cleared before its callbacks")
         SimulationContext.instances.remove(self)
 
 

@@ -224,7 +224,9 @@ class IsaacLabPlatform(SteppedSimulator):
     def close(self) -> None:
         sim, self._sim = self._sim, None
         if sim is not None:
-            sim.stop()
+            # As environments of Isaac Lab close; `stop` renders until somebody plays again.
+            if hasattr(sim, "clear_all_callbacks"):  # 2.3
+                sim.clear_all_callbacks()
             sim.clear_instance()
         self._folder.cleanup()
 

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import MissingDependencyError, ModelError
+from unicon_core.models.actuators import effort_ranges
 from unicon_core.models.loaded import import_mujoco
 from unicon_core.platforms.kit.base import Float, WorldPose, rotation
 from unicon_core.platforms.kit.joint_delay import strength_of
@@ -66,10 +67,10 @@ class MjxPlatform(SteppedSimulator):
         first = first.replace(qpos=qpos)
         self._first = jax.tree.map(lambda leaf: jax.numpy.stack([leaf] * count), first)
         self._moving = slice(places.base_vel, places.base_vel + 3)
-        limit = np.nan_to_num(robot.effort_limit.astype(np.float32), nan=np.inf)
+        limits = np.array(effort_ranges(start.loaded, robot), np.float32)
         strength = strength_of(start.physics)
-        factor = np.ones_like(limit) if strength is None else strength.astype(np.float32)
-        self._tick = partial(compiled_tick(places), compiled, limit, factor)
+        factor = np.ones_like(limits[0]) if strength is None else strength.astype(np.float32)
+        self._tick = partial(compiled_tick(places), compiled, limits, factor)
         with patience(f"mjx: compiling the physics of {count} robots for JAX"):
             self._begin()
         super().__init__(states, robot, period, step, start, figures)

@@ -36,9 +36,9 @@ class Places(NamedTuple):
 
 @cache
 def compiled_tick(places: Places) -> Any:
-    """Return (model, limit, factor, data, command, steps) to (data, what is told).
+    """Return (model, limits, factor, data, command, steps) to (data, what is told).
 
-    `limit` and `factor` of the torque have shape (n,), the command (5, N, n); told are `pos`,
+    `limits` of the torque have shape (2, n), `factor` (n,), the command (5, N, n); told are `pos`,
     `vel`, `torque`, `base` and, one physics step before, `before`: qpos and qvel of the free joint.
     The servo's equation is that of `kit/servo.py`.
     """
@@ -54,14 +54,14 @@ def compiled_tick(places: Places) -> Any:
         at, by = places.base_pos, places.base_vel
         return jnp.concatenate((data.qpos[at : at + 7], data.qvel[by : by + 6]))
 
-    def one(model: Any, limit: Any, factor: Any, data: Any, command: Any, steps: Any) -> Any:
+    def one(model: Any, limits: Any, factor: Any, data: Any, command: Any, steps: Any) -> Any:
         target, velocity, feed_forward, stiffness, damping = command
 
         def step(_: Any, carried: Any) -> Any:
             data, _, _ = carried
             error, slip = target - data.qpos[pos], velocity - data.qvel[vel]
             asked = stiffness * error + (damping * slip + feed_forward)
-            torque = jnp.clip(asked, -limit, limit) * factor
+            torque = jnp.clip(asked, *limits) * factor
             applied = jnp.zeros_like(data.qfrc_applied).at[vel].set(torque)
             return mjx.step(model, data.replace(qfrc_applied=applied)), where(data), torque
 

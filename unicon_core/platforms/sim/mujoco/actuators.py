@@ -1,4 +1,4 @@
-"""What the actuators of a model are, and how those that nobody commands are held."""
+"""How actuators that nobody commands are held."""
 
 from __future__ import annotations
 
@@ -8,22 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["actuator_kind", "holding"]
+from unicon_core.models.actuators import actuator_kind
+
+__all__ = ["holding"]
 
 Float = NDArray[np.float64]
-
-
-def actuator_kind(mujoco: Any, model: Any, i: int) -> str:
-    """Return what an actuator is: `motor`, `position`, `velocity` or `general`."""
-    if model.actuator_gaintype[i] != int(mujoco.mjtGain.mjGAIN_FIXED):
-        return "general"
-    if model.actuator_biastype[i] == int(mujoco.mjtBias.mjBIAS_NONE):
-        return "motor"
-    if model.actuator_biastype[i] != int(mujoco.mjtBias.mjBIAS_AFFINE):
-        return "general"
-    if model.actuator_biasprm[i, 1] != 0.0:
-        return "position"
-    return "velocity" if model.actuator_biasprm[i, 2] != 0.0 else "motor"
 
 
 def holding(mujoco: Any, model: Any, own: Container[int], qpos: Float) -> Float:

@@ -21,9 +21,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from unicon_core.models.actuators import actuator_kind, effort_range
 from unicon_core.models.joints import drives
 from unicon_core.models.rows import index_of
-from unicon_core.platforms.sim.mujoco.actuators import actuator_kind
 
 __all__ = ["Servo"]
 
@@ -64,7 +64,8 @@ class Servo:
         self.gear = np.array([float(model.actuator_gear[i, 0]) for i in self.actuators])
         for k, (joint, i) in enumerate(zip(joints, self.actuators)):
             self.kinds.append(actuator_kind(mujoco, model, i))
-            self._limit(model, k, joint, i, float(effort_limit[k]))
+            found = effort_range(mujoco, model, joint, i, float(effort_limit[k]))
+            self.effort_lower[k], self.effort_upper[k] = found
             model.actuator_gaintype[i] = int(mujoco.mjtGain.mjGAIN_FIXED)
             model.actuator_biastype[i] = int(mujoco.mjtBias.mjBIAS_AFFINE)
             if self.kinds[k] != "position":  # its range was one of torques or speeds
@@ -88,22 +89,6 @@ class Servo:
         self._target = np.zeros(count)
         self._b0 = np.zeros(count)
         self._written = b""
-
-    def _limit(self, model: Any, k: int, joint: int, i: int, effort: float) -> None:
-        """Take the tightest of robot file, control range, force range and joint force range."""
-        torques: list[Any] = []
-        if np.isfinite(effort):
-            torques.append((-effort, effort))
-        if self.kinds[k] == "motor" and model.actuator_ctrllimited[i]:
-            unit = model.actuator_gainprm[i, 0] * self.gear[k]
-            torques.append(model.actuator_ctrlrange[i] * unit)
-        if model.actuator_forcelimited[i]:
-            torques.append(model.actuator_forcerange[i] * self.gear[k])
-        if model.jnt_actfrclimited[joint]:
-            torques.append(model.jnt_actfrcrange[joint])
-        for pair in torques:
-            self.effort_lower[k] = max(self.effort_lower[k], min(pair))
-            self.effort_upper[k] = min(self.effort_upper[k], max(pair))
 
     def push(self, ctrl: Float, command: Float) -> None:
         """Put one robot's command into the model and its controls.

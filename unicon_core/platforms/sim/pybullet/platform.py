@@ -190,7 +190,7 @@ def make(
     period: float,
     *,
     scene: Scene,
-    timestep: float = 0.001,
+    timestep: float = 0.0005,
     passive: Passive = "replace",
 ) -> PybulletPlatform:
     """Build the platform.
@@ -200,7 +200,7 @@ def make(
         robot: its joints are found in the model by name.
         period: of a tick in [s].
         scene: how it begins.
-        timestep: physics step in [s].
+        timestep: physics step in [s]. At 1 ms a G1 falls, whose light joints have no armature here.
         passive: damping of the joints in the model: `keep` it beside that of the command, or
             `replace` it by that.
     """

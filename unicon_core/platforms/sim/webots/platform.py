@@ -7,6 +7,7 @@ supervisor. Written against Webots' own modules of R2025a in `lib/controller/pyt
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -69,6 +70,11 @@ class WebotsPlatform(SteppedSimulator):
         super().__init__(states, robot, period, step, start, figures)
         if own:
             self.notes.append("contact friction is that of the world's contactProperties")
+        if self._unstopped:
+            far = ", ".join(self._unstopped)
+            self.notes.append(f"left out: stops beyond ±π, which Webots does not have, of {far}")
+
+        self.facts = replace(self.facts, notes=(*type(self).facts.notes, *self.notes))
 
     def _find(self, robot: Robot, figures: JointModel) -> None:
         """Look up motors, sensors and joints by name."""
@@ -77,6 +83,7 @@ class WebotsPlatform(SteppedSimulator):
         self._sensors: list[Any] = []
         self._joint_nodes: list[Any] = []
         self._solids: list[Any] = []
+        self._unstopped: list[str] = []
         for i, name in enumerate(robot.joint_names):
             motor, sensor = (self._device(word) for word in (name, SENSOR.format(name)))
             linear = motor.getType() == motor.LINEAR
@@ -96,15 +103,23 @@ class WebotsPlatform(SteppedSimulator):
                     f"platform 'webots': joint {name} has no jointParameters; add them to the world"
                 )
             parameters.getField("dampingConstant").setSFFloat(float(figures.damping[i]))
+            self._stop(parameters, name, float(figures.lower[i]), float(figures.upper[i]))
             self._joint_nodes.append(joint)
             self._solids.append(joint.getField("endPoint").getSFNode())
 
+    def _stop(self, parameters: Any, name: str, lower: float, upper: float) -> None:
+        """Put stops at a joint's limits."""
+        if not (np.isfinite(lower) and np.isfinite(upper)):
+            return
+        if lower < -np.pi or upper > np.pi:
+            self._unstopped.append(name)
+            return
+        parameters.getField("minStop").setSFFloat(lower)
+        parameters.getField("maxStop").setSFFloat(upper)
+
     def _device(self, name: str) -> Any:
         supervisor = self._supervisor
-        devices = (
-            supervisor.getDeviceByIndex(i).getName() for i in range(supervisor.getNumberOfDevices())
-        )
-        known = tuple(devices)
+        known = tuple(supervisor.devices)
         if name not in known:
             raise PlatformError(
                 f"platform 'webots': robot {supervisor.getName()!r} has no device {name!r}; "

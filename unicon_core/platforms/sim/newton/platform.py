@@ -1,0 +1,225 @@
+"""The `newton` platform: Newton steps the robot's model, MuJoCo or MuJoCo Warp in it."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from itertools import pairwise
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.errors import MissingDependencyError, PlatformError, alternatives, one_line
+from unicon_core.models.loaded import import_mujoco
+from unicon_core.platforms.kit.base import WorldPose
+from unicon_core.platforms.kit.joint_model import JointModel, Passive, joint_model
+from unicon_core.platforms.kit.patience import patience
+from unicon_core.platforms.kit.quiet import quiet
+from unicon_core.platforms.kit.scene import Scene
+from unicon_core.platforms.kit.start import Start, start_of
+from unicon_core.platforms.kit.stepped import SteppedSimulator
+from unicon_core.platforms.platform import SIMULATED, Facts
+from unicon_core.platforms.sim.newton.engine import Engine
+from unicon_core.platforms.sim.newton.world import build_world, not_told, solver_options
+from unicon_core.robots import Robot
+from unicon_core.states import States
+
+__all__ = ["NewtonPlatform", "make"]
+
+Float = NDArray[np.float64]
+
+Solver = Literal["mujoco", "warp"]
+"""MuJoCo's own library, robot by robot, or MuJoCo Warp, all of them in one step."""
+
+_COMPILES = "newton: loading its kernels, which compile for a minute or two the first time"
+
+
+class NewtonPlatform(SteppedSimulator):
+    """Robots, each in a world of its own; built by `make`."""
+
+    facts = Facts(
+        "newton",
+        simulated=True,
+        batch=True,
+        writes=SIMULATED,
+        physics=("strength", "friction", "armature", "delay"),
+    )
+    represents = frozenset(
+        {"armature", "damping", "friction", "limits", "self-collision", "meshes"}
+        | {"contact friction", "terrain"}
+    )
+
+    def __init__(
+        self,
+        engines: Sequence[Engine],
+        states: States,
+        robot: Robot,
+        period: float,
+        step: float,
+        start: Start,
+        figures: JointModel,
+    ) -> None:
+        self._engines = list(engines)
+        bounds = np.cumsum([0, *(engine.worlds for engine in engines)])
+        self._parts = [slice(*ends) for ends in pairwise(bounds)]
+        super().__init__(states, robot, period, step, start, figures)
+        self.step(self.torque)  # else the first tick would compile kernels
+        self.reset()
+
+    @property
+    def passive_damping(self) -> Float:
+        """Damping of the joints themselves in [N·m·s/rad], shape (n,)."""
+        return self.figures.damping
+
+    @contextmanager
+    def undamped(self) -> Iterator[None]:
+        """Do without the joints' own damping for a while, as with `passive: replace`."""
+        self._damp(np.zeros_like(self.figures.damping))
+        try:
+            yield
+        finally:
+            self._damp(self.figures.damping)
+
+    def _damp(self, damping: Float) -> None:
+        from newton import ModelFlags
+
+        for engine in self._engines:
+            engine.damp(damping, ModelFlags.JOINT_DOF_FORCE_PROPERTIES)
+
+    def place(self) -> None:
+        for engine in self._engines:
+            engine.place()
+
+    def joints(self) -> tuple[Float, Float]:
+        pos, vel = zip(*(engine.joints() for engine in self._engines))
+        return np.concatenate(pos, dtype=np.float64), np.concatenate(vel, dtype=np.float64)
+
+    def base(self) -> WorldPose:
+        poses = [engine.base() for engine in self._engines]
+        return WorldPose(*map(np.concatenate, zip(*poses)))
+
+    def step(self, torque: Float) -> None:
+        for engine, part in zip(self._engines, self._parts):
+            engine.step(torque[part], self.timestep)
+
+    def add_velocity(self, velocity: Float) -> None:
+        for engine, part in zip(self._engines, self._parts):
+            engine.add_velocity(velocity[part])
+
+    def close(self) -> None:
+        self._engines.clear()
+
+
+def make(
+    states: States,
+    robot: Robot,
+    period: float,
+    *,
+    scene: Scene,
+    timestep: float | None = None,
+    passive: Passive = "keep",
+    device: str = "cpu",
+    solver: Solver | None = None,
+) -> NewtonPlatform:
+    """Build the platform.
+
+    Args:
+        states: with `num_robots` set, as many robots are simulated, each in a world of its own.
+        robot: its joints are found in the model by name.
+        period: of a tick in [s].
+        scene: how it begins.
+        timestep: physics step in [s], that of the model unless said.
+        passive: damping of the joints in the model: `keep` it beside that of the command, or
+            `replace` it by that.
+        device: of Warp: `cpu`, `cuda:0`, ….
+        solver: `mujoco` or `warp`; unless said `mujoco` on the CPU, and `warp` elsewhere.
+
+    Raises:
+        PlatformError: no such solver or device, or Newton refuses the model.
+    """
+    newton, warp = _imported(device)
+    inside = _known(solver or ("mujoco" if device == "cpu" else "warp"), device)
+    start = start_of(robot, scene)
+    figures = joint_model(start, passive)
+    step = float(start.loaded.model.opt.timestep) if timestep is None else timestep
+    world, numbers = build_world(newton, warp, start, robot, figures)
+    start.loaded.notes += not_told(start)
+    joints = [numbers[name] for name in robot.joint_names]
+    count, options = states.num_robots or 1, solver_options(start)
+
+    def engine(builder: Any, **more: Any) -> Engine:
+        model = builder.finalize()
+        with _noted(start.loaded.notes.append):
+            solving = newton.solvers.SolverMuJoCo(model, **options, **more)
+        if more:  # a robot that blew up would go on from where it began, and nobody would know
+            off = int(import_mujoco().mjtDisableBit.mjDSBL_AUTORESET)
+            solving.mj_model.opt.disableflags |= off
+        return Engine(model, solving, joints)
+
+    with patience(_COMPILES), warp.ScopedDevice(device):
+        if inside == "mujoco":
+            engines = [engine(world, use_mujoco_cpu=True) for _ in range(count)]
+        else:
+            worlds = newton.ModelBuilder(gravity=warp.vec3(*start.gravity))
+            newton.solvers.SolverMuJoCo.register_custom_attributes(worlds)
+            worlds.replicate(world, count)
+            engines = [engine(worlds)]
+        return NewtonPlatform(engines, states, robot, period, step, start, figures)
+
+
+def _imported(device: str) -> tuple[Any, Any]:
+    """Return the modules newton and warp, which is to use a device.
+
+    Raises:
+        MissingDependencyError: one is not installed, or newton without its part `sim`.
+        PlatformError: there is no such device.
+    """
+    import_mujoco()  # our way, without a window library
+    try:
+        import newton
+        import warp
+        from newton.solvers import SolverMuJoCo
+
+        SolverMuJoCo.import_mujoco()
+    except ImportError as error:
+        install = "pip install 'unicon_ros[sim-newton]'"
+        raise MissingDependencyError("platform 'newton'", "newton", install) from error
+    warp.config.log_level = max(warp.config.log_level, warp.LOG_ERROR)
+    with quiet(2):  # that there is no CUDA is nothing to complain of
+        warp.init()
+    names = [str(known) for known in warp.get_devices()]
+    if device not in names:
+        raise PlatformError(
+            f"platform 'newton': device is {device!r}; {alternatives(device, names)}"
+        )
+    return newton, warp
+
+
+def _known(solver: str, device: str) -> str:
+    """Return the solver.
+
+    Raises:
+        PlatformError: there is none of that name, or none on the device.
+    """
+    if solver not in get_args(Solver):
+        known = alternatives(solver, get_args(Solver))
+        raise PlatformError(f"platform 'newton': solver is {solver!r}; {known}")
+    if solver == "mujoco" and device != "cpu":
+        raise PlatformError("platform 'newton': solver mujoco has device cpu alone; give warp")
+    return solver
+
+
+@contextmanager
+def _noted(note: Callable[[str], None]) -> Iterator[None]:
+    """Tell warnings as notes, and what Newton refuses as a PlatformError."""
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        try:
+            yield
+        except (NotImplementedError, ValueError) as error:
+            raise PlatformError(f"platform 'newton': {one_line(error)}") from error
+        finally:
+            for text in dict.fromkeys(" ".join(str(one.message).split()) for one in told):
+                note(f"newton: {text}")
