@@ -14,7 +14,7 @@ from unicon_core.gap import rmse, shift_losses
 from unicon_core.gap.trajectories import Array
 from unicon_ros.analysis.comparison import Comparison, tracking_error
 
-__all__ = ["PICTURES", "draw"]
+__all__ = ["PICTURES", "draw", "envelope", "grids"]
 
 REAL, SIM, PALE = "#1f4e9c", "#e07b00", "#b8b8b8"
 POINTS = 1500
@@ -70,7 +70,7 @@ def _alignment(figure: Any, comparison: Comparison) -> bool:
     )
     shifts, losses = shift_losses(real, sim)
     found = int(both.unfolded.shift) * both.period
-    above.plot(*_envelope(shifts * both.period, losses), color="0.2", linewidth=0.9)
+    above.plot(*envelope(shifts * both.period, losses), color="0.2", linewidth=0.9)
     above.plot(
         [found], [float(both.unfolded.loss)], "o", color=REAL, label=f"found: {found:+.3f} s"
     )
@@ -80,14 +80,14 @@ def _alignment(figure: Any, comparison: Comparison) -> bool:
     k = comparison.order[0]
     time = both.begins[0] - max(0.0, found) + both.period * np.arange(len(real))
     own = time[0] + both.period * np.arange(len(sim))
-    below.plot(*_envelope(own, sim[:, k]), color=PALE, label="simulated, as it was recorded")
-    below.plot(*_envelope(own + found, sim[:, k]), color=SIM, label="simulated, shifted")
-    below.plot(*_envelope(time, real[:, k]), color=REAL, label="real")
+    below.plot(*envelope(own, sim[:, k]), color=PALE, label="simulated, as it was recorded")
+    below.plot(*envelope(own + found, sim[:, k]), color=SIM, label="simulated, shifted")
+    below.plot(*envelope(time, real[:, k]), color=REAL, label="real")
     below.axvspan(both.time[0], both.time[-1], color="0.5", alpha=0.1, label="compared")
     below.set(xlabel="time of the real run [s]", ylabel="[rad]")
     below.set_title(f"{both.joints[k]}: position before and after the shift", fontsize=10)
     below.legend(loc="upper right", fontsize=8, ncols=4)
-    _grids(above, below)
+    grids(above, below)
     return True
 
 
@@ -103,14 +103,12 @@ def _curves(figure: Any, comparison: Comparison) -> bool:
         worst = int(np.argmax(sums[count:] - sums[:-count]))
         part = slice(worst, worst + count)
         for axes, seen in ((left, slice(None)), (right, part)):
-            axes.plot(
-                *_envelope(time[seen], sim[seen]), color=SIM, linewidth=1.0, label="simulated"
-            )
-            axes.plot(*_envelope(time[seen], real[seen]), color=REAL, linewidth=1.0, label="real")
+            axes.plot(*envelope(time[seen], sim[seen]), color=SIM, linewidth=1.0, label="simulated")
+            axes.plot(*envelope(time[seen], real[seen]), color=REAL, linewidth=1.0, label="real")
         left.axvspan(time[part][0], time[part][-1], color="0.5", alpha=0.15)
         left.set_title(both.joints[k], fontsize=10, loc="left")
         left.set_ylabel("[rad]")
-        _grids(left, right)
+        grids(left, right)
     rows[0][0].legend(loc="upper right", fontsize=8, ncols=2)
     rows[0][1].set_title(f"the {count * both.period:.3g} s that differ most", fontsize=10)
     for axes in rows[-1]:
@@ -124,7 +122,7 @@ def _heat(figure: Any, comparison: Comparison) -> bool:
     figure.set_size_inches(12.0, 2.6 + 0.24 * len(order))
     above, below = figure.subplots(2, sharex=True, height_ratios=[1.0, 0.5 + 0.18 * len(order)])
     real, sim = both.real["joint_pos"], both.sim["joint_pos"]
-    above.plot(*_envelope(both.time, rmse(real, sim, "frame")), color="0.2", linewidth=0.9)
+    above.plot(*envelope(both.time, rmse(real, sim, "frame")), color="0.2", linewidth=0.9)
     above.set_ylabel("RMSE of all [rad]")
     edges = np.unique(np.linspace(0, len(real), min(COLUMNS, len(real)) + 1).astype(int))
     squares = (real - sim)[:, order] ** 2
@@ -139,7 +137,7 @@ def _heat(figure: Any, comparison: Comparison) -> bool:
     below.set_yticks(range(len(order)), [both.joints[k] for k in order], fontsize=8)
     below.set_xlabel("time of the real run [s]")
     figure.colorbar(image, ax=below, label="difference [rad]", pad=0.01)
-    _grids(above)
+    grids(above)
     return True
 
 
@@ -212,10 +210,10 @@ def _base(figure: Any, comparison: Comparison) -> bool:
         for side, shift, colour, who in sides:
             values = _shown_of_base(name, side[name])
             time = begin + both.period * (shift + np.arange(len(values)))
-            axes.plot(*_envelope(time, values), color=colour, linewidth=0.9, label=who)
+            axes.plot(*envelope(time, values), color=colour, linewidth=0.9, label=who)
         axes.axvspan(both.time[0], both.time[-1], color="0.5", alpha=0.1, label="compared")
         axes.set_ylabel(label)
-        _grids(axes)
+        grids(axes)
     rows[0].legend(loc="upper left", fontsize=8, ncols=3)
     rows[-1].set_xlabel("time of the real run [s]")
     return True
@@ -227,7 +225,7 @@ def _shown_of_base(name: str, values: Array) -> Array:
     return values[:, 2] if name == "base_ang_vel" else values[:, 0]
 
 
-def _envelope(time: NDArray[Any], values: Array) -> tuple[NDArray[Any], Array]:
+def envelope(time: NDArray[Any], values: Array) -> tuple[NDArray[Any], Array]:
     """Return a curve with few enough points that no peak is lost."""
     if len(values) <= 2 * POINTS:
         return time, values
@@ -237,7 +235,8 @@ def _envelope(time: NDArray[Any], values: Array) -> tuple[NDArray[Any], Array]:
     return np.repeat(time[starts], 2), np.stack([low, high], axis=1).reshape(-1)
 
 
-def _grids(*all_axes: Any) -> None:
+def grids(*all_axes: Any) -> None:
+    """Give axes a pale grid, and curves all of their width."""
     for axes in all_axes:
         axes.grid(alpha=0.3)
         axes.margins(x=0.01)

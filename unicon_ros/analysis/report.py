@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import base64
 import html
 import json
-import math
-import os
 from collections.abc import Callable
 from pathlib import Path
 
 from unicon_core import __version__
-from unicon_core.errors import UniconError
 from unicon_ros.analysis.comparison import Comparison
 from unicon_ros.analysis.findings import findings
+from unicon_ros.analysis.page import figure, number, page, table, write_file
 from unicon_ros.analysis.pictures import PICTURES, draw
 from unicon_ros.analysis.run import Run
 
@@ -45,21 +42,6 @@ _STATE_COLUMNS = {
     "chamfer": "chamfer distance",
     "spectral_distance": "spectral distance",
 }
-
-_STYLE = """
-body { font: 15px/1.5 system-ui, sans-serif; color: #222; margin: 2em auto; max-width: 1150px;
-       padding: 0 1em; }
-h1 { font-size: 1.6em; margin-bottom: 0; } h2 { font-size: 1.2em; margin: 2em 0 .3em; }
-img { max-width: 100%; } .sub, figcaption { color: #666; } figure { margin: 0; }
-figcaption { margin-bottom: .6em; }
-ul.findings { background: #f2f5fb; border-left: 4px solid #1f4e9c; padding: .8em 1em .8em 2.2em; }
-ul.findings li:first-child { font-weight: 600; }
-.wide { overflow-x: auto; } table { border-collapse: collapse; font-size: 13px; }
-th, td { padding: .25em .7em; text-align: right; border-bottom: 1px solid #ddd; }
-th { vertical-align: bottom; font-weight: 600; }
-td:first-child, th:first-child { text-align: left; }
-th small { color: #666; font-weight: 400; } .facts td { text-align: left; }
-"""
 
 
 def write_report(
@@ -93,11 +75,11 @@ def write_report(
         tell(f"drawing {name}")
         if (picture := draw(name, comparison)) is None:
             continue
-        _write(folder / f"{name}.png", picture)
+        write_file(folder / f"{name}.png", picture)
         figures.append((heading, caption, picture))
-    page = _page(comparison, runs, said, figures)
-    _write(folder / "analysis.json", (json.dumps(result, indent=1) + "\n").encode())
-    _write(folder / "report.html", page.encode())
+    text = _page(comparison, runs, said, figures)
+    write_file(folder / "analysis.json", (json.dumps(result, indent=1) + "\n").encode())
+    write_file(folder / "report.html", text.encode())
     return result
 
 
@@ -111,19 +93,6 @@ def _about(run: Run) -> dict[str, object]:
     }
 
 
-def _write(path: Path, content: bytes) -> None:
-    """Write a file so that nobody ever sees half of it."""
-    half = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        half.write_bytes(content)
-        half.replace(path)
-    except OSError as error:
-        half.unlink(missing_ok=True)
-        raise UniconError(
-            f"cannot write {path}: {error.strerror}; give a writable folder with room to --out"
-        ) from error
-
-
 def _page(
     comparison: Comparison,
     runs: tuple[Run, Run],
@@ -132,11 +101,6 @@ def _page(
 ) -> str:
     names = tuple(html.escape(run.path.name) for run in runs)
     parts = [
-        "<!DOCTYPE html>",
-        '<html lang="en"><head><meta charset="utf-8">',
-        '<meta name="viewport" content="width=device-width, initial-scale=1">',
-        '<link rel="icon" href="data:,">',  # or browsers ask the server for one
-        f"<title>{names[0]} and {names[1]}</title><style>{_STYLE}</style></head><body>",
         "<h1>How far the simulator is from the robot</h1>",
         f'<p class="sub">{names[0]} (real) and {names[1]} (simulated)</p>',
         f'<ul class="findings">{"".join(f"<li>{html.escape(text)}</li>" for text in said)}</ul>',
@@ -145,16 +109,15 @@ def _page(
         "".join(f"<p>{html.escape(note)}</p>" for note in comparison.together.notes),
     ]
     for place, (heading, caption, picture) in enumerate(figures):
-        parts.append(_figure(heading, caption, picture))
+        parts.append(figure(heading, caption, picture))
         if place == 0:
             parts += ["<h2>Every joint</h2>", _joint_table(comparison)]
     parts += [
         "<h2>Every state</h2>",
         _state_table(comparison),
         f'<p class="sub">All figures, with all digits: analysis.json. unicon_ros {__version__}</p>',
-        "</body></html>",
     ]
-    return "\n".join(parts) + "\n"
+    return page(f"{runs[0].path.name} and {runs[1].path.name}", parts)
 
 
 def _facts(comparison: Comparison, runs: tuple[Run, Run]) -> str:
@@ -190,14 +153,6 @@ def _in_words(run: Run) -> str:
     )
 
 
-def _figure(heading: str, caption: str, picture: bytes) -> str:
-    data = base64.b64encode(picture).decode()
-    return (
-        f"<h2>{html.escape(heading)}</h2><figure><figcaption>{html.escape(caption)}</figcaption>"
-        f'<img alt="{html.escape(heading)}" src="data:image/png;base64,{data}"></figure>'
-    )
-
-
 def _joint_table(comparison: Comparison) -> str:
     columns = {key: shown for key, shown in _COLUMNS.items() if key in comparison.joints}
     heads = [
@@ -206,27 +161,15 @@ def _joint_table(comparison: Comparison) -> str:
     ]
     rows = [
         [comparison.together.joints[k]]
-        + [_number(factor * comparison.joints[key][k]) for key, (_, _, factor) in columns.items()]
+        + [number(factor * comparison.joints[key][k]) for key, (_, _, factor) in columns.items()]
         for k in comparison.order
     ]
-    return _table(["joint", *heads], rows)
+    return table(["joint", *heads], rows)
 
 
 def _state_table(comparison: Comparison) -> str:
     rows = [
-        [name, *(_number(figures[key]) for key in _STATE_COLUMNS)]
+        [name, *(number(figures[key]) for key in _STATE_COLUMNS)]
         for name, figures in comparison.states.items()
     ]
-    return _table(["state", *_STATE_COLUMNS.values()], rows)
-
-
-def _table(heads: list[str], rows: list[list[str]]) -> str:
-    head = "".join(f"<th>{text}</th>" for text in heads)
-    body = "".join(
-        f"<tr>{''.join(f'<td>{html.escape(cell)}</td>' for cell in row)}</tr>" for row in rows
-    )
-    return f'<div class="wide"><table><tr>{head}</tr>{body}</table></div>'
-
-
-def _number(value: float) -> str:
-    return f"{value:.3g}" if math.isfinite(value) else "–"
+    return table(["state", *_STATE_COLUMNS.values()], rows)

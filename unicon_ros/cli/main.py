@@ -31,6 +31,7 @@ from unicon_ros.cli import (
     run,
     show,
     states,
+    transfer,
 )
 
 __all__ = ["main"]
@@ -53,6 +54,7 @@ def _parser() -> argparse.ArgumentParser:
         bag,
         replay,
         analyze,
+        transfer,
         bench,
         known,
         latches,

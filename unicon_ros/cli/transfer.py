@@ -1,0 +1,222 @@
+"""`unicon transfer WORKFLOW`: runs it in several simulators, and compares them as a table."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from unicon_core.errors import MissingDependencyError, UniconError
+from unicon_core.signals import SIGNALS
+from unicon_ros.cli.console import Console
+from unicon_ros.cli.workflow_arguments import add_workflow, positive
+
+if TYPE_CHECKING:
+    from unicon_ros.transfer.plan import Plan
+    from unicon_ros.transfer.results import Results
+
+__all__ = ["add"]
+
+TIMEOUT = 600.0
+"""Wall time in [s] that a run may take, the compilation of an engine included."""
+MOST_SEEDS = 1000
+BAR = 24
+"""Characters of the progress bar."""
+EVERY = 0.2
+"""Time in [s] between two looks of it."""
+JSON = "transfer.json"
+BAD = ("crashed", "timeout", "fault")
+"""Outcomes of which the exit status tells."""
+
+
+def add(commands: Any) -> None:
+    """Add the command to the parser."""
+    parser = commands.add_parser(
+        "transfer", help="run a workflow in several simulators and compare", description=__doc__
+    )
+    add_workflow(parser)
+    parser.add_argument(
+        "--platforms",
+        metavar="A,B,…",
+        help="simulators; the others are compared with the first (default: all that are installed)",
+    )
+    parser.add_argument(
+        "--seeds",
+        type=_count,
+        metavar="N",
+        help="runs of each platform, with N seeds of the scene's noise and pushes (default: 3; 1 "
+        "where the scene has neither)",
+    )
+    parser.add_argument("--duration", type=positive, metavar="S", help="end each run after S s")
+    parser.add_argument(
+        "--timeout",
+        type=positive,
+        default=TIMEOUT,
+        metavar="S",
+        help=f"end a run that takes S s of wall time (default: {TIMEOUT:g})",
+    )
+    parser.add_argument(
+        "--out", metavar="DIR", help="new folder for transfer.json, report.html and the runs"
+    )
+    parser.set_defaults(function=_transfer)
+
+
+def _count(text: str) -> int:
+    value = int(text)
+    if not 1 <= value <= MOST_SEEDS:
+        raise argparse.ArgumentTypeError(f"{text} is not a number from 1 to {MOST_SEEDS}")
+    return value
+
+
+def _transfer(arguments: argparse.Namespace) -> int:
+    """Run the command.
+
+    Exit status: 0; 1 where no simulator could be run; 3 where a run ended with a fault, in a crash
+    or not at all.
+    """
+    from unicon_ros.transfer.plan import make_plan
+
+    plan = make_plan(
+        arguments.workflow,
+        arguments.overrides,
+        arguments.platforms,
+        arguments.seeds,
+        arguments.duration,
+        arguments.timeout,
+    )
+    if arguments.out is None:
+        with tempfile.TemporaryDirectory(prefix="unicon_transfer_") as folder:
+            return _run(plan, Path(folder), None)
+    return _run(plan, *_new_folder(arguments.out))
+
+
+def _new_folder(text: str) -> tuple[Path, Path]:
+    """Return the folder and the JSON in it, which is there from now on and was not before."""
+    try:
+        import matplotlib  # noqa: F401 - said before the work, not after it
+    except ModuleNotFoundError as error:
+        raise MissingDependencyError(
+            "unicon transfer --out", "matplotlib", "pip install 'unicon_ros[plots]'"
+        ) from error
+    folder = Path(text)
+    if not text:  # as of a variable that is not set
+        raise UniconError("--out has no name; give a folder")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / JSON).touch(exist_ok=False)
+    except FileExistsError as error:
+        what = "has a transfer already" if folder.is_dir() else "is not a folder"
+        raise UniconError(f"{folder} {what}; give another to --out") from error
+    except OSError as error:
+        raise UniconError(
+            f"cannot write in {folder}: {error.strerror}; give another to --out"
+        ) from error
+    return folder, folder / JSON
+
+
+def _run(plan: Plan, folder: Path, out: Path | None) -> int:
+    from unicon_ros.transfer.results import Results
+    from unicon_ros.transfer.table import table
+
+    results = Results(plan, folder)
+    console = Console()
+    with SIGNALS.guard():
+        try:
+            _all_runs(results, console, out)
+        finally:
+            console.close()
+        result = results.to_json()
+        problem = _write(result, out)
+    left_out = ", ".join(results.left_out())
+    if not result["platforms"]:
+        raise UniconError(
+            f"no simulator is installed; --platforms {left_out.replace(' ', '')} tells how each is"
+        )
+    if left_out:
+        print(
+            f"unicon transfer: not installed, so left out: {left_out} (--platforms tells how each "
+            "is installed)",
+            file=sys.stderr,
+        )
+    print(table(result))
+    if problem:
+        raise UniconError(problem)
+    if out is not None:
+        from unicon_ros.transfer.report import write_report
+
+        print(f"\nreport  {write_report(result, folder)}")
+    SIGNALS.check()
+    outcomes = [each["outcome"] for each in result["platforms"]]
+    if any(outcome in BAD for outcome in outcomes):
+        return 3
+    return 0 if any(each["runs_done"] for each in result["platforms"]) else 1
+
+
+class Bar:
+    """The progress bar of one run, on a terminal alone.
+
+    Args:
+        console: that shows it.
+        plan: of the transfer.
+        done: runs before it.
+        name: of the run.
+    """
+
+    def __init__(self, console: Console, plan: Plan, done: int, name: str) -> None:
+        self._console, self._done, self._name = console, done, name
+        self._whole = len(plan.seeds) * len(plan.platforms)
+        self._longest = plan.longest
+        self._began = self._next = time.monotonic()
+
+    def __call__(self, seconds: float) -> None:
+        """Show how far it is.
+
+        Args:
+            seconds: that are simulated by now; 0 as long as the engine is made ready.
+        """
+        now = time.monotonic()
+        if not self._console.terminal or now < self._next:
+            return
+        self._next = now + EVERY
+        share = (self._done + min(seconds / self._longest, 1.0)) / self._whole
+        full = round(BAR * share)
+        wall = now - self._began
+        doing = f"{seconds:.1f} s simulated" if seconds else "starting"
+        what = f"[{'#' * full}{'.' * (BAR - full)}] {self._done}/{self._whole}"
+        self._console.status({what: f" {self._name}: {doing}, {wall:.0f} s"})
+
+
+def _all_runs(results: Results, console: Console, out: Path | None) -> None:
+    """Run all, seed by seed, so that whatever ends it leaves platforms with equally many runs."""
+    from unicon_ros.transfer.processes import run_one
+
+    plan = results.plan
+    for i, seed in enumerate(plan.seeds):
+        for k, platform in enumerate(plan.platforms):
+            if results.hopeless(platform):
+                continue
+            done = i * len(plan.platforms) + k
+            bar = Bar(console, plan, done, f"{platform}, seed {seed}")
+            run = run_one(plan, platform, seed, results.folder / "runs", bar)
+            results.add(platform, run)
+            if run["outcome"] == "interrupted":
+                results.interrupted = True
+                return
+            _write(results.to_json(), out)
+
+
+def _write(result: dict[str, Any], out: Path | None) -> str:
+    """Write what there is so far; return what went wrong: a full disk ends no run."""
+    if out is None:
+        return ""
+    from unicon_ros.analysis.page import write_file
+
+    try:
+        write_file(out, (json.dumps(result, indent=1, ensure_ascii=False) + "\n").encode())
+    except UniconError as error:
+        return str(error)
+    return ""

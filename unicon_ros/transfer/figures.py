@@ -1,0 +1,127 @@
+"""Figures: what a run's base did of what it was commanded, and how far joints are from another's.
+
+Distance counts in the commanded direction and up to a fall, so that a robot which is pushed aside
+or topples has not walked; a base that only turns has distance 0.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from unicon_core.gap import fall_time, mse
+from unicon_core.gap.trajectories import Array
+from unicon_ros.analysis.run import Run, read_run
+from unicon_ros.analysis.together import Options, bring_together
+
+__all__ = ["KEPT", "compare", "finite_rows", "moved", "spread"]
+
+KEPT = (
+    *("joint_pos", "joint_vel", "joint_pos_target", "joint_effort"),
+    *("base_pos_w", "base_quat", "projected_gravity", "base_ang_vel", "velocity_command"),
+)
+"""States that are kept of every tick, as they are at its end."""
+
+STILL = 1e-6
+"""Command in [m/s] and [rad/s] up to which nothing is asked for."""
+
+
+def finite_rows(states: Mapping[str, Array]) -> int:
+    """Return how many samples there are before the first in which something is not a number."""
+    good = np.ones(len(states["joint_pos"]), np.bool_)
+    for values in states.values():
+        good &= np.isfinite(values).all(axis=1)
+    return len(good) if good.all() else int(np.argmin(good))
+
+
+def moved(states: Mapping[str, Array], period: float) -> dict[str, float | None]:
+    """Return what the base did until it fell.
+
+    Args:
+        states: `base_pos_w` [m], `base_quat` (wxyz, base to world), `base_ang_vel` [rad/s],
+            `projected_gravity` and `velocity_command` (vx, vy [m/s], wz [rad/s], in the base's
+            heading frame) over time, shape (n, d), all finite.
+        period: between two samples in [s].
+
+    Returns:
+        `distance_m`: way in the commanded direction; `commanded_m`: integral of the commanded
+        speed, also after a fall; `speed_error` [m/s] and `turn_error` [rad/s]: RMS of measured
+        minus commanded, (vx, vy) by the way in each tick and wz by the gyro, from the first to the
+        last tick with a command; `fall_s`: when it fell. None where there is none.
+    """
+    figures: dict[str, float | None] = dict.fromkeys(
+        ("distance_m", "commanded_m", "speed_error", "turn_error", "fall_s")
+    )
+    command = states["velocity_command"]
+    if len(command) < 2:
+        return figures
+    figures["commanded_m"] = float(np.sum(np.linalg.norm(command[:-1, :2], axis=1)) * period)
+    fall = float(fall_time(states["projected_gravity"], period))
+    if not math.isnan(fall):
+        figures["fall_s"] = fall
+        upright = round(fall / period)
+        states = {name: values[:upright] for name, values in states.items()}
+        command = states["velocity_command"]
+    w, x, y, z = states["base_quat"][:-1].T
+    yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    step = np.diff(states["base_pos_w"], axis=0)
+    ahead = np.cos(yaw) * step[:, 0] + np.sin(yaw) * step[:, 1]
+    aside = np.cos(yaw) * step[:, 1] - np.sin(yaw) * step[:, 0]
+    way, asked = np.stack([ahead, aside], axis=1), command[:-1, :2]
+    speed = np.linalg.norm(asked, axis=1)
+    along = np.sum(way * asked, axis=1) / np.maximum(speed, STILL)
+    figures["distance_m"] = float(np.sum(along[speed > STILL]))
+    active = np.flatnonzero((np.abs(command[:-1]) > STILL).any(axis=1))
+    if len(active):
+        part = slice(active[0], active[-1] + 1)
+        wrong = way[part] / period - asked[part]
+        turn = states["base_ang_vel"][:-1][part, 2] - command[:-1][part, 2]
+        figures["speed_error"] = float(np.sqrt(np.mean(np.sum(wrong**2, axis=1))))
+        figures["turn_error"] = float(np.sqrt(np.mean(turn**2)))
+    return figures
+
+
+def compare(first: Path, other: Path, until: tuple[float, float]) -> dict[str, Any]:
+    """Return how far the joint positions of a run are from those of the first platform's.
+
+    Both are cut at a fall, and joints matched by name, as `unicon analyze` does.
+
+    Args:
+        first, other: the runs' `.npz`.
+        until: last time with numbers in each, in [s].
+
+    Returns:
+        `mse`: mean of squares, sample by sample, in [rad²]; `unfolded_mse`: the paper's, in [rad²],
+        summed over joints; `shift_s` at which it is found; `compared_s`; `notes`.
+
+    Raises:
+        UniconError: there is too little in common.
+    """
+    runs: list[Run] = [read_run(path, (0.0, end)) for path, end in zip((first, other), until)]
+    both = bring_together(runs[0], runs[1], Options())
+    count = min(both.ends)
+    real, sim = (side["joint_pos"][:count] for side in (both.real_whole, both.sim_whole))
+    return {
+        "mse": float(mse(real, sim)),
+        "unfolded_mse": float(both.unfolded.loss),
+        "shift_s": int(both.unfolded.shift) * both.period,
+        "compared_s": count * both.period,
+        "notes": both.notes,
+    }
+
+
+def spread(values: Iterable[float | None]) -> dict[str, float | int | None]:
+    """Return mean and standard deviation (n − 1) of what is there, and of how many.
+
+    The deviation of one value, and both of none, are None.
+    """
+    there = [value for value in values if value is not None and math.isfinite(value)]
+    return {
+        "mean": float(np.mean(there)) if there else None,
+        "std": float(np.std(there, ddof=1)) if len(there) > 1 else None,
+        "runs": len(there),
+    }

@@ -1,0 +1,197 @@
+"""Results: all runs of a transfer, brought to one value for each platform, as JSON has it."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from unicon_core import __version__
+from unicon_core.errors import UniconError
+from unicon_ros.bench.report import machine
+from unicon_ros.transfer.figures import compare, spread
+from unicon_ros.transfer.plan import Plan
+
+__all__ = ["OUTCOMES", "SCHEMA", "Results"]
+
+SCHEMA = "unicon.transfer/1"
+
+OUTCOMES = {
+    "missing": "not installed",
+    "refused": "refused",
+    "crashed": "crashed",
+    "timeout": "no end",
+    "interrupted": "interrupted",
+    "fault": "fault",
+    "fell": "fell",
+    "ran": "done",
+}
+"""What may become of a run, in words, the worst first."""
+
+NOT_RUN = ("missing", "refused")
+"""Outcomes that are the same with every seed."""
+
+COMMANDED = 0.1
+"""Way in [m] from which on a share of it means something."""
+
+
+class Results:
+    """All runs so far.
+
+    Args:
+        plan: of the transfer.
+        folder: that the runs' files are in.
+    """
+
+    def __init__(self, plan: Plan, folder: Path) -> None:
+        self.plan, self.folder = plan, folder
+        self.runs: dict[str, list[dict[str, Any]]] = {name: [] for name in plan.platforms}
+        self.interrupted = False
+
+    @property
+    def first(self) -> str:
+        """The platform that the others are compared with: the first that could be run."""
+        for name, runs in self.runs.items():
+            if not runs or runs[0]["outcome"] not in NOT_RUN:
+                return name
+        return next(iter(self.runs))
+
+    def hopeless(self, platform: str) -> bool:
+        """Return whether another seed would change nothing."""
+        return any(run["outcome"] in NOT_RUN for run in self.runs[platform])
+
+    def add(self, platform: str, run: dict[str, Any]) -> None:
+        """Take a run, and compare it with that of the first platform with the same seed."""
+        self.runs[platform].append(run)
+        if run["outcome"] != "ran":
+            return
+        if run["finite_rows"] < run["kept_rows"]:  # nothing that was commanded came of it
+            when = run["finite_rows"] * run["period_s"]
+            run["faults"].append(f"a measured state is not a number from {when:.2f} s on")
+        simulated = run["duration_s"]
+        run["wall_per_simulated_s"] = run["wall_s"] / simulated if simulated else None
+        if platform == self.first:
+            return
+        other = next((r for r in self.runs[self.first] if r["seed"] == run["seed"]), None)
+        if other is None or other["outcome"] != "ran":
+            run["compared"] = {"why_not": f"no run of {self.first} with seed {run['seed']}"}
+            return
+        (a, a_end), (b, b_end) = (
+            (self.folder / r["file"], (r["finite_rows"] - 1) * r["period_s"]) for r in (other, run)
+        )
+        try:
+            run["compared"] = compare(a, b, (a_end, b_end))
+        except UniconError as error:
+            run["compared"] = {"why_not": str(error).replace(f"{self.folder}/", "")}
+
+    def to_json(self) -> dict[str, Any]:
+        """Return all as plain values; what is not a finite number is null."""
+        document = self.plan.document
+        ran = [run for runs in self.runs.values() for run in runs if run["outcome"] == "ran"]
+        told = ran[0] if ran else {}
+        commanded = max((run["commanded_m"] or 0.0 for run in ran), default=0.0)
+        effective = yaml.safe_dump(document.values, sort_keys=True)
+        values = {
+            "schema": SCHEMA,
+            "unicon_ros": __version__,
+            "machine": machine(),
+            "workflow": {
+                "name": document.name,
+                "description": str(document.values.get("description", "")),
+                "file": str(document.path),
+                "sha256": hashlib.sha256(document.path.read_bytes()).hexdigest(),
+                "sha256_effective": hashlib.sha256(effective.encode()).hexdigest(),
+                "overrides": list(self.plan.overrides),
+            },
+            "robot": told.get("robot"),
+            "period_s": told.get("period_s"),
+            "policies": told.get("policies", {}),
+            "first": self.first,
+            "seeds": list(self.plan.seeds),
+            "duration_s": self.plan.longest,
+            "commanded_m": commanded,
+            "interrupted": self.interrupted,
+            "notes": list(self.plan.notes),
+            "platforms": [self._platform(name, commanded) for name in self._shown()],
+        }
+        return dict(_plain(values))
+
+    def _shown(self) -> list[str]:
+        """Return the platforms that have a row; of those nobody named, those installed."""
+        return [
+            name
+            for name, runs in self.runs.items()
+            if self.plan.asked or not any(run["outcome"] == "missing" for run in runs)
+        ]
+
+    def left_out(self) -> list[str]:
+        """Return the platforms that have no row: nobody named them, and they are not installed."""
+        shown = self._shown()
+        return [name for name in self.runs if name not in shown]
+
+    def _platform(self, name: str, commanded: float) -> dict[str, Any]:
+        runs = self.runs[name]
+        ran = [run for run in runs if run["outcome"] == "ran"]
+        for run in ran:
+            share = run["distance_m"] is not None and commanded >= COMMANDED
+            run["distance_share"] = run["distance_m"] / commanded if share else None
+        figures = (
+            *("distance_m", "distance_share", "speed_error", "turn_error", "tilt_deg"),
+            *("wall_per_simulated_s", "startup_s"),
+        )
+        compared = [run.get("compared", {}) for run in ran]
+        outcomes = [_outcome(run) for run in runs]
+        worst = next((word for word in OUTCOMES if word in outcomes), "interrupted")
+        return {
+            "platform": name,
+            "outcome": worst,
+            "runs_done": len(ran),
+            "runs_asked": len(self.plan.seeds),
+            "falls": outcomes.count("fell") + sum(_fell(r) for r in ran if r["faults"]),
+            "figures": {key: spread(run[key] for run in ran) for key in figures}
+            | {
+                key: spread(each.get(key) for each in compared)
+                for key in ("mse", "unfolded_mse", "shift_s")
+            },
+            "troubles": _troubles(runs),
+            "runs": runs,
+        }
+
+
+def _outcome(run: dict[str, Any]) -> str:
+    if run["outcome"] != "ran":
+        return str(run["outcome"])
+    return "fault" if run["faults"] else "fell" if _fell(run) else "ran"
+
+
+def _fell(run: dict[str, Any]) -> bool:
+    return bool(run["fell"] or run["fall_s"] is not None)
+
+
+def _troubles(runs: list[dict[str, Any]]) -> list[str]:
+    """Return what went wrong, each thing once with the seeds that it happened with."""
+    seeds: dict[str, list[str]] = {}
+    for run in runs:
+        said = [run["text"]] if run["outcome"] != "ran" else list(run["faults"])
+        if run["outcome"] == "ran" and run["fall_s"] is not None:
+            said.append(f"fell at {run['fall_s']:.2f} s")
+        why_not = run.get("compared", {}).get("why_not")
+        said += [f"not compared: {why_not}"] if why_not else []
+        for text in said:
+            seeds.setdefault(text, []).append(str(run["seed"]))
+    if runs and runs[0]["outcome"] in NOT_RUN:
+        return list(seeds)
+    return [f"seed {', '.join(which)}: {text}" for text, which in seeds.items()]
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(key): _plain(each) for key, each in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(each) for each in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
