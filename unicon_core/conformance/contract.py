@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 import numpy as np
 import pytest
 
 from unicon_core.conformance.case import Build, Case
 from unicon_core.conformance.rig import TIMESTEP, Rig
-from unicon_core.errors import Fault
+from unicon_core.errors import Fault, PlatformError
 from unicon_core.platforms.platform import SIMULATED, Pushable, Resettable
 
 __all__ = ["Contract"]
@@ -160,6 +162,14 @@ class Contract(Case):
         it.platform.push(np.array((0.5, 0.2)))
         told = it.run(1)["base_lin_vel"][-1]
         assert told == pytest.approx((0.2, -0.5, 0.0), abs=0.01)
+
+    def test_a_base_that_is_fixed_is_not_pushed(self, rig: Build) -> None:
+        it = rig(floating=False)
+        before = it.bytes()
+        with suppress(PlatformError):  # to refuse it is right too
+            it.platform.push(np.array((0.5, 0.2)))  # type: ignore[attr-defined]
+        it.platform.recv()
+        assert it.bytes() == before
 
     def test_it_is_closed_twice(self, rig: Build) -> None:
         it = rig()

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.errors import Fault
+from unicon_core.errors import Fault, PlatformError
 from unicon_core.models.actuators import effort_ranges
 from unicon_core.platforms.kit.base import BaseStates, WorldPose
 from unicon_core.platforms.kit.clock import steps_in, tick_ns
@@ -129,7 +129,13 @@ class SteppedSimulator(ABC):
         """Let go of the engine; safe to call twice."""
 
     def push(self, velocity: Float) -> None:
-        """Add to the bases' horizontal velocity [m/s] in the world, shape (2,) or (N, 2)."""
+        """Add to the bases' horizontal velocity [m/s] in the world, shape (2,) or (N, 2).
+
+        Raises:
+            PlatformError: they cannot move.
+        """
+        if not self.start.floating:
+            raise PlatformError(f"platform {self.facts.name!r} cannot push a base that is fixed")
         level = np.atleast_2d(velocity)
         self.add_velocity(np.hstack((level, np.zeros((len(level), 1)))))
 

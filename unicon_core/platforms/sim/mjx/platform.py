@@ -202,6 +202,8 @@ def make(
         MissingDependencyError: mujoco-mjx or jax is not installed.
         ModelError: MJX cannot simulate the model.
     """
+    # Else JAX takes most of a GPU's memory for itself.
+    os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
     try:
         with quiet():  # it tells that warp is not there
             import jax

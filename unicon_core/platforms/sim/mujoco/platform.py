@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from unicon_core.errors import PlatformError
 from unicon_core.models.load import load_model
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.platforms.kit.clock import steps_in
@@ -177,7 +178,13 @@ class MujocoPlatform:
             robot.reset()
 
     def push(self, velocity: NDArray[np.float64]) -> None:
-        """Add to the bases' horizontal velocity [m/s], shape (2,), of a batch (N, 2)."""
+        """Add to the bases' horizontal velocity [m/s], shape (2,), of a batch (N, 2).
+
+        Raises:
+            PlatformError: they cannot move.
+        """
+        if self._loaded.base is None:
+            raise PlatformError("platform 'mujoco' cannot push a base that is fixed")
         for robot, each in zip(self.robots, np.atleast_2d(velocity)):
             robot.push(each)
 
