@@ -144,6 +144,11 @@ def test_unknown_key_frame(build: Build, tmp_path: Path) -> None:
         ),
         ({"delay": -1}, "scene.delay is -1 ticks; give 0 to 1000"),
         (
+            {"terrain": "rough"},
+            "scene.terrain is 'rough'; there is flat alone: put other ground into a model (scene: "
+            "{model: PATH})",
+        ),
+        (
             {"noise": {"joint_pos": -1.0}},
             "scene.noise of joint_pos is -1.0; give 0 or more",
         ),

@@ -69,6 +69,11 @@ class Scene:
     pose: NDArray[np.float32] | None = None
 
     def __post_init__(self) -> None:
+        if self.terrain != "flat":
+            raise PlatformError(
+                f"scene.terrain is {self.terrain!r}; there is flat alone: put other ground into a "
+                "model (scene: {model: PATH})"
+            )
         if not 0 <= self.delay <= LONGEST_DELAY:
             raise PlatformError(f"scene.delay is {self.delay} ticks; give 0 to {LONGEST_DELAY}")
         if self.seed < 0:
