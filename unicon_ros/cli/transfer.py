@@ -195,6 +195,7 @@ def _all_runs(results: Results, console: Console, out: Path | None) -> None:
     from unicon_ros.transfer.processes import run_one
 
     plan = results.plan
+    _write(results.to_json(), out)  # whatever happens, it can be read
     for i, seed in enumerate(plan.seeds):
         for k, platform in enumerate(plan.platforms):
             if results.hopeless(platform):
