@@ -36,6 +36,7 @@ class TestInstalled:
 
     def test_16_robots_walk_in_one_graph(self) -> None:
         told = ["num_robots=16", "scene.initial_pose=policy:walk", "flow={policy: walk}"]
+        told.append("commands=[{velocity_command: {constant: [0.5, 0.0, 0.0]}}]")
         workflow = load_workflow("go2_walk", ["platform=mjx", "start=none", *told])
         runner = Runner(workflow, RunOptions(speed="max"))
         try:
