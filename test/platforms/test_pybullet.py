@@ -94,16 +94,16 @@ def test_g1_walks_there(assets: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 @needs_pybullet
 def test_it_is_disturbed_as_every_simulator() -> None:
     flow = "flow={hold: {duration: 0.6}}"
-    calm = ticked("go2_stand", ["platform=pybullet", flow], 0.6)
+    calm = ticked("go2_stand", ["platform=pybullet", COARSE, flow], 0.6)
     pushes = "scene={initial_pose: rest, push: {every: 0.2, velocity: 2.0}, seed: 3}"
-    pushed = ticked("go2_stand", ["platform=pybullet", flow, pushes], 0.6)
+    pushed = ticked("go2_stand", ["platform=pybullet", COARSE, flow, pushes], 0.6)
     apart = np.linalg.norm(pushed["base_pos_w"] - calm["base_pos_w"], axis=1)
     assert apart[:10].max() < 1e-6
     assert apart[-1] > 0.02
     noise = "scene={initial_pose: rest, noise: {joint_pos: 0.1}, seed: 3}"
-    noisy = ticked("go2_stand", ["platform=pybullet", flow, noise], 0.6)
+    noisy = ticked("go2_stand", ["platform=pybullet", COARSE, flow, noise], 0.6)
     assert np.abs(noisy["joint_pos"][0] - calm["joint_pos"][0]).max() > 0.05
-    again = ticked("go2_stand", ["platform=pybullet", flow, noise], 0.6)
+    again = ticked("go2_stand", ["platform=pybullet", COARSE, flow, noise], 0.6)
     assert noisy["joint_pos"].tobytes() == again["joint_pos"].tobytes()
 
 
