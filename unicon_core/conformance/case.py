@@ -16,7 +16,7 @@ __all__ = ["Build", "Case"]
 pytest.register_assert_rewrite(*(f"{__package__}.{part}" for part in ("contract", "mechanics")))
 
 Build = Callable[..., Rig]
-"""As `Rig`, without platform, folder and options."""
+"""As `Rig`, without platform and folder; `options` are over those of the case."""
 
 
 class Case:
@@ -35,7 +35,8 @@ class Case:
         def build(**how: Any) -> Rig:
             folder = tmp_path / f"rig{len(built)}"
             folder.mkdir()
-            one = Rig(self.platform, folder, self.options, **how)
+            options = {**self.options, **how.pop("options", {})}
+            one = Rig(self.platform, folder, options, **how)
             built.append(one)
             return one
 

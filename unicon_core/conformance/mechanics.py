@@ -232,12 +232,8 @@ class Mechanics(Case):
         assert speeds["replace"] == pytest.approx(0.1 / YAW_INERTIA * 0.1, rel=0.01)
 
     def _passive(self, rig: Build, word: str, joint: str) -> Any:
-        old = self.options
-        type(self).options = {**old, "passive": word}
-        try:
-            it = rig(floating=False, model={"gravity": 0.0, "joint": joint})
-        finally:
-            type(self).options = old
+        model = {"gravity": 0.0, "joint": joint}
+        it = rig(floating=False, model=model, options={"passive": word})
         it.command(joint_effort_ff={"yaw": 0.1})
         return it
 

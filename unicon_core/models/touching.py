@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 
-__all__ = ["floors", "may_touch", "on_floor", "solid"]
+__all__ = ["Contact", "contact_of", "floors", "may_touch", "on_floor", "solid"]
+
+
+class Contact(NamedTuple):
+    """What MuJoCo makes of two geoms that touch."""
+
+    dimensions: int
+    friction: NDArray[np.float64]
+    """Of sliding, turning and rolling, shape (3,)."""
 
 
 def solid(model: Any, geom: int) -> bool:
@@ -33,6 +42,24 @@ def may_touch(model: Any, one: int, other: int) -> bool:
     firsts, seconds = model.pair_geom1, model.pair_geom2
     named = ((firsts == one) & (seconds == other)) | ((firsts == other) & (seconds == one))
     return bool(np.any(named))
+
+
+def contact_of(model: Any, one: int, other: int) -> Contact:
+    """Return the contact of two geoms: a `<pair>`'s, else that of the higher priority, else both's.
+
+    https://mujoco.readthedocs.io/en/stable/modeling.html#contact-parameters
+    """
+    for pair in range(model.npair):
+        if {int(model.pair_geom1[pair]), int(model.pair_geom2[pair])} == {one, other}:
+            sliding, _, turning, rolling, _ = model.pair_friction[pair]
+            return Contact(int(model.pair_dim[pair]), np.array((sliding, turning, rolling)))
+    both = [one, other]
+    ranks, dims = model.geom_priority[both], model.geom_condim[both]
+    friction = model.geom_friction[both]
+    if ranks[0] != ranks[1]:
+        first = int(np.argmax(ranks))
+        return Contact(int(dims[first]), np.array(friction[first]))
+    return Contact(int(dims.max()), friction.max(axis=0))
 
 
 def floors(model: Any) -> list[int]:

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from unicon_core.errors import PlatformError, alternatives
 from unicon_core.models.actuators import actuator_kind
 from unicon_core.models.joints import drives
-from unicon_core.models.loaded import import_mujoco
-from unicon_core.models.touching import floors, may_touch, on_floor
+from unicon_core.models.loaded import LoadedModel, import_mujoco
+from unicon_core.models.touching import contact_of, floors, may_touch, on_floor
 from unicon_core.platforms.kit.start import Start
 from unicon_core.robots import Robot
 
@@ -49,6 +49,18 @@ class JointModel:
     friction: Float
     lower: Float
     upper: Float
+
+    def tell(self, model: Any, loaded: LoadedModel) -> None:
+        """Put armature, damping and friction into a MuJoCo model, for engines that read one.
+
+        Args:
+            model: the one of `loaded`, or a copy of it.
+            loaded: says where the joints are.
+        """
+        mujoco, dofs = import_mujoco(), model.jnt_dofadr[loaded.joints]
+        model.dof_armature[dofs], model.dof_damping[dofs] = self.armature, self.damping
+        model.dof_frictionloss[dofs] = self.friction
+        mujoco.mj_setConst(model, mujoco.MjData(model))  # the solver's inverse inertias follow
 
 
 def joint_model(start: Start, passive: Passive) -> JointModel:
@@ -91,27 +103,16 @@ def known_passive(word: Passive) -> Passive:
 def ground_friction(start: Start) -> float:
     """Return the coefficient of sliding friction between the robot and its floor.
 
-    As MuJoCo has it: that of a `<pair>`, else that of the geom of higher priority, else the larger
-    one. Of geoms that differ it is the median.
-    https://mujoco.readthedocs.io/en/stable/modeling.html#contact-parameters
+    As MuJoCo has it between each geom and the floor; of geoms that differ it is the median.
     """
     model = start.loaded.model
     found = [
-        _sliding(model, floor, geom)
+        float(contact_of(model, floor, geom).friction[0])
         for geom in on_floor(start.loaded)
         for floor in floors(model)
         if may_touch(model, floor, geom)
     ]
     return float(np.median(found)) if found else 1.0
-
-
-def _sliding(model: Any, one: int, other: int) -> float:
-    for pair in range(model.npair):
-        if {int(model.pair_geom1[pair]), int(model.pair_geom2[pair])} == {one, other}:
-            return float(model.pair_friction[pair, 0])
-    ranks = model.geom_priority[[one, other]]
-    values = model.geom_friction[[one, other], 0]
-    return float(values[np.argmax(ranks)] if ranks[0] != ranks[1] else values.max())
 
 
 def lost(start: Start, robot: Robot, figures: JointModel, represents: Collection[str]) -> list[str]:

@@ -43,6 +43,16 @@ class Start:
     physics: JointPhysics
 
     @property
+    def qpos(self) -> Float:
+        """The same as MuJoCo's `qpos`, shape (nq,); joints that are not the robot's as modelled."""
+        loaded = self.loaded
+        qpos = np.array(loaded.model.qpos0)
+        if loaded.base is not None:
+            qpos[int(loaded.model.jnt_qposadr[loaded.base]) :][:7] = *self.position, *self.quat
+        qpos[loaded.addresses] = self.joint_pos
+        return qpos
+
+    @property
     def gravity(self) -> Float:
         """Of the model, in the world in [m/s²], shape (3,)."""
         return np.array(self.loaded.model.opt.gravity)

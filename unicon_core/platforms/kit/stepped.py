@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any, ClassVar
 
@@ -49,6 +49,8 @@ class SteppedSimulator(ABC):
         timestep: of the physics in [s].
         start: where it begins; states of a base that cannot move are not written.
         figures: of the joints, as the engine has been told them.
+        notes: what of the model the engine does otherwise, one line each, where `represents` has no
+            word for it.
 
     Attributes:
         num_robots: N.
@@ -68,13 +70,14 @@ class SteppedSimulator(ABC):
         timestep: float,
         start: Start,
         figures: JointModel,
+        notes: Sequence[str] = (),
     ) -> None:
         unmeasured = () if start.floating else BASE_STATES
         told = [name for name in self.facts.writes if name not in unmeasured]
         self.figures = figures
-        self.notes = [*start.loaded.notes, *lost(start, robot, figures, self.represents)]
-        notes = (*self.facts.notes, *self.notes)
-        self.facts = replace(self.facts, writes=tuple(told), notes=notes)
+        self.notes = [*start.loaded.notes, *lost(start, robot, figures, self.represents), *notes]
+        told_of = (*self.facts.notes, *self.notes)
+        self.facts = replace(self.facts, writes=tuple(told), notes=told_of)
         self._names, self.start, self.model_path = robot.joint_names, start, start.loaded.path
         self.timestep, self.decimation = timestep, steps_in(period, timestep, self.model_path)
         self._tick_ns = tick_ns(timestep, self.decimation)

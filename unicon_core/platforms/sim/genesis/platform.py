@@ -15,7 +15,7 @@ from unicon_core.platforms.kit.start import Start, start_of
 from unicon_core.platforms.kit.stepped import SteppedSimulator
 from unicon_core.platforms.platform import SIMULATED, Facts
 from unicon_core.platforms.sim.genesis.engine import begun, built
-from unicon_core.platforms.sim.genesis.model import adapted, otherwise, resting
+from unicon_core.platforms.sim.genesis.model import adapted, otherwise
 from unicon_core.robots import Robot
 from unicon_core.states import States
 
@@ -55,7 +55,7 @@ class GenesisPlatform(SteppedSimulator):
         figures: JointModel,
     ) -> None:
         count, loaded = states.num_robots or 1, start.loaded
-        self._begin = np.tile(resting(start), (count, 1))
+        self._begin = np.tile(start.qpos, (count, 1))
         self._broken = genesis.GenesisException
         try:
             self._scene, self._robots = built(genesis, adapted(start, figures), step, self._begin)
@@ -72,8 +72,7 @@ class GenesisPlatform(SteppedSimulator):
         self._place, self._turn = slice(at, at + 3), slice(at + 3, at + 7)
         self._linear, self._angular = slice(rate, rate + 3), slice(rate + 3, rate + 6)
         self._forces = np.zeros((count, model.nv))
-        loaded.notes += otherwise(start)
-        super().__init__(states, robot, period, step, start, figures)
+        super().__init__(states, robot, period, step, start, figures, otherwise(start))
 
     def place(self) -> None:
         self._scene.reset()

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from unicon_core.errors import MissingDependencyError, ModelError
 from unicon_core.models.actuators import effort_ranges
@@ -68,7 +67,7 @@ class MjxPlatform(SteppedSimulator):
         compiled, first = _put(mjx, model, start)
         places = Places.of(model, start)
         # On the same device as all else: JAX would compile anew for the first tick.
-        qpos = jax.device_put(_qpos(model, start), first.qpos.device)
+        qpos = jax.device_put(start.qpos.astype(np.float32), first.qpos.device)
         first = first.replace(qpos=qpos)
         self._first = jax.tree.map(lambda leaf: jax.numpy.stack([leaf] * count), first)
         self._moving = slice(places.base_vel, places.base_vel + 3)
@@ -128,10 +127,7 @@ def _model(start: Start, figures: JointModel, step: float) -> Any:
     model.opt.timestep = step
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
     model.opt.tolerance = max(float(model.opt.tolerance), FINEST)
-    dofs = model.jnt_dofadr[start.loaded.joints]
-    model.dof_armature[dofs], model.dof_damping[dofs] = figures.armature, figures.damping
-    model.dof_frictionloss[dofs] = figures.friction
-    mujoco.mj_setConst(model, mujoco.MjData(model))  # the solver's inverse inertias follow
+    figures.tell(model, start.loaded)
     return model
 
 
@@ -156,15 +152,6 @@ def _put(mjx: Any, model: Any, start: Start) -> tuple[Any, Any]:
         model.opt.cone = pyramid
         return _put(mjx, model, start)
     return compiled, data
-
-
-def _qpos(model: Any, start: Start) -> NDArray[np.float32]:
-    """Return where a robot begins, shape (nq,), in float32."""
-    qpos, base = np.array(model.qpos0, np.float32), start.loaded.base
-    if base is not None:
-        qpos[int(model.jnt_qposadr[base]) :][:7] = *start.position, *start.quat
-    qpos[start.loaded.addresses] = start.joint_pos
-    return qpos
 
 
 def _arrays(told: dict[str, Any]) -> dict[str, Float]:

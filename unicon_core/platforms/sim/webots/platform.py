@@ -7,7 +7,6 @@ supervisor. Written against Webots' own modules of R2025a in `lib/controller/pyt
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -66,15 +65,13 @@ class WebotsPlatform(SteppedSimulator):
         self._find(robot, figures)
         self._node = supervisor.getSelf()
         self._limp()
-        own = _tell_world(supervisor, start)
-        super().__init__(states, robot, period, step, start, figures)
-        if own:
-            self.notes.append("contact friction is that of the world's contactProperties")
+        notes = []
+        if _tell_world(supervisor, start):
+            notes.append("contact friction is that of the world's contactProperties")
         if self._unstopped:
             far = ", ".join(self._unstopped)
-            self.notes.append(f"left out: stops beyond ±π, which Webots does not have, of {far}")
-
-        self.facts = replace(self.facts, notes=(*type(self).facts.notes, *self.notes))
+            notes.append(f"left out: stops beyond ±π, which Webots does not have, of {far}")
+        super().__init__(states, robot, period, step, start, figures, notes)
 
     def _find(self, robot: Robot, figures: JointModel) -> None:
         """Look up motors, sensors and joints by name."""
