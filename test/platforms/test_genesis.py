@@ -17,7 +17,7 @@ from unicon_core.platforms.kit.joint_model import joint_model
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.platforms.kit.start import Start, start_of
 from unicon_core.platforms.sim.genesis.engine import begun
-from unicon_core.platforms.sim.genesis.model import adapted, otherwise, resting
+from unicon_core.platforms.sim.genesis.model import adapted, otherwise
 from unicon_core.robots import Robot, load_robot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import load_workflow
@@ -122,7 +122,7 @@ def test_joints_have_the_scenes_figures(tmp_path: Path) -> None:
     assert heavy.dof_frictionloss[6] == 2.0
     assert heavy.dof_invweight0[6] < 0.3 * model.dof_invweight0[6]  # of the new armature
     assert not heavy.actuator_ctrllimited.any()
-    assert resting(start)[7] == pytest.approx(start.joint_pos[0])
+    assert start.qpos[7] == pytest.approx(start.joint_pos[0])
 
 
 def test_what_it_does_otherwise_is_told(tmp_path: Path) -> None:
@@ -156,7 +156,7 @@ def test_masses_and_places_of_links_are_mujocos(name: str) -> None:
     platform: Any = workflow.platform
     model, entity = platform.start.loaded.model, platform._robots
     data = mujoco.MjData(model)
-    qpos = resting(platform.start)
+    qpos = platform.start.qpos
     rng = np.random.default_rng(3)
     at = platform.start.loaded.addresses
     qpos[at] += rng.uniform(-0.3, 0.3, len(at))
