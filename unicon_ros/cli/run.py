@@ -17,7 +17,13 @@ from unicon_core.errors import UniconError
 from unicon_core.outlet import relayed_stderr
 from unicon_core.signals import SIGNALS, Guard
 from unicon_ros.cli.console import Console
-from unicon_ros.cli.workflow_arguments import add_workflow, positive
+from unicon_ros.cli.workflow_arguments import (
+    add_view_options,
+    add_workflow,
+    positive,
+    view_options,
+)
+from unicon_ros.view import SINKS
 
 if TYPE_CHECKING:
     from unicon_core.flow import Block, Stage
@@ -85,7 +91,15 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--trace", metavar="FILE.json", help="write every block of every tick")
     parser.add_argument("--report", metavar="FILE.json", help="write the report")
     parser.add_argument("--picture", metavar="FILE.png", help="draw path, velocities and joints")
-    parser.add_argument("--view", action="store_true", help="open the simulator's viewer")
+    parser.add_argument(
+        "--view",
+        nargs="?",
+        const="page",
+        choices=(*SINKS, "window"),
+        help="show the run: a page in the browser (default), Foxglove, meshcat, or the simulator's "
+        "own window",
+    )
+    add_view_options(parser)
     parser.add_argument(
         "--force",
         metavar="CODE",
@@ -159,6 +173,7 @@ def _run(
     session: Any = None
     picture: Any = None
     recording: Any = None
+    view: Any = None
     if with_ros:
         from unicon_ros.bridge import RosSession
 
@@ -197,8 +212,20 @@ def _run(
 
             picture = Picture(arguments.picture)
             hooks.append(picture.hook)
-        if arguments.view:
-            hooks.append(_viewer)
+        if arguments.view == "window":
+            hooks.append(_window)
+        elif arguments.view:
+            from unicon_ros.view.view import View
+
+            view = View(
+                view_options(arguments),
+                session,
+                arguments.map or document.get("map", str),
+                arguments.frame_prefix,
+                console.warn,
+            )
+            view.declare(document)
+            hooks.append(view.hook)
         record = FaultRecord(arguments.faults, console.warn, recording)
         hooks.append(record.hook)  # the last one: it looks behind the others
         program = Program(document, hooks=hooks, part=arguments.part, silent=arguments.dry)
@@ -217,8 +244,11 @@ def _run(
             runner = Runner(program, options)
             if session is not None:
                 session.attach(runner)
+            if view is not None:
+                view.attach(runner)
+                console.say(f"view: {view.address}")
             if runner.asks:
-                _listen(runner, session is not None)
+                _listen(runner, session is not None or view is not None)
             record.attach(runner)
             SIGNALS.check()
         except BaseException:
@@ -226,6 +256,8 @@ def _run(
             raise
         report = runner.run()
         guard.damp = None
+        if view is not None:
+            view.close()
         if session is not None:
             report.bridge = session.counts()
         if recording is not None:
@@ -234,6 +266,8 @@ def _run(
         if fault is not None:
             report.extra["fault_record"] = str(fault)
     except BaseException:
+        if view is not None:
+            view.close()
         if session is not None:
             session.close()
         raise
@@ -285,13 +319,13 @@ def close_session(session: Any, status: int) -> None:
             print(line, file=sys.stderr)
 
 
-def _viewer(program: Program) -> dict[Stage, list[Block]]:
+def _window(program: Program) -> dict[Stage, list[Block]]:
     from unicon_core.flow import Stage, as_block
     from unicon_core.platforms.platform import Viewable
 
     platform = program.platform
     if not isinstance(platform, Viewable):
-        raise UniconError(f"platform {platform.facts.name!r} has no viewer; run without --view")
+        raise UniconError(f"platform {platform.facts.name!r} has no window; give --view alone")
     return {Stage.OBSERVE: [as_block(platform.viewer())]}
 
 

@@ -134,6 +134,7 @@ class Peripheral:
         first: what the process told when it began.
         rings: of its frames, by name.
         process: it.
+        started: how often it was.
         heard: takes what the process says besides notes.
 
     Raises:
@@ -155,7 +156,7 @@ class Peripheral:
         self._states, self._layout, self._module = states, layout, module
         self._name, self._tell, self._environment = str(given["name"]), tell, environment
         self._stale_ns, self._every = round(stale * 1e9), max(1, round(LOOK / period))
-        self._wait, self._ticks, self._started = FIRST, 0, 0
+        self._wait, self._ticks, self.started = FIRST, 0, 0
         self._closed = self._silent = False
         self._neutral = States(layout)
         self._pairs = Copies(states, layout, memoryview(self._neutral.buffer.data).cast("B")).pairs
@@ -176,8 +177,8 @@ class Peripheral:
 
     def _start(self) -> dict[str, Any]:
         """Start the process and wait until it is ready; also from a thread beside the ticks."""
-        self._started += 1
-        segment = f"{self._name}-{os.getpid()}-{id(self) & 0xFFFFFF:x}-{self._started}"
+        self.started += 1
+        segment = f"{self._name}-{os.getpid()}-{id(self) & 0xFFFFFF:x}-{self.started}"
         given = {**self._given, "segment": segment}
         pipe = Pipe(self._name, given, self._module, self._environment)
         try:
@@ -217,12 +218,7 @@ class Peripheral:
         if watcher is None:
             return
         pipe = self._pipe
-        while told := pipe.words():
-            line = told.get("note") or told.get("error") or told.get("fault")
-            if line:
-                self._tell(str(line))
-            else:
-                self.heard(told)
+        self.listen()
         if pipe.process.poll() is None:
             self._wait = FIRST
             return
@@ -235,6 +231,17 @@ class Peripheral:
         pipe.close(0.0)
         self._thread = threading.Thread(target=self._again, name=f"{self._name} again", daemon=True)
         self._thread.start()
+
+    def listen(self) -> None:
+        """Take what the process has said; it does so by itself every quarter of a second."""
+        if self._watcher is None:
+            return
+        while told := self._pipe.words():
+            line = told.get("note") or told.get("error") or told.get("fault")
+            if line:
+                self._tell(str(line))
+            else:
+                self.heard(told)
 
     def _again(self) -> None:
         while not self._closed:
