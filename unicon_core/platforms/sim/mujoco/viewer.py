@@ -31,7 +31,8 @@ class Viewer:
         if on_linux and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
             raise PlatformError(
                 "the viewer needs a display and neither DISPLAY nor WAYLAND_DISPLAY is set; "
-                "give --view for a page in the browser, or run it under a desktop, `ssh -X` or `xvfb-run`"
+                "give --view for a page in the browser, or run it under a desktop, `ssh -X` or "
+                "`xvfb-run`"
             )
         import mujoco.viewer
 
