@@ -3,7 +3,8 @@
 viser has no heartbeat, no gamepad, no origin check and no token. What is used of its inside stands
 here alone, and setup.py holds its version. A page answers the question for one key of the browser's
 storage as soon as it has handled whatever was sent before it: that is the acknowledgement of a
-picture, the heartbeat, and with our script (`script.js`) the state of gamepad and keys.
+picture. Our script in the page (`script.js`) tells 10 times a second that it lives, whatever the
+pictures take, and at once what gamepad and keys do: as the text of a widget that nobody sees.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import hmac
 import json
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from importlib.resources import files
 from typing import Any
 from urllib.parse import urlsplit
@@ -21,14 +23,15 @@ from viser import _messages
 
 from unicon_core.errors import UniconError
 
-__all__ = ["LOOPBACK", "Link", "check_reach", "opened", "refusal"]
+__all__ = ["LOOPBACK", "Link", "check_reach", "opened", "refusal", "state_of"]
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 
 KEY = "unicon"
-"""Of the storage that `script.js` answers for."""
+"""Of the storage; nothing is kept there."""
 
 _SHORTEST = 8  # characters of a token
+_LONGEST = 0.15  # [s] that one picture counts: the first is the whole scene
 
 
 def check_reach(host: str, token: str) -> None:
@@ -101,46 +104,66 @@ class Link:
 
     Args:
         client: viser's handle.
-        heard: is given the page's state with each answer, in another thread.
+        heard: is given what the page tells of itself, in another thread.
         stop: viser's button behind the large one, None where there is nothing to stop.
 
     Attributes:
-        asked, answered: questions so far.
-        last: when the page answered last, of `time.monotonic`.
+        asked, answered: pictures sent, and those that the page has handled.
+        takes: how long it takes of late to have one handled, in [s].
     """
 
     def __init__(self, client: Any, heard: Callable[[dict[str, Any]], None], stop: Any) -> None:
-        self._connection, self._heard, self._client = client._websock_connection, heard, client
+        self._connection = client._websock_connection
         self.asked = self.answered = 0
-        self.last = time.monotonic()
+        self.takes = self._sent = 0.0
         self._connection.register_handler(
             _messages.LocalStorageGetItemResponseMessage, self._answer
         )
-        script = files(__package__).joinpath("script.js").read_text()
-        given = json.dumps({"key": f"viser-user:{KEY}", "stop": stop and stop._impl.uuid})
+        beat = client.gui.add_text("heartbeat", "", visible=False)
+
+        @beat.on_update
+        async def _(_: Any) -> None:
+            state = state_of(beat.value)
+            if state is not None:
+                heard(state)
+
+        uuids = {"stop": stop and stop._impl.uuid, "beat": beat._impl.uuid}
+        script = files(__package__).joinpath("script.js").read_text(encoding="utf-8")
         self._connection.queue_message(
-            _messages.RunJavascriptMessage(source=f"const given = {given};\n{script}")
+            _messages.RunJavascriptMessage(source=f"const given = {json.dumps(uuids)};\n{script}")
         )
 
     @property
     def pending(self) -> int:
-        """Questions that the page has not answered."""
+        """Pictures that the page has not handled yet."""
         return self.asked - self.answered
 
     def ask(self) -> None:
-        """Ask the page whether it has handled all that was sent so far."""
+        """Ask the page to answer when it has handled all that was sent so far."""
         self.asked += 1
+        self._sent = time.monotonic()
         self._connection.queue_message(
             _messages.LocalStorageGetItemRequestMessage(key=KEY, request_uuid=str(self.asked))
         )
 
     def _answer(self, _: int, message: Any) -> None:
-        try:
+        with suppress(ValueError):
             number = int(message.request_uuid)
-            state = json.loads(message.value or "{}")
-        except ValueError:
-            return
-        if not self.answered < number <= self.asked or not isinstance(state, dict):
-            return
-        self.answered, self.last = number, time.monotonic()
-        self._heard(state)
+            if self.answered < number <= self.asked:
+                self.answered = number
+                took = min(time.monotonic() - self._sent, _LONGEST)
+                self.takes += 0.4 * (took - self.takes)
+
+
+def state_of(text: str) -> dict[str, Any] | None:
+    """Return what a heartbeat tells, None for garbage.
+
+    Args:
+        text: a number, a blank, and a JSON object: `hidden`, `stops` (presses of the e-stop), `pad`
+            (name) and `device`, three numbers from -1 to 1 for vx, vy and wz.
+    """
+    try:
+        state = json.loads(text.partition(" ")[2])
+    except ValueError:
+        return None
+    return state if isinstance(state, dict) else None

@@ -85,7 +85,7 @@ class Chart:
                       {"label": f"[{plot.unit}]" if plot.unit else "value", "size": 52,
                        "labelSize": 18}),
                 legend={"show": True, "live": False},
-                height=205,
+                height=175,
             )  # fmt: skip
 
 

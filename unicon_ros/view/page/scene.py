@@ -171,6 +171,8 @@ class Scene:
         self._stage = stage
         self.follow = self.arrows = self.contacts = self.path = True
         api.set_up_direction("+z")
+        # Shadows make a picture 4 times as dear where no GPU draws it: 1.4 and 6.4 a second.
+        api.configure_default_lights(True, False)
         self._world = api.add_frame("/world", show_axes=False)
         api.add_frame("/world/origin", axes_length=0.3, axes_radius=0.006)
         self._ground = api.add_grid(
@@ -184,7 +186,6 @@ class Scene:
             fade_distance=25.0,
             plane_color=(240, 242, 246),
             plane_opacity=1.0,
-            shadow_opacity=0.3,
         )
         self._bodies: dict[int, Any] = {}
         self._feet: dict[str, Any] = {}
