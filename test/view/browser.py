@@ -31,9 +31,11 @@ class Run:
         changes: time of the day and value of each new velocity command.
     """
 
-    def __init__(self, workflow: str | Path, port: int = 0, *overrides: str, **options: Any) -> None:
+    def __init__(
+        self, workflow: str | Path, port: int = 0, *overrides: str, **options: Any
+    ) -> None:
         self.lines: list[str] = []
-        document = load_document(workflow, list(overrides))
+        document = load_document(workflow, [])
         given = {"sink": "page", "host": "127.0.0.1", "port": port, "token": "", "fps": 30.0}
         self.view = View(given | options, warn=self.lines.append)
         self.view.declare(document)
@@ -57,7 +59,7 @@ class Run:
 
     @property
     def port(self) -> int:
-        return int(self.address.split(":")[2].split("/")[0])
+        return int(self.address.split("//")[1].split("/")[0].split(":")[1])
 
     @property
     def command(self) -> list[float]:
@@ -89,11 +91,13 @@ class Run:
 class Page:
     """One tab; keeps what went wrong and whom it asked."""
 
-    def __init__(self, browser: Any, address: str, width: int = 1100, height: int = 700) -> None:
+    def __init__(self, browser: Any, address: str, width: int = 1000, height: int = 600) -> None:
         self.tab = browser.new_page(viewport={"width": width, "height": height})
         self.errors: list[str] = []
         self.hosts: set[str] = set()
-        self.tab.on("console", lambda said: self.errors.append(said.text) if said.type == "error" else 0)
+        self.tab.on(
+            "console", lambda said: self.errors.append(said.text) if said.type == "error" else 0
+        )
         self.tab.on("pageerror", lambda error: self.errors.append(str(error)))
         self.tab.on("request", lambda asked: self._asked(asked.url))
         self.tab.on("websocket", lambda opened: self._asked(opened.url))
@@ -104,7 +108,7 @@ class Page:
         if not url.startswith(("data:", "blob:")):
             self.hosts.add(url.split("/")[2])
 
-    def until(self, script: str, patience: float = 15.0) -> float:
+    def until(self, script: str, patience: float = 30.0) -> float:
         """Wait until JavaScript is true; return how long it took, [s]."""
         begin = time.monotonic()
         self.tab.wait_for_function(f"() => {script}", timeout=1e3 * patience, polling=20)
@@ -118,9 +122,10 @@ class Page:
 
     def press(self, label: str) -> float:
         """Click a button; return the time of the day of the click."""
+        found = "[...document.querySelectorAll('button')].find(each => each.innerText.trim() === "
         when = self.ask(
-            f"{{const b = [...document.querySelectorAll('button')].find(x => x.innerText.trim() === "
-            f"{label!r}); b.click(); return performance.timeOrigin + performance.now()}}"
+            f"{{const button = {found}{label!r}); button.click(); "
+            "return performance.timeOrigin + performance.now()}"
         )
         return float(when) / 1e3
 

@@ -1,4 +1,4 @@
-"""Link: the line to one browser, and who may have one; where viser has no word for it.
+"""Link: the line to one browser, where viser has no word for it.
 
 viser has no heartbeat, no gamepad, no origin check and no token. What is used of its inside stands
 here alone, and setup.py holds its version. A page answers the question for one key of the browser's
@@ -9,72 +9,21 @@ pictures take, and at once what gamepad and keys do: as the text of a widget tha
 
 from __future__ import annotations
 
-import asyncio
-import hmac
 import json
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from importlib.resources import files
 from typing import Any
-from urllib.parse import urlsplit
 
 from viser import _messages
 
-from unicon_core.errors import UniconError
-
-__all__ = ["LOOPBACK", "Link", "check_reach", "opened", "refusal", "state_of"]
-
-LOOPBACK = ("127.0.0.1", "localhost", "::1")
+__all__ = ["Link", "close_doors", "guard", "opened", "state_of"]
 
 KEY = "unicon"
 """Of the storage; nothing is kept there."""
 
-_SHORTEST = 8  # characters of a token
 _LONGEST = 0.15  # [s] that one picture counts: the first is the whole scene
-
-
-def check_reach(host: str, token: str) -> None:
-    """Refuse a page that everybody in the network could drive from.
-
-    Raises:
-        UniconError: a host beyond this machine without a token, or a token that is none.
-    """
-    if token and (len(token) < _SHORTEST or not token.isascii() or not token.isalnum()):
-        raise UniconError(
-            f"--view-token {token!r} is not a token; give {_SHORTEST} or more letters and digits"
-        )
-    if host not in LOOPBACK and not token:
-        raise UniconError(
-            f"--view-host {host} lets everybody in the network drive the robot; add --view-token "
-            "TOKEN, or leave --view-host out and come through ssh -L"
-        )
-
-
-def refusal(headers: Mapping[str, str], path: str, token: str) -> str:
-    """Return why a browser may not look, "" where it may.
-
-    Another site's page, open in the same browser, can reach 127.0.0.1 too: it tells its own origin,
-    or, where it had its name point here, a host that is not this one.
-
-    Args:
-        headers: of the request that opens the websocket.
-        path: of that request; `/TOKEN` where one is needed.
-        token: "" for none.
-    """
-    host, origin = headers.get("Host", ""), headers.get("Origin")
-    try:
-        name = urlsplit(f"//{host}").hostname or ""
-        site = urlsplit(origin).netloc if origin else host
-    except ValueError:
-        return "its address cannot be read"
-    if token:
-        given = path.strip("/").encode(errors="replace")
-        if not hmac.compare_digest(given, token.encode()):
-            return "it does not know the token"
-    elif name not in LOOPBACK:
-        return f"it asks for host {name!r}"
-    return "" if site == host else f"it is a page of {origin}"
 
 
 def opened(server: Any, client: Any) -> tuple[Mapping[str, str], str]:
@@ -85,12 +34,21 @@ def opened(server: Any, client: Any) -> tuple[Mapping[str, str], str]:
     return connection.request.headers, connection.request.path
 
 
-def drop(server: Any, client: Any) -> None:
-    """Close a client's websocket."""
-    connection = server._websock_server._live_connections.get(client.client_id)
-    if connection is not None:
-        closing = connection.close(1008, "refused")
-        asyncio.run_coroutine_threadsafe(closing, server.get_event_loop())
+def guard(server: Any, refused: Callable[[Any], str]) -> None:
+    """Let a server close each websocket at its opening that is refused.
+
+    Args:
+        server: viser's.
+        refused: is given a connection with `client_id`; returns why not, "" to let it in.
+    """
+
+    async def look(connection: Any) -> None:
+        if refused(connection):
+            await server._websock_server._live_connections[connection.client_id].close(
+                1008, "refused"
+            )
+
+    server._websock_server.on_client_connect(look)
 
 
 def close_doors(server: Any) -> None:

@@ -248,7 +248,7 @@ class Scene:
             if ball.visible != stands:
                 ball.visible = stands
         for arrow, (start, end) in zip(self._velocity, pose.arrows):
-            shows = self.arrows and float(np.linalg.norm(end - start)) > 0.01
+            shows = self.arrows and float(np.linalg.norm(end - start)) > 0.03
             if arrow.visible != shows:
                 arrow.visible = shows
             if shows:
