@@ -83,7 +83,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "~/.local/state/unicon/faults)",
     )
     parser.add_argument("--trace", metavar="FILE.json", help="write every block of every tick")
-    parser.add_argument("--report", metavar="FILE.json", help="write the report")
+    parser.add_argument(
+        "--report",
+        metavar="FILE.json|FILE.html",
+        help="write the report: its figures, or one page with pictures",
+    )
     parser.add_argument("--picture", metavar="FILE.png", help="draw path, velocities and joints")
     parser.add_argument("--view", action="store_true", help="open the simulator's viewer")
     parser.add_argument(
@@ -140,7 +144,8 @@ class _Ended:
 
     report: Report
     runner: Runner
-    picture: Any
+    keeper: Any
+    page: Any
     recording: Any
     session: Any
     fault: Path | None
@@ -157,7 +162,8 @@ def _run(
     hooks: list[Hook] = []
     with_ros = document.get("ros", bool, False) if arguments.ros is None else arguments.ros
     session: Any = None
-    picture: Any = None
+    keeper: Any = None
+    page: Any = None
     recording: Any = None
     if with_ros:
         from unicon_ros.bridge import RosSession
@@ -192,11 +198,12 @@ def _run(
                 arguments.frame_prefix,
             )
             hooks.append(recording.hook)
-        if arguments.picture:
-            from unicon_ros.picture import Picture
+        with_page = bool(arguments.report) and arguments.report.lower().endswith(".html")
+        if arguments.picture or with_page:
+            from unicon_ros.report.kept import Keeper
 
-            picture = Picture(arguments.picture)
-            hooks.append(picture.hook)
+            keeper = Keeper("--picture" if arguments.picture else "--report FILE.html")
+            hooks.append(keeper.hook)
         if arguments.view:
             hooks.append(_viewer)
         record = FaultRecord(arguments.faults, console.warn, recording)
@@ -220,6 +227,12 @@ def _run(
             if runner.asks:
                 _listen(runner, session is not None)
             record.attach(runner)
+            if keeper is not None:
+                keeper.attach(runner)
+            if with_page:
+                from unicon_ros.report.run_page import RunPage
+
+                page = RunPage(arguments.report, keeper, runner)
             SIGNALS.check()
         except BaseException:
             program.close()
@@ -237,7 +250,7 @@ def _run(
         if session is not None:
             session.close()
         raise
-    return _Ended(report, runner, picture, recording, session, fault)
+    return _Ended(report, runner, keeper, page, recording, session, fault)
 
 
 def _listen(runner: Runner, with_ros: bool) -> None:
@@ -323,11 +336,19 @@ def _write(arguments: argparse.Namespace, ended: _Ended) -> tuple[list[str], lis
     written: list[str] = []
     problems: list[str] = []
     title = f"{report.workflow} on {report.robot} ({report.platform})"
+    picture: Any = None
+    if arguments.picture:
+        from unicon_ros.report.pictures import write_overview
+
+        picture = partial(write_overview, arguments.picture, ended.keeper, title)
+    told = partial(report.write, arguments.report)
+    if ended.page is not None:
+        told = partial(ended.page.write, report)
     trace = partial(runner.statistics.write_trace, arguments.trace, f"unicon {report.workflow}")
     for name, path, write, hint in (
         ("trace", arguments.trace, trace, " (open it in ui.perfetto.dev)"),
-        ("report", arguments.report, partial(report.write, arguments.report), ""),
-        ("picture", arguments.picture, lambda: ended.picture.draw(title), ""),
+        ("report", arguments.report, told, ""),
+        ("picture", arguments.picture, picture, ""),
     ):
         if not path:
             continue

@@ -119,7 +119,7 @@ def envelope(
         return time, values
     each = math.ceil(len(values) / points)
     starts = np.arange(0, len(values), each)
-    low, high = (f.reduceat(values, starts) for f in (np.fmin, np.fmax))
+    low, high = (f.reduceat(values, starts) for f in (np.minimum, np.maximum))
     return np.repeat(time[starts], 2), np.stack([low, high], axis=1).reshape(-1, *values.shape[1:])
 
 
