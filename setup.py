@@ -40,6 +40,8 @@ EXTRAS = {
     ],
     "zmq": ["pyzmq"],
     "plots": ["matplotlib"],
+    # The live page; its client is part of the package, so that it works off-line.
+    "view": ["viser==1.1.1"],
     # setuptools 80 turns `colcon build --symlink-install` into a silent copy.
     "test": [
         "pytest",

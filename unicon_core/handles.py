@@ -88,9 +88,17 @@ class FrameRing:
 
         One process fills. The oldest frame is gone from here on.
         """
+        return self.slot(self.reserve())
+
+    def reserve(self) -> int:
+        """Return the number of that slot alone, for who keeps views of all of them."""
         slot = (self.latest + 1) % self.slots
         self._table[slot, 0] = 0
-        frame: NDArray[np.uint8] = self._frames[slot]
+        return slot
+
+    def slot(self, number: int) -> NDArray[np.uint8]:
+        """Return a slot, shape (nbytes,)."""
+        frame: NDArray[np.uint8] = self._frames[number]
         return frame
 
     def commit(self, stamp_ns: int) -> int:

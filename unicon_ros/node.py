@@ -33,8 +33,9 @@ from unicon_ros.bridge import RosSession
 from unicon_ros.bridge.diagnostics import Diagnostics
 from unicon_ros.bridge.estop import FAULT, STOP_SERVICES, EmergencyStop, latch_of
 from unicon_ros.bridge.node_log import NodeLog
-from unicon_ros.bridge.services import SERVICES, Answer, add_services, explained
+from unicon_ros.bridge.services import SERVICES, add_services, explained
 from unicon_ros.bridge.tuning import Tuning
+from unicon_ros.controls import Answer
 from unicon_ros.fault_record import FaultRecord
 from unicon_ros.latches import FAULT as ENDED_BY_FAULT
 from unicon_ros.parameters import Parameters

@@ -447,7 +447,7 @@ def test_where_nothing_can_be_written_the_run_does_not_begin(
         assert told.count("\n") == 1
 
 
-@pytest.mark.parametrize("why", [["--map", "nonesuch"], ["--view"]])
+@pytest.mark.parametrize("why", [["--map", "nonesuch"], ["--view=window"]])
 def test_a_run_that_is_not_built_leaves_no_file_and_no_thread(
     why: list[str], tmp_path: Path
 ) -> None:

@@ -198,7 +198,7 @@ def test_viewer_without_a_display(build: Build, monkeypatch: pytest.MonkeyPatch)
         build()[0].viewer()
     assert str(error.value) == (
         "the viewer needs a display and neither DISPLAY nor WAYLAND_DISPLAY is set; "
-        "run without --view, or under a desktop, `ssh -X` or `xvfb-run`"
+        "give --view for a page in the browser, or run it under a desktop, `ssh -X` or `xvfb-run`"
     )
 
 

@@ -11,10 +11,10 @@ import pytest
 
 from unicon_core.runtime import Pacing
 from unicon_ros.bridge import slack, stamps
-from unicon_ros.bridge.controls import Controls
 from unicon_ros.bridge.slack import SlackServer
 from unicon_ros.bridge.stamps import WallStamp
 from unicon_ros.compat import Piece, services
+from unicon_ros.controls import Controls
 
 MS = 1_000_000
 

@@ -12,7 +12,18 @@ import sys
 
 OLDEST = (3, 10)
 # What the package itself needs and what develops it; the wheels of ROS come on top where they run.
-EXTRAS = ["sim", "sim-pybullet", "bags", "zmq", "plots", "hw-unitree", "hw-arx", "test", "dev"]
+EXTRAS = [
+    "sim",
+    "sim-pybullet",
+    "bags",
+    "zmq",
+    "plots",
+    "view",
+    "hw-unitree",
+    "hw-arx",
+    "test",
+    "dev",
+]
 # ros-wheels-bootstrapper starts Python a second time with a library path of its own venv and leaves
 # both variables to every child process; in another venv they load the wrong libraries.
 BOOTSTRAP_GUARD = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"

@@ -37,6 +37,8 @@ class CompiledGraph:
         detailed: each block has a stamp of its own.
         groups: the numbers of the blocks that share a stamp where not, in their order: that of the
             last one. The last group has none: it ends with the tick, as the ticker notes.
+        places: `id` of a chain or switch to the variable of `memory` that tells which of its
+            children runs; less than 0 before the first one.
     """
 
     step: Callable[[], bool]
@@ -49,6 +51,7 @@ class CompiledGraph:
     stamps: NDArray[np.int64]
     groups: tuple[tuple[int, ...], ...]
     _ways: Sequence[Callable[[], bool]]
+    places: Mapping[int, str]
     detailed: bool = True
 
     def watch(self, each: bool) -> None:
@@ -67,6 +70,11 @@ class CompiledGraph:
         What says that something was put off is not among them: it is 0 between two ticks.
         """
         return {name: cell.cell_contents for name, cell in self._counters().items()}
+
+    def cells(self, names: Iterable[str]) -> tuple[CellType, ...]:
+        """Return what holds some variables of `memory`, to look at them in every tick."""
+        counters = self._counters()
+        return tuple(counters[name] for name in names)
 
     def restore(self, memory: Mapping[str, int]) -> None:
         """Go on where another graph of the same tree was, between two ticks.

@@ -99,8 +99,9 @@ class _Compiler:
         if self.trace and not (bodies[1][1] or ending or late):
             ways[3] = bool  # nothing is put off: False, without a function of Python's
         later, groups = frozenset(self.deferred_blocks), tuple(self.shared)
+        blocks, places = tuple(self.blocks), scope.places("chain", "case")
         return CompiledGraph(
-            ways[0], ways[1], warm, renew, source, tuple(self.blocks), later, stamps, groups, ways
+            *(ways[0], ways[1], warm, renew, source, blocks, later, stamps, groups, ways, places)
         )
 
     def step(self, root: Node) -> tuple[Lines, Lines]:

@@ -65,6 +65,10 @@ class Scope:
         """Return True where the owner's variable was asked for before."""
         return (prefix, id(owner)) in self._counters
 
+    def places(self, *prefixes: str) -> dict[int, str]:
+        """Return `id` of each owner to the name of its variable with one of these prefixes."""
+        return {owner: name for (kind, owner), name in self._counters.items() if kind in prefixes}
+
     def variable(self, prefix: str, initial: int = 0) -> str:
         """Return the name of a new variable that lives from tick to tick."""
         name = f"{prefix}{len(self.state)}"

@@ -234,7 +234,7 @@ class Pausable(Protocol):
 
 @runtime_checkable
 class Viewable(Protocol):
-    """A simulator with a window, for `unicon run --view`."""
+    """A simulator with a window, for `unicon run --view=window`."""
 
     def viewer(self) -> Callable[[], bool | None]:
         """Return a block that shows it, True when its window was closed."""

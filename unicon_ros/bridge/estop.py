@@ -19,7 +19,8 @@ from typing import Any
 from unicon_core.errors import Fault
 from unicon_core.flow import Block
 from unicon_ros import compat
-from unicon_ros.bridge.services import Answer, add_services, explained
+from unicon_ros.bridge.services import add_services, explained
+from unicon_ros.controls import Answer
 from unicon_ros.latches import ESTOP, Latch
 
 __all__ = ["FAULT", "REFUSAL", "STOP_SERVICES", "EmergencyStop", "latch_of"]

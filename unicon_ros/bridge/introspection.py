@@ -19,9 +19,9 @@ from unicon_msgs_map.codec.binding import Arrays
 from unicon_ros.bridge.debug_topic import DebugTopic
 from unicon_ros.bridge.declare import declare
 from unicon_ros.bridge.qos import LATCHED, qos_profile
-from unicon_ros.bridge.services import Answer
 from unicon_ros.bridge.topics_in import TopicIn
 from unicon_ros.bridge.topics_out import TopicOut
+from unicon_ros.controls import Answer
 from unicon_ros.parameter_table import INTROSPECTION
 
 __all__ = ["SCHEMA", "Introspection", "layout_text"]

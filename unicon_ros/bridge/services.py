@@ -8,8 +8,9 @@ from typing import Any
 from unicon_core.blocks.controls.skills import Skills
 from unicon_core.workflow import Program
 from unicon_core.workflow.skills import skills_of
+from unicon_ros.controls import Answer
 
-__all__ = ["SERVICES", "Answer", "add_services", "explained", "skill_handlers"]
+__all__ = ["SERVICES", "add_services", "explained", "skill_handlers"]
 
 SERVICES = {
     "start": "the operator's go: a robot whose gates hold begins to move; goes on after a pause; "
@@ -26,9 +27,6 @@ SERVICES = {
     "latched on `~/layout`",
 }
 """Each `~/<name>`, and what it does."""
-
-Answer = tuple[bool, str]
-"""Success, and a line for the caller."""
 
 
 def add_services(

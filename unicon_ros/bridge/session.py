@@ -34,7 +34,6 @@ from unicon_ros.bridge.bindings import (
     names_of,
     variables_of,
 )
-from unicon_ros.bridge.controls import Controls
 from unicon_ros.bridge.diagnostics import Diagnostics
 from unicon_ros.bridge.estop import STOP_SERVICES, EmergencyStop
 from unicon_ros.bridge.introspection import Introspection
@@ -48,6 +47,7 @@ from unicon_ros.bridge.slack import SlackServer
 from unicon_ros.bridge.stamps import WallStamp
 from unicon_ros.bridge.topics_in import TopicIn
 from unicon_ros.bridge.topics_out import TopicOut
+from unicon_ros.controls import Controls
 from unicon_ros.latches import clearing
 
 if TYPE_CHECKING:

@@ -32,8 +32,12 @@ class Console:
 
     def warn(self, message: str) -> None:
         """Say a warning, one line; dropped where nobody reads."""
+        self.say(f"warning: {message}")
+
+    def say(self, message: str) -> None:
+        """Say something else, one line; dropped where nobody reads."""
         clear = CLEAR if self.terminal else ""
-        self._outlet(f"{clear}unicon: warning: {message}\n")
+        self._outlet(f"{clear}unicon: {message}\n")
 
     def status(self, values: dict[str, Any]) -> None:
         """Rewrite the status line."""

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import argparse
-import os
-import select
 import sys
-import threading
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
@@ -17,7 +14,14 @@ from unicon_core.errors import UniconError
 from unicon_core.outlet import relayed_stderr
 from unicon_core.signals import SIGNALS, Guard
 from unicon_ros.cli.console import Console
-from unicon_ros.cli.workflow_arguments import add_workflow, positive
+from unicon_ros.cli.operator import listen
+from unicon_ros.cli.workflow_arguments import (
+    add_view_options,
+    add_workflow,
+    positive,
+    view_options,
+)
+from unicon_ros.view import SINKS
 
 if TYPE_CHECKING:
     from unicon_core.flow import Block, Stage
@@ -26,9 +30,6 @@ if TYPE_CHECKING:
     from unicon_core.workflow.document import WorkflowDocument
 
 __all__ = ["add", "add_options", "close_session", "run", "run_document"]
-
-LOOK = 0.2
-"""How long Enter is waited for before the phase is looked at, in [s]."""
 
 
 def add(commands: Any) -> None:
@@ -89,7 +90,15 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="write the report: its figures, or one page with pictures",
     )
     parser.add_argument("--picture", metavar="FILE.png", help="draw path, velocities and joints")
-    parser.add_argument("--view", action="store_true", help="open the simulator's viewer")
+    parser.add_argument(
+        "--view",
+        nargs="?",
+        const="page",
+        choices=(*SINKS, "window"),
+        help="show the run: a page in the browser (default), Foxglove, meshcat, or the simulator's "
+        "own window",
+    )
+    add_view_options(parser)
     parser.add_argument(
         "--force",
         metavar="CODE",
@@ -144,8 +153,7 @@ class _Ended:
 
     report: Report
     runner: Runner
-    keeper: Any
-    page: Any
+    pictured: Any
     recording: Any
     session: Any
     fault: Path | None
@@ -162,9 +170,9 @@ def _run(
     hooks: list[Hook] = []
     with_ros = document.get("ros", bool, False) if arguments.ros is None else arguments.ros
     session: Any = None
-    keeper: Any = None
-    page: Any = None
+    pictured: Any = None
     recording: Any = None
+    view: Any = None
     if with_ros:
         from unicon_ros.bridge import RosSession
 
@@ -200,12 +208,24 @@ def _run(
             hooks.append(recording.hook)
         with_page = bool(arguments.report) and arguments.report.lower().endswith(".html")
         if arguments.picture or with_page:
-            from unicon_ros.report.kept import Keeper
+            from unicon_ros.report.pictured import Pictured
 
-            keeper = Keeper("--picture" if arguments.picture else "--report FILE.html")
-            hooks.append(keeper.hook)
-        if arguments.view:
-            hooks.append(_viewer)
+            pictured = Pictured(arguments.picture, arguments.report if with_page else "")
+            hooks.append(pictured.hook)
+        if arguments.view == "window":
+            hooks.append(_window)
+        elif arguments.view:
+            from unicon_ros.view.view import View
+
+            view = View(
+                view_options(arguments),
+                session,
+                arguments.map or document.get("map", str),
+                arguments.frame_prefix,
+                console.warn,
+            )
+            view.declare(document)
+            hooks.append(view.hook)
         record = FaultRecord(arguments.faults, console.warn, recording)
         hooks.append(record.hook)  # the last one: it looks behind the others
         program = Program(document, hooks=hooks, part=arguments.part, silent=arguments.dry)
@@ -224,21 +244,22 @@ def _run(
             runner = Runner(program, options)
             if session is not None:
                 session.attach(runner)
+            if view is not None:
+                view.attach(runner)
+                console.say(f"view: {view.address}")
             if runner.asks:
-                _listen(runner, session is not None)
+                listen(runner, session is not None or view is not None)
             record.attach(runner)
-            if keeper is not None:
-                keeper.attach(runner)
-            if with_page:
-                from unicon_ros.report.run_page import RunPage
-
-                page = RunPage(arguments.report, keeper, runner)
+            if pictured is not None:
+                pictured.attach(runner)
             SIGNALS.check()
         except BaseException:
             program.close()
             raise
         report = runner.run()
         guard.damp = None
+        if view is not None:
+            view.close()
         if session is not None:
             report.bridge = session.counts()
         if recording is not None:
@@ -247,42 +268,12 @@ def _run(
         if fault is not None:
             report.extra["fault_record"] = str(fault)
     except BaseException:
+        if view is not None:
+            view.close()
         if session is not None:
             session.close()
         raise
-    return _Ended(report, runner, keeper, page, recording, session, fault)
-
-
-def _listen(runner: Runner, with_ros: bool) -> None:
-    """Take the Enter key for the operator's go.
-
-    Raises:
-        UniconError: nobody could say it.
-    """
-    if not sys.stdin or not sys.stdin.isatty():
-        if with_ros:
-            return
-        raise UniconError(
-            f"platform {runner.program.platform.facts.name!r} is a robot, which waits for the "
-            "operator's go, and standard input is not a terminal: add --yes to let it move once "
-            "its gates hold, or --ros and call ~/start"
-        )
-
-    from unicon_core.runtime.phases import Phase
-
-    moving = (Phase.APPROACH, Phase.RUN, Phase.SOFT, Phase.DAMP)
-
-    def listen() -> None:
-        with suppress(OSError):
-            while runner.phase not in moving:  # then keys are the workflow's
-                if not select.select([0], [], [], LOOK)[0]:
-                    continue
-                if not os.read(0, 1024):
-                    return
-                if not runner.go() and runner.waits_for:
-                    runner.options.warn(f"not yet: it waits for {runner.waits_for}")
-
-    threading.Thread(target=listen, name="operator", daemon=True).start()
+    return _Ended(report, runner, pictured, recording, session, fault)
 
 
 def close_session(session: Any, status: int) -> None:
@@ -298,13 +289,13 @@ def close_session(session: Any, status: int) -> None:
             print(line, file=sys.stderr)
 
 
-def _viewer(program: Program) -> dict[Stage, list[Block]]:
+def _window(program: Program) -> dict[Stage, list[Block]]:
     from unicon_core.flow import Stage, as_block
     from unicon_core.platforms.platform import Viewable
 
     platform = program.platform
     if not isinstance(platform, Viewable):
-        raise UniconError(f"platform {platform.facts.name!r} has no viewer; run without --view")
+        raise UniconError(f"platform {platform.facts.name!r} has no window; give --view alone")
     return {Stage.OBSERVE: [as_block(platform.viewer())]}
 
 
@@ -335,20 +326,14 @@ def _write(arguments: argparse.Namespace, ended: _Ended) -> tuple[list[str], lis
     report, runner = ended.report, ended.runner
     written: list[str] = []
     problems: list[str] = []
-    title = f"{report.workflow} on {report.robot} ({report.platform})"
-    picture: Any = None
-    if arguments.picture:
-        from unicon_ros.report.pictures import write_overview
-
-        picture = partial(write_overview, arguments.picture, ended.keeper, title)
     told = partial(report.write, arguments.report)
-    if ended.page is not None:
-        told = partial(ended.page.write, report)
+    if ended.pictured is not None and ended.pictured.page is not None:
+        told = partial(ended.pictured.page.write, report)
     trace = partial(runner.statistics.write_trace, arguments.trace, f"unicon {report.workflow}")
     for name, path, write, hint in (
         ("trace", arguments.trace, trace, " (open it in ui.perfetto.dev)"),
         ("report", arguments.report, told, ""),
-        ("picture", arguments.picture, picture, ""),
+        ("picture", arguments.picture, lambda: ended.pictured.draw(report), ""),
     ):
         if not path:
             continue

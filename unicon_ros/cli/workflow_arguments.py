@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import argparse
+from typing import Any
 
-__all__ = ["add_overrides", "add_workflow", "positive"]
+from unicon_ros.view import PORT
+
+__all__ = ["add_overrides", "add_view_options", "add_workflow", "positive", "view_options"]
 
 
 def add_workflow(parser: argparse.ArgumentParser) -> None:
@@ -32,3 +35,37 @@ def positive(text: str) -> float:
     if not 0.0 < value < float("inf"):
         raise argparse.ArgumentTypeError(f"{text} is not a number > 0")
     return value
+
+
+def add_view_options(parser: argparse.ArgumentParser) -> None:
+    """Add where and how a viewer is served."""
+    parser.add_argument(
+        "--view-host", metavar="HOST", default="127.0.0.1", help="where the viewer is served"
+    )
+    parser.add_argument(
+        "--view-port",
+        metavar="PORT",
+        type=int,
+        default=PORT,
+        help=f"its port (default {PORT}, or the next free one)",
+    )
+    parser.add_argument(
+        "--view-token",
+        metavar="TOKEN",
+        default="",
+        help="what others have to know, for --view-host",
+    )
+    parser.add_argument(
+        "--view-fps", metavar="N", type=positive, default=30.0, help="pictures per second at most"
+    )
+
+
+def view_options(arguments: argparse.Namespace, sink: str = "") -> dict[str, Any]:
+    """Return the options of a viewer, for `View`."""
+    return {
+        "sink": sink or arguments.view,
+        "host": arguments.view_host,
+        "port": arguments.view_port,
+        "token": arguments.view_token,
+        "fps": arguments.view_fps,
+    }

@@ -9,7 +9,7 @@ import threading
 from collections.abc import Callable
 from types import TracebackType
 
-from unicon_ros.bridge.controls import Controls
+from unicon_ros.controls import Controls
 
 __all__ = ["HELP", "Keys"]
 

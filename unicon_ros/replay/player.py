@@ -18,7 +18,7 @@ from unicon_core.flow import Block
 from unicon_core.runtime import Report, Runner, RunOptions
 from unicon_core.states.standard import HARDWARE_STATES, standard_states
 from unicon_core.workflow import Program
-from unicon_ros.bridge.controls import Controls
+from unicon_ros.controls import Controls
 from unicon_ros.recording import Record, open_record
 from unicon_ros.replay.keys import Keys
 from unicon_ros.replay.platform import TARGET, ReplayPlatform

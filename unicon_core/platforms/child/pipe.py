@@ -34,6 +34,7 @@ class Pipe:
         what: the platform or policy, for messages.
         given: what the child reads first, which can be pickled.
         module: that runs in the child.
+        environment: of the child, with our modules; None for ours.
 
     Attributes:
         process: the child.
@@ -42,7 +43,13 @@ class Pipe:
         PlatformError: something given cannot be pickled.
     """
 
-    def __init__(self, what: str, given: Mapping[str, Any], module: str = PLATFORM) -> None:
+    def __init__(
+        self,
+        what: str,
+        given: Mapping[str, Any],
+        module: str = PLATFORM,
+        environment: Mapping[str, str] | None = None,
+    ) -> None:
         self._what, self._rest = what, b""
         try:
             packed = pickle.dumps(given)
@@ -55,7 +62,7 @@ class Pipe:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             bufsize=0,
-            env=same_modules(),
+            env=same_modules() if environment is None else dict(environment),
             start_new_session=True,  # Ctrl-C and Ctrl-Z are the parent's: it damps in order
         )
         assert self.process.stdin is not None

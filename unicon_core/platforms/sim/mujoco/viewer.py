@@ -1,4 +1,4 @@
-"""A window on a simulated robot, for `unicon run --view`; a deferred block."""
+"""A window on a simulated robot, for `unicon run --view=window`; a deferred block."""
 
 from __future__ import annotations
 
@@ -31,7 +31,8 @@ class Viewer:
         if on_linux and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
             raise PlatformError(
                 "the viewer needs a display and neither DISPLAY nor WAYLAND_DISPLAY is set; "
-                "run without --view, or under a desktop, `ssh -X` or `xvfb-run`"
+                "give --view for a page in the browser, or run it under a desktop, `ssh -X` or "
+                "`xvfb-run`"
             )
         import mujoco.viewer
 
@@ -40,7 +41,7 @@ class Viewer:
         except Exception as error:  # glfw raises classes of its own
             raise PlatformError(
                 f"the viewer cannot open a window: {' '.join(str(error).split())}; "
-                "run without --view"
+                "give --view for a page in the browser"
             ) from error
         self._interval = 1.0 / rate
         self._due = 0.0

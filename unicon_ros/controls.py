@@ -1,16 +1,21 @@
-"""Controls: what the services start, stop, reset, pause and step do to a workflow."""
+"""Controls: what services, keys and a viewer start, stop, reset, pause and step of a workflow."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 from unicon_core.platforms.platform import Pausable
 from unicon_core.runtime import Runner
-from unicon_ros.bridge.estop import EmergencyStop
-from unicon_ros.bridge.services import Answer
 
-__all__ = ["Controls"]
+if TYPE_CHECKING:
+    from unicon_ros.bridge.estop import EmergencyStop
+
+__all__ = ["Answer", "Controls"]
+
+Answer = tuple[bool, str]
+"""Success, and a line for the caller."""
 
 
 class Controls:
@@ -23,11 +28,13 @@ class Controls:
     Attributes:
         runner: the run; None before `attach`.
         paused: ticks are paused.
+        others: looked at during a pause too, when no block is.
     """
 
     def __init__(self, serve: Callable[[float], None], estop: EmergencyStop | None = None) -> None:
         self.runner: Runner | None = None
         self.paused = False
+        self.others: list[Callable[[], object]] = []
         self._steps = 0
         self._serve = serve
         self._estop = estop
@@ -105,6 +112,8 @@ class Controls:
             self._serve(0.005)
             if self._estop is not None:
                 self._estop.look()
+            for look in self.others:
+                look()
             if self._steps:
                 self._steps -= 1
                 if runner.tick(time.perf_counter_ns()):

@@ -1,0 +1,274 @@
+"""Peripheral: a device in a process of its own, as the tick sees it.
+
+Of a peripheral `webxr` the states are `webxr_alive` (1 while it is there), `webxr_stamp_ns` (when
+its values were true), `webxr_NAME_handle` of each ring of frames, and its values. Each goes back to
+its initial value, the neutral one, in the tick after the device was lost, its process has died, or
+nothing has come for `stale` seconds.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
+from typing import Any
+
+from unicon_core.errors import UniconError
+from unicon_core.flow import Block, Stage
+from unicon_core.handles import FrameRing
+from unicon_core.platforms.child.pipe import Pipe
+from unicon_core.states import Layout, States, StateSpec
+from unicon_core.states.backends.shm import ShmWatcher
+from unicon_core.states.backends.shm.files import remove_dead
+from unicon_core.states.groups import Copies, subset
+from unicon_core.workflow.autowire import BuildContext
+from unicon_ros.peripherals.child import GROUP, START
+
+__all__ = ["Peripheral", "peripheral_block", "peripheral_states"]
+
+LOOK = 0.25
+"""How often it is looked whether the process lives and what it says, in [s]."""
+
+CLOSING = 2.0
+"""How long the process may take to end, in [s]."""
+
+FIRST, LONGEST = 1.0, 30.0
+"""Shortest and longest wait before a process that has died is started again, in [s]."""
+
+
+def peripheral_states(
+    name: str, values: Mapping[str, StateSpec], frames: Iterable[str] = ()
+) -> dict[str, StateSpec]:
+    """Return the states of a peripheral, for `declares`.
+
+    Args:
+        name: of the peripheral.
+        values: its own, under their whole names; `initial` is the neutral value.
+        frames: names of its rings.
+    """
+    handles = {
+        f"{name}_{ring}_handle": StateSpec(
+            (), "int64", description=f"number of the newest frame of {ring}, 0 if none"
+        )
+        for ring in frames
+    }
+    return {
+        f"{name}_alive": StateSpec((), "int32", description=f"1 while {name} is heard"),
+        f"{name}_stamp_ns": StateSpec(
+            (), "int64", "ns", description=f"when the values of {name} were true, CLOCK_MONOTONIC"
+        ),
+        **handles,
+        **values,
+    }
+
+
+def peripheral_block(
+    context: BuildContext,
+    name: str,
+    module: str,
+    options: Mapping[str, Any],
+    *,
+    values: Iterable[str],
+    frames: Mapping[str, int] | None = None,
+    stale: float = 0.2,
+    data: Mapping[str, Any] | None = None,
+    environment: Mapping[str, str] | None = None,
+) -> Block:
+    """Return the block of a peripheral, in stage recv: records have what it told.
+
+    In a dry run nothing is opened.
+
+    Args:
+        context: of the workflow.
+        name: of the peripheral.
+        module: that its process runs, which calls `serve`.
+        options: for the device, as of JSON.
+        values: names of its states besides those that every peripheral has.
+        frames: ring to the size of a frame in [B].
+        stale: so long nothing may come, in [s].
+        data: further objects for the device, which can be pickled.
+        environment: of the process; None for ours.
+
+    Raises:
+        UniconError: what the process says when it cannot begin.
+    """
+    if not 0.0 < stale <= 10.0:
+        raise UniconError(f"{name}: stale is {stale}; give more than 0 and at most 10 s")
+    rings = dict(frames or {})
+    names = (*peripheral_states(name, {}, rings), *values)
+    if context.dry:
+        return Block(name, _nothing, writes=names, endless=True, stage=Stage.RECV)
+    layout = subset(context.states.layout, names)
+    given = {"name": name, "options": dict(options), "data": dict(data or {})}
+    tick = Peripheral(
+        context.states,
+        layout,
+        module,
+        given,
+        rings,
+        stale,
+        context.period,
+        context.tell,
+        environment,
+    )
+    return Block(name, tick, writes=names, endless=True, stage=Stage.RECV, close=tick.close)
+
+
+class Peripheral:
+    """The tick of a peripheral.
+
+    Args:
+        states: of the workflow.
+        layout: of what the device tells, some of these states.
+        module: that its process runs.
+        given: name, options and data.
+        rings: ring to the size of a frame in [B].
+        stale: so long nothing may come, in [s].
+        period: of a tick in [s].
+        tell: takes a line for the operator.
+        environment: of the process; None for ours.
+
+    Attributes:
+        first: what the process told when it began.
+        rings: of its frames, by name.
+        process: it.
+        started: how often it was.
+        heard: takes what the process says besides notes.
+
+    Raises:
+        UniconError: what the process says when it cannot begin.
+    """
+
+    def __init__(
+        self,
+        states: States,
+        layout: Layout,
+        module: str,
+        given: Mapping[str, Any],
+        rings: Mapping[str, int],
+        stale: float,
+        period: float,
+        tell: Callable[[str], None],
+        environment: Mapping[str, str] | None = None,
+    ) -> None:
+        self._states, self._layout, self._module = states, layout, module
+        self._name, self._tell, self._environment = str(given["name"]), tell, environment
+        self._stale_ns, self._every = round(stale * 1e9), max(1, round(LOOK / period))
+        self._wait, self._ticks, self.started = FIRST, 0, 0
+        self._closed = self._silent = False
+        self._neutral = States(layout)
+        self._pairs = Copies(states, layout, memoryview(self._neutral.buffer.data).cast("B")).pairs
+        self.heard: Callable[[dict[str, Any]], object] = bool
+        self.rings: dict[str, FrameRing] = {}
+        self._watcher: ShmWatcher | None = None
+        self._thread: threading.Thread | None = None
+        try:
+            for ring, nbytes in rings.items():
+                self.rings[ring] = FrameRing.create(nbytes)
+            paths = {ring: str(made.path) for ring, made in self.rings.items()}
+            self._given = {**given, "layout": layout.to_json(), "rings": paths}
+            self.first = self._start()
+        except BaseException:
+            for made in self.rings.values():
+                made.close()
+            raise
+
+    def _start(self) -> dict[str, Any]:
+        """Start the process and wait until it is ready; also from a thread beside the ticks."""
+        self.started += 1
+        segment = f"{self._name}-{os.getpid()}-{id(self) & 0xFFFFFF:x}-{self.started}"
+        given = {**self._given, "segment": segment}
+        pipe = Pipe(self._name, given, self._module, self._environment)
+        try:
+            first = pipe.answer(START)
+            watcher = ShmWatcher(segment, GROUP, self._states, self._layout)
+            watcher.unlink()  # nothing is left of whoever is killed
+        except BaseException:
+            pipe.close(0.0)
+            remove_dead(segment)
+            raise
+        assert pipe.process.stdin is not None
+        os.set_blocking(pipe.process.stdin.fileno(), False)  # `wish` waits for nobody
+        self._pipe, self.process = pipe, pipe.process
+        self._watcher = watcher
+        return first
+
+    def __call__(self) -> None:
+        """Take what is new; what is lost or too old goes back to its neutral value."""
+        watcher = self._watcher
+        if watcher is not None:
+            if watcher.take():
+                self._silent = False
+            elif time.monotonic_ns() - watcher.stamp_ns > self._stale_ns and not self._silent:
+                self._lapse()
+        self._ticks += 1
+        if self._ticks % self._every == 0:
+            self._look()
+
+    def _lapse(self) -> None:
+        self._silent = True
+        for neutral, state in self._pairs:
+            state[:] = neutral
+
+    def _look(self) -> None:
+        """See whether the process lives, and what it says."""
+        watcher = self._watcher
+        if watcher is None:
+            return
+        pipe = self._pipe
+        self.listen()
+        if pipe.process.poll() is None:
+            self._wait = FIRST
+            return
+        self._lapse()
+        self._watcher = None
+        self._tell(
+            f"{pipe.end}; its values are neutral, and it is started again in {self._wait:g} s"
+        )
+        watcher.close()
+        pipe.close(0.0)
+        self._thread = threading.Thread(target=self._again, name=f"{self._name} again", daemon=True)
+        self._thread.start()
+
+    def listen(self) -> None:
+        """Take what the process has said; it does so by itself every quarter of a second."""
+        if self._watcher is None:
+            return
+        while told := self._pipe.words():
+            line = told.get("note") or told.get("error") or told.get("fault")
+            if line:
+                self._tell(str(line))
+            else:
+                self.heard(told)
+
+    def _again(self) -> None:
+        while not self._closed:
+            time.sleep(self._wait)
+            self._wait = min(2.0 * self._wait, LONGEST)
+            if self._closed:
+                return
+            with suppress(UniconError, OSError):
+                self._start()
+                return
+
+    def wish(self, what: str, *given: object) -> None:
+        """Tell the process a wish of at most 4096 B; one that has no room in its pipe is lost."""
+        if self._watcher is not None:
+            self._pipe.tell(what, *given)
+
+    def close(self) -> None:
+        """End the process, kill it where it hangs, and let the frames go; safe to call twice."""
+        if self._closed:
+            return
+        self._closed = True
+        if self._watcher is not None:
+            self._pipe.close(CLOSING)
+            self._watcher.close()
+        for ring in self.rings.values():
+            ring.close()
+
+
+def _nothing() -> None:
+    return None

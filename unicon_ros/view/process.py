@@ -1,0 +1,61 @@
+"""Process of a viewer: gives the ring of a run to a sink; started by `View`."""
+
+from __future__ import annotations
+
+import os
+import time
+from importlib import import_module
+from typing import Any
+
+from unicon_core.handles import FrameRing
+from unicon_ros.peripherals.child import Feed, end, serve
+from unicon_ros.view import SINKS
+from unicon_ros.view.shown import Shown
+from unicon_ros.view.source import LiveSource, Remote, Sink
+
+__all__ = ["Viewer", "sink_class"]
+
+INTERVAL = 1.0 / 60.0
+"""How often a sink looks, in [s]."""
+
+NICE = 5
+"""A viewer comes after whoever ticks."""
+
+
+def sink_class(word: str) -> Any:
+    """Return the class of a sink: of a word, or `module:class`."""
+    module, name = SINKS.get(word, word).split(":")
+    return getattr(import_module(module), name)
+
+
+class Viewer:
+    """The device of `serve`: a sink, and the two ends between which it stands."""
+
+    def __init__(self, feed: Feed) -> None:
+        os.nice(NICE)
+        shown: Shown = feed.data["shown"]
+        self._feed, self._remote = feed, Remote(feed)
+        self._source = LiveSource(shown.layout, FrameRing.attach(feed.data["ring"]))
+        options = feed.options
+        self._sink: Sink = sink_class(options["sink"])(shown, self._source, self._remote, options)
+        self._due = time.monotonic()
+
+    def first(self) -> dict[str, Any]:
+        """Return the address, for the run to print."""
+        return {"address": self._sink.address}
+
+    def poll(self) -> None:
+        """Show what is new."""
+        self._source.hear(self._feed)
+        self._sink.poll()
+        self._remote.beat()
+        self._due = max(self._due + INTERVAL, time.monotonic())
+        time.sleep(max(self._due - time.monotonic(), 0.002))
+
+    def close(self) -> None:
+        """Close the sink."""
+        self._sink.close()
+
+
+if __name__ == "__main__":
+    end(serve(Viewer))
