@@ -15,7 +15,7 @@ from pathlib import Path
 
 from unicon_core.errors import UniconError
 
-__all__ = ["figure", "findings", "number", "page", "pairs", "table", "write_file"]
+__all__ = ["figure", "findings", "number", "page", "pairs", "table", "units", "write_file"]
 
 _STYLE = """
 :root { color-scheme: light dark; --text: #222; --pale: #666; --line: #ddd; --box: #f2f5fb;
@@ -73,6 +73,14 @@ def figure(heading: str, caption: str, svg: str) -> str:
         f"<h2>{html.escape(heading)}</h2><figure><figcaption>{html.escape(caption)}</figcaption>"
         f'<div class="wide" role="img" aria-label="{html.escape(heading)}">{svg}</div></figure>'
     )
+
+
+def units(heads: Sequence[str], below: Sequence[str]) -> list[str]:
+    """Return the heads of a table with their units below them; neither is escaped yet."""
+    return [
+        html.escape(head) + (f"<br><small>{html.escape(unit)}</small>" if unit else "")
+        for head, unit in zip(heads, below)
+    ]
 
 
 def findings(texts: Iterable[str], *, bad: bool = False) -> str:
