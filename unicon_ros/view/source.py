@@ -29,8 +29,8 @@ class Snapshot:
         wall_ns: time of the day, [ns].
         phase: its number in `Shown.phases`.
         paused: the simulator stands still.
-        late_ns: how late it began.
-        busy_ns: how long it took, up to the viewer's block.
+        late_ns: how late the tick before it began.
+        busy_ns: how long that one took.
         overruns: of the run so far.
         driving: a viewer's velocity is the command.
         robots: of a batch; the states are those of the first.
@@ -60,7 +60,8 @@ class Snapshot:
         if not ring.holds(handle):
             return False
         head = HEAD.unpack_from(self._raw.data)
-        self.tick, self.wall_ns, self.phase, paused, self.late_ns, self.busy_ns = head[:6]
+        self.tick, stamp, self.phase, paused, self.late_ns, self.busy_ns = head[:6]
+        self.wall_ns = time.time_ns() - (time.perf_counter_ns() - stamp)
         self.overruns, driving, self.robots = head[6:9]
         self.paused, self.driving, self.handle = bool(paused), bool(driving), handle
         self._buffer[:] = self._raw[self._begin :]
