@@ -52,6 +52,7 @@ EXTRAS = {
         "jsonschema",
         "mcap-ros2-support",
         "onnx",
+        "prometheus_client",
         "psutil",
         # Peers of hands over Modbus; 3.16 serves `SimDevice`.
         "pymodbus>=3.16,<4",

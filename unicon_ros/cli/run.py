@@ -18,6 +18,7 @@ from unicon_ros.cli.operator import listen
 from unicon_ros.cli.workflow_arguments import (
     add_view_options,
     add_workflow,
+    port,
     positive,
     view_options,
 )
@@ -100,6 +101,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
     add_view_options(parser)
     parser.add_argument(
+        "--metrics",
+        metavar="PORT",
+        type=port,
+        help="tell figures to Prometheus at http://127.0.0.1:PORT/metrics",
+    )
+    parser.add_argument(
         "--force",
         metavar="CODE",
         action="append",
@@ -173,6 +180,7 @@ def _run(
     pictured: Any = None
     recording: Any = None
     view: Any = None
+    metered: Any = None
     if with_ros:
         from unicon_ros.bridge import RosSession
 
@@ -226,6 +234,11 @@ def _run(
             )
             view.declare(document)
             hooks.append(view.hook)
+        if arguments.metrics is not None:
+            from unicon_ros.view.metered import Metered
+
+            metered = Metered(arguments.metrics, session, console.warn)
+            hooks.append(metered.hook)
         record = FaultRecord(arguments.faults, console.warn, recording)
         hooks.append(record.hook)  # the last one: it looks behind the others
         program = Program(document, hooks=hooks, part=arguments.part, silent=arguments.dry)
@@ -247,6 +260,9 @@ def _run(
             if view is not None:
                 view.attach(runner)
                 console.say(f"view: {view.address}")
+            if metered is not None:
+                metered.attach(runner)
+                console.say(f"metrics: {metered.address}")
             if runner.asks:
                 listen(runner, session is not None or view is not None)
             record.attach(runner)
@@ -258,8 +274,9 @@ def _run(
             raise
         report = runner.run()
         guard.damp = None
-        if view is not None:
-            view.close()
+        for each in (view, metered):
+            if each is not None:
+                each.close()
         if session is not None:
             report.bridge = session.counts()
         if recording is not None:
@@ -268,8 +285,9 @@ def _run(
         if fault is not None:
             report.extra["fault_record"] = str(fault)
     except BaseException:
-        if view is not None:
-            view.close()
+        for each in (view, metered):
+            if each is not None:
+                each.close()
         if session is not None:
             session.close()
         raise

@@ -94,10 +94,8 @@ class Keeper:
         from unicon_core.flow import blocks_of
 
         self._runner = runner
-        program = runner.program
-        self.told = frozenset(program.platform.facts.writes).union(
-            *((*block.writes, *block.amends) for block in blocks_of(program.root))
-        )
+        blocks = blocks_of(runner.program.root)
+        self.told = frozenset(name for each in blocks for name in (*each.writes, *each.amends))
 
     def _halve(self) -> None:
         """Let each row stand for twice as many ticks; a millisecond, once in that many ticks."""
