@@ -31,7 +31,7 @@ ROS_DEPENDS = {
 # Private modules that come with rclpy, and modules named otherwise than their distribution.
 COMES_WITH = {"_rclpy_pybind11": "rclpy", "yaml": "pyyaml", "ruamel": "rosbags"}
 COMES_WITH |= {"pybullet_utils": "pybullet", "warp": "newton", "zmq": "pyzmq", "can": "python_can"}
-COMES_WITH |= {"genesis": "genesis_world", "foxglove": "foxglove_sdk"}
+COMES_WITH |= {"genesis": "genesis_world", "foxglove": "foxglove_sdk", "websockets": "viser"}
 
 
 @lru_cache(maxsize=1)
