@@ -27,6 +27,7 @@ from unicon_ros.report.run_page import RunPage
 
 RUN = ["run", "go2_walk", "--no-ros", "--speed", "max", "--quiet"]
 LARGEST = 2_000_000
+SOME = ("base", "ranges")
 
 
 @pytest.fixture(scope="module")
@@ -37,28 +38,29 @@ def walked(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, dict[str, Any
     # 40 rows for 100 ticks: each row stands for four.
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(kept, "ROWS", 40)
+        some = {name: PICTURES[name] for name in SOME}  # drawing takes its time
+        patch.setattr("unicon_ros.report.run_page.PICTURES", some)
         assert main([*RUN, "--duration", "2", "--report", str(page)]) == 0
     assert main([*RUN, "--duration", "2", "--report", str(report)]) == 0
     return page.read_text("utf-8"), json.loads(report.read_text("utf-8"))
 
 
-def test_the_page_needs_nothing_beside_it_and_has_all_pictures(
+def test_the_page_needs_nothing_beside_it_and_has_its_pictures(
     walked: tuple[str, dict[str, Any]],
 ) -> None:
     text, report = walked
     page = read_page(text)
-    assert list(page.pictures) == [heading for _, heading, _ in PICTURES.values()]
+    assert list(page.pictures) == [PICTURES[name][1] for name in SOME]
     assert min(page.pictures.values()) > 20
     assert page.headings[0] == "go2_walk on go2 (mujoco)"
-    axes = ("[m/s]", "[rad/s]", "x [m]", "time [s]", "busy [µs]", "torque [N·m]")
-    for words in (*axes, "commanded", "measured", "limit", "next deadline"):
+    axes = ("[m/s]", "[rad/s]", "x [m]", "time [s]", "[% of its effort limit]")
+    for words in (*axes, "commanded", "measured", "start", "end"):
         assert words in page.text
-    assert "late [µs]" not in page.text  # it was not paced
     assert report["sha256_commands"] in page.text
     assert report["ended"] == "duration"
     assert "Ended: duration, after 2.00 s of ticks, no fault." in page.text
     for joint in load_robot("go2").joint_names:
-        assert page.text.count(joint) >= 3
+        assert page.text.count(joint) >= 2
     assert len(text) < LARGEST
 
 
@@ -239,7 +241,8 @@ def test_a_browser_shows_it_in_silence(tmp_path: Path) -> None:
     page = tmp_path / "run.html"
     assert main(["run", "go2_walk", "--no-ros", "--duration", "3", "--report", str(page)]) == 0
     text = page.read_text("utf-8")
-    assert "late [µs]" in read_page(text).text  # paced
+    axes = ("late [µs]", "busy [µs]", "torque [N·m]", "limit", "next deadline")
+    assert [words for words in axes if words not in read_page(text).text] == []
     told, console = looked_at(text, tmp_path)
     assert console == []
     assert [label for label, *_ in told["pictures"]] == [h for _, h, _ in PICTURES.values()]
@@ -261,3 +264,4 @@ def test_a_hundred_thousand_ticks_make_no_larger_page(tmp_path: Path) -> None:
     page, report, _ = ran(tmp_path / "run.html", block(wild), 100_000, " ".join(PICTURES))
     assert report.ticks == 100_000
     assert "the last 32,768 of 100,000 ticks" in page.text
+    assert "late [µs]" not in page.text  # it was not paced

@@ -127,6 +127,7 @@ class RecordedSource:
         self.answers: list[Answered] = []
         self.texts: dict[str, Any] = {
             "waits_for": "",
+            "timed": False,
             "faults": _lines(record.facts.get("faults", "")),
             "notes": [f"recording {record.paths[0].name}", *(notes or ())],
         }
