@@ -130,4 +130,3 @@ class Meshcat:
         self._loop.call_soon_threadsafe(self._loop.stop)
         self._thread.join(2.0)
         self._folder.cleanup()
-
