@@ -68,6 +68,8 @@ EXTRAS["all"] = sorted({requirement for extra in EXTRAS.values() for requirement
 EXTRAS["sim-mjx"] = ["mujoco==3.17.0", "mujoco-mjx==3.17.0", "jax[cpu]==0.10.2", "onnxruntime"]
 EXTRAS["sim-newton"] = ["newton[sim]==1.8.0", *SIM]
 EXTRAS["sim-genesis"] = ["genesis-world==1.4.5", "torch>=2.13", *SIM]
+# Nor this: 54 MB, for `--view=foxglove` alone.
+EXTRAS["foxglove"] = ["foxglove-sdk==0.30.3", "rosbags>=0.11"]
 # Nor this: 754 MB installed (2.13, CPU), for TorchScript policies alone.
 EXTRAS["torch"] = ["torch"]
 # Nor this: 130 MB installed, for exports to Parquet alone.

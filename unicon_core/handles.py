@@ -45,15 +45,14 @@ class FrameRing:
         self._lock = lock  # a file descriptor; only its maker has it
         with path.open("r+b") as file:
             self._memory = mmap.mmap(file.fileno(), 0)
-        head = np.frombuffer(self._memory, np.int64, _HEAD)
-        self.slots, self.nbytes = int(head[1]), int(head[2])
-        self._head = head
-        self._table = np.frombuffer(
-            self._memory, np.int64, _SLOT * self.slots, head.nbytes
-        ).reshape(self.slots, _SLOT)
-        self._frames = np.frombuffer(
-            self._memory, np.uint8, offset=head.nbytes + self._table.nbytes
-        ).reshape(self.slots, self.nbytes)
+        memory = self._bytes = memoryview(self._memory)
+        self._head = memory[: 8 * _HEAD].cast("q")
+        self.slots, self.nbytes = self._head[1], self._head[2]
+        frames = self._start = 8 * (_HEAD + _SLOT * self.slots)
+        self._table = memory[8 * _HEAD : frames].cast("q")
+        self._frames = np.frombuffer(self._memory, np.uint8, offset=frames).reshape(
+            self.slots, self.nbytes
+        )
 
     @classmethod
     def create(cls, nbytes: int, slots: int = 4) -> FrameRing:
@@ -78,28 +77,43 @@ class FrameRing:
         """Return the ring that another process made."""
         return cls(Path(path))
 
+    def touch(self) -> None:
+        """Write to all frames once, so that no page of them is new to who fills them."""
+        self._frames[...] = 0
+
     @property
     def latest(self) -> int:
         """Handle of the newest whole frame; 0 if there is none."""
-        return int(self._head[0])
+        return self._head[0]
 
     def fill(self) -> NDArray[np.uint8]:
         """Return the slot to write the next frame into, shape (nbytes,); then call `commit`.
 
         One process fills. The oldest frame is gone from here on.
         """
-        return self.slot(self.reserve())
-
-    def reserve(self) -> int:
-        """Return the number of that slot alone, for who keeps views of all of them."""
         slot = (self.latest + 1) % self.slots
-        self._table[slot, 0] = 0
-        return slot
-
-    def slot(self, number: int) -> NDArray[np.uint8]:
-        """Return a slot, shape (nbytes,)."""
-        frame: NDArray[np.uint8] = self._frames[number]
+        self._table[_SLOT * slot] = 0
+        frame: NDArray[np.uint8] = self._frames[slot]
         return frame
+
+    def put(self, stamp_ns: int, first: memoryview, second: memoryview) -> None:
+        """Fill and commit at once: the next frame is these two, one behind the other; 1 µs.
+
+        Args:
+            stamp_ns: when its data were true, [ns].
+            first: some bytes.
+            second: the rest of a frame's.
+        """
+        handle = self._head[0] + 1
+        slot = handle % self.slots
+        at, place, memory = self._start + slot * self.nbytes, _SLOT * slot, self._bytes
+        self._table[place] = 0
+        middle, end = at + first.nbytes, at + self.nbytes
+        memory[at:middle] = first
+        memory[middle:end] = second
+        self._table[place + 1] = stamp_ns
+        self._table[place] = handle
+        self._head[0] = handle
 
     def commit(self, stamp_ns: int) -> int:
         """Make the filled frame the newest; return its handle.
@@ -109,7 +123,8 @@ class FrameRing:
         """
         handle = self.latest + 1
         slot = handle % self.slots
-        self._table[slot] = handle, stamp_ns
+        self._table[_SLOT * slot + 1] = stamp_ns
+        self._table[_SLOT * slot] = handle
         self._head[0] = handle
         return handle
 
@@ -126,11 +141,11 @@ class FrameRing:
 
     def holds(self, handle: int) -> bool:
         """Tell whether a frame is still there."""
-        return handle > 0 and int(self._table[handle % self.slots, 0]) == handle
+        return handle > 0 and self._table[_SLOT * (handle % self.slots)] == handle
 
     def stamp_ns(self, handle: int) -> int:
         """Return when a frame's data were true in [ns]; 0 when it was overwritten."""
-        return int(self._table[handle % self.slots, 1]) if self.holds(handle) else 0
+        return self._table[_SLOT * (handle % self.slots) + 1] if self.holds(handle) else 0
 
     def close(self) -> None:
         """Let it go; its maker removes it. Views that are still held stay valid."""

@@ -211,3 +211,29 @@ def test_a_sink_that_fails_is_told_and_started_again(rig: Rig) -> None:
     rig.until(lambda seen: seen["tick"] > before + 20, 10.0)
     assert any("RuntimeError: a sink that fails" in line for line in rig.lines)
     assert rig.end().faults == []
+
+
+def walked(folder: Path | None, *signals: int) -> str:
+    """Return the hash of the commands of a walk, in which the viewer gets some signals."""
+    document = load_document("go2_walk")
+    view = View({"sink": "telling_sink:Telling", "folder": str(folder)})
+    program = Program(document, hooks=[] if folder is None else [view.hook])
+    runner = Runner(program, RunOptions(duration=8.0, speed="max", warn=lambda _: None))
+    if folder is not None:
+        view.attach(runner)
+        assert view._peripheral is not None
+        for each in signals:
+            os.kill(view._peripheral.process.pid, each)
+    report = runner.run()
+    view.close()
+    assert report.faults == []
+    return report.sha256_commands
+
+
+def test_what_becomes_of_the_viewer_changes_no_command(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    pytest.importorskip("onnxruntime")
+    alone = walked(None)
+    assert walked(tmp_path) == alone
+    assert walked(tmp_path, signal.SIGSTOP, signal.SIGKILL) == alone
+    assert walked(tmp_path, signal.SIGSTOP) == alone

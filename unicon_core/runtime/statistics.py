@@ -146,6 +146,13 @@ class TickStatistics:
             }
         return table
 
+    def spans_us(self, label: str) -> NDArray[np.float64]:
+        """Return how long a block took in each kept tick in [µs]; 0 where it did not run."""
+        starts, ends = self._spans()
+        column = self.labels.index(label)
+        took = np.where(ends[:, column] > 0, ends[:, column] - starts[:, column], 0)
+        return np.asarray(took * 1e-3, np.float64)
+
     def overrun_blocks(self, period_us: float) -> dict[str, int]:
         """Return label to how many of the kept ticks the block made end after the next was due.
 

@@ -24,7 +24,7 @@ from unicon_ros.bench.samples import Samples
 from unicon_ros.fault_record import FaultRecord
 from unicon_ros.recorder import Recording
 
-__all__ = ["run"]
+__all__ = ["RATE", "SETTLED", "run", "walk"]
 
 RATE = 500.0  # Hz
 SECONDS = 10.0  # of each run
@@ -85,7 +85,7 @@ def _run(
     try:
         recording = None if file is None else Recording(file, None, session, _unsaid)
         record = FaultRecord(None, _unsaid, recording)
-        hooks = [session.hook, _walk, *([recording.hook] if recording else []), record.hook]
+        hooks = [session.hook, walk, *([recording.hook] if recording else []), record.hook]
         program = load_workflow("go2_teleop", {"rate": RATE}, hooks=hooks)
         runner = Runner(program, RunOptions(duration=seconds, warn=_unsaid))
         session.attach(runner)
@@ -102,7 +102,7 @@ def _run(
     return {TICK: statistics.durations_us()[first:], WHOLE: whole}, counts
 
 
-def _walk(program: Program) -> dict[Stage, list[Block]]:
+def walk(program: Program) -> dict[Stage, list[Block]]:
     """Command a slow walk, as a desk would."""
     command = program.states["velocity_command"]
 

@@ -67,9 +67,10 @@ class Tuning:
         """
         command = program.states["velocity_command"]
         limit = self.command_limit
+        each = memoryview(limit.data)  # a reduction would cost more than the rest of the block
 
         def limited() -> None:
-            if limit.min() < NO_LIMIT:
+            if each[0] < NO_LIMIT or each[1] < NO_LIMIT or each[2] < NO_LIMIT:
                 np.clip(command, -limit, limit, out=command)
 
         unscaled, scaled = self._gain_scale(program)

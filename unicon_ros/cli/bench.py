@@ -25,6 +25,7 @@ BENCHES = {
     "stores": "unicon_ros.bench.stores",
     "tick": "unicon_ros.bench.tick",
     "timing": "unicon_ros.bench.timing",
+    "view": "unicon_ros.bench.view",
 }
 
 _OPTIONS: dict[str, dict[str, dict[str, Any]]] = {
@@ -41,6 +42,10 @@ _OPTIONS: dict[str, dict[str, dict[str, Any]]] = {
         "seconds": {"type": float, "help": "measured time of a variant in a round"},
     },
     "record": {"seconds": {"type": float, "help": "time of a run, 10 s unless told"}},
+    "view": {
+        "seconds": {"type": float, "help": "time of a run, 10 s unless told"},
+        "sink": {"help": "word of --view, page unless told"},
+    },
 }
 """Bench to its own options: name to what `add_argument` takes."""
 

@@ -195,17 +195,24 @@ class Peripheral:
         self._watcher = watcher
         return first
 
-    def __call__(self) -> None:
-        """Take what is new; what is lost or too old goes back to its neutral value."""
-        watcher = self._watcher
+    def __call__(self) -> bool:
+        """Take what is new; what is lost or too old goes back to its neutral value.
+
+        Returns whether a value may be another one now.
+        """
+        watcher, changed = self._watcher, False
         if watcher is not None:
             if watcher.take():
-                self._silent = False
-            elif time.monotonic_ns() - watcher.stamp_ns > self._stale_ns and not self._silent:
+                self._silent, changed = False, True
+            elif not self._silent and time.monotonic_ns() - watcher.stamp_ns > self._stale_ns:
                 self._lapse()
-        self._ticks += 1
-        if self._ticks % self._every == 0:
+                changed = True
+        self._ticks -= 1
+        if self._ticks <= 0:
+            self._ticks = self._every
             self._look()
+            changed = True
+        return changed
 
     def _lapse(self) -> None:
         self._silent = True

@@ -68,6 +68,7 @@ class Driver:
         self._command = command if command.ndim == 1 else command.reshape(-1, 3)
         self._heard_acts = self._heard_estop = self._lapsed = self._driven = self._started = 0
         self._replaces = self._pressed = False
+        self._idle = True  # nobody drives, or has driven
         self.driving = 0
         self._peripheral: Peripheral | None = None
         self._runner: Runner | None = None
@@ -93,12 +94,16 @@ class Driver:
         Raises:
             Fault: the emergency stop was pressed, and nothing is sent yet.
         """
-        if self._peripheral is None or self._runner is None:
+        peripheral, runner = self._peripheral, self._runner
+        if peripheral is None or runner is None:
             return
-        self._take(self._peripheral)
-        if self._pressed and self._runner.phase is Phase.WAIT:
-            raise Fault(FAULT)
-        self._drive()
+        if peripheral():
+            self._take(peripheral)
+            if self._pressed and runner.phase is Phase.WAIT:
+                raise Fault(FAULT)
+            self._idle = not self._replaces and self._mode[0] != DRIVING
+        if not self._idle:
+            self._drive()
 
     def look(self) -> None:
         """Take it in a pause, in which nobody is driven.
@@ -107,11 +112,11 @@ class Driver:
             Fault: the emergency stop was pressed.
         """
         if self._peripheral is not None:
+            self._peripheral()
             self._take(self._peripheral)
             self.stop_if_pressed()
 
     def _take(self, peripheral: Peripheral) -> None:
-        peripheral()
         if peripheral.started != self._started:  # a new process counts anew
             self._started = peripheral.started
             self._heard_acts = self._heard_estop = self._lapsed = self._driven = 0
@@ -148,13 +153,14 @@ class Driver:
         if not self._replaces:
             return
         self._lapsed = max(self._lapsed, self._driven)  # a new touch is needed
+        moved = bool(self._command.any())
         self._command[...] = 0.0
-        if self.driving:
-            self.driving = 0
+        if self.driving and moved:
             self._program.tell(
                 "viewer: the driver is not heard any more: the velocity command is zero until "
                 "somebody drives again"
             )
+        self.driving = 0
 
     # -- acts -----------------------------------------------------------------------------------
 

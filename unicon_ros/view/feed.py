@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
-from types import CellType
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from unicon_core.handles import FrameRing
 from unicon_core.runtime.phases import Phase
-from unicon_core.workflow import Program
-from unicon_ros.view.shown import HEAD
+from unicon_ros.view.shown import WORDS
 
 if TYPE_CHECKING:
     from unicon_core.runtime import Runner
+    from unicon_ros.controls import Controls
+    from unicon_ros.view.driver import Driver
 
 __all__ = ["Feed"]
 
@@ -23,82 +25,64 @@ KEPT_S = 2.0
 FEWEST, LARGEST = 16, 32 << 20
 """Ticks in the ring at least, and its bytes at most beyond those."""
 
-_NUMBERS = {phase: number for number, phase in enumerate(Phase)}
-
 
 class Feed:
-    """Deferred block: fills the ring.
+    """Fills the ring of a run.
 
     Args:
-        program: whose states go into it.
+        runner: whose ticks it takes.
+        variables: of the runner's graph that are the counters.
 
     Attributes:
-        ring: of ticks: `HEAD`, counters, states; None before `attach`.
-        driving: 1 while a viewer drives.
-        paused: 1 while the simulator stands still.
+        ring: of ticks: the words of `HEAD`, counters, states.
     """
 
-    name = "view"
-    endless = True
+    def __init__(self, runner: Runner, variables: Sequence[str]) -> None:
+        self._runner, self._cells = runner, runner.graph.cells(variables)
+        self._states = runner.program.states.buffer.data.cast("B")
+        self._numbers = memoryview(np.zeros(WORDS + len(self._cells), np.int64).data)
+        size = self._numbers.nbytes + len(self._states)
+        ticks = max(FEWEST, min(round(KEPT_S / runner.program.period), LARGEST // size))
+        self.ring = FrameRing.create(size, ticks)
+        self.ring.touch()
 
-    def __init__(self, program: Program) -> None:
-        self._states = program.states.buffer.data.cast("B")
-        self._tick = program.states["tick"].reshape(-1)
-        self._robots, self._period = program.states.num_robots or 1, program.period
-        self.ring: FrameRing | None = None
-        self.driving = self.paused = 0
-        self._rows: list[memoryview] = []
-        self._runner: Runner | None = None
-        self._cells: Sequence[CellType] = ()
-        self._stamps = memoryview(b"")
-
-    def attach(self, runner: Runner, variables: Sequence[str]) -> FrameRing:
-        """Make the ring, and get to know the runner.
+    def filling(self, driver: Driver, controls: Controls) -> Callable[[], None]:
+        """Return what copies a tick; all that it looks at is bound once.
 
         Args:
-            runner: whose ticks it takes.
-            variables: of the runner's graph that are the counters.
+            driver: tells whether a viewer drives.
+            controls: tell whether the simulator stands still.
         """
-        self._cells = runner.graph.cells(variables)
-        size = HEAD.size + 8 * len(self._cells) + len(self._states)
-        ticks = max(FEWEST, min(round(KEPT_S / self._period), LARGEST // size))
-        ring = self.ring = FrameRing.create(size, ticks)
-        self._rows = [memoryview(ring.slot(number).data) for number in range(ticks)]
-        for row in self._rows:
-            row[:] = bytes(size)  # no page is new to a tick
-        self._stamps = memoryview(runner.graph.stamps.data)
-        self._runner = runner
-        return ring
+        runner, cells = self._runner, tuple(enumerate(self._cells, WORDS))
+        states, numbers, put = self._states, self._numbers, self.ring.put
+        program, statistics = runner.program, runner.statistics
+        tick = memoryview(program.states["tick"].reshape(-1).data)
+        rows = memoryview(statistics.rows.reshape(-1).data)
+        capacity, width = statistics.rows.shape
+        whole, now = numbers.cast("B"), time.perf_counter_ns
+        phases, phase = {each: number for number, each in enumerate(Phase)}, None
+        numbers[8], numbers[9] = program.states.num_robots or 1, len(cells)
 
-    def __call__(self) -> None:
-        """Copy the tick."""
-        runner, ring = self._runner, self.ring
-        if runner is None or ring is None:
-            return
-        now, begin = time.perf_counter_ns(), self._stamps[0]
-        due = runner.next_due_ns - runner.period_ns
-        late = begin - due if due > 0 else 0
-        row = self._rows[ring.reserve()]
-        HEAD.pack_into(
-            row,
-            0,
-            *(int(self._tick[0]), time.time_ns(), _NUMBERS[runner.phase], self.paused, late),
-            *(
-                now - begin,
-                runner.statistics.overruns,
-                self.driving,
-                self._robots,
-                len(self._cells),
-            ),
-        )
-        at = HEAD.size
-        for cell in self._cells:
-            row[at : at + 8] = cell.cell_contents.to_bytes(8, "little", signed=True)
-            at += 8
-        row[at:] = self._states
-        ring.commit(now)
+        def fill() -> None:
+            nonlocal phase
+            if phase is not runner.phase:  # looked up when it changes: an enum's hash is slow
+                phase = runner.phase
+                numbers[2] = phases[phase]
+            numbers[0] = tick[0]
+            numbers[3] = controls.paused
+            if count := statistics.count:  # of the tick before: this one has not ended
+                row = (count - 1) % capacity * width
+                numbers[4] = rows[row + 2] - rows[row]
+                numbers[5] = rows[row + 1] - rows[row + 2]
+                numbers[6] = statistics.overruns
+            numbers[7] = driver.driving
+            for place, cell in cells:
+                numbers[place] = cell.cell_contents
+            numbers[1] = at = now()
+            put(at, whole, states)
+
+        return fill
 
     def close(self) -> None:
         """Let the ring go; safe to call twice."""
-        if self.ring is not None:
-            self.ring.close()
+        self.ring.close()

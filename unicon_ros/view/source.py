@@ -29,13 +29,14 @@ class Snapshot:
         wall_ns: time of the day, [ns].
         phase: its number in `Shown.phases`.
         paused: the simulator stands still.
-        late_ns: how late it began.
-        busy_ns: how long it took, up to the viewer's block.
+        late_ns: how late the tick before it began.
+        busy_ns: how long that one took.
         overruns: of the run so far.
         driving: a viewer's velocity is the command.
         robots: of a batch; the states are those of the first.
         counters: of the graph, int64.
         states: views by name.
+        buffer: of all robots' states, uint8.
     """
 
     def __init__(self, layout: Layout, size: int) -> None:
@@ -44,7 +45,7 @@ class Snapshot:
         self._raw = aligned_buffer(size)  # its start, as the states' own, is aligned to 8 B
         self._begin = size - layout.nbytes
         states = States(layout, buffer=aligned_buffer(layout.nbytes))
-        self._buffer = states.buffer
+        self.buffer = states.buffer
         many = layout.num_robots is not None
         self.states: Mapping[str, NDArray[Any]] = {
             name: states[name][0, ...] if many else states[name] for name in states
@@ -60,10 +61,11 @@ class Snapshot:
         if not ring.holds(handle):
             return False
         head = HEAD.unpack_from(self._raw.data)
-        self.tick, self.wall_ns, self.phase, paused, self.late_ns, self.busy_ns = head[:6]
+        self.tick, stamp, self.phase, paused, self.late_ns, self.busy_ns = head[:6]
+        self.wall_ns = time.time_ns() - (time.perf_counter_ns() - stamp)
         self.overruns, driving, self.robots = head[6:9]
         self.paused, self.driving, self.handle = bool(paused), bool(driving), handle
-        self._buffer[:] = self._raw[self._begin :]
+        self.buffer[:] = self._raw[self._begin :]
         return True
 
 

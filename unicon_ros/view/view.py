@@ -68,6 +68,7 @@ class View:
         self._driver: Driver | None = None
         self._runner: Runner | None = None
         self._peripheral: Peripheral | None = None
+        self._fill: Callable[[], object] = bool
         self._due_ns = 0
 
     def declare(self, document: WorkflowDocument) -> None:
@@ -80,7 +81,6 @@ class View:
         if self._session is not None and self._session.estop is not None:
             press = self._session.estop.press
         self._driver = Driver(program, self._told, self.controls, self._tuning, press)
-        self._feed = Feed(program)
         stages = {stage: list(blocks) for stage, blocks in self._tuning.hook(program).items()}
         for stage, blocks in self._driver.blocks().items():
             stages[stage] = blocks + stages.get(stage, [])
@@ -93,17 +93,16 @@ class View:
         Raises:
             UniconError: it cannot begin.
         """
-        feed, driver = self._feed, self._driver
-        assert feed is not None
+        driver, program = self._driver, runner.program
         assert driver is not None
-        program = runner.program
         shown, variables = shown_of(program, runner.graph, self._map, self._prefix)
         if self.controls.runner is None:
             self.controls.runner = runner
+        feed = self._feed = Feed(runner, variables)
         given = {
             "name": NAME,
             "options": self._options,
-            "data": {"shown": shown, "ring": str(feed.attach(runner, variables).path)},
+            "data": {"shown": shown, "ring": str(feed.ring.path)},
         }
         layout = self._told.layout
         self._peripheral = Peripheral(
@@ -111,7 +110,7 @@ class View:
             self.warn,
         )
         self.address = self._peripheral.first["address"]
-        self._runner = runner
+        self._runner, self._fill = runner, feed.filling(driver, self.controls)
         driver.attach(self._peripheral, runner)
         self.controls.others += [driver.look, self._show]
         tell = runner.options.warn
@@ -123,15 +122,11 @@ class View:
         program.warn = heard
 
     def _show(self) -> None:
-        feed, driver, runner = self._feed, self._driver, self._runner
-        if feed is None or driver is None or runner is None:
-            return
-        feed.driving, feed.paused = driver.driving, int(self.controls.paused)
-        feed()
+        self._fill()
         now = time.perf_counter_ns()
-        if now >= self._due_ns:
+        if now >= self._due_ns and self._runner is not None:
             self._due_ns = now + round(TOLD * 1e9)
-            self._tell(runner)
+            self._tell(self._runner)
 
     def _tell(self, runner: Runner) -> bool:
         texts = {"waits_for": runner.waits_for, "faults": runner.faults, "notes": self._lines}

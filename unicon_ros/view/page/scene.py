@@ -1,0 +1,260 @@
+"""Scene: the robot, its path, contacts and velocities in one viewer's 3D view."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.models.load import load_model
+from unicon_core.models.loaded import import_mujoco
+from unicon_core.models.posed import PosedModel, foot_bodies, foot_geoms
+from unicon_core.models.touching import floors
+from unicon_ros.view.page.shapes import shapes_of
+from unicon_ros.view.shown import Shown
+
+__all__ = ["COMMANDED", "MEASURED", "Pose", "Scene", "Stage"]
+
+COMMANDED, MEASURED = (31, 119, 180), (255, 127, 14)
+"""Colours of the velocity arrows, and of their legend."""
+
+_PATH = (90, 90, 200)
+_FOOT = (214, 39, 40)
+_STEP, _LONGEST = 0.03, 2000  # [m] between points of the path, and points at most
+_TOUCHING = 0.005  # [m]: a foot nearer to the floor stands on it
+_SURE = 0.5  # of `foot_contact`
+
+
+class Pose:
+    """Where everything is in one tick; the same for all viewers.
+
+    Attributes:
+        position: of the model's bodies in the world in [m], shape (bodies, 3).
+        quat: of the bodies, wxyz, shape (bodies, 4).
+        base: position of the base in [m], shape (3,).
+        feet: foot to its place in the world, [m], shape (3,).
+        touching: feet that stand.
+        arrows: from and to of the commanded and of the measured velocity, shape (2, 2, 3).
+    """
+
+    def __init__(self, bodies: int) -> None:
+        self.position, self.quat = np.zeros((bodies, 3)), np.zeros((bodies, 4))
+        self.base = np.zeros(3)
+        self.feet: dict[str, NDArray[np.float64]] = {}
+        self.touching: frozenset[str] = frozenset()
+        self.arrows = np.zeros((2, 2, 3))
+
+
+class Stage:
+    """The model of a run and where it is.
+
+    Args:
+        shown: the run.
+
+    Raises:
+        UniconError: the model cannot be read.
+    """
+
+    def __init__(self, shown: Shown) -> None:
+        self._robot, self._mujoco = shown.robot, import_mujoco()
+        assert shown.model is not None
+        loaded = load_model(shown.model, shown.robot, quiet=True)
+        self._posed, self._model = PosedModel(loaded), loaded.model
+        self.shapes = shapes_of(loaded)
+        self._floats = loaded.base is not None
+        feet = tuple(shown.robot.feet)
+        self._feet = foot_bodies(loaded.model, feet)
+        self._soles = foot_geoms(loaded.model, feet)
+        self._floors = floors(loaded.model)
+        base = loaded.base
+        self._body = 1 if base is None else int(loaded.model.jnt_bodyid[base])
+        self.size = float(np.clip(loaded.model.stat.extent, 0.3, 3.0))
+        self.pose = Pose(loaded.model.nbody)
+        self._path = np.zeros((_LONGEST, 3), np.float32)
+        self._points, self._tick = 0, -1
+
+    @property
+    def path(self) -> NDArray[np.float32]:
+        """Places of the base behind the robot, on the ground, [m], shape (m, 3)."""
+        return self._path[: self._points]
+
+    def put(self, tick: int, states: Mapping[str, NDArray[Any]]) -> Pose:
+        """Put the robot where the states of a tick say; return where everything is."""
+        pose = self.pose
+        if tick == self._tick:
+            return pose
+        if tick < self._tick:
+            self._points = 0
+        self._tick = tick
+        joints = np.nan_to_num(np.asarray(states["joint_pos"], float))
+        place = self._base(states)
+        data = self._posed.put(joints, place)
+        if self._floats and not place[:3].any():  # nobody measures where it is: stand it up
+            heights = self._posed.heights()
+            if heights:
+                place[2] -= min(heights.values())
+                data = self._posed.put(joints, place)
+        pose.position[...], pose.quat[...] = data.xpos, data.xquat
+        pose.base[...] = data.xpos[self._body]
+        pose.feet = {foot: np.array(data.xpos[body]) for foot, body in self._feet.items()}
+        for foot, geoms in self._soles.items():
+            pose.feet[foot] = np.array(data.geom_xpos[geoms[0]])
+        pose.touching = self._contacts(states)
+        self._arrows(states, pose)
+        self._walk(pose.base)
+        return pose
+
+    def _base(self, states: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
+        place = np.zeros(7)
+        place[3] = 1.0
+        if "base_pos_w" in states and np.isfinite(states["base_pos_w"]).all():
+            place[:3] = states["base_pos_w"]
+        quat = np.asarray(states["base_quat"], float) if "base_quat" in states else place[3:]
+        length = float(np.linalg.norm(quat))
+        if np.isfinite(length) and length > 1e-3:
+            place[3:] = quat / length
+        return place
+
+    def _contacts(self, states: Mapping[str, NDArray[Any]]) -> frozenset[str]:
+        """Feet that stand: as `foot_contact` tells, else those whose sole is near the floor."""
+        if "foot_contact" in states:
+            sure = states["foot_contact"].reshape(-1)
+            return frozenset(foot for foot, value in zip(self._robot.feet, sure) if value > _SURE)
+        near = set()
+        for foot, geoms in self._soles.items():
+            for floor in self._floors:
+                for geom in geoms:
+                    height = self._mujoco.mj_geomDistance(
+                        self._model, self._posed.data, floor, geom, 1.0, None
+                    )
+                    if height < _TOUCHING:
+                        near.add(foot)
+        return frozenset(near)
+
+    def _arrows(self, states: Mapping[str, NDArray[Any]], pose: Pose) -> None:
+        """Draw both velocities over the base, 1 m/s as 0.6 m, along its heading."""
+        w, x, y, z = pose.quat[self._body]
+        yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+        heading = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
+        for row, state in enumerate(("velocity_command", "base_lin_vel")):
+            start = pose.base + np.array((0.0, 0.0, 0.22 + 0.06 * row))
+            pose.arrows[row, 0] = pose.arrows[row, 1] = start
+            if state in states and np.isfinite(states[state]).all():
+                pose.arrows[row, 1, :2] += 0.6 * heading @ np.asarray(states[state][:2], float)
+
+    def _walk(self, base: NDArray[np.float64]) -> None:
+        here = np.array((base[0], base[1], 0.01), np.float32)
+        if self._points and np.linalg.norm(here - self._path[self._points - 1]) < _STEP:
+            return
+        if self._points == _LONGEST:  # every other point: the beginning stays in sight
+            self._path[: _LONGEST // 2] = self._path[::2]
+            self._points = _LONGEST // 2
+        self._path[self._points] = here
+        self._points += 1
+
+
+class Scene:
+    """What one viewer sees in 3D.
+
+    Args:
+        api: viser's scene of this viewer.
+        stage: the model; None where there is none to draw.
+
+    Attributes:
+        follow: the robot stays in the middle, and the ground passes below it.
+        arrows, contacts, path: whether they are shown.
+    """
+
+    def __init__(self, api: Any, stage: Stage | None) -> None:
+        self._stage = stage
+        self.follow = self.arrows = self.contacts = self.path = True
+        api.set_up_direction("+z")
+        self._world = api.add_frame("/world", show_axes=False)
+        api.add_frame("/world/origin", axes_length=0.3, axes_radius=0.006)
+        self._ground = api.add_grid(
+            "/world/ground",
+            width=40.0,
+            height=40.0,
+            cell_size=0.5,
+            section_size=1.0,
+            cell_color=(215, 218, 224),
+            section_color=(178, 184, 194),
+            fade_distance=25.0,
+            plane_color=(240, 242, 246),
+            plane_opacity=1.0,
+            shadow_opacity=0.3,
+        )
+        self._bodies: dict[int, Any] = {}
+        self._feet: dict[str, Any] = {}
+        self._drawn = -1
+        if stage is None:
+            return
+        for body in sorted({shape.body for shape in stage.shapes}):
+            self._bodies[body] = api.add_frame(f"/world/body_{body}", show_axes=False)
+        for number, shape in enumerate(stage.shapes):
+            opacity = shape.rgba[3]
+            api.add_mesh_simple(
+                f"/world/body_{shape.body}/shape_{number}",
+                shape.vertices,
+                shape.faces,
+                color=tuple(round(255 * x) for x in shape.rgba[:3]),
+                opacity=None if opacity > 0.98 else opacity,
+                flat_shading=True,
+                side="double",
+            )
+        for foot in stage.pose.feet or stage._feet:
+            self._feet[foot] = api.add_icosphere(
+                f"/world/contact_{foot}", radius=0.03, color=_FOOT, opacity=0.75, visible=False
+            )
+        radius = 0.012
+        self._lines = api.add_line_segments(
+            "/world/path", np.zeros((1, 2, 3), np.float32), _PATH, line_width=3.0
+        )
+        self._velocity = [
+            api.add_arrows(
+                f"/world/{name}",
+                np.zeros((1, 2, 3), np.float32),
+                colour,
+                shaft_radius=radius,
+                head_radius=2.5 * radius,
+                head_length=5.0 * radius,
+            )
+            for name, colour in (("commanded", COMMANDED), ("measured", MEASURED))
+        ]
+
+    def draw(self, pose: Pose, whole: bool) -> None:
+        """Put everything where it is in a tick.
+
+        Args:
+            pose: the tick's.
+            whole: draw the path too.
+        """
+        stage = self._stage
+        if stage is None:
+            return
+        for body, frame in self._bodies.items():
+            if body or self._drawn < 0:
+                frame.position, frame.wxyz = pose.position[body], pose.quat[body]
+        middle = (*pose.base[:2], 0.0) if self.follow else (0.0, 0.0, 0.0)
+        self._world.position = tuple(-x for x in middle)
+        self._ground.position = tuple(float(round(x)) for x in middle)
+        for foot, ball in self._feet.items():
+            stands = self.contacts and foot in pose.touching
+            if stands:
+                ball.position = pose.feet[foot]
+            if ball.visible != stands:
+                ball.visible = stands
+        for arrow, (start, end) in zip(self._velocity, pose.arrows):
+            shows = self.arrows and float(np.linalg.norm(end - start)) > 0.01
+            if arrow.visible != shows:
+                arrow.visible = shows
+            if shows:
+                arrow.points = np.array([[start, end]], np.float32)
+        points = stage.path
+        if self._lines.visible != self.path:
+            self._lines.visible = self.path
+        if whole and self.path and len(points) > 1 and len(points) != self._drawn:
+            self._lines.points = np.stack([points[:-1], points[1:]], axis=1)
+        self._drawn = len(points)

@@ -1,0 +1,121 @@
+"""Words: status, graph and legends of the page, as HTML."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from html import escape
+from typing import Any
+
+import numpy as np
+
+from unicon_ros.view.page.history import TIMING, History
+from unicon_ros.view.page.scene import COMMANDED, MEASURED
+from unicon_ros.view.shown import GraphLine, Shown
+from unicon_ros.view.source import Snapshot
+
+__all__ = ["graph_html", "legend_html", "status_html"]
+
+_STYLE = "font:13px/1.45 system-ui,sans-serif;padding:2px 12px 6px"
+_RED = "color:#c00;font-weight:600"
+
+
+def table(rows: Sequence[tuple[str, str]]) -> str:
+    """Return rows of a name and HTML."""
+    cells = "".join(
+        f'<tr><td style="color:#667;padding-right:10px;vertical-align:top;white-space:nowrap">'
+        f"{name}</td><td>{value}</td></tr>"
+        for name, value in rows
+    )
+    return f'<div style="{_STYLE}"><table>{cells}</table></div>'
+
+
+def status_html(
+    shown: Shown,
+    tick: Snapshot,
+    history: History,
+    rate: float,
+    texts: dict[str, Any],
+    driver: str,
+    stale: float,
+) -> str:
+    """Return how the run is: phase, timing against the deadline, faults, gates, who drives.
+
+    Args:
+        shown: the run.
+        tick: its newest one.
+        history: of late.
+        rate: ticks a second as they come.
+        texts: of the source.
+        driver: who drives, in words.
+        stale: time since the newest tick came, in [s].
+    """
+    _, rows = history.last(2.0)
+    late, busy = (rows[:, history.columns[name].start] for name in TIMING)
+    phase = shown.phases[tick.phase] if tick.phase < len(shown.phases) else str(tick.phase)
+    phase = f"<b>{escape(phase)}</b>" + (", paused" if tick.paused else "")
+    if stale > 1.0 and not tick.paused:
+        phase += f' <span style="{_RED}">no tick for {stale:.0f} s</span>'
+    found = [("phase", phase)]
+    if texts.get("waits_for"):
+        found.append(("waits for", f'<b style="color:#b60">{escape(texts["waits_for"])}</b>'))
+    if "skill" in tick.states and shown.skills:
+        number = int(tick.states["skill"].reshape(-1)[0])
+        name = shown.skills[number] if 0 <= number < len(shown.skills) else "none"
+        found.append(("skill", f"<b>{escape(name)}</b>"))
+    found += [
+        ("tick", f"{tick.tick} · {tick.tick * shown.period:.1f} s"),
+        ("rate", f"{rate:.1f} Hz, wanted {1.0 / shown.period:.1f} Hz"),
+    ]
+    if len(rows):
+        deadline = shown.period * 1e3
+        p50, p99 = np.percentile(busy, (50, 99))
+        share = f"{100.0 * p99 / deadline:.0f} % of the deadline of {deadline:g} ms"
+        found.append(("busy", f"p50 {p50:.2f} ms, p99 {p99:.2f} ms: {share}"))
+        found.append(("late", f"p99 {np.percentile(late, 99):.2f} ms, max {late.max():.2f} ms"))
+    overruns = f"{tick.overruns}"
+    found.append(
+        ("overruns", f'<span style="{_RED}">{overruns}</span>' if tick.overruns else overruns)
+    )
+    if driver:
+        found.append(("driver", escape(driver)))
+    for fault in texts.get("faults") or ():
+        found.append(("fault", f'<span style="{_RED}">{escape(str(fault))}</span>'))
+    notes = [str(note) for note in texts.get("notes") or ()][-3:]
+    if notes:
+        found.append(("notes", "<br>".join(map(escape, notes))))
+    return table(found)
+
+
+def graph_html(graph: Sequence[GraphLine], counters: Sequence[int]) -> str:
+    """Return the tree of the workflow, what runs in this tick in full colour."""
+    lines = []
+    for line in graph:
+        try:
+            runs = line.runs(list(counters))
+        except IndexError:
+            runs = True
+        look = "color:#111;font-weight:600" if runs else "color:#aab"
+        mark = "▸" if runs else "·"
+        lines.append(
+            f'<div style="padding-left:{12 * line.depth}px;{look}">{mark} {escape(line.text)}</div>'
+        )
+    return (
+        f'<div style="{_STYLE};white-space:nowrap;overflow-x:auto;font-size:12px">'
+        f"{''.join(lines)}</div>"
+    )
+
+
+def legend_html(contacts: bool) -> str:
+    """Return what the colours in the 3D view mean."""
+    items = [
+        (COMMANDED, "commanded velocity"),
+        (MEASURED, "measured velocity"),
+        ((90, 90, 200), "path of the base"),
+    ]
+    if contacts:
+        items.append(((214, 39, 40), "foot in contact"))
+    marks = " &nbsp; ".join(
+        f'<span style="color:rgb{colour};font-size:16px">■</span>&nbsp;{text}'
+        for colour, text in items
+    )
+    return f'<div style="{_STYLE}">{marks}<br>arrows: 0.6 m for 1 m/s; grid: 1 m</div>'
