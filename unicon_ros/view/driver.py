@@ -153,13 +153,14 @@ class Driver:
         if not self._replaces:
             return
         self._lapsed = max(self._lapsed, self._driven)  # a new touch is needed
+        moved = bool(self._command.any())
         self._command[...] = 0.0
-        if self.driving:
-            self.driving = 0
+        if self.driving and moved:
             self._program.tell(
                 "viewer: the driver is not heard any more: the velocity command is zero until "
                 "somebody drives again"
             )
+        self.driving = 0
 
     # -- acts -----------------------------------------------------------------------------------
 

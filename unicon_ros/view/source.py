@@ -36,6 +36,7 @@ class Snapshot:
         robots: of a batch; the states are those of the first.
         counters: of the graph, int64.
         states: views by name.
+        buffer: of all robots' states, uint8.
     """
 
     def __init__(self, layout: Layout, size: int) -> None:
@@ -44,7 +45,7 @@ class Snapshot:
         self._raw = aligned_buffer(size)  # its start, as the states' own, is aligned to 8 B
         self._begin = size - layout.nbytes
         states = States(layout, buffer=aligned_buffer(layout.nbytes))
-        self._buffer = states.buffer
+        self.buffer = states.buffer
         many = layout.num_robots is not None
         self.states: Mapping[str, NDArray[Any]] = {
             name: states[name][0, ...] if many else states[name] for name in states
@@ -64,7 +65,7 @@ class Snapshot:
         self.wall_ns = time.time_ns() - (time.perf_counter_ns() - stamp)
         self.overruns, driving, self.robots = head[6:9]
         self.paused, self.driving, self.handle = bool(paused), bool(driving), handle
-        self._buffer[:] = self._raw[self._begin :]
+        self.buffer[:] = self._raw[self._begin :]
         return True
 
 

@@ -1,0 +1,265 @@
+"""`--view=foxglove`: a client of the protocol gets ROS's bytes, drives, tunes and calls."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import struct
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("foxglove", reason="pip install 'unicon_ros[foxglove]'")
+pytest.importorskip("websockets")
+pytest.importorskip("mujoco")
+pytest.importorskip("onnxruntime")
+
+from foxglove_client import Client
+from websockets.exceptions import InvalidStatus
+
+from unicon_core.errors import UniconError
+from unicon_core.resources import find_config, same_modules
+from unicon_core.runtime import Report, Runner, RunOptions
+from unicon_core.workflow import Program, load_document
+from unicon_msgs_map import Encoder, load_map
+from unicon_ros.bridge.bindings import arrays_of, names_of, variables_of
+from unicon_ros.view.driver import FAULT
+from unicon_ros.view.view import View
+
+OPTIONS = {"sink": "foxglove", "host": "127.0.0.1", "port": 8760, "token": "", "fps": 30.0}
+TOPICS = ("/joint_states", "/tf", "/odom")
+
+
+class Rig:
+    """go2_teleop in a thread, seen through Foxglove."""
+
+    def __init__(self, **options: Any) -> None:
+        self.lines = list[str]()
+        document = load_document("go2_teleop", ["ros=false"])
+        self.view = View({**OPTIONS, **options}, warn=self.lines.append)
+        self.view.declare(document)
+        self.program = Program(document, hooks=[self.view.hook])
+        self.runner = Runner(self.program, RunOptions(duration=60.0, warn=self.lines.append))
+        self.view.attach(self.runner)
+        self.report: Report | None = None
+        self.thread = threading.Thread(target=self._run)
+        self.thread.start()
+
+    def _run(self) -> None:
+        self.report = self.runner.run()
+        self.view.close()
+
+    def command(self) -> list[float]:
+        return [round(float(x), 3) for x in self.program.states["velocity_command"]]
+
+    def until(self, holds: Callable[[], bool], patience: float = 3.0) -> float:
+        begin = time.monotonic()
+        while not holds():
+            assert time.monotonic() - begin < patience, (self.command(), self.lines)
+            time.sleep(0.002)
+        return time.monotonic() - begin
+
+    def end(self) -> None:
+        if self.thread.is_alive():
+            self.runner.close()
+        self.thread.join(10.0)
+
+
+@pytest.fixture(scope="module")
+def rig() -> Iterator[Rig]:
+    made = Rig()
+    yield made
+    made.end()
+
+
+@pytest.fixture
+def client(rig: Rig) -> Iterator[Client]:
+    made = Client(rig.view.address)
+    yield made
+    made.close()
+    rig.until(lambda: rig.command() == [0.0, 0.0, 0.0])
+
+
+def twist(vx: float, wz: float = 0.0) -> bytes:
+    return b"\x00\x01\x00\x00" + struct.pack("<6d", vx, 0, 0, 0, 0, wz)
+
+
+def test_a_client_gets_the_bytes_that_ros_gets(rig: Rig, client: Client) -> None:
+    client.subscribe(*TOPICS, "/robot_description", "/tf_static")
+    client.until(lambda: {*TOPICS, "/tf_static"} <= {topic for topic, _, _ in client.messages})
+    schema = client.channels["/joint_states"]
+    assert (schema["encoding"], schema["schemaEncoding"]) == ("cdr", "ros2msg")
+    assert schema["schemaName"] == "sensor_msgs/msg/JointState"
+    assert "float64[] position" in schema["schema"]
+    # What our own encoders make of the states of that very tick.
+    rig.view.controls.pause()
+    client.until(lambda: rig.view.controls.paused)
+    time.sleep(0.1)
+    now = int(rig.program.states["stamp_ns"])
+    mapping = load_map(find_config("maps", "default"))
+    program = rig.program
+    bindings = arrays_of(program), names_of(program), variables_of(program)
+    assert rig.view.controls.step()[0]
+    rig.until(lambda: int(rig.program.states["stamp_ns"]) > now)
+    now = int(rig.program.states["stamp_ns"])
+    client.until(lambda: any(stamp == now for _, stamp, _ in client.messages))
+    expected = {
+        f"/{spec.topic.lstrip('/')}": bytes(Encoder.build(spec, *bindings).encode())
+        for spec in mapping.publish
+        if spec.topic in ("joint_states", "odom")
+    }
+    got = {topic: raw for topic, stamp, raw in client.messages if stamp == now}
+    assert len(expected) == 2
+    for topic in {*got} & {*expected}:
+        assert got[topic] == expected[topic]
+    assert "/joint_states" in got
+    rig.view.controls.start()
+    text = next(raw for topic, _, raw in client.messages if topic == "/robot_description")
+    assert b"<robot" in text
+
+
+def test_a_client_drives_and_stands_when_it_is_not_heard(rig: Rig, client: Client) -> None:
+    client.advertise("/cmd_vel", "geometry_msgs/msg/Twist")
+    client.publish(twist(0.4, 0.2))
+    assert rig.until(lambda: rig.command() == [0.4, 0.0, 0.2]) < 0.2
+    rig.until(lambda: rig.command() == [0.0, 0.0, 0.0], 1.0)  # silent
+    time.sleep(0.2)
+    client.publish(twist(0.4))  # queued by a page that had stalled, for all we know
+    client.until(lambda: any("publish zeros first" in line for line in client.statuses))
+    assert rig.command() == [0.0, 0.0, 0.0]
+    client.publish(twist(0.0))
+    client.publish(twist(0.3))
+    rig.until(lambda: rig.command() == [0.3, 0.0, 0.0])
+    client.publish(twist(0.0))
+
+
+def test_json_counts_too_and_what_is_not_finite_or_a_message_does_not(
+    rig: Rig, client: Client
+) -> None:
+    client.advertise("cmd_vel", "geometry_msgs/Twist", "json")
+    client.publish(b'{"linear":{"x":0.2,"y":0,"z":0},"angular":{"x":0,"y":0,"z":0.1}}')
+    rig.until(lambda: rig.command() == [0.2, 0.0, 0.1])
+    for wrong in (b"", b"{", b"[]", b'{"linear":{"x":NaN,"y":0,"z":0},"angular":0}', b"\xff" * 99):
+        client.publish(wrong)
+    client.advertise("/cmd_vel", "geometry_msgs/msg/Twist", number=2)
+    for raw in (twist(np.nan), twist(np.inf), b"", b"\x00\x01", twist(0.5)[:-1], b"\xff" * 400):
+        client.publish(raw, 2)
+    client.advertise("/cmd_vel", "std_msgs/msg/String", number=3)
+    client.publish(twist(0.5), 3)
+    client.advertise("/joint_states", "sensor_msgs/msg/JointState", number=4)
+    client.publish(b"\x00\x01\x00\x00", 4)
+    client.publish(twist(0.5), 99)  # never advertised
+    for _ in range(2000):
+        client.publish(b"\x00" * 100, 2)
+    time.sleep(0.2)
+    assert rig.command() in ([0.2, 0.0, 0.1], [0.0, 0.0, 0.0])
+    client.until(lambda: bool(client.statuses))
+    client.publish(twist(0.0), 2)
+
+
+def test_only_one_client_drives(rig: Rig, client: Client) -> None:
+    other = Client(rig.view.address)
+    time.sleep(1.0)  # of a flood of refusals no more than a few are told
+    for each in (client, other):
+        each.advertise("/cmd_vel", "geometry_msgs/msg/Twist")
+    client.publish(twist(0.2))
+    rig.until(lambda: rig.command() == [0.2, 0.0, 0.0])
+    other.publish(twist(-0.5))
+    client.publish(twist(0.2))
+    other.until(lambda: any("another client drives" in line for line in other.statuses))
+    assert rig.command() == [0.2, 0.0, 0.0]
+    client.publish(twist(0.0))
+    other.close()
+
+
+def test_parameters_are_set_within_their_ranges(rig: Rig, client: Client) -> None:
+    client.say(op="getParameters", parameterNames=[], id="1")
+    client.until(lambda: "stiffness_scale" in client.parameters)
+    assert client.parameters["stiffness_scale"] == 1.0
+    wished = [{"name": "max_vx", "value": 0.7, "type": "float64"}]
+    client.say(op="setParameters", parameters=wished, id="2")
+    client.until(lambda: client.parameters.get("max_vx") == 0.7)
+    time.sleep(1.0)  # of a flood of refusals no more than a few are told
+    for name, value in (("max_vx", -1.0), ("stiffness_scale", 9.0), ("max_vx", "much")):
+        client.say(op="setParameters", parameters=[{"name": name, "value": value}], id="3")
+    client.until(lambda: any("stiffness_scale is 9" in line for line in client.statuses), 8.0)
+    assert client.parameters["max_vx"] == 0.7
+    assert client.parameters["stiffness_scale"] == 1.0
+
+
+def test_services_are_called_and_answered(rig: Rig, client: Client) -> None:
+    assert client.call("/unicon/pause") == (True, "paused; ~/start goes on, ~/step ticks once")
+    assert client.call("/unicon/step") == (True, "one tick")
+    assert client.call("/unicon/start") == (True, "going on")
+    assert client.call("/unicon/step")[0] is False
+
+
+def test_another_sites_page_does_not_come_in(rig: Rig) -> None:
+    for origin in ("https://evil.example", "null", "http://127.0.0.1.evil.example"):
+        with pytest.raises(InvalidStatus) as refused:
+            Client(rig.view.address, origin)
+        assert refused.value.response.status_code == 403
+    for origin in ("https://app.foxglove.dev", "http://localhost:8080"):
+        Client(rig.view.address, origin).close()
+
+
+def test_beyond_this_machine_a_token_is_needed() -> None:
+    with pytest.raises(UniconError, match="lets everybody in the network drive the robot"):
+        Rig(host="0.0.0.0")
+    with pytest.raises(UniconError, match="is not a token"):
+        Rig(host="0.0.0.0", token="short")
+    rig = Rig(host="0.0.0.0", token="correcthorse", port=8795)
+    address = rig.view.address.replace("0.0.0.0", "127.0.0.1")
+    assert address.endswith("/correcthorse")
+    for wrong in (address[:-1], address.rsplit("/", 1)[0], address + "s"):
+        with pytest.raises(InvalidStatus):
+            Client(wrong)
+    Client(address).close()
+    rig.end()
+
+
+def test_its_estop_ends_the_run() -> None:
+    rig = Rig(port=8790)
+    client = Client(rig.view.address)
+    begin = time.monotonic()
+    client.call("/unicon/estop")
+    rig.thread.join(5.0)
+    assert rig.report is not None
+    assert rig.report.faults == [FAULT]
+    assert time.monotonic() - begin < 3.0
+    client.close()
+
+
+@pytest.mark.slow
+def test_stalled_clients_cost_the_others_nothing(rig: Rig) -> None:
+    """Of five, one is stopped and one never reads what it has asked for."""
+    folder = Path(__file__).parent
+    command = [sys.executable, str(folder / "foxglove_client.py"), rig.view.address]
+    kinds = ("reads", "reads", "reads", "reads", "stalls")
+    started = [
+        subprocess.Popen([*command, kind, "12"], stdout=subprocess.PIPE, env=same_modules())
+        for kind in kinds
+    ]
+    for each in started:
+        assert each.stdout is not None
+        assert each.stdout.readline() == b"connected\n"
+    stopped = started[3]
+    os.kill(stopped.pid, signal.SIGSTOP)
+    period = round(rig.program.period * 1e9)
+    for each in started[:3]:
+        out, _ = each.communicate(timeout=40)
+        counts, stamps = json.loads(out)
+        assert counts["/joint_states"] > 400
+        assert len(stamps) > 500
+        assert set(np.diff(stamps)) == {period}, "every tick, once, in order"
+    os.kill(stopped.pid, signal.SIGCONT)
+    for each in started[3:]:
+        each.communicate(timeout=40)

@@ -1,0 +1,405 @@
+"""Foxglove: a WebSocket server of foxglove-sdk with the bytes that ROS gets, for `--view=foxglove`.
+
+Topics are those of the run's message map, encoded by the bridge's own encoders; /tf, /tf_static and
+robot_description besides. A client may publish what the map takes as a velocity (`cmd_vel`), set
+the parameters of `unicon_node` that count at once, and call its services.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+import threading
+import time
+from collections.abc import Callable, Mapping
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+
+from unicon_core.errors import MissingDependencyError
+from unicon_core.platforms.platform import Facts
+from unicon_core.resources import find_config
+from unicon_core.states import States
+from unicon_core.workflow import Program
+from unicon_msgs_map import Decoder, load_map
+from unicon_msgs_map.layout.messages import Messages, shared_messages
+from unicon_ros.recorded_topics import RecordedTopics
+from unicon_ros.view.front import Front, hidden_address
+from unicon_ros.view.shown import DEAD_MAN, Shown
+from unicon_ros.view.source import Remote, Source
+
+__all__ = ["Foxglove"]
+
+APP = "https://app.foxglove.dev"
+"""Whose pages may come in besides those of this machine."""
+
+COMMAND = "velocity_command"
+TWIST = "geometry_msgs/msg/Twist"
+TRIGGER = "std_srvs/srv/Trigger"
+BACKLOG = 4096
+"""Messages that are kept for a slow client; older ones are dropped for it alone."""
+ANSWER = 2.0
+"""How long a service waits for the run, in [s]."""
+LOUD, LINES = 1.0, 10
+"""Of what is told of refused messages: so many lines in that time [s]."""
+
+_ACTS = {
+    "start": "the operator's go, or on after a pause",
+    "stop": "end the run in order",
+    "estop": "stop before the next command is sent",
+    "pause": "let a simulator stand still",
+    "step": "tick once in a pause",
+    "reset": "bring a simulator and the flow back to their beginning",
+}
+
+
+class Foxglove:
+    """The sink.
+
+    Args:
+        shown: the run.
+        source: of its ticks.
+        remote: what clients publish, set and call goes there.
+        options: `host`, `port`, `token`.
+
+    Attributes:
+        address: for Foxglove's "Open connection".
+
+    Raises:
+        MissingDependencyError: foxglove-sdk is not installed.
+        UniconError: the map does not fit, or no port is free.
+    """
+
+    def __init__(
+        self, shown: Shown, source: Source, remote: Remote, options: Mapping[str, Any]
+    ) -> None:
+        try:
+            import foxglove
+            from foxglove import websocket
+        except ImportError as error:
+            raise MissingDependencyError(
+                "--view=foxglove", "foxglove-sdk", "pip install 'unicon_ros[foxglove]'"
+            ) from error
+        self._sdk, self._shown, self._source, self._remote = websocket, shown, source, remote
+        self._states = States(shown.layout)
+        self._context = foxglove.Context()
+        self._lock = threading.Lock()
+        self._answers: dict[int, tuple[bool, str]] = {}
+        self._answered = threading.Condition(self._lock)
+        self._values = {name: one.value for name, one in shown.parameters.items()}
+        self._handle = 0
+        self._topics = _Topics(foxglove, self._context)
+        program = cast(Program, _program_of(shown, self._states))
+        recorder = cast(Any, self._topics)
+        self._record = RecordedTopics(
+            recorder, program, shown.map, frame_prefix=shown.frame_prefix
+        ).block.tick
+        self._driver = _Driver(shown, remote, self._say)
+        self._loud_until, self._lines = 0.0, 0
+        hidden = hidden_address()
+        capability = websocket.Capability
+        self._server = foxglove.start_server(
+            name=f"unicon {shown.workflow} on {shown.robot.name}",
+            host=hidden,
+            port=0,
+            capabilities=[capability.ClientPublish, capability.Parameters, capability.Services],
+            server_listener=cast(Any, _Listener(self)),
+            supported_encodings=["cdr", "json"],
+            services=self._services(websocket),
+            context=self._context,
+            message_backlog_size=BACKLOG,
+        )
+        try:
+            host, token = str(options["host"]), str(options["token"])
+            self._front = Front(
+                host, int(options["port"]), (hidden, self._server.port), [APP], token, self._say
+            )
+        except BaseException:
+            self._server.stop()
+            raise
+        shown_host = f"[{host}]" if ":" in host else host
+        ending = f"/{token}" if token else ""
+        self.address = f"ws://{shown_host}:{self._front.port}{ending}"
+
+    def poll(self) -> None:
+        """Log every tick that has come, and take the answers."""
+        for tick in self._source.since(self._handle):
+            self._handle = tick.handle
+            self._states.buffer[:] = tick.buffer
+            self._record()
+        self._driver.look()
+        answers, self._source.answers[:] = list(self._source.answers), []
+        with self._answered:
+            self._answers |= {answer.number: (answer.done, answer.text) for answer in answers}
+            self._answered.notify_all()
+
+    def close(self) -> None:
+        """Close the server and its door."""
+        self._front.close()
+        self._server.stop()
+
+    # -- in threads of the server ---------------------------------------------------------------
+
+    def act(self, act: str, /, **arguments: Any) -> tuple[bool, str]:
+        """Wish something, and wait for what becomes of it."""
+        if act == "estop":
+            self._remote.estop()
+            return True, "emergency stop: the platform damps"
+        number = self._remote.act(act, **arguments)
+        with self._answered:
+            there = self._answered.wait_for(lambda: number in self._answers, ANSWER)
+            if not there:
+                return False, f"the run has not answered for {ANSWER:g} s"
+            return self._answers.pop(number)
+
+    def parameters(self, names: list[str]) -> list[Any]:
+        """Return the parameters of these names; all for none."""
+        chosen = names or list(self._values)
+        make = self._sdk.Parameter
+        return [make(name, value=self._values[name]) for name in chosen if name in self._values]
+
+    def set_parameter(self, name: str, value: Any) -> None:
+        """Set one, where the run takes it."""
+        try:
+            number = float(value)
+        except (TypeError, ValueError):
+            number = math.nan
+        if name not in self._values or not math.isfinite(number):
+            self._say(f"parameter {name}: {value!r} is refused")
+            return
+        done, text = self.act("set_parameter", name=name, value=number)
+        if done:
+            self._values[name] = number
+        else:
+            self._say(text)
+
+    def heard(self, client: int, channel: Any, data: bytes) -> None:
+        """Take a message of a client."""
+        self._driver.heard(client, channel, data)
+
+    def _say(self, line: str) -> None:
+        server, now = getattr(self, "_server", None), time.monotonic()
+        if now >= self._loud_until:
+            self._loud_until, self._lines = now + LOUD, 0
+        self._lines += 1
+        if server is not None and self._lines <= LINES:
+            server.publish_status(line, self._sdk.StatusLevel.Warning)
+
+    def _services(self, websocket: Any) -> list[Any]:
+        request = websocket.MessageSchema(encoding="cdr", schema=_schema(websocket, "Request", ""))
+        told = "bool success\nstring message"
+        response = websocket.MessageSchema(
+            encoding="cdr", schema=_schema(websocket, "Response", told)
+        )
+        schema = websocket.ServiceSchema(TRIGGER, request=request, response=response)
+
+        def calling(act: str, /, **arguments: str) -> Callable[[Any], bytes]:
+            return lambda _: _trigger(*self.act(act, **arguments))
+
+        made = [
+            websocket.Service(name=f"/unicon/{name}", schema=schema, handler=calling(name))
+            for name in _ACTS
+        ]
+        for skill in self._shown.skills:
+            calls = calling("skill", name=skill)
+            name = f"/unicon/skills/{skill}"
+            made.append(websocket.Service(name=name, schema=schema, handler=calls))
+        return made
+
+
+class _Listener:
+    """What the server calls, in threads of its own."""
+
+    def __init__(self, sink: Foxglove) -> None:
+        self._sink = sink
+        self._channels: dict[tuple[int, int], Any] = {}
+
+    def on_subscribe(self, client: Any, channel: Any) -> None:
+        self._sink._topics.again(channel.id)
+
+    def on_unsubscribe(self, client: Any, channel: Any) -> None: ...
+
+    def on_client_advertise(self, client: Any, channel: Any) -> None:
+        if len(self._channels) < 1000:
+            self._channels[client.id, channel.id] = channel
+
+    def on_client_unadvertise(self, client: Any, client_channel_id: int) -> None:
+        self._channels.pop((client.id, client_channel_id), None)
+
+    def on_message_data(self, client: Any, client_channel_id: int, data: bytes) -> None:
+        channel = self._channels.get((client.id, client_channel_id))
+        if channel is not None:
+            self._sink.heard(client.id, channel, data)
+
+    def on_get_parameters(self, client: Any, param_names: list[str], request_id: Any = None) -> Any:
+        return self._sink.parameters(param_names)
+
+    def on_set_parameters(self, client: Any, parameters: list[Any], request_id: Any = None) -> Any:
+        for parameter in parameters:
+            self._sink.set_parameter(parameter.name, parameter.get_value())
+        return self._sink.parameters([])
+
+    def on_parameters_subscribe(self, param_names: list[str]) -> None: ...
+
+    def on_parameters_unsubscribe(self, param_names: list[str]) -> None: ...
+
+    def on_connection_graph_subscribe(self) -> None: ...
+
+    def on_connection_graph_unsubscribe(self) -> None: ...
+
+    def on_playback_control_request(self, playback_control_request: Any) -> None: ...
+
+
+class _Topics:
+    """Takes messages in the place of a recorder."""
+
+    def __init__(self, foxglove: Any, context: Any) -> None:
+        self._foxglove, self._context = foxglove, context
+        self._latched: dict[int, tuple[Any, bytes]] = {}
+
+    def start(self) -> None:
+        """Nothing has to begin."""
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+    def channel(
+        self,
+        topic: str,
+        kind: str,
+        messages: Messages | None = None,
+        qos: object = None,
+        latched: bytes = b"",
+    ) -> Callable[[int, bytes], bool]:
+        """Advertise a topic, and return what takes its messages."""
+        known = (messages or shared_messages()).definition(kind)
+        made = self._foxglove.Channel(
+            f"/{topic.lstrip('/')}",
+            schema=self._foxglove.Schema(
+                name=known.name, encoding=known.encoding, data=known.text.encode()
+            ),
+            message_encoding="cdr",
+            context=self._context,
+        )
+        if latched:
+            self._latched[made.id()] = made, latched
+
+        def write(stamp_ns: int, message: bytes) -> bool:
+            if made.has_sinks():
+                made.log(bytes(message), log_time=stamp_ns)
+            return True
+
+        return write
+
+    def again(self, channel: int) -> None:
+        """Tell a latched message once more, to who has just subscribed."""
+        found = self._latched.get(channel)
+        if found is not None:
+            found[0].log(found[1])
+
+
+class _Driver:
+    """Who drives by publishing a velocity: one client at a time.
+
+    Once one that drove was not heard for `DEAD_MAN` seconds, it has to let go (publish zeros)
+    before its velocities count again: what a stalled page had queued moves nothing.
+    """
+
+    def __init__(self, shown: Shown, remote: Remote, say: Callable[[str], object]) -> None:
+        self._remote, self._say, self._lock = remote, say, threading.Lock()
+        self._velocity = np.zeros(3, np.float32)
+        arrays = {COMMAND: self._velocity}
+        specs = load_map(find_config("maps", shown.map)).subscribe if shown.drives else ()
+        self._decoders = {
+            spec.topic.strip("/"): Decoder.build(spec, arrays)
+            for spec in specs
+            if spec.states == (COMMAND,)
+        }
+        self._client, self._at = -1, -math.inf
+        self._stalled: set[int] = set()
+
+    def heard(self, client: int, channel: Any, data: bytes) -> None:
+        """Take a message; in a thread of the server."""
+        decoder = self._decoders.get(channel.topic.strip("/"))
+        if decoder is None:
+            known = ", ".join(self._decoders) or "none"
+            self._say(f"topic {channel.topic} is not taken; those that are: {known}")
+            return
+        kind = channel.schema_name.replace("/msg/", "/")
+        wanted = decoder.spec.type.replace("/msg/", "/")
+        if kind != wanted:
+            self._say(f"topic {channel.topic} is {wanted}, not {channel.schema_name}")
+            return
+        with self._lock:
+            raw = data if channel.encoding == "cdr" else _from_json(data, decoder.spec.type)
+            if raw is None or not decoder.decode(raw):
+                self._say(f"topic {channel.topic}: {decoder.last_error or 'not a message'}")
+                return
+            self._drive(client)
+
+    def _drive(self, client: int) -> None:
+        now, moving = time.monotonic(), bool(self._velocity.any())
+        if client in self._stalled:
+            if moving:
+                self._say("the driver was not heard for a while; publish zeros first")
+                return
+            self._stalled.discard(client)
+        if client != self._client:
+            if self._client >= 0:
+                self._say("another client drives")
+                return
+            self._client = client
+            self._remote.touch()
+        self._at = now
+        self._remote.drive(self._velocity)
+        if not moving:  # others may drive now
+            self._client = -1
+
+    def look(self) -> None:
+        """Let go of a driver who is not heard any more."""
+        with self._lock:
+            if self._client >= 0 and time.monotonic() - self._at > DEAD_MAN:
+                if self._velocity.any():
+                    self._stalled.add(self._client)
+                self._client = -1
+
+
+def _program_of(shown: Shown, states: States) -> SimpleNamespace:
+    """Return what encoders ask of a program."""
+    facts = Facts(shown.platform, simulated=shown.simulated, batch=True)
+    platform = SimpleNamespace(facts=facts)
+    if shown.model is not None:
+        platform.model_path = shown.model
+    return SimpleNamespace(
+        states=states,
+        robot=shown.robot,
+        period=shown.period,
+        platform=platform,
+        name=shown.workflow,
+    )
+
+
+def _schema(websocket: Any, end: str, text: str) -> Any:
+    import foxglove
+
+    return foxglove.Schema(name=f"{TRIGGER}_{end}", encoding="ros2msg", data=text.encode())
+
+
+def _trigger(success: bool, message: str) -> bytes:
+    """Return a std_srvs/srv/Trigger response as CDR."""
+    raw = message.encode() + b"\0"
+    return b"\x00\x01\x00\x00" + struct.pack("<?3xI", success, len(raw)) + raw
+
+
+def _from_json(data: bytes, kind: str) -> bytes | None:
+    """Return a Twist that came as JSON, as CDR; None for what is none."""
+    if kind != TWIST:
+        return None
+    try:
+        said = json.loads(data)
+        values = [float(said[a][b]) for a in ("linear", "angular") for b in ("x", "y", "z")]
+    except (ValueError, KeyError, TypeError, RecursionError):
+        return None
+    return b"\x00\x01\x00\x00" + struct.pack("<6d", *values)
