@@ -11,7 +11,7 @@ import pytest
 from unicon_core.errors import UniconError
 from unicon_core.states import Layout, States, StateSpec
 from unicon_core.states.standard import standard_states
-from unicon_ros.view.page.access import check_reach, refusal
+from unicon_ros.view.front import check_reach, refusal
 from unicon_ros.view.page.history import SECONDS, History
 from unicon_ros.view.page.plots import (
     ALL,

@@ -18,8 +18,6 @@ from unicon_ros.view.shown import Shown
 
 __all__ = ["Pose", "Scene", "Stage"]
 
-"""Colours of the velocity arrows, and of their legend."""
-
 _PATH = (90, 90, 200)
 _FOOT = (214, 39, 40)
 _STEP, _LONGEST = 0.03, 2000  # [m] between points of the path, and points at most

@@ -13,8 +13,8 @@ from typing import Any
 
 from unicon_core.errors import MissingDependencyError, UniconError
 from unicon_ros.view import PORT
-from unicon_ros.view.page.access import check_reach, refusal
-from unicon_ros.view.page.history import History
+from unicon_ros.view.front import check_reach, refusal
+from unicon_ros.view.page.history import SECONDS, History
 from unicon_ros.view.page.wheel import Wheel
 from unicon_ros.view.page.words import status_html, table
 from unicon_ros.view.shown import Shown
@@ -167,7 +167,7 @@ class Page:
         """Take the ticks that have come into the history."""
         if handle < self._handle:
             self._history.clear()
-            self._handle = handle - 1
+            self._handle = max(handle - round(SECONDS / self._shown.period), 0)
         for tick in self._source.since(self._handle):
             self._history.take(tick)
         self._handle = handle
