@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import re
+import shlex
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+import unicon_ros.view.page.wheel as wheel_module
 from unicon_core.errors import UniconError
 from unicon_core.states import Layout, States, StateSpec
 from unicon_core.states.standard import standard_states
+from unicon_ros.cli.main import _parser
+from unicon_ros.cli.workflow_arguments import view_options
 from unicon_ros.view.front import check_reach, refusal
 from unicon_ros.view.page.history import SECONDS, History
 from unicon_ros.view.page.plots import (
@@ -24,6 +30,7 @@ from unicon_ros.view.page.plots import (
     element_choices,
     groups,
 )
+from unicon_ros.view.page.sink import MOST
 from unicon_ros.view.page.wheel import Wheel
 from unicon_ros.view.page.words import graph_html
 from unicon_ros.view.shown import DEAD_MAN, GraphLine
@@ -277,3 +284,31 @@ def test_the_running_part_of_the_graph_stands_out() -> None:
     html = graph_html(lines, [1])
     assert "▸ &lt;b&gt;" in html
     assert "· c" in html
+
+
+# -- docs/view.md ---------------------------------------------------------------------------------
+
+DOCUMENT = (Path(__file__).parents[2] / "docs/view.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("line", re.findall(r"^unicon .*?(?=\s+#|$)", DOCUMENT, re.MULTILINE))
+def test_each_command_of_the_document_is_one(line: str) -> None:
+    arguments = _parser().parse_args(shlex.split(line)[1:])
+    if arguments.command == "run":
+        options = view_options(arguments)
+        assert options["sink"] == "page"
+        check_reach(options["host"], options["token"])
+
+
+def test_the_document_has_the_figures_and_the_keys_of_the_code() -> None:
+    script = (Path(wheel_module.__file__).parent / "script.js").read_text(encoding="utf-8")
+    keys = re.findall(r"\b([a-z]): \[(\d), (-?1)\]", script)
+    assert {key for key, axis, _ in keys if axis == "0"} == {"i", "k"}
+    assert "I and K forwards and back, U and O sideways, J and L turn" in DOCUMENT
+    assert [key for key, *_ in keys] == ["i", "k", "u", "o", "j", "l"]
+    assert f"After {DEAD_MAN} s of silence" in DOCUMENT
+    pytest.importorskip("viser", reason="no live page: pip install 'unicon_ros[view]'")
+    from unicon_ros.view.page.scene import TOUCHING
+
+    assert f"within {1e3 * TOUCHING:.0f} mm of the floor" in DOCUMENT
+    assert f"up to {MOST}" in DOCUMENT

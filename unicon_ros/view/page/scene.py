@@ -16,12 +16,14 @@ from unicon_ros.view.page.shapes import shapes_of
 from unicon_ros.view.page.words import COMMANDED, MEASURED
 from unicon_ros.view.shown import Shown
 
-__all__ = ["Pose", "Scene", "Stage"]
+__all__ = ["TOUCHING", "Pose", "Scene", "Stage"]
 
 _PATH = (90, 90, 200)
 _FOOT = (214, 39, 40)
 _STEP, _LONGEST = 0.03, 2000  # [m] between points of the path, and points at most
-_TOUCHING = 0.005  # [m]: a foot nearer to the floor stands on it
+TOUCHING = 0.005
+"""A foot nearer to the floor stands on it, [m]."""
+
 _SURE = 0.5  # of `foot_contact`
 
 
@@ -127,7 +129,7 @@ class Stage:
                     height = self._mujoco.mj_geomDistance(
                         self._model, self._posed.data, floor, geom, 1.0, None
                     )
-                    if height < _TOUCHING:
+                    if height < TOUCHING:
                         near.add(foot)
         return frozenset(near)
 

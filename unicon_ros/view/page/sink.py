@@ -20,10 +20,11 @@ from unicon_ros.view.page.words import status_html, table
 from unicon_ros.view.shown import Shown
 from unicon_ros.view.source import Remote, Snapshot, Source
 
-__all__ = ["Page"]
+__all__ = ["MOST", "Page"]
 
 _RATE = 2.0  # [s] over which ticks are counted
-_MOST = 16  # viewers
+MOST = 16
+"""Viewers at once."""
 
 
 class Page:
@@ -159,8 +160,8 @@ class Page:
     def _refused(self, client: Any) -> str:
         """Return why a browser may not look."""
         headers, path = self._link.opened(self._server, client)
-        if len(self._viewers) >= _MOST:
-            return f"{_MOST} viewers look already"
+        if len(self._viewers) >= MOST:
+            return f"{MOST} viewers look already"
         return refusal(headers, path, self._token)
 
     def _take(self, handle: int, now: float) -> None:
