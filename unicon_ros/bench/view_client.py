@@ -33,7 +33,7 @@ def main() -> int:
     with connect(
         f"ws://{split.netloc}",
         sock=raw,
-        origin=origin,  # type: ignore[arg-type]
+        origin=origin,
         subprotocols=[Subprotocol(protocol)],
         max_size=None,
         compression=None,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeGuard
 
 from unicon_ros.view.page.history import History
 from unicon_ros.view.page.link import Link
@@ -200,7 +200,7 @@ class Viewer:
         self.acts.add(self._remote.act(name, **arguments))
 
 
-def _is_vector(given: Any) -> bool:
+def _is_vector(given: Any) -> TypeGuard[list[float]]:
     return (
         isinstance(given, list)
         and len(given) == 3
