@@ -151,6 +151,7 @@ setup(
         ],
         "unicon.blocks": [
             "camera = unicon_ros.bridge.camera:camera",
+            "livox = unicon_ros.peripherals.livox.livox:livox",
             "recorded = unicon_ros.replay.commands:recorded",
         ],
         "unicon.platforms": [

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import struct
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,6 +23,7 @@ __all__ = [
     "KINDS",
     "STAMP",
     "FrameMessage",
+    "cloud_message",
     "frame_message",
     "info_message",
     "rays",
@@ -32,7 +34,8 @@ INFO = "sensor_msgs/msg/CameraInfo"
 KINDS = ("color", "depth", "cloud")
 """`color` rgb8; `depth` 32FC1 in [m] along the view axis (REP-118); `cloud` x, y, z in [m]."""
 
-_FLOAT32 = 7  # PointField.FLOAT32
+_FIELDS = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
+"""NumPy's name of a type to that of PointField."""
 STAMP = slice(4, 12)
 """Where the header's stamp stands in all these messages: behind the encapsulation header."""
 
@@ -45,7 +48,7 @@ class FrameMessage:
         type: message type.
         template: all bytes, with zeros for stamp and data.
         offset: where the data begin, [B].
-        shape: of the data: (height, width, 3) or (height, width).
+        shape: of the data: (height, width, 3), (height, width), or (width,) points.
         dtype: of the data.
     """
 
@@ -53,7 +56,7 @@ class FrameMessage:
     template: bytes
     offset: int
     shape: tuple[int, ...]
-    dtype: str
+    dtype: str | np.dtype[np.void]
 
     def data(self, buffer: Any) -> NDArray[Any]:
         """Return the view of the data in a message's buffer; to write into or to read."""
@@ -84,20 +87,33 @@ def frame_message(kind: str, width: int, height: int, frame_id: str) -> FrameMes
     row = np.dtype(dtype).itemsize * math.prod(shape[1:])
     out = _Cdr(frame_id, height, width)
     if kind == "cloud":
-        out.pack("I", 3)
-        for number, name in enumerate("xyz"):
-            out.text(name)
-            out.pack("IBI", 4 * number, _FLOAT32, 1)
+        out.fields([("x", 0, "f4"), ("y", 4, "f4"), ("z", 8, "f4")])
         out.pack("BII", 0, 12, row)
     else:
         out.text("rgb8" if kind == "color" else "32FC1")
         out.pack("BI", 0, row)
-    out.pack("I", row * height)
-    offset = len(out.bytes)
-    out.bytes += bytes(row * height)
+    offset = out.data(row * height)
     if kind == "cloud":
         out.pack("B", 0)  # is_dense: no, what is too far is NaN
     return FrameMessage(CLOUD if kind == "cloud" else IMAGE, bytes(out.bytes), offset, shape, dtype)
+
+
+def cloud_message(width: int, point: np.dtype[np.void], frame_id: str) -> FrameMessage:
+    """Return the layout of a cloud of points in no order (height 1).
+
+    Args:
+        width: number of points; those that are not there are to be NaN.
+        point: what a point is: named fields, little endian.
+        frame_id: of the header.
+    """
+    out = _Cdr(frame_id, 1, width)
+    assert point.fields is not None
+    fields = ((name, at, kind.str[1:]) for name, (kind, at, *_) in point.fields.items())
+    out.fields(sorted(fields, key=lambda field: field[1]))
+    out.pack("BII", 0, point.itemsize, point.itemsize * width)
+    offset = out.data(point.itemsize * width)
+    out.pack("B", 0)  # is_dense: no, see width
+    return FrameMessage(CLOUD, bytes(out.bytes), offset, (width,), point)
 
 
 def info_message(width: int, height: int, frame_id: str, pinhole: Intrinsics) -> bytes:
@@ -159,3 +175,17 @@ class _Cdr:
         raw = value.encode() + b"\0"
         self.pack("I", len(raw))
         self.bytes += raw
+
+    def fields(self, fields: Iterable[tuple[str, int, str]]) -> None:
+        """Write PointField[]: name, place in the point in [B] and NumPy's name of the type."""
+        given = list(fields)
+        self.pack("I", len(given))
+        for name, at, kind in given:
+            self.text(name)
+            self.pack("IBI", at, _FIELDS[kind], 1)
+
+    def data(self, size: int) -> int:
+        """Leave room for uint8[] and return where it begins, [B]."""
+        self.pack("I", size)
+        self.bytes += bytes(size)
+        return len(self.bytes) - size

@@ -1,0 +1,113 @@
+"""Block `livox`: clouds and IMU of a Livox Mid-360, received by a process of its own.
+
+    commands:
+      - livox: {lidar: 192.168.1.112}
+
+A cloud is a whole sensor_msgs/PointCloud2 of 0.1 s in a `FrameRing`; the state
+`livox_cloud_handle` numbers the newest.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+from collections.abc import Mapping
+from typing import Any
+
+from unicon_core.errors import WorkflowError
+from unicon_core.flow import Block
+from unicon_core.states import StateSpec
+from unicon_core.workflow.autowire import BuildContext
+from unicon_ros.peripherals.livox.cloud import livox_message
+from unicon_ros.peripherals.peripheral import peripheral_block, peripheral_states
+
+__all__ = ["livox"]
+
+MODULE = "unicon_ros.peripherals.livox.process"
+
+
+def livox(
+    context: BuildContext,
+    *,
+    lidar: str,
+    host: str = "",
+    point_port: int = 56301,
+    imu_port: int = 56401,
+    data_type: int = 1,
+    configure: bool = True,
+    checksum: bool = True,
+    silence: float = 0.2,
+    frame_id: str = "livox_frame",
+    name: str = "livox",
+) -> Block:
+    """Write the newest cloud's handle and the IMU of a Mid-360.
+
+    Args:
+        context: of the workflow.
+        lidar: address of the scanner: 192.168.1.1 and the last two digits of its serial number.
+        host: address of this computer; the one on the way to the scanner if empty.
+        point_port: of this computer; another one for each scanner.
+        imu_port: of this computer; another one for each scanner.
+        data_type: of the points: 1 in [mm], 2 in [cm] and shorter, 3 spherical.
+        configure: tell the scanner where to send; else another program has done so.
+        checksum: refuse what does not fit its checksum.
+        silence: without points for so long it is not there, in [s].
+        frame_id: of the clouds: the scanner's own frame, x forward, y left, z up.
+        name: stands before the names of its states.
+
+    Raises:
+        WorkflowError: an option is wrong.
+        UniconError: another program has the ports.
+    """
+    for label, address in (("lidar", lidar), ("host", host or "127.0.0.1")):
+        try:
+            ipaddress.IPv4Address(address)
+        except ValueError as error:
+            raise WorkflowError(
+                f"livox: {label} is {address!r}; give an IPv4 address such as 192.168.1.112"
+            ) from error
+    for label, port in (("point_port", point_port), ("imu_port", imu_port)):
+        if not (isinstance(port, int) and 1024 <= port <= 65535):
+            raise WorkflowError(f"livox: {label} is {port}; give 1024 to 65535")
+    if point_port == imu_port:
+        raise WorkflowError(f"livox: point_port and imu_port are {imu_port}; give two ports")
+    if data_type not in (1, 2, 3):
+        raise WorkflowError(f"livox: data_type is {data_type}; give 1, 2 or 3")
+    if not 0.05 <= silence <= 10.0:
+        raise WorkflowError(f"livox: silence is {silence}; give 0.05 to 10 s")
+    options = {
+        "lidar": lidar,
+        "host": host,
+        "point_port": point_port,
+        "imu_port": imu_port,
+        "data_type": data_type,
+        "configure": bool(configure),
+        "checksum": bool(checksum),
+        "silence": float(silence),
+        "frame_id": frame_id,
+    }
+    return peripheral_block(
+        context,
+        name,
+        MODULE,
+        options,
+        values=_values(name),
+        frames={"cloud": len(livox_message(frame_id).template)},
+    )
+
+
+def _values(name: str) -> Mapping[str, StateSpec]:
+    return {
+        f"{name}_ang_vel": StateSpec((3,), unit="rad/s", frame=name, description="turning"),
+        f"{name}_lin_acc": StateSpec(
+            (3,), unit="m/s²", frame=name, description="acceleration, gravity in it"
+        ),
+        f"{name}_lost": StateSpec((), "int64", description="datagrams that did not come"),
+        f"{name}_refused": StateSpec((), "int64", description="datagrams that were not taken"),
+    }
+
+
+def _declares(name: str = "livox", **_: Any) -> Mapping[str, StateSpec]:
+    return peripheral_states(name, _values(name), ["cloud"])
+
+
+setattr(livox, "declares", _declares)  # noqa: B010  a function has none to mypy
