@@ -124,7 +124,7 @@ class RunPage:
             "wall time": f"{report.wall_s:.2f} s, {report.rate_hz:.1f} ticks per second, speed "
             f"{self._runner.options.speed}",
             "tick busy": _times(busy),
-            "tick late": _times(late),
+            **({"tick late": _times(late)} if self._keeper.paced else {}),
             "overruns": f"{report.overruns}",
             "base": f"moved {x:+.2f} {y:+.2f} {z:+.2f} m, leaned by up to {report.tilt_deg:g}°",
             "safety": ", ".join(report.safety) or "none",
