@@ -120,7 +120,7 @@ def package_data() -> dict[str, list[str]]:
         package: [
             Path(path).relative_to(package).as_posix()
             for path in files_below(package)
-            if path.endswith((".h", ".json", ".msg", "py.typed"))
+            if path.endswith((".h", ".js", ".json", ".msg", "py.typed"))
         ]
         for package in ("unicon_core", "unicon_msgs_map", "unicon_ros")
     }
