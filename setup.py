@@ -54,6 +54,7 @@ EXTRAS = {
         "jsonschema",
         "mcap-ros2-support",
         "onnx",
+        "prometheus_client",
         "psutil",
         # Peers of hands over Modbus; 3.16 serves `SimDevice`.
         "pymodbus>=3.16,<4",
@@ -72,6 +73,8 @@ EXTRAS["sim-newton"] = ["newton[sim]==1.8.0", *SIM]
 EXTRAS["sim-genesis"] = ["genesis-world==1.4.5", "torch>=2.13", *SIM]
 # Nor this: 54 MB, for `--view=foxglove` alone.
 EXTRAS["foxglove"] = ["foxglove-sdk==0.30.3", "rosbags>=0.11"]
+# Nor this: meshcat's own page, for `--view=meshcat`.
+EXTRAS["meshcat"] = ["meshcat==0.3.2", "viser==1.1.1"]
 # Nor this: 754 MB installed (2.13, CPU), for TorchScript policies alone.
 EXTRAS["torch"] = ["torch"]
 # Nor this: 130 MB installed, for exports to Parquet alone.

@@ -36,7 +36,8 @@ def test_without_matplotlib_the_run_does_not_begin(
 ) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     assert main([*RUN, *FAKE, "--picture", str(tmp_path / "run.png")]) == 1
-    assert "--picture needs matplotlib: pip install matplotlib" in capsys.readouterr().err
+    needs = "--picture needs matplotlib: pip install 'unicon_ros[plots]'"
+    assert needs in capsys.readouterr().err
 
 
 def test_a_recording_holds_what_the_map_publishes(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+from pages import read_page
 
 from unicon_core.flow import blocks_of, compile_graph
 from unicon_core.show import show_mermaid, show_svg, show_text
@@ -82,7 +83,9 @@ def test_the_command_shows_it_in_every_form(
     if "assets:" in load_document(name).path.read_text(encoding="utf-8"):
         request.getfixturevalue("assets")
     picture = tmp_path / "graph.svg"
-    for form in ([], ["--source"], ["--mermaid"], ["--svg", str(picture)]):
+    page = tmp_path / "graph.html"
+    for form in ([], ["--source"], ["--mermaid"], ["--svg", str(picture)], ["--html", str(page)]):
         assert main(["show", name, *form]) == 0
         assert capsys.readouterr().out.strip()
     assert ElementTree.parse(picture).getroot().tag.endswith("svg")
+    read_page(page.read_text("utf-8"))

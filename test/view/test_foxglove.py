@@ -25,6 +25,7 @@ pytest.importorskip("onnxruntime")
 from foxglove_client import Client
 from websockets.exceptions import InvalidStatus
 
+from unicon_core.errors import UniconError
 from unicon_core.resources import find_config, same_modules
 from unicon_core.runtime import Report, Runner, RunOptions
 from unicon_core.workflow import Program, load_document
@@ -208,6 +209,21 @@ def test_another_sites_page_does_not_come_in(rig: Rig) -> None:
         assert refused.value.response.status_code == 403
     for origin in ("https://app.foxglove.dev", "http://localhost:8080"):
         Client(rig.view.address, origin).close()
+
+
+def test_beyond_this_machine_a_token_is_needed() -> None:
+    with pytest.raises(UniconError, match="lets everybody in the network drive the robot"):
+        Rig(host="0.0.0.0")
+    with pytest.raises(UniconError, match="is not a token"):
+        Rig(host="0.0.0.0", token="short")
+    rig = Rig(host="0.0.0.0", token="correcthorse", port=8795)
+    address = rig.view.address.replace("0.0.0.0", "127.0.0.1")
+    assert address.endswith("/correcthorse")
+    for wrong in (address[:-1], address.rsplit("/", 1)[0], address + "s"):
+        with pytest.raises(InvalidStatus):
+            Client(wrong)
+    Client(address).close()
+    rig.end()
 
 
 def test_its_estop_ends_the_run() -> None:

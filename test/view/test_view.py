@@ -130,7 +130,7 @@ def test_a_driver_who_is_not_heard_stands_until_a_new_touch(rig: Rig, how: str) 
     rig.until(lambda seen: seen["tick"] > 5)
     rig.say("touch")
     rig.say("hold", [0.5, 0.0, 0.0])
-    rig.until(lambda seen: seen["driving"])
+    rig.until(lambda _: rig.command() == [0.5, 0.0, 0.0])
     pid = rig.process
     if how == "silent":
         rig.say("sleep", 0.8)  # its page stalls, and then goes on as before

@@ -16,7 +16,9 @@ from unicon_core.policies.policy import Policy
 from unicon_core.policies.policy_states import policy_states
 from unicon_core.policies.policy_yaml import write_policy_yaml
 from unicon_core.policies.table import (
+    joint_rows,
     joint_table,
+    observation_rows,
     observation_table,
     policies_table,
     policy_table,
@@ -37,8 +39,10 @@ __all__ = [
     "Recurrent",
     "TermSlice",
     "import_policy",
+    "joint_rows",
     "joint_table",
     "load_policy",
+    "observation_rows",
     "observation_table",
     "policies_table",
     "policy_names",

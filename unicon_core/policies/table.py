@@ -17,7 +17,14 @@ from unicon_core.policies.terms import TermSlice, term_slices
 from unicon_core.robots import Robot
 from unicon_core.states import States, standard_states
 
-__all__ = ["joint_table", "observation_table", "policies_table", "policy_table"]
+__all__ = [
+    "joint_rows",
+    "joint_table",
+    "observation_rows",
+    "observation_table",
+    "policies_table",
+    "policy_table",
+]
 
 
 def policies_table() -> str:
@@ -92,7 +99,12 @@ def policy_table(contract: PolicyContract, robot: Robot | None = None) -> str:
 
 
 def joint_table(contract: PolicyContract, robot: Robot | None = None) -> str:
-    """Return one line for each joint in policy order: gains, pose and action.
+    """Return `joint_rows` as text."""
+    return "\n".join(aligned(joint_rows(contract, robot)))
+
+
+def joint_rows(contract: PolicyContract, robot: Robot | None = None) -> list[list[str]]:
+    """Return the heads, then a row for each joint in policy order: gains, pose and action.
 
     Args:
         contract: the policy.
@@ -128,7 +140,7 @@ def joint_table(contract: PolicyContract, robot: Robot | None = None) -> str:
         for name in place
         if name not in contract.joints
     ]
-    return "\n".join(aligned(rows))
+    return rows
 
 
 def observation_table(
@@ -136,7 +148,19 @@ def observation_table(
     robot: Robot | None = None,
     states: PackedStates | None = None,
 ) -> str:
-    """Return one line for each term: source state, slice of the input, numbers, unit.
+    """Return `observation_rows` as text, and what the numbers mean."""
+    rows, tail = observation_rows(contract, robot, states)
+    return "\n".join([*aligned(rows), tail])
+
+
+def observation_rows(
+    contract: PolicyContract,
+    robot: Robot | None = None,
+    states: PackedStates | None = None,
+) -> tuple[list[list[str]], str]:
+    """Return the heads and a row for each term, and a line with what the numbers mean.
+
+    A row has the source state, the slice of the input, numbers and unit.
 
     Args:
         contract: the policy.
@@ -180,7 +204,7 @@ def observation_table(
     filtered = any(part.term.filter is not None for part in slices)
     state = "filter(state)" if filtered else "state"
     tail = f"{start} values, {order}; term = scale · clip({state} − subtract)"
-    return "\n".join([*aligned(rows), tail])
+    return rows, tail
 
 
 def _source(part: TermSlice) -> str:

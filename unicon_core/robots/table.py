@@ -13,7 +13,7 @@ from unicon_core.errors import RobotError, one_line
 from unicon_core.robots.load import load_robot, robot_names
 from unicon_core.robots.robot import JOINT_FIELDS, Robot
 
-__all__ = ["robot_table", "robots_table"]
+__all__ = ["joint_limits", "robot_table", "robots_table"]
 
 _UNITS = {
     "lower": "rad",
@@ -75,12 +75,18 @@ def robot_table(robot: Robot) -> str:
     return "\n\n".join(parts)
 
 
-def _joints(robot: Robot) -> str:
+def joint_limits(robot: Robot) -> list[tuple[str, ...]]:
+    """Return the heads, their units, then a row for each joint: limits, poses and gains."""
     order = "order not public" if "joint_order" in robot.unknown else "vendor's motor order"
     rows = [("#", f"joint ({order})", *JOINT_FIELDS), ("", "", *(_UNITS[k] for k in JOINT_FIELDS))]
     columns = [robot.joint_fact(key) for key in JOINT_FIELDS]
     for i, name in enumerate(robot.joint_names):
         rows.append((str(i), name, *(_figure(float(column[i])) for column in columns)))
+    return rows
+
+
+def _joints(robot: Robot) -> str:
+    rows = joint_limits(robot)
     right = (0, *range(2, 2 + len(JOINT_FIELDS)))
     return "\n".join(aligned(rows, right=right, underlined=False))
 

@@ -10,12 +10,19 @@ from unicon_core.states import States
 if TYPE_CHECKING:
     from unicon_core.workflow.parts import Parts
 
-__all__ = ["parts_table"]
+__all__ = ["parts_rows", "parts_table"]
+
+PARTS_HEAD = ("part", "group", "bytes", "published at", "states", "others silent")
 
 
 def parts_table(parts: Parts, states: States) -> list[str]:
-    """Return what each part publishes, where, and what it does when the others are silent."""
-    rows = []
+    """Return `parts_rows` as lines of text."""
+    return aligned(parts_rows(parts, states))
+
+
+def parts_rows(parts: Parts, states: States) -> list[tuple[str, ...]]:
+    """Return the heads, then what each part publishes, where, and when the others are silent."""
+    rows: list[tuple[str, ...]] = [PARTS_HEAD]
     for part in parts.parts.values():
         silent = f"{part.silent.then} after {part.silent.after:g} s"
         groups = parts.groups(part.name, states.layout)
@@ -29,4 +36,4 @@ def parts_table(parts: Parts, states: States) -> list[str]:
             rows.append((part.name, name, size, where, " ".join(group.specs), silent))
         if not groups:
             rows.append((part.name, "-", "-", "-", "-", silent))
-    return aligned([("part", "group", "bytes", "published at", "states", "others silent"), *rows])
+    return rows

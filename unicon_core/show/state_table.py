@@ -18,8 +18,14 @@ def spec_cells(layout: Layout, name: str) -> tuple[str, ...]:
     return (name, shape_text, spec.dtype, spec.unit or "-", spec.frame or "-")
 
 
-def state_rows(root: Node, states: States) -> list[tuple[str, ...]]:
-    """Return the heads, then a row for each state, in the order of their declaration."""
+def state_rows(root: Node, states: States, limit: int = 4) -> list[tuple[str, ...]]:
+    """Return the heads, then a row for each state, in the order of their declaration.
+
+    Args:
+        root: the graph.
+        states: all states.
+        limit: so many writers and readers are named; the others are counted.
+    """
     blocks = blocks_of(root)
 
     def users(name: str, attribute: str) -> list[str]:
@@ -32,8 +38,8 @@ def state_rows(root: Node, states: States) -> list[tuple[str, ...]]:
         rows.append(
             (
                 *spec_cells(states.layout, name),
-                shortened(users(name, "writes") + amenders, 4) or "-",
-                shortened(users(name, "reads"), 4) or "-",
+                shortened(users(name, "writes") + amenders, limit) or "-",
+                shortened(users(name, "reads"), limit) or "-",
                 spec.description,
             )
         )

@@ -1,5 +1,5 @@
-"""The graph as SVG: nested boxes (a chain from left to right, the rest from top to bottom), then
-the state table. One file without scripts or fonts of its own."""
+"""The graph as SVG: nested boxes (a chain from left to right, the rest from top to bottom); as a
+file of its own with the state table below. Without scripts or fonts of its own."""
 
 from __future__ import annotations
 
@@ -12,23 +12,28 @@ from unicon_core.show.state_table import state_rows
 from unicon_core.show.tree import LEGEND, branches, is_critical, shortened, title
 from unicon_core.states import States
 
-__all__ = ["show_svg"]
+__all__ = ["graph_svg", "show_svg"]
 
 CHAR = 7.3  # px, a character of 12 px monospace, rounded up
 LINE = 17  # px, from one line of text to the next
 PAD = 10  # px, around the content of a box
 GAP = 12  # px, between two boxes
+SMALLEST = 0.65  # of its size
+DATA = "⇠ reads · ⇢ writes · ± amends"
 ARROW = 26  # px, between two boxes of a chain
 
+# On a page of ours the colours are the page's.
 STYLE = """
-  text { font: 12px ui-monospace, Menlo, Consolas, monospace; fill: #1f2937; }
-  .small { fill: #6b7280; }
-  .title { font-weight: bold; }
-  rect { fill: #ffffff; stroke: #9ca3af; }
-  rect.page { stroke: none; }
-  rect.flow { fill: #f8fafc; stroke-dasharray: 4 3; }
-  rect.critical { fill: #fff7ed; stroke: #c2410c; stroke-width: 2.5; }
-  .arrow { stroke: #6b7280; fill: none; marker-end: url(#head); }
+  .graph text { font: 12px ui-monospace, Menlo, Consolas, monospace; fill: var(--text, #1f2937); }
+  .graph .small { fill: var(--pale, #6b7280); }
+  .graph .title { font-weight: bold; }
+  .graph rect { fill: var(--card, #ffffff); stroke: var(--edge, #9ca3af); }
+  .graph rect.page { stroke: none; }
+  .graph rect.flow { fill: var(--flow, #f8fafc); stroke-dasharray: 4 3; }
+  .graph rect.critical { fill: var(--hot-box, #fff7ed); stroke: var(--hot, #c2410c);
+                         stroke-width: 2.5; }
+  .graph .arrow { stroke: var(--pale, #6b7280); fill: none; marker-end: url(#head); }
+  .graph #head path { fill: var(--pale, #6b7280); }
 """
 
 
@@ -56,33 +61,55 @@ def show_svg(root: Node, states: States, critical: Collection[Block] = ()) -> st
         states: all states.
         critical: blocks on the critical path.
     """
-    box = _measured(root, "")
-    parts = _drawn(box, PAD, PAD, critical)
-    y = PAD + box.height + GAP
-    legend = f'<rect class="critical" x="{PAD}" y="{y}" width="24" height="14" rx="3"/>'
-    parts += [legend, _text(PAD + 32, y + 12, LEGEND)]
+    parts, graph_width, y = _graph(root, critical)
     rows = state_rows(root, states)
     widths = [max(map(len, column)) * CHAR + GAP for column in zip(*rows)]
-    top = y + 2 * GAP + LINE
+    top = y + LINE + PAD
     for i, row in enumerate(rows):
         x = float(PAD)
         for cell, width in zip(row, widths):
             parts.append(_text(x, top + i * LINE, cell, "title" if i == 0 else ""))
             x += width
-    width = 2 * PAD + max(box.width, sum(widths), len(LEGEND) * CHAR + 32)
-    height = top + len(rows) * LINE + PAD
+    width = 2 * PAD + max(graph_width - 2 * PAD, sum(widths))
+    return _svg(parts, width, top + len(rows) * LINE + PAD) + "\n"
+
+
+def graph_svg(root: Node, critical: Collection[Block] = ()) -> str:
+    """Return the graph alone, as an `<svg>` element of a page; at most one on a page.
+
+    Args:
+        root: the graph.
+        critical: blocks on the critical path.
+    """
+    parts, width, height = _graph(root, critical)
+    # It shrinks to the page as long as it can be read; then it is scrolled.
+    small = f'<svg style="max-width: max(100%, {SMALLEST * width:.0f}px)"'
+    return _svg(parts, width, height).replace("<svg", small, 1)
+
+
+def _graph(root: Node, critical: Collection[Block]) -> tuple[list[str], float, float]:
+    """Return the boxes with their legend, and how wide and high they are."""
+    box = _measured(root, "")
+    parts = _drawn(box, PAD, PAD, critical)
+    y = PAD + box.height + GAP
+    parts.append(f'<rect class="critical" x="{PAD}" y="{y}" width="24" height="14" rx="3"/>')
+    legend = f"{LEGEND} · {DATA}"
+    parts.append(_text(PAD + 32, y + 12, legend))
+    width = 2 * PAD + max(box.width, len(legend) * CHAR + 32)
+    return parts, width, y + 14 + PAD
+
+
+def _svg(parts: list[str], width: float, height: float) -> str:
     return "\n".join(
         [
-            f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:.0f}" height="{height:.0f}" '
-            f'viewBox="0 0 {width:.0f} {height:.0f}">',
+            f'<svg xmlns="http://www.w3.org/2000/svg" class="graph" width="{width:.0f}" '
+            f'height="{height:.0f}" viewBox="0 0 {width:.0f} {height:.0f}">',
             f"<style>{STYLE}</style>",
             '<defs><marker id="head" viewBox="0 0 8 8" refX="8" refY="4" markerWidth="7" '
-            'markerHeight="7" orient="auto"><path d="M0 0L8 4L0 8z" fill="#6b7280"/></marker>'
-            "</defs>",
+            'markerHeight="7" orient="auto"><path d="M0 0L8 4L0 8z"/></marker></defs>',
             f'<rect class="page" width="{width:.0f}" height="{height:.0f}"/>',
             *parts,
             "</svg>",
-            "",
         ]
     )
 

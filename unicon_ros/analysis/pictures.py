@@ -1,24 +1,21 @@
-"""Pictures of a comparison, each a PNG, for the report and beside it."""
+"""Pictures of a comparison, for the report and beside it."""
 
 from __future__ import annotations
 
-import io
 import math
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from unicon_core.gap import rmse, shift_losses
 from unicon_core.gap.trajectories import Array
 from unicon_ros.analysis.comparison import Comparison, tracking_error
+from unicon_ros.report.drawing import INK, MARK, PALE, envelope, grids
 
-__all__ = ["PICTURES", "draw", "envelope", "grids"]
+__all__ = ["PICTURES"]
 
-REAL, SIM, PALE = "#1f4e9c", "#e07b00", "#b8b8b8"
-POINTS = 1500
-"""Of a curve: of more than twice as many the lowest and the highest of each stretch are drawn."""
+REAL, SIM = MARK, "#e07b00"
 COLUMNS = 400
 """Of the heat map in time."""
 TOP = 6
@@ -26,23 +23,6 @@ TOP = 6
 MOST = 32
 """Joints in the other pictures; the rest are in the table."""
 ZOOM_S = 3.0
-
-
-def draw(name: str, comparison: Comparison) -> bytes | None:
-    """Return a picture as PNG; None where the runs have nothing to show in it.
-
-    Args:
-        name: one of `PICTURES`.
-        comparison: what is shown.
-    """
-    from matplotlib.figure import Figure
-
-    figure = Figure(dpi=110, layout="constrained")
-    if not PICTURES[name][0](figure, comparison):
-        return None
-    stream = io.BytesIO()
-    figure.savefig(stream, format="png")
-    return stream.getvalue()
 
 
 def _ranking(figure: Any, comparison: Comparison) -> bool:
@@ -70,7 +50,7 @@ def _alignment(figure: Any, comparison: Comparison) -> bool:
     )
     shifts, losses = shift_losses(real, sim)
     found = int(both.unfolded.shift) * both.period
-    above.plot(*envelope(shifts * both.period, losses), color="0.2", linewidth=0.9)
+    above.plot(*envelope(shifts * both.period, losses), color=INK, linewidth=0.9)
     above.plot(
         [found], [float(both.unfolded.loss)], "o", color=REAL, label=f"found: {found:+.3f} s"
     )
@@ -122,7 +102,7 @@ def _heat(figure: Any, comparison: Comparison) -> bool:
     figure.set_size_inches(12.0, 2.6 + 0.24 * len(order))
     above, below = figure.subplots(2, sharex=True, height_ratios=[1.0, 0.5 + 0.18 * len(order)])
     real, sim = both.real["joint_pos"], both.sim["joint_pos"]
-    above.plot(*envelope(both.time, rmse(real, sim, "frame")), color="0.2", linewidth=0.9)
+    above.plot(*envelope(both.time, rmse(real, sim, "frame")), color=INK, linewidth=0.9)
     above.set_ylabel("RMSE of all [rad]")
     edges = np.unique(np.linspace(0, len(real), min(COLUMNS, len(real)) + 1).astype(int))
     squares = (real - sim)[:, order] ** 2
@@ -158,7 +138,7 @@ def _tracking(figure: Any, comparison: Comparison) -> bool:
         for values, colour, label in ((sim, SIM, "simulated"), (real, REAL, "real")):
             counts, _ = np.histogram(np.clip(values[:, k], bins[0], bins[-1]), bins)
             axes.stairs(counts, bins, fill=True, color=colour, alpha=0.55, label=label)
-        axes.axvline(0.0, color="0.3", linewidth=0.6)
+        axes.axvline(0.0, color=INK, linewidth=0.6)
         axes.set_title(both.joints[k], fontsize=9)
         axes.set_yticks([])
         axes.tick_params(labelsize=7)
@@ -223,23 +203,6 @@ def _shown_of_base(name: str, values: Array) -> Array:
     if name == "projected_gravity":
         return np.asarray(np.arccos(np.clip(-values[:, 2], -1.0, 1.0)), np.float64)
     return values[:, 2] if name == "base_ang_vel" else values[:, 0]
-
-
-def envelope(time: NDArray[Any], values: Array) -> tuple[NDArray[Any], Array]:
-    """Return a curve with few enough points that no peak is lost."""
-    if len(values) <= 2 * POINTS:
-        return time, values
-    each = math.ceil(len(values) / POINTS)
-    starts = np.arange(0, len(values), each)
-    low, high = (f.reduceat(values, starts) for f in (np.minimum, np.maximum))
-    return np.repeat(time[starts], 2), np.stack([low, high], axis=1).reshape(-1)
-
-
-def grids(*all_axes: Any) -> None:
-    """Give axes a pale grid, and curves all of their width."""
-    for axes in all_axes:
-        axes.grid(alpha=0.3)
-        axes.margins(x=0.01)
 
 
 PICTURES: dict[str, tuple[Callable[[Any, Comparison], bool], str, str]] = {

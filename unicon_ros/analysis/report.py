@@ -8,11 +8,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 from unicon_core import __version__
+from unicon_core.page import figure, findings, number, page, pairs, table, write_file
 from unicon_ros.analysis.comparison import Comparison
-from unicon_ros.analysis.findings import findings
-from unicon_ros.analysis.page import figure, number, page, table, write_file
-from unicon_ros.analysis.pictures import PICTURES, draw
+from unicon_ros.analysis.findings import findings as found_in
+from unicon_ros.analysis.pictures import PICTURES
 from unicon_ros.analysis.run import Run
+from unicon_ros.report.drawing import as_png, as_svg, drawn
 
 __all__ = ["SCHEMA", "write_report"]
 
@@ -61,7 +62,7 @@ def write_report(
     Raises:
         UniconError: a file cannot be written.
     """
-    said = findings(comparison)
+    said = found_in(comparison)
     result: dict[str, object] = {
         "schema": SCHEMA,
         "unicon_ros": __version__,
@@ -71,12 +72,12 @@ def write_report(
         **comparison.to_json(),
     }
     figures = []
-    for name, (_, heading, caption) in PICTURES.items():
+    for name, (fill, heading, caption) in PICTURES.items():
         tell(f"drawing {name}")
-        if (picture := draw(name, comparison)) is None:
+        if (picture := drawn(fill, comparison)) is None:
             continue
-        write_file(folder / f"{name}.png", picture)
-        figures.append((heading, caption, picture))
+        write_file(folder / f"{name}.png", as_png(picture))
+        figures.append(figure(heading, caption, as_svg(picture, name)))
     text = _page(comparison, runs, said, figures)
     write_file(folder / "analysis.json", (json.dumps(result, indent=1) + "\n").encode())
     write_file(folder / "report.html", text.encode())
@@ -97,19 +98,19 @@ def _page(
     comparison: Comparison,
     runs: tuple[Run, Run],
     said: list[str],
-    figures: list[tuple[str, str, bytes]],
+    figures: list[str],
 ) -> str:
     names = tuple(html.escape(run.path.name) for run in runs)
     parts = [
         "<h1>How far the simulator is from the robot</h1>",
         f'<p class="sub">{names[0]} (real) and {names[1]} (simulated)</p>',
-        f'<ul class="findings">{"".join(f"<li>{html.escape(text)}</li>" for text in said)}</ul>',
+        findings(said),
         "<h2>What was compared</h2>",
         _facts(comparison, runs),
         "".join(f"<p>{html.escape(note)}</p>" for note in comparison.together.notes),
     ]
-    for place, (heading, caption, picture) in enumerate(figures):
-        parts.append(figure(heading, caption, picture))
+    for place, shown in enumerate(figures):
+        parts.append(shown)
         if place == 0:
             parts += ["<h2>Every joint</h2>", _joint_table(comparison)]
     parts += [
@@ -137,11 +138,7 @@ def _facts(comparison: Comparison, runs: tuple[Run, Run]) -> str:
         f"letter, with norms that are not squared, {letter:.4g} rad",
         "ranked by": comparison.ranked_by,
     }
-    rows = "".join(
-        f"<tr><td>{html.escape(key)}</td><td>{html.escape(text)}</td></tr>"
-        for key, text in facts.items()
-    )
-    return f'<div class="wide"><table class="facts">{rows}</table></div>'
+    return pairs(facts)
 
 
 def _in_words(run: Run) -> str:

@@ -1,4 +1,4 @@
-"""A client of a viewer, for `unicon bench view`: reads what is sent, or connects and stalls.
+"""A client of a viewer, for `unicon bench view`: reads and answers what is sent, or stalls.
 
     python -m unicon_ros.bench.view_client SINK ADDRESS reads|stalled
 
@@ -33,22 +33,58 @@ def main() -> int:
     with connect(
         f"ws://{split.netloc}",
         sock=raw,
-        origin=origin,  # type: ignore[arg-type]
+        origin=origin,
         subprotocols=[Subprotocol(protocol)],
         max_size=None,
         compression=None,
     ) as client:
+        if sink == "page":
+            client.send(_camera())
         print("connected", flush=True)
         count = 0
         while not select.select([0], [], [], 0.0 if kind == "reads" else 0.2)[0]:
             if kind == "reads":
                 try:
-                    client.recv(timeout=0.2)
-                    count += 1
+                    told = client.recv(timeout=0.2)
                 except TimeoutError:
                     continue
+                count += 1
+                if sink == "page" and isinstance(told, bytes):
+                    for answer in _answers(told):
+                        client.send(answer)
         print(count, flush=True)
     return 0
+
+
+def _camera() -> bytes:
+    """Return where the client's eye is: viser counts a page from that message on."""
+    import msgspec
+
+    eye = {
+        "type": "ViewerCameraMessage",
+        "wxyz": (1.0, 0.0, 0.0, 0.0),
+        "position": (2.0, -2.0, 1.0),
+        "fov": 1.0,
+        "near": 0.01,
+        "far": 100.0,
+        "image_height": 600,
+        "image_width": 800,
+        "look_at": (0.0, 0.0, 0.3),
+        "up_direction": (0.0, 0.0, 1.0),
+    }
+    return msgspec.msgpack.encode(eye)
+
+
+def _answers(told: bytes) -> list[bytes]:
+    """Return what a page answers: it has handled what was sent so far (see `page/link.py`)."""
+    import msgspec
+    import zstandard
+
+    size = int.from_bytes(told[8:16], "little")
+    words = msgspec.msgpack.decode(zstandard.decompress(told[16 : 16 + size]))
+    asked = (m for m in words["messages"] if m["type"] == "LocalStorageGetItemRequestMessage")
+    answer = {"type": "LocalStorageGetItemResponseMessage", "value": "{}", "error": None}
+    return [msgspec.msgpack.encode({**answer, "request_uuid": m["request_uuid"]}) for m in asked]
 
 
 if __name__ == "__main__":

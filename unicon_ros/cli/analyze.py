@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from unicon_core.errors import MissingDependencyError, UniconError
+from unicon_core.errors import UniconError
 from unicon_ros.cli.fit import add_fit, run_fit
 from unicon_ros.cli.workflow_arguments import positive
 
@@ -63,17 +63,13 @@ def _analyze(arguments: argparse.Namespace) -> int:
         run_fit(arguments, _folder(arguments.out))
         if arguments.sim is None:
             return 0
-    try:
-        import matplotlib  # noqa: F401 - said before the work, not after it
-    except ModuleNotFoundError as error:
-        raise MissingDependencyError(
-            "unicon analyze", "matplotlib", "pip install 'unicon_ros[plots]'"
-        ) from error
     from unicon_ros.analysis.comparison import compare_runs
     from unicon_ros.analysis.report import write_report
     from unicon_ros.analysis.run import read_run
     from unicon_ros.analysis.together import Options, bring_together
+    from unicon_ros.report.drawing import require
 
+    require("unicon analyze")
     folder = _folder(arguments.out)
     runs = []
     for who in ("real", "sim"):

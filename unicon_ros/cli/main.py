@@ -32,6 +32,7 @@ from unicon_ros.cli import (
     show,
     states,
     transfer,
+    view,
 )
 
 __all__ = ["main"]
@@ -55,6 +56,7 @@ def _parser() -> argparse.ArgumentParser:
         replay,
         analyze,
         transfer,
+        view,
         bench,
         known,
         latches,

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import argparse
-import os
-import select
 import sys
-import threading
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
@@ -17,9 +14,11 @@ from unicon_core.errors import UniconError
 from unicon_core.outlet import relayed_stderr
 from unicon_core.signals import SIGNALS, Guard
 from unicon_ros.cli.console import Console
+from unicon_ros.cli.operator import listen
 from unicon_ros.cli.workflow_arguments import (
     add_view_options,
     add_workflow,
+    port,
     positive,
     view_options,
 )
@@ -32,9 +31,6 @@ if TYPE_CHECKING:
     from unicon_core.workflow.document import WorkflowDocument
 
 __all__ = ["add", "add_options", "close_session", "run", "run_document"]
-
-LOOK = 0.2
-"""How long Enter is waited for before the phase is looked at, in [s]."""
 
 
 def add(commands: Any) -> None:
@@ -89,7 +85,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "~/.local/state/unicon/faults)",
     )
     parser.add_argument("--trace", metavar="FILE.json", help="write every block of every tick")
-    parser.add_argument("--report", metavar="FILE.json", help="write the report")
+    parser.add_argument(
+        "--report",
+        metavar="FILE.json|FILE.html",
+        help="write the report: its figures, or one page with pictures",
+    )
     parser.add_argument("--picture", metavar="FILE.png", help="draw path, velocities and joints")
     parser.add_argument(
         "--view",
@@ -100,6 +100,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "own window",
     )
     add_view_options(parser)
+    parser.add_argument(
+        "--metrics",
+        metavar="PORT",
+        type=port,
+        help="tell figures to Prometheus at http://127.0.0.1:PORT/metrics",
+    )
     parser.add_argument(
         "--force",
         metavar="CODE",
@@ -154,7 +160,7 @@ class _Ended:
 
     report: Report
     runner: Runner
-    picture: Any
+    pictured: Any
     recording: Any
     session: Any
     fault: Path | None
@@ -171,9 +177,10 @@ def _run(
     hooks: list[Hook] = []
     with_ros = document.get("ros", bool, False) if arguments.ros is None else arguments.ros
     session: Any = None
-    picture: Any = None
+    pictured: Any = None
     recording: Any = None
     view: Any = None
+    metered: Any = None
     if with_ros:
         from unicon_ros.bridge import RosSession
 
@@ -207,11 +214,12 @@ def _run(
                 arguments.frame_prefix,
             )
             hooks.append(recording.hook)
-        if arguments.picture:
-            from unicon_ros.picture import Picture
+        with_page = bool(arguments.report) and arguments.report.lower().endswith(".html")
+        if arguments.picture or with_page:
+            from unicon_ros.report.pictured import Pictured
 
-            picture = Picture(arguments.picture)
-            hooks.append(picture.hook)
+            pictured = Pictured(arguments.picture, arguments.report if with_page else "")
+            hooks.append(pictured.hook)
         if arguments.view == "window":
             hooks.append(_window)
         elif arguments.view:
@@ -226,6 +234,11 @@ def _run(
             )
             view.declare(document)
             hooks.append(view.hook)
+        if arguments.metrics is not None:
+            from unicon_ros.view.metered import Metered
+
+            metered = Metered(arguments.metrics, session, console.warn)
+            hooks.append(metered.hook)
         record = FaultRecord(arguments.faults, console.warn, recording)
         hooks.append(record.hook)  # the last one: it looks behind the others
         program = Program(document, hooks=hooks, part=arguments.part, silent=arguments.dry)
@@ -247,17 +260,23 @@ def _run(
             if view is not None:
                 view.attach(runner)
                 console.say(f"view: {view.address}")
+            if metered is not None:
+                metered.attach(runner)
+                console.say(f"metrics: {metered.address}")
             if runner.asks:
-                _listen(runner, session is not None or view is not None)
+                listen(runner, session is not None or view is not None)
             record.attach(runner)
+            if pictured is not None:
+                pictured.attach(runner)
             SIGNALS.check()
         except BaseException:
             program.close()
             raise
         report = runner.run()
         guard.damp = None
-        if view is not None:
-            view.close()
+        for each in (view, metered):
+            if each is not None:
+                each.close()
         if session is not None:
             report.bridge = session.counts()
         if recording is not None:
@@ -266,44 +285,13 @@ def _run(
         if fault is not None:
             report.extra["fault_record"] = str(fault)
     except BaseException:
-        if view is not None:
-            view.close()
+        for each in (view, metered):
+            if each is not None:
+                each.close()
         if session is not None:
             session.close()
         raise
-    return _Ended(report, runner, picture, recording, session, fault)
-
-
-def _listen(runner: Runner, with_ros: bool) -> None:
-    """Take the Enter key for the operator's go.
-
-    Raises:
-        UniconError: nobody could say it.
-    """
-    if not sys.stdin or not sys.stdin.isatty():
-        if with_ros:
-            return
-        raise UniconError(
-            f"platform {runner.program.platform.facts.name!r} is a robot, which waits for the "
-            "operator's go, and standard input is not a terminal: add --yes to let it move once "
-            "its gates hold, or --ros and call ~/start"
-        )
-
-    from unicon_core.runtime.phases import Phase
-
-    moving = (Phase.APPROACH, Phase.RUN, Phase.SOFT, Phase.DAMP)
-
-    def listen() -> None:
-        with suppress(OSError):
-            while runner.phase not in moving:  # then keys are the workflow's
-                if not select.select([0], [], [], LOOK)[0]:
-                    continue
-                if not os.read(0, 1024):
-                    return
-                if not runner.go() and runner.waits_for:
-                    runner.options.warn(f"not yet: it waits for {runner.waits_for}")
-
-    threading.Thread(target=listen, name="operator", daemon=True).start()
+    return _Ended(report, runner, pictured, recording, session, fault)
 
 
 def close_session(session: Any, status: int) -> None:
@@ -356,12 +344,14 @@ def _write(arguments: argparse.Namespace, ended: _Ended) -> tuple[list[str], lis
     report, runner = ended.report, ended.runner
     written: list[str] = []
     problems: list[str] = []
-    title = f"{report.workflow} on {report.robot} ({report.platform})"
+    told = partial(report.write, arguments.report)
+    if ended.pictured is not None and ended.pictured.page is not None:
+        told = partial(ended.pictured.page.write, report)
     trace = partial(runner.statistics.write_trace, arguments.trace, f"unicon {report.workflow}")
     for name, path, write, hint in (
         ("trace", arguments.trace, trace, " (open it in ui.perfetto.dev)"),
-        ("report", arguments.report, partial(report.write, arguments.report), ""),
-        ("picture", arguments.picture, lambda: ended.picture.draw(title), ""),
+        ("report", arguments.report, told, ""),
+        ("picture", arguments.picture, lambda: ended.pictured.draw(report), ""),
     ):
         if not path:
             continue

@@ -6,7 +6,6 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from unicon_core.errors import UniconError
 from unicon_ros.cli.workflow_arguments import add_workflow
 
 __all__ = ["add", "show"]
@@ -20,6 +19,7 @@ def add(commands: Any) -> None:
     form.add_argument("--source", action="store_true", help="the compiled step as Python")
     form.add_argument("--mermaid", action="store_true", help="the graph as Mermaid")
     form.add_argument("--svg", metavar="FILE", help="the graph as SVG, written to FILE")
+    form.add_argument("--html", metavar="FILE", help="all of it as one page, written to FILE")
     parser.set_defaults(function=show)
 
 
@@ -27,8 +27,9 @@ def show(arguments: argparse.Namespace) -> int:
     """Run the command."""
     from unicon_core.aligned import aligned
     from unicon_core.flow import compile_graph
+    from unicon_core.page import write_file
     from unicon_core.runtime.phases import describe
-    from unicon_core.show import parts_table, show_mermaid, show_svg, show_text
+    from unicon_core.show import parts_table, show_mermaid, show_page, show_svg, show_text
     from unicon_core.workflow import Program, load_document
 
     # Dry: nothing is opened or published only to be shown.
@@ -39,12 +40,11 @@ def show(arguments: argparse.Namespace) -> int:
             print(compile_graph(program.root).source, end="")
         elif arguments.mermaid:
             print(show_mermaid(*facts))
-        elif arguments.svg:
-            try:
-                Path(arguments.svg).write_text(show_svg(*facts), encoding="utf-8")
-            except OSError as error:
-                raise UniconError(f"cannot write {arguments.svg}: {error.strerror}") from error
-            print(arguments.svg)
+        elif arguments.svg or arguments.html:
+            text = show_svg(*facts) if arguments.svg else show_page(program)
+            path = arguments.svg or arguments.html
+            write_file(Path(path), text.encode())
+            print(path)
         else:
             print(show_text(*facts, robot=program.robot, policies=program.policies))
             print("\nPhases")

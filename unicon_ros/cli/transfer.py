@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from unicon_core.errors import MissingDependencyError, UniconError
+from unicon_core.errors import UniconError
 from unicon_core.signals import SIGNALS
 from unicon_ros.cli.console import Console
 from unicon_ros.cli.workflow_arguments import add_workflow, positive
@@ -96,12 +96,9 @@ def _transfer(arguments: argparse.Namespace) -> int:
 
 def _new_folder(text: str) -> tuple[Path, Path]:
     """Return the folder and the JSON in it, which is there from now on and was not before."""
-    try:
-        import matplotlib  # noqa: F401 - said before the work, not after it
-    except ModuleNotFoundError as error:
-        raise MissingDependencyError(
-            "unicon transfer --out", "matplotlib", "pip install 'unicon_ros[plots]'"
-        ) from error
+    from unicon_ros.report.drawing import require
+
+    require("unicon transfer --out")
     folder = Path(text)
     if not text:  # as of a variable that is not set
         raise UniconError("--out has no name; give a folder")
@@ -214,7 +211,7 @@ def _write(result: dict[str, Any], out: Path | None) -> str:
     """Write what there is so far; return what went wrong: a full disk ends no run."""
     if out is None:
         return ""
-    from unicon_ros.analysis.page import write_file
+    from unicon_core.page import write_file
 
     try:
         write_file(out, (json.dumps(result, indent=1, ensure_ascii=False) + "\n").encode())

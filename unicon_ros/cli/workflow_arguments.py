@@ -7,7 +7,7 @@ from typing import Any
 
 from unicon_ros.view import PORT
 
-__all__ = ["add_overrides", "add_view_options", "add_workflow", "positive", "view_options"]
+__all__ = ["add_overrides", "add_view_options", "add_workflow", "port", "positive", "view_options"]
 
 
 def add_workflow(parser: argparse.ArgumentParser) -> None:
@@ -35,6 +35,14 @@ def positive(text: str) -> float:
     if not 0.0 < value < float("inf"):
         raise argparse.ArgumentTypeError(f"{text} is not a number > 0")
     return value
+
+
+def port(text: str) -> int:
+    """Return an argument that is a number of a port, 0 for any that is free."""
+    number = int(text)
+    if not 0 <= number <= 65535:
+        raise argparse.ArgumentTypeError(f"{text} is no port; give 1 to 65535, or 0 for any")
+    return number
 
 
 def add_view_options(parser: argparse.ArgumentParser) -> None:

@@ -28,8 +28,9 @@ from unicon_ros.peripherals.child import GROUP, START
 
 __all__ = ["Peripheral", "peripheral_block", "peripheral_states"]
 
-LOOK = 0.25
-"""How often it is looked whether the process lives and what it says, in [s]."""
+GLANCE, LOOK = 0.02, 0.25
+"""How often it is looked how old the values are, and whether the process lives and what it says, in
+[s]; values themselves are looked at in every tick."""
 
 CLOSING = 2.0
 """How long the process may take to end, in [s]."""
@@ -155,14 +156,16 @@ class Peripheral:
     ) -> None:
         self._states, self._layout, self._module = states, layout, module
         self._name, self._tell, self._environment = str(given["name"]), tell, environment
-        self._stale_ns, self._every = round(stale * 1e9), max(1, round(LOOK / period))
-        self._wait, self._ticks, self.started = FIRST, 0, 0
-        self._closed = self._silent = False
+        self._stale_ns, self._every = round(stale * 1e9), max(1, round(GLANCE / period))
+        self._left, self._glances = self._every, 0
+        self._wait, self.started = FIRST, 0
+        self._closed = False
         self._neutral = States(layout)
         self._pairs = Copies(states, layout, memoryview(self._neutral.buffer.data).cast("B")).pairs
         self.heard: Callable[[dict[str, Any]], object] = bool
         self.rings: dict[str, FrameRing] = {}
         self._watcher: ShmWatcher | None = None
+        self._take: Callable[[], bool] = bool
         self._thread: threading.Thread | None = None
         try:
             for ring, nbytes in rings.items():
@@ -192,7 +195,7 @@ class Peripheral:
         assert pipe.process.stdin is not None
         os.set_blocking(pipe.process.stdin.fileno(), False)  # `wish` waits for nobody
         self._pipe, self.process = pipe, pipe.process
-        self._watcher = watcher
+        self._watcher, self._take = watcher, watcher.take
         return first
 
     def __call__(self) -> bool:
@@ -200,22 +203,27 @@ class Peripheral:
 
         Returns whether a value may be another one now.
         """
-        watcher, changed = self._watcher, False
-        if watcher is not None:
-            if watcher.take():
-                self._silent, changed = False, True
-            elif not self._silent and time.monotonic_ns() - watcher.stamp_ns > self._stale_ns:
-                self._lapse()
-                changed = True
-        self._ticks -= 1
-        if self._ticks <= 0:
-            self._ticks = self._every
-            self._look()
-            changed = True
-        return changed
+        self._left -= 1
+        if self._left:
+            return self._take()
+        self._left = self._every
+        return self._glance()
+
+    def _glance(self) -> bool:
+        took, watcher = self._take(), self._watcher
+        if watcher is None:
+            return False
+        old = not took and time.monotonic_ns() - watcher.stamp_ns > self._stale_ns
+        if old:
+            self._lapse()
+        self._glances += 1
+        if self._glances * GLANCE < LOOK:
+            return took or old
+        self._glances = 0
+        self._look()
+        return True
 
     def _lapse(self) -> None:
-        self._silent = True
         for neutral, state in self._pairs:
             state[:] = neutral
 
@@ -230,7 +238,7 @@ class Peripheral:
             self._wait = FIRST
             return
         self._lapse()
-        self._watcher = None
+        self._watcher, self._take = None, bool
         self._tell(
             f"{pipe.end}; its values are neutral, and it is started again in {self._wait:g} s"
         )

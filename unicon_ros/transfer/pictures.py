@@ -1,8 +1,7 @@
-"""Pictures of a transfer, each a PNG for a light page or a dark one."""
+"""Pictures of a transfer, for its page and beside it."""
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -10,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_ros.analysis.pictures import envelope, grids
+from unicon_ros.report.drawing import envelope, grids
 from unicon_ros.transfer.table import COLUMNS, FACTORS
 
-__all__ = ["PICTURES", "draw", "tracks_of"]
+__all__ = ["PICTURES", "tracks_of"]
 
 Tracks = Mapping[str, Mapping[str, NDArray[Any]]]
 """Platform to name to states over time, of the first seed."""
@@ -43,35 +42,6 @@ def tracks_of(result: Mapping[str, Any], folder: Path) -> dict[str, dict[str, ND
             "joint_names": named
         }
     return tracks
-
-
-def draw(name: str, result: Mapping[str, Any], tracks: Tracks, *, dark: bool) -> bytes | None:
-    """Return a picture as PNG; None where there is nothing to show in it.
-
-    Args:
-        name: one of `PICTURES`.
-        result: as the JSON has it.
-        tracks: of `tracks_of`.
-        dark: for a dark page.
-    """
-    from matplotlib import rcParamsDefault, style
-    from matplotlib.figure import Figure
-
-    page = "#121212" if dark else "white"
-    looks = {
-        "axes.prop_cycle": rcParamsDefault["axes.prop_cycle"],  # the same on both pages
-        "axes.facecolor": page,
-        "figure.facecolor": page,
-        "savefig.facecolor": page,
-        "grid.color": "0.5",
-    }
-    with style.context(["default", "dark_background" if dark else "default", looks]):
-        figure = Figure(dpi=110, layout="constrained")
-        if not PICTURES[name][0](figure, result, tracks):
-            return None
-        stream = io.BytesIO()
-        figure.savefig(stream, format="png")
-    return stream.getvalue()
 
 
 def _figures(figure: Any, result: Mapping[str, Any], tracks: Tracks) -> bool:

@@ -7,8 +7,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from unicon_ros.analysis.page import figure, page, table, write_file
-from unicon_ros.transfer.pictures import PICTURES, draw, tracks_of
+from unicon_core.page import figure, findings, page, pairs, table, write_file
+from unicon_ros.report.drawing import as_png, as_svg, drawn
+from unicon_ros.transfer.pictures import PICTURES, tracks_of
 from unicon_ros.transfer.results import OUTCOMES
 from unicon_ros.transfer.table import COLUMNS, cell, row
 
@@ -36,12 +37,11 @@ def write_report(result: Mapping[str, Any], folder: Path) -> Path:
     """
     tracks = tracks_of(result, folder)
     figures = []
-    for name, (_, heading, caption) in PICTURES.items():
-        picture = draw(name, result, tracks, dark=False)
+    for name, (fill, heading, caption) in PICTURES.items():
+        picture = drawn(fill, result, tracks)
         if picture is not None:
-            write_file(folder / f"{name}.png", picture)
-            dark = draw(name, result, tracks, dark=True)
-            figures.append(figure(heading, caption, picture, dark))
+            write_file(folder / f"{name}.png", as_png(picture))
+            figures.append(figure(heading, caption, as_svg(picture, name)))
     title = f"{result['workflow']['name']} in {len(result['platforms'])} simulators"
     parts = [
         f"<h1>{html.escape(title)}</h1>",
@@ -89,7 +89,7 @@ def _said(result: Mapping[str, Any]) -> str:
     said += result["notes"]
     if result["interrupted"]:
         said.append("It was interrupted: what was done until then is shown.")
-    return f'<ul class="findings">{"".join(f"<li>{html.escape(text)}</li>" for text in said)}</ul>'
+    return findings(said)
 
 
 def _legend(result: Mapping[str, Any]) -> str:
@@ -97,7 +97,7 @@ def _legend(result: Mapping[str, Any]) -> str:
     if len(result["seeds"]) > 1:
         words["±"] = "standard deviation over seeds (n − 1)"
     words["–"] = "there is no such figure"
-    return _pairs(words)
+    return pairs(words)
 
 
 def _facts(result: Mapping[str, Any]) -> str:
@@ -112,7 +112,7 @@ def _facts(result: Mapping[str, Any]) -> str:
         "seeds": ", ".join(map(str, result["seeds"])),
         "machine": result["machine"],
     }
-    return _pairs(facts)
+    return pairs(facts)
 
 
 def _engines(result: Mapping[str, Any]) -> str:
@@ -127,12 +127,4 @@ def _engines(result: Mapping[str, Any]) -> str:
         told = "; ".join(f"{key} {value}" for key, value in info)
         notes = "".join(f"; {note}" for note in run["info"].get("notes", ()))
         facts[platform["platform"]] = f"{versions}; {told}{notes}"
-    return "<h2>Engines</h2>" + _pairs(facts) if facts else ""
-
-
-def _pairs(facts: Mapping[str, str]) -> str:
-    rows = "".join(
-        f"<tr><td>{html.escape(key)}</td><td>{html.escape(text)}</td></tr>"
-        for key, text in facts.items()
-    )
-    return f'<div class="wide"><table class="facts">{rows}</table></div>'
+    return "<h2>Engines</h2>" + pairs(facts) if facts else ""

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
+import struct
 import time
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from unicon_core.handles import FrameRing
 from unicon_core.runtime.phases import Phase
-from unicon_ros.view.shown import WORDS
+from unicon_ros.view.shown import HEAD
 
 if TYPE_CHECKING:
     from unicon_core.runtime import Runner
@@ -19,7 +18,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Feed"]
 
-KEPT_S = 2.0
+KEPT_S = 1.0
 """Of ticks in the ring, in [s]: a viewer that looks rarely still plots every one of them."""
 
 FEWEST, LARGEST = 16, 32 << 20
@@ -34,14 +33,13 @@ class Feed:
         variables: of the runner's graph that are the counters.
 
     Attributes:
-        ring: of ticks: the words of `HEAD`, counters, states.
+        ring: of ticks: `HEAD`, counters, states.
     """
 
     def __init__(self, runner: Runner, variables: Sequence[str]) -> None:
         self._runner, self._cells = runner, runner.graph.cells(variables)
         self._states = runner.program.states.buffer.data.cast("B")
-        self._numbers = memoryview(np.zeros(WORDS + len(self._cells), np.int64).data)
-        size = self._numbers.nbytes + len(self._states)
+        size = HEAD.size + 8 * len(self._cells) + len(self._states)
         ticks = max(FEWEST, min(round(KEPT_S / runner.program.period), LARGEST // size))
         self.ring = FrameRing.create(size, ticks)
         self.ring.touch()
@@ -53,33 +51,42 @@ class Feed:
             driver: tells whether a viewer drives.
             controls: tell whether the simulator stands still.
         """
-        runner, cells = self._runner, tuple(enumerate(self._cells, WORDS))
-        states, numbers, put = self._states, self._numbers, self.ring.put
+        runner, ring, states, pack = self._runner, self.ring, self._states, HEAD.pack_into
         program, statistics = runner.program, runner.statistics
+        head, table, memory, start = ring.parts()
+        slots, size, begin, number = ring.slots, ring.nbytes, ring.nbytes - len(states), 0
+        cells = tuple((HEAD.size + 8 * place, cell) for place, cell in enumerate(self._cells))
         tick = memoryview(program.states["tick"].reshape(-1).data)
         rows = memoryview(statistics.rows.reshape(-1).data)
         capacity, width = statistics.rows.shape
-        whole, now = numbers.cast("B"), time.perf_counter_ns
-        phases, phase = {each: number for number, each in enumerate(Phase)}, None
-        numbers[8], numbers[9] = program.states.num_robots or 1, len(cells)
+        now, counter = time.perf_counter_ns, struct.Struct("<q").pack_into
+        phases, phase, phase_number = {p: n for n, p in enumerate(Phase)}, runner.phase, 0
+        robots, count = program.states.num_robots or 1, len(cells)
 
         def fill() -> None:
-            nonlocal phase
+            nonlocal number, phase, phase_number
             if phase is not runner.phase:  # looked up when it changes: an enum's hash is slow
                 phase = runner.phase
-                numbers[2] = phases[phase]
-            numbers[0] = tick[0]
-            numbers[3] = controls.paused
-            if count := statistics.count:  # of the tick before: this one has not ended
-                row = (count - 1) % capacity * width
-                numbers[4] = rows[row + 2] - rows[row]
-                numbers[5] = rows[row + 1] - rows[row + 2]
-                numbers[6] = statistics.overruns
-            numbers[7] = driver.driving
-            for place, cell in cells:
-                numbers[place] = cell.cell_contents
-            numbers[1] = at = now()
-            put(at, whole, states)
+                phase_number = phases[phase]
+            ticks = statistics.count
+            if ticks:  # of the tick before: this one has not ended
+                row = (ticks - 1) % capacity * width
+                due, ended, began = rows[row], rows[row + 1], rows[row + 2]
+            else:
+                due = ended = began = 0
+            number += 1
+            place = number % slots
+            at, place, stamp = start + place * size, 2 * place, now()
+            table[place] = 0
+            pack(
+                *(memory, at, tick[0], stamp, phase_number, controls.paused, began - due),
+                *(ended - began, statistics.overruns, driver.driving, robots, count),
+            )
+            for offset, cell in cells:
+                counter(memory, at + offset, cell.cell_contents)
+            memory[at + begin : at + size] = states
+            table[place + 1] = stamp
+            table[place] = head[0] = number
 
         return fill
 

@@ -120,7 +120,7 @@ class Foxglove:
             self._server.stop()
             raise
         shown_host = f"[{host}]" if ":" in host else host
-        ending = f"/?token={token}" if token else ""
+        ending = f"/{token}" if token else ""
         self.address = f"ws://{shown_host}:{self._front.port}{ending}"
 
     def poll(self) -> None:

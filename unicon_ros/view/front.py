@@ -12,15 +12,17 @@ import hmac
 import secrets
 import socket
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import urlsplit
 
 from unicon_core.errors import UniconError
 
-__all__ = ["Front", "hidden_address"]
+__all__ = ["LOOPBACK", "Front", "check_reach", "hidden_address", "refusal"]
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
+SHORTEST = 8
+"""Characters of a token."""
 LONGEST_HEAD = 16_384
 """Bytes of a request's head."""
 PATIENCE = 5.0
@@ -29,6 +31,60 @@ CLIENTS = 64
 """At once."""
 PORTS = 100
 """That are tried from the first one on."""
+
+
+def check_reach(host: str, token: str) -> None:
+    """Refuse a viewer that everybody in the network could drive from.
+
+    Raises:
+        UniconError: a host beyond this machine without a token, or a token that is none.
+    """
+    if token and (len(token) < SHORTEST or not token.isascii() or not token.isalnum()):
+        raise UniconError(
+            f"--view-token {token!r} is not a token; give {SHORTEST} or more letters and digits"
+        )
+    if host not in LOOPBACK and not token:
+        raise UniconError(
+            f"--view-host {host} lets everybody in the network drive the robot; add --view-token "
+            "TOKEN, or leave --view-host out and come through ssh -L"
+        )
+
+
+def refusal(
+    headers: Mapping[str, str],
+    path: str,
+    token: str,
+    origins: Sequence[str] = (),
+    *,
+    neighbours: bool = False,
+) -> str:
+    """Return why a client may not come in, "" where it may.
+
+    Another site's page, open in the same browser, can reach 127.0.0.1 too: it tells its own origin,
+    or, where it had its name point here, a host that is not this one.
+
+    Args:
+        headers: of the request that opens the websocket.
+        path: of that request; `/TOKEN` where one is needed.
+        token: "" for none.
+        origins: of other sites whose pages may.
+        neighbours: pages that other servers of this machine serve may, too.
+    """
+    host, origin = headers.get("Host", ""), headers.get("Origin")
+    try:
+        name = urlsplit(f"//{host}").hostname or ""
+        site = urlsplit(origin) if origin else urlsplit(f"//{host}")
+        beside = neighbours and site.hostname in LOOPBACK
+    except ValueError:
+        return "its address cannot be read"
+    if token:
+        given = path.strip("/").encode(errors="replace")
+        if not hmac.compare_digest(given, token.encode()):
+            return "it does not know the token"
+    elif name not in LOOPBACK:
+        return f"it asks for host {name!r}"
+    mine = site.netloc == host or beside or origin in origins
+    return "" if mine else f"it is a page of {origin}"
 
 
 def hidden_address() -> str:
@@ -43,8 +99,9 @@ class Front:
         host: where it listens.
         port: the first one that is tried.
         behind: address and port of the server.
-        origins: sites whose pages may come, besides those of this machine.
-        token: that a client has to give as `?token=`; needed beyond this machine.
+        origins: other sites whose pages may come in, besides those of this machine.
+        token: that a client has to give as its path; needed beyond this machine.
+        warn: takes why a client was refused.
 
     Attributes:
         port: where it listens.
@@ -63,11 +120,7 @@ class Front:
         token: str = "",
         warn: Callable[[str], object] = bool,
     ) -> None:
-        if host not in LOOPBACK and not token:
-            raise UniconError(
-                f"--view-host {host} lets everybody in the network in; add --view-token TOKEN, or "
-                "leave --view-host out and come through ssh -L"
-            )
+        check_reach(host, token)
         self._behind, self._origins, self._token, self._warn = behind, origins, token, warn
         self._server = _listening(host, port)
         self.port: int = self._server.getsockname()[1]
@@ -111,36 +164,17 @@ class Front:
                 writer.close()
 
     def _refusal(self, head: bytes) -> str:
-        """Return why a client may not come in, "" where it may."""
         first, *lines = head.decode("latin-1").split("\r\n")
-        given = {
-            key.strip().lower(): value.strip()
-            for key, _, value in (x.partition(":") for x in lines)
-        }
+        pairs = (line.partition(":") for line in lines)
+        headers = {key.strip().title(): value.strip() for key, _, value in pairs}
         path = first.split(" ")[1] if first.count(" ") == 2 else "/"
-        if self._token:
-            told = parse_qs(urlsplit(path).query).get("token", [""])[0]
-            if not hmac.compare_digest(told.encode(), self._token.encode()):
-                return "it does not know the token"
-        elif _host(f"//{given.get('host', '')}") not in LOOPBACK:
-            return f"it asks for {given.get('host', 'no host')}"  # a name that was made point here
-        origin = given.get("origin")
-        if origin is None or origin in self._origins or _host(origin) in LOOPBACK:
-            return ""
-        return f"it is a page of {origin}"
+        return refusal(headers, path, self._token, self._origins, neighbours=True)
 
     def close(self) -> None:
         """Let nobody in any more."""
         self._loop.call_soon_threadsafe(self._loop.stop)
         self._thread.join(2.0)
         self._server.close()
-
-
-def _host(url: str) -> str | None:
-    try:
-        return urlsplit(url).hostname
-    except ValueError:
-        return None
 
 
 def _listening(host: str, port: int) -> socket.socket:

@@ -10,7 +10,7 @@ from typing import Any
 from unicon_core.handles import FrameRing
 from unicon_ros.peripherals.child import Feed, end, serve
 from unicon_ros.view import SINKS
-from unicon_ros.view.shown import Shown
+from unicon_ros.view.shown import NAME, Shown
 from unicon_ros.view.source import LiveSource, Remote, Sink
 
 __all__ = ["Viewer", "sink_class"]
@@ -37,7 +37,8 @@ class Viewer:
     def __init__(self, feed: Feed) -> None:
         os.nice(NICE)
         shown: Shown = feed.data["shown"]
-        self._feed, self._remote = feed, Remote(feed)
+        drives = feed.name == NAME
+        self._feed, self._remote = feed, Remote(feed if drives else None)
         self._source = LiveSource(shown.layout, FrameRing.attach(feed.data["ring"]))
         options = feed.options
         self._sink: Sink = sink_class(options["sink"])(shown, self._source, self._remote, options)

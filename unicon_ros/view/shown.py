@@ -20,7 +20,7 @@ from unicon_core.workflow.skills import skills_of
 from unicon_ros.parameter_table import AT_ONCE, RANGES
 from unicon_ros.peripherals.peripheral import peripheral_states
 
-__all__ = ["DEAD_MAN", "DRIVING", "GIVEN_BACK", "HEAD", "NAME", "PAGE", "WORDS", "GraphLine"]
+__all__ = ["DEAD_MAN", "DRIVING", "GIVEN_BACK", "HEAD", "NAME", "PAGE", "GraphLine"]
 __all__ += ["Parameter", "Shown", "shown_of"]
 
 NAME = "view"
@@ -30,9 +30,6 @@ HEAD = struct.Struct("<10q")
 """What a tick begins with: number, when its copy was made [ns, CLOCK_MONOTONIC], phase, paused;
 of the tick before, lateness and time that it took [ns]; overruns, who drives (1: the viewer),
 robots, counters. Then the counters of the graph, int64, and the states."""
-
-WORDS = HEAD.size // 8
-"""Of the head."""
 
 DRIVING, GIVEN_BACK = 1, 2
 """Values of `view_mode`; 0: nobody drives."""

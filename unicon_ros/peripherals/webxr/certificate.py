@@ -112,7 +112,8 @@ def fingerprint(path: Path) -> str:
     from cryptography import x509
     from cryptography.hazmat.primitives import hashes
 
-    return x509.load_pem_x509_certificate(path.read_bytes()).fingerprint(hashes.SHA256()).hex(":")
+    found = x509.load_pem_x509_certificate(path.read_bytes())
+    return bytes(found.fingerprint(hashes.SHA256())).hex(":")
 
 
 def secured(path: Path) -> ssl.SSLContext:

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import asyncio
-import hmac
 import logging
 import socket
 import time
 from collections import deque
-from collections.abc import Mapping
 from contextlib import suppress
 from http import HTTPStatus
 from importlib.resources import files
@@ -25,10 +23,10 @@ from unicon_core.errors import UniconError
 from unicon_ros.peripherals.child import SLICE, Feed, end, serve
 from unicon_ros.peripherals.webxr.certificate import certificate, fingerprint, secured
 from unicon_ros.peripherals.webxr.frames import ANSWER, FRAME, PARTS, PING, Frame, Refused
+from unicon_ros.view.front import refusal
 
-LOOPBACK = ("127.0.0.1", "localhost", "::1")
-
-PAGES = {"/": ("page.html", "text/html"), "/page.js": ("page.js", "text/javascript")}
+SCRIPT = "/page.js"
+PAGES = {"/": ("page.html", "text/html"), SCRIPT: ("page.js", "text/javascript")}
 POSES = "/poses"
 """Path of the websocket."""
 
@@ -153,7 +151,9 @@ class WebXr:
         """Answer whoever asks for a page; None lets a websocket open."""
         url = urlsplit(request.path)
         given = parse_qs(url.query).get("token", [""])[0]
-        why = _refusal(request.headers, given, self._token, url.path)
+        if url.path == SCRIPT:  # which says nothing of us
+            given = self._token
+        why = refusal(request.headers, given, self._token)
         if why:
             self._refuse(why)
             return connection.respond(HTTPStatus.FORBIDDEN, f"Not for you: {why}.\n")
@@ -253,25 +253,6 @@ class WebXr:
         self._server.close()
         with suppress(Exception):
             self._loop.run_until_complete(asyncio.wait_for(self._server.wait_closed(), 1.0))
-
-
-def _refusal(headers: Mapping[str, str], given: str, token: str, path: str) -> str:
-    """Return why a browser may not come, "" where it may.
-
-    A page of another site, open in the same browser, can ask 127.0.0.1 too: it tells its origin, or
-    a host that is not this one where it had its own name point here.
-    """
-    host, origin = headers.get("Host", ""), headers.get("Origin")
-    try:
-        name = urlsplit(f"//{host}").hostname or ""
-        site = urlsplit(origin).netloc if origin else host
-    except ValueError:
-        return "its address cannot be read"
-    if token and path != "/page.js" and not hmac.compare_digest(given.encode(), token.encode()):
-        return "it does not know the token"
-    if not token and name not in LOOPBACK:
-        return "it asks for another host"
-    return "" if site == host else "it is a page of another site"
 
 
 if __name__ == "__main__":

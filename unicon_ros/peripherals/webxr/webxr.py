@@ -17,11 +17,11 @@ from unicon_core.states import StateSpec
 from unicon_core.workflow.autowire import BuildContext
 from unicon_ros.peripherals.peripheral import peripheral_block, peripheral_states
 from unicon_ros.peripherals.webxr.frames import AXES, BUTTONS, PARTS
+from unicon_ros.view.front import LOOPBACK
 
 __all__ = ["webxr"]
 
 MODULE = "unicon_ros.peripherals.webxr.process"
-LOOPBACK = ("127.0.0.1", "localhost", "::1")
 SHORTEST = 12
 """Characters of a token."""
 

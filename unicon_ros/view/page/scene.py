@@ -13,11 +13,11 @@ from unicon_core.models.loaded import import_mujoco
 from unicon_core.models.posed import PosedModel, foot_bodies, foot_geoms
 from unicon_core.models.touching import floors
 from unicon_ros.view.page.shapes import shapes_of
+from unicon_ros.view.page.words import COMMANDED, MEASURED
 from unicon_ros.view.shown import Shown
 
-__all__ = ["COMMANDED", "MEASURED", "Pose", "Scene", "Stage"]
+__all__ = ["Pose", "Scene", "Stage"]
 
-COMMANDED, MEASURED = (31, 119, 180), (255, 127, 14)
 """Colours of the velocity arrows, and of their legend."""
 
 _PATH = (90, 90, 200)

@@ -197,7 +197,7 @@ class Page:
         (first, last), elapsed = self._source.span, now - self._played
         self._played = now
         with self._lock:
-            if self._plays:
+            if self._plays and self._viewers:  # it does not begin before somebody looks
                 self._time = min(self._time + self._speed * elapsed, last)
                 self._plays = self._time < last
             wanted = self._time = max(self._time, first)

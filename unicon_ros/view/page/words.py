@@ -9,11 +9,13 @@ from typing import Any
 import numpy as np
 
 from unicon_ros.view.page.history import TIMING, History
-from unicon_ros.view.page.scene import COMMANDED, MEASURED
 from unicon_ros.view.shown import GraphLine, Shown
 from unicon_ros.view.source import Snapshot
 
 __all__ = ["graph_html", "legend_html", "status_html"]
+
+COMMANDED, MEASURED = (31, 119, 180), (255, 127, 14)
+"""Colours of velocities."""
 
 _STYLE = "font:13px/1.45 system-ui,sans-serif;padding:2px 12px 6px"
 _RED = "color:#c00;font-weight:600"
@@ -45,7 +47,7 @@ def status_html(
         tick: its newest one.
         history: of late.
         rate: ticks a second as they come.
-        texts: of the source.
+        texts: of the source; `timed` False where nobody has timed its ticks.
         driver: who drives, in words.
         stale: time since the newest tick came, in [s].
     """
@@ -66,16 +68,18 @@ def status_html(
         ("tick", f"{tick.tick} · {tick.tick * shown.period:.1f} s"),
         ("rate", f"{rate:.1f} Hz, wanted {1.0 / shown.period:.1f} Hz"),
     ]
-    if len(rows):
+    timed = texts.get("timed", True)
+    if len(rows) and timed:
         deadline = shown.period * 1e3
         p50, p99 = np.percentile(busy, (50, 99))
         share = f"{100.0 * p99 / deadline:.0f} % of the deadline of {deadline:g} ms"
         found.append(("busy", f"p50 {p50:.2f} ms, p99 {p99:.2f} ms: {share}"))
         found.append(("late", f"p99 {np.percentile(late, 99):.2f} ms, max {late.max():.2f} ms"))
     overruns = f"{tick.overruns}"
-    found.append(
-        ("overruns", f'<span style="{_RED}">{overruns}</span>' if tick.overruns else overruns)
-    )
+    if timed:
+        found.append(
+            ("overruns", f'<span style="{_RED}">{overruns}</span>' if tick.overruns else overruns)
+        )
     if driver:
         found.append(("driver", escape(driver)))
     for fault in texts.get("faults") or ():

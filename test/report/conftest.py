@@ -1,0 +1,5 @@
+"""Tests of pages need matplotlib."""
+
+import pytest
+
+pytest.importorskip("matplotlib")

@@ -1,0 +1,141 @@
+"""Page: what all HTML pages of unicon share: one file that needs nothing beside it, no server.
+
+    page("walk", ["<h1>walk</h1>", table(["joint", "limit"], [["FL_hip", "1.05"]])])
+
+Light or dark as the reader has it; drawings take the page's colours by its CSS variables.
+"""
+
+from __future__ import annotations
+
+import html
+import math
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+
+from unicon_core.errors import UniconError
+
+__all__ = ["figure", "findings", "number", "page", "pairs", "table", "units", "write_file"]
+
+_STYLE = """
+:root { color-scheme: light dark; --text: #222; --pale: #666; --line: #ddd; --box: #f2f5fb;
+        --mark: #1f4e9c; --page: #fff; --card: #fff; --flow: #f8fafc; --edge: #9ca3af;
+        --hot: #c2410c; --hot-box: #fff7ed; }
+@media (prefers-color-scheme: dark) { :root { --text: #ddd; --pale: #999; --line: #444;
+        --box: #1c2533; --mark: #8ab4f8; --page: #121212; --card: #1b1b1b; --flow: #161a20;
+        --edge: #6b7280; --hot: #fb923c; --hot-box: #2b1a0f; } }
+body { font: 15px/1.5 system-ui, sans-serif; color: var(--text); background: var(--page);
+       margin: 2em auto; max-width: 1150px; padding: 0 1em; }
+h1 { font-size: 1.6em; margin-bottom: 0; } h2 { font-size: 1.2em; margin: 2em 0 .3em; }
+figure { margin: 0; } figure svg { max-width: 100%; height: auto; }
+figure svg * { stroke-linejoin: round; }
+.sub, figcaption { color: var(--pale); } figcaption { margin-bottom: .6em; }
+ul.findings { background: var(--box); border-left: 4px solid var(--mark);
+              padding: .8em 1em .8em 2.2em; }
+ul.findings li:first-child { font-weight: 600; } ul.findings.bad { border-color: var(--hot); }
+.wide { overflow-x: auto; } table { border-collapse: collapse; font-size: 13px; }
+th, td { padding: .25em .7em; text-align: right; border-bottom: 1px solid var(--line); }
+th { vertical-align: bottom; font-weight: 600; }
+td:first-child, th:first-child { text-align: left; }
+th small { color: var(--pale); font-weight: 400; }
+.facts td, .words td, .words th { text-align: left; }
+"""
+
+
+def page(title: str, parts: Iterable[str]) -> str:
+    """Return a whole page that needs nothing beside it, light or dark as the reader has it.
+
+    Args:
+        title: of the window, not escaped yet.
+        parts: of the body, as HTML.
+    """
+    return "\n".join(
+        [
+            "<!DOCTYPE html>",
+            '<html lang="en"><head><meta charset="utf-8">',
+            '<meta name="viewport" content="width=device-width, initial-scale=1">',
+            '<link rel="icon" href="data:,">',  # or browsers ask the server for one
+            f"<title>{html.escape(title)}</title><style>{_STYLE}</style></head><body>",
+            *parts,
+            "</body></html>\n",
+        ]
+    )
+
+
+def figure(heading: str, caption: str, svg: str) -> str:
+    """Return a drawing with heading and caption.
+
+    Args:
+        heading, caption: not escaped yet.
+        svg: an `<svg>` element, which becomes a part of the page.
+    """
+    return (
+        f"<h2>{html.escape(heading)}</h2><figure><figcaption>{html.escape(caption)}</figcaption>"
+        f'<div class="wide" role="img" aria-label="{html.escape(heading)}">{svg}</div></figure>'
+    )
+
+
+def units(heads: Sequence[str], below: Sequence[str]) -> list[str]:
+    """Return the heads of a table with their units below them; neither is escaped yet."""
+    return [
+        html.escape(head) + (f"<br><small>{html.escape(unit)}</small>" if unit else "")
+        for head, unit in zip(heads, below)
+    ]
+
+
+def findings(texts: Iterable[str], *, bad: bool = False) -> str:
+    """Return what stands out, in a box, the first line in bold; texts are escaped.
+
+    Args:
+        texts: a line each.
+        bad: something went wrong, which the box shows.
+    """
+    kind = "findings bad" if bad else "findings"
+    return f'<ul class="{kind}">{"".join(f"<li>{html.escape(text)}</li>" for text in texts)}</ul>'
+
+
+def pairs(facts: Mapping[str, str]) -> str:
+    """Return a table of names and what is said of them; both are escaped."""
+    rows = "".join(
+        f"<tr><td>{html.escape(key)}</td><td>{html.escape(text)}</td></tr>"
+        for key, text in facts.items()
+    )
+    return f'<div class="wide"><table class="facts">{rows}</table></div>'
+
+
+def table(heads: Sequence[str], rows: Iterable[Sequence[str]], *, words: bool = False) -> str:
+    """Return a table; heads are HTML, cells are escaped.
+
+    Args:
+        heads: of the columns.
+        rows: of cells.
+        words: the cells are words, not figures: all columns begin at the left.
+    """
+    head = "".join(f"<th>{text}</th>" for text in heads)
+    body = "".join(
+        f"<tr>{''.join(f'<td>{html.escape(cell)}</td>' for cell in row)}</tr>" for row in rows
+    )
+    kind = ' class="words"' if words else ""
+    return f'<div class="wide"><table{kind}><tr>{head}</tr>{body}</table></div>'
+
+
+def number(value: float) -> str:
+    """Return three digits of a number, – for what is none."""
+    return f"{value:.3g}" if math.isfinite(value) else "–"
+
+
+def write_file(path: Path, content: bytes) -> None:
+    """Write a file so that nobody ever sees half of it.
+
+    Raises:
+        UniconError: it cannot be written.
+    """
+    half = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        half.write_bytes(content)
+        half.replace(path)
+    except OSError as error:
+        half.unlink(missing_ok=True)
+        raise UniconError(
+            f"cannot write {path}: {error.strerror}; give a path in a writable folder with room"
+        ) from error

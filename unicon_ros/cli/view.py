@@ -1,0 +1,69 @@
+"""`unicon view BAG`: a recording in the live page, with a time slider; or in Foxglove, meshcat."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from unicon_core.signals import SIGNALS
+from unicon_ros.cli.workflow_arguments import add_view_options, positive, view_options
+from unicon_ros.view import SINKS
+
+__all__ = ["add"]
+
+INTERVAL = 1.0 / 60.0
+"""How often a sink looks, in [s]."""
+
+
+def add(commands: Any) -> None:
+    """Add the command to the parser."""
+    parser = commands.add_parser("view", help="look at a recording", description=__doc__)
+    parser.add_argument("path", type=Path, metavar="BAG", help="a recording, or a fault record")
+    parser.add_argument(
+        "--in",
+        dest="sink",
+        choices=tuple(SINKS),
+        default="page",
+        help="where: a page in the browser (default), Foxglove, meshcat",
+    )
+    parser.add_argument(
+        "--speed", type=positive, default=1.0, help="of playing, where no slider is (default: 1)"
+    )
+    add_view_options(parser)
+    parser.set_defaults(function=_view)
+
+
+def _view(arguments: argparse.Namespace) -> int:
+    """Run the command until Ctrl-C; exit status 0."""
+    from unicon_ros.recording import open_record
+    from unicon_ros.view.process import sink_class
+    from unicon_ros.view.recorded import RecordedSource, shown_in
+    from unicon_ros.view.source import Remote
+
+    record = open_record(arguments.path)
+    shown, notes = shown_in(record)
+    source = RecordedSource(record, shown, notes)
+    source.speed = arguments.speed
+    options = view_options(arguments, arguments.sink)
+    sink = sink_class(arguments.sink)(shown, source, Remote(None), options)
+    try:
+        for line in notes:
+            print(f"unicon view: {line}", file=sys.stderr)
+        seconds = source.span[1]
+        ticks = f"{len(record.ticks):,} ticks, {seconds:.2f} s"
+        print(f"{shown.workflow} on {shown.robot.name} ({shown.platform}): {ticks}")
+        print(f"view: {sink.address} (Ctrl-C ends)", flush=True)
+        with SIGNALS.guard():
+            due = time.monotonic()
+            while not SIGNALS.asked:
+                if arguments.sink != "page":
+                    source.play_on()
+                sink.poll()
+                due = max(due + INTERVAL, time.monotonic())
+                time.sleep(max(due - time.monotonic(), 0.002))
+    finally:
+        sink.close()
+    return 0

@@ -1,0 +1,1 @@
+"""Report: what a run did as one page with drawings, for `unicon run --report FILE.html`."""

@@ -1,0 +1,187 @@
+"""Keeper: a few states of every tick of a run in a room that does not grow, for pictures of it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.flow import Block, Stage
+from unicon_ros.report.drawing import require
+
+if TYPE_CHECKING:
+    from unicon_core.robots import Robot
+    from unicon_core.runtime import Runner
+    from unicon_core.runtime.phases import Phase
+    from unicon_core.workflow import Program
+
+__all__ = ["STATES", "Keeper"]
+
+STATES = (
+    *("base_pos_w", "base_lin_vel", "base_ang_vel", "projected_gravity", "velocity_command"),
+    *("joint_pos", "joint_pos_target", "joint_vel", "joint_effort"),
+)
+ROWS = 8192
+"""Of what is kept: 164 s at 50 Hz tick by tick. Then a row stands for two ticks, four, …"""
+
+
+class Keeper:
+    """Keeps states of all ticks; of long runs the first, lowest and highest values of stretches.
+
+    Args:
+        what: wants to draw them, such as `--picture`.
+
+    Attributes:
+        stride: ticks that a row stands for.
+        phases: (number of the tick at which it began, phase), in order.
+        told: the states that the platform or a block writes.
+
+    Raises:
+        MissingDependencyError: matplotlib is not installed: said before the run, not after it.
+    """
+
+    def __init__(self, what: str) -> None:
+        require(what)
+        self.stride = 1
+        self.phases: list[tuple[int, Phase]] = []
+        self.told: frozenset[str] = frozenset()
+        self._columns: dict[str, slice] = {}
+        self._count = self._row = self._in_row = 0
+        self._runner: Runner | None = None
+        self._phase: Phase | None = None
+
+    def hook(self, program: Program) -> dict[Stage, list[Block]]:
+        """Return the block that keeps the states."""
+        states = program.states
+        self._program, start = program, 0
+        views = {name: states[name] for name in STATES if name in states}
+        if states.num_robots is not None:
+            views = {name: view[0] for name, view in views.items()}
+        for name, view in views.items():
+            self._columns[name] = slice(start, start + view.size)
+            start += view.size
+        # Written once, so that no page of it is new to a tick: first, lowest, highest.
+        self._rows = np.full((ROWS, 3, start), np.nan, np.float32)
+        now = np.zeros(start, np.float32)
+        places = [(now[self._columns[name]], view) for name, view in views.items()]
+
+        def keep() -> None:
+            for place, view in places:
+                place[...] = view
+            row = self._rows[self._row]
+            if self._in_row:
+                np.minimum(row[1], now, out=row[1])
+                np.maximum(row[2], now, out=row[2])
+            else:
+                row[...] = now
+            runner = self._runner
+            if runner is not None and runner.phase is not self._phase:
+                self._phase = runner.phase
+                self.phases.append((self._count, self._phase))
+            self._count += 1
+            self._in_row += 1
+            if self._in_row == self.stride:
+                self._in_row = 0
+                self._row += 1
+                if self._row == ROWS:
+                    self._halve()
+
+        return {Stage.OBSERVE: [Block("kept", keep, reads=tuple(views))]}
+
+    def attach(self, runner: Runner) -> None:
+        """Get to know the runner, whose phases are kept, and who writes what."""
+        from unicon_core.flow import blocks_of
+
+        self._runner = runner
+        blocks = blocks_of(runner.program.root)
+        self.told = frozenset(name for each in blocks for name in (*each.writes, *each.amends))
+
+    def _halve(self) -> None:
+        """Let each row stand for twice as many ticks; a millisecond, once in that many ticks."""
+        pairs = self._rows.reshape(ROWS // 2, 2, *self._rows.shape[1:])
+        half = self._rows[: ROWS // 2]
+        half[:, 0] = pairs[:, 0, 0]
+        half[:, 1] = np.minimum(pairs[:, 0, 1], pairs[:, 1, 1])
+        half[:, 2] = np.maximum(pairs[:, 0, 2], pairs[:, 1, 2])
+        self.stride *= 2
+        self._row = ROWS // 2
+
+    # -- for the pictures -----------------------------------------------------------------------
+
+    @property
+    def robot(self) -> Robot:
+        """Whose states they are."""
+        return self._program.robot
+
+    @property
+    def period(self) -> float:
+        """Of the ticks in [s]."""
+        return self._program.period
+
+    @property
+    def paced(self) -> bool:
+        """Whether the clock paced the ticks, so that they may be late."""
+        return self._runner is not None and self._runner.options.speed == "real"
+
+    @property
+    def ticks(self) -> int:
+        """Ticks that were kept, of all phases."""
+        return self._count
+
+    @property
+    def begin(self) -> int:
+        """Number of the kept tick with which the flow began; time counts from there."""
+        run = [tick for tick, phase in self.phases if phase.value == "run"]
+        return run[0] if run else 0
+
+    def time(self) -> NDArray[np.float64]:
+        """Return when each row begins in [s], shape (rows,)."""
+        ticks = np.arange(self._used, dtype=np.float64) * self.stride
+        return (ticks - self.begin) * self.period
+
+    def first(self, name: str) -> NDArray[np.float32]:
+        """Return the first values of a state in each row, shape (rows, elements)."""
+        return self._of(name, 0)
+
+    def lowest(self, name: str) -> NDArray[np.float32]:
+        """Return the lowest values of a state in each row, shape (rows, elements)."""
+        return self._of(name, 1)
+
+    def highest(self, name: str) -> NDArray[np.float32]:
+        """Return the highest values of a state in each row, shape (rows, elements)."""
+        return self._of(name, 2)
+
+    def curve(self, name: str) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Return times in [s] and values of a state to draw, no peak lost."""
+        time = self.time()
+        if self.stride == 1:
+            return time, self.first(name)
+        low, high = self.lowest(name), self.highest(name)
+        both = np.stack([low, high], axis=1).reshape(-1, low.shape[1])
+        return np.repeat(time, 2), both
+
+    def has(self, name: str) -> bool:
+        """Return whether somebody tells a state, and it is a number in some tick."""
+        return (
+            name in self._columns
+            and name in self.told
+            and bool(np.isfinite(self.first(name)).any())
+        )
+
+    def unfit(self) -> dict[str, float]:
+        """Return states that were not a number for a while: when first, in [s] of the run."""
+        found = {}
+        for name in self._columns:
+            bad = ~np.isfinite(self.lowest(name) + self.highest(name)).all(axis=1)
+            if self.has(name) and bad.any():
+                found[name] = float(self.time()[bad.argmax()])
+        return found
+
+    @property
+    def _used(self) -> int:
+        return self._row + (self._in_row > 0)
+
+    def _of(self, name: str, which: int) -> NDArray[np.float32]:
+        kept: NDArray[np.float32] = self._rows[: self._used, which, self._columns[name]]
+        return kept

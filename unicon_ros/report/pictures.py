@@ -1,0 +1,312 @@
+"""Pictures of a run, for its page and for `--picture`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.page import write_file
+from unicon_core.runtime.statistics import TickStatistics
+from unicon_ros.report.drawing import INK, MARK, as_png, drawn, envelope, grids
+from unicon_ros.report.kept import Keeper
+
+__all__ = ["PICTURES", "write_overview"]
+
+MEASURED, COMMANDED, BAD = MARK, "#e07b00", "#d62728"
+SMALL = 250
+"""Points of a curve in one of many small axes, twice."""
+MOST = 40
+"""Joints in a picture; the table has all."""
+COLUMNS = 4
+TOP = 6
+"""Joints whose torque is drawn over time."""
+BINS = 80
+_SPEEDS = (("forward, vx", "m/s"), ("to the left, vy", "m/s"), ("turning, wz", "rad/s"))
+
+
+def write_overview(path: str | Path, keeper: Keeper, title: str) -> None:
+    """Write path, speeds and joints as one PNG, for `--picture`, folders made as needed.
+
+    Raises:
+        OSError: the folder cannot be made.
+        UniconError: the file cannot be written.
+    """
+    figure = drawn(_overview, keeper)
+    assert figure is not None
+    figure.suptitle(title)
+    target = Path(path)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    write_file(target, as_png(figure))
+
+
+def _overview(figure: Any, keeper: Keeper) -> bool:
+    from matplotlib import colormaps
+
+    figure.set_size_inches(11.0, 7.5)
+    path, speeds, joints = figure.subplot_mosaic(
+        [["path", "speeds"], ["joints", "joints"]], height_ratios=[1.2, 1.0]
+    ).values()
+    _path(path, keeper)
+    for k, (name, unit) in enumerate(_SPEEDS):
+        time, measured = _measured(keeper, k)
+        speeds.plot(
+            *envelope(time, measured), color=f"C{k}", linewidth=0.8, label=f"{name} [{unit}]"
+        )
+        time, command = keeper.curve("velocity_command")
+        speeds.plot(*envelope(time, command[:, k]), color=f"C{k}", linestyle="--", linewidth=1.5)
+    speeds.set(title="velocity: measured, dashed as commanded", xlabel="time [s]")
+    speeds.legend(loc="upper right")
+    names = keeper.robot.joint_names
+    # Matplotlib's own ten colours repeat: two joints would look like one.
+    joints.set_prop_cycle(color=colormaps["turbo"](np.linspace(0.0, 1.0, len(names))))
+    joints.plot(*envelope(*keeper.curve("joint_pos")), linewidth=0.8, label=names)
+    joints.set(title="joint positions", xlabel="time [s]", ylabel="[rad]")
+    if len(names) <= 32:
+        columns = 1 + (len(names) - 1) // 16
+        joints.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=7, ncols=columns)
+    grids(path, speeds, joints)
+    return True
+
+
+def _path(axes: Any, keeper: Keeper) -> None:
+    way = keeper.first("base_pos_w")
+    axes.plot(way[:, 0], way[:, 1], color=MEASURED, linewidth=1.2)
+    axes.plot(way[:1, 0], way[:1, 1], "o", color=INK, label="start")
+    axes.plot(way[-1:, 0], way[-1:, 1], "s", color=COMMANDED, label="end")
+    axes.set(title="path of the base from above, world frame", xlabel="x [m]", ylabel="y [m]")
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.legend()
+
+
+def _measured(keeper: Keeper, k: int) -> tuple[NDArray[Any], NDArray[Any]]:
+    time, values = keeper.curve("base_ang_vel" if k == 2 else "base_lin_vel")
+    return time, values[:, k]
+
+
+def _base(figure: Any, keeper: Keeper, statistics: TickStatistics) -> bool:
+    """Path, and velocities as commanded and as they were."""
+    if not keeper.ticks or not (keeper.has("base_lin_vel") or keeper.has("base_ang_vel")):
+        return False
+    placed = keeper.has("base_pos_w")
+    figure.set_size_inches(12.0, 5.2)
+    layout = [["path", name] for name, _ in _SPEEDS] if placed else [[n] for n, _ in _SPEEDS]
+    axes = figure.subplot_mosaic(layout, width_ratios=[1.0, 1.3] if placed else [1.0])
+    if placed:
+        _path(axes["path"], keeper)
+    for k, (name, unit) in enumerate(_SPEEDS):
+        below = axes[name]
+        state = "base_ang_vel" if k == 2 else "base_lin_vel"
+        if keeper.has(state):
+            below.plot(
+                *envelope(*_measured(keeper, k)), color=MEASURED, linewidth=0.9, label="measured"
+            )
+        if keeper.has("velocity_command"):
+            time, command = keeper.curve("velocity_command")
+            below.plot(
+                *envelope(time, command[:, k]), "--", color=COMMANDED, linewidth=1.4,
+                label="commanded",
+            )  # fmt: skip
+        below.set_title(name, fontsize=10, loc="left")
+        below.set_ylabel(f"[{unit}]")
+        if k == 0:
+            below.legend(fontsize=8, loc="upper right", ncols=2)
+    axes[_SPEEDS[-1][0]].set_xlabel("time [s]")
+    grids(*axes.values())
+    return True
+
+
+def _ranges(figure: Any, keeper: Keeper, statistics: TickStatistics) -> bool:
+    """How much of its range each joint used, and of its torque."""
+    robot = keeper.robot
+    if not keeper.ticks or not keeper.has("joint_pos"):
+        return False
+    low, high = (f(g("joint_pos"), axis=0) for f, g in (
+        (np.fmin.reduce, keeper.lowest), (np.fmax.reduce, keeper.highest)
+    ))  # fmt: skip
+    bounded = np.isfinite(robot.lower) & np.isfinite(robot.upper)
+    torque = _peaks(keeper)
+    shown = np.flatnonzero(bounded)[:MOST]
+    if not shown.size:
+        return False
+    figure.set_size_inches(12.0, 1.1 + 0.25 * len(shown))
+    left, right = figure.subplots(1, 2, sharey=True, width_ratios=[1.3, 1.0])
+    width = (robot.upper - robot.lower)[shown]
+    begin, end = ((side[shown] - robot.lower[shown]) / width * 100 for side in (low, high))
+    colours = [BAD if a < 0 or b > 100 else MEASURED for a, b in zip(begin, end)]
+    names = [robot.joint_names[k] for k in shown]
+    places = np.arange(len(shown))
+    left.barh(places, 100.0, color="0.5", alpha=0.18)
+    left.barh(places, end - begin, left=begin, color=colours, height=0.5)
+    left.set_yticks(places, names, fontsize=8)
+    left.set(xlabel="position [% of the way from its lower to its upper limit]")
+    left.set_xlim(min(-2.0, float(np.nanmin(begin)) - 2), max(102.0, float(np.nanmax(end)) + 2))
+    left.invert_yaxis()
+    left.set_title("range that was used", fontsize=10)
+    if torque is None:
+        right.set_axis_off()
+    else:
+        share = (torque / robot.effort_limit)[shown] * 100
+        colours = [BAD if value > 100 else COMMANDED for value in share]
+        right.barh(places, np.nan_to_num(share), color=colours, height=0.5)
+        right.axvline(100.0, color=INK, linewidth=0.8)
+        right.set_title("largest torque", fontsize=10)
+        right.set_xlabel("|torque| [% of its effort limit]")
+    for axes in (left, right):
+        axes.grid(axis="x", alpha=0.3)
+    return True
+
+
+def _peaks(keeper: Keeper) -> NDArray[Any] | None:
+    """Return the largest torque of each joint, [N·m]; None where nobody tells one."""
+    if not keeper.has("joint_effort") or not np.isfinite(keeper.robot.effort_limit).any():
+        return None
+    low, high = keeper.lowest("joint_effort"), keeper.highest("joint_effort")
+    peaks: NDArray[Any] = np.fmax.reduce(np.maximum(np.abs(low), np.abs(high)), axis=0)
+    return peaks
+
+
+def _joints(figure: Any, keeper: Keeper, statistics: TickStatistics) -> bool:
+    """Positions over time between their limits, targets behind them."""
+    robot = keeper.robot
+    if not keeper.ticks or not keeper.has("joint_pos"):
+        return False
+    count = min(robot.num_joints, MOST)
+    lines = math.ceil(count / COLUMNS)
+    figure.set_size_inches(12.0, 0.7 + 1.5 * lines)
+    grid = figure.subplots(lines, COLUMNS, squeeze=False, sharex=True).reshape(-1)
+    for axes in grid[count:]:
+        axes.set_axis_off()
+    shown = [("joint_pos_target", COMMANDED, "target"), ("joint_pos", MEASURED, "measured")]
+    for k, axes in enumerate(grid[:count]):
+        for name, colour, label in shown:
+            if keeper.has(name):
+                time, values = keeper.curve(name)
+                curve = envelope(time, values[:, k], SMALL)
+                axes.plot(*curve, color=colour, linewidth=0.8, label=label)
+        for limit in (robot.lower[k], robot.upper[k]):
+            if np.isfinite(limit):
+                axes.axhline(limit, color=BAD, linewidth=0.9, linestyle=":", label="limit")
+        axes.set_title(robot.joint_names[k], fontsize=8, loc="left")
+        axes.tick_params(labelsize=7)
+    grids(*grid[:count])
+    figure.legend(*_once(grid[0]), loc="outside upper right", ncols=3, fontsize=8)
+    figure.supylabel("[rad]", fontsize=9)
+    figure.supxlabel("time [s]", fontsize=9)
+    return True
+
+
+def _once(axes: Any) -> tuple[list[Any], list[str]]:
+    """Return what a legend shows, each label once."""
+    by_label = {label: handle for handle, label in zip(*axes.get_legend_handles_labels())}
+    return list(by_label.values()), list(by_label)
+
+
+def _torque(figure: Any, keeper: Keeper, statistics: TickStatistics) -> bool:
+    """Torque over time of the joints that came nearest to their effort limit."""
+    peaks, robot = _peaks(keeper) if keeper.ticks else None, keeper.robot
+    if peaks is None:
+        return False
+    share = np.nan_to_num(peaks / robot.effort_limit)
+    order = np.argsort(-share, kind="stable")[:TOP]
+    lines = math.ceil(len(order) / 2)
+    figure.set_size_inches(12.0, 0.7 + 1.7 * lines)
+    grid = figure.subplots(lines, 2, squeeze=False, sharex=True).reshape(-1)
+    for axes in grid[len(order) :]:
+        axes.set_axis_off()
+    time, values = keeper.curve("joint_effort")
+    for axes, k in zip(grid, order):
+        axes.plot(
+            *envelope(time, values[:, k], 2 * SMALL),
+            color=MEASURED,
+            linewidth=0.8,
+            label="measured",
+        )
+        limit = float(robot.effort_limit[k])
+        if np.isfinite(limit):
+            for line in (-limit, limit):
+                axes.axhline(line, color=BAD, linewidth=0.9, linestyle=":", label="effort limit")
+        axes.set_title(
+            f"{robot.joint_names[k]}: {share[k]:.0%} of its limit", fontsize=9, loc="left"
+        )
+    grids(*grid[: len(order)])
+    figure.legend(*_once(grid[0]), loc="outside upper right", ncols=2, fontsize=8)
+    figure.supylabel("torque [N·m]", fontsize=9)
+    figure.supxlabel("time [s]", fontsize=9)
+    return True
+
+
+def _timing(figure: Any, keeper: Keeper, statistics: TickStatistics) -> bool:
+    """How long ticks took, how late they began, and both over the run."""
+    rows = statistics.kept()
+    if not len(rows):
+        return False
+    busy = statistics.durations_us()
+    late = (rows[:, 2] - rows[:, 0]) * 1e-3
+    paced = keeper.paced
+    if len(rows) < statistics.count:
+        figure.suptitle(f"the last {len(rows):,} of {statistics.count:,} ticks", fontsize=10)
+    period = keeper.period * 1e6
+    figure.set_size_inches(12.0, 5.4 if paced else 5.0)
+    layout = [["busy", "late"], ["over", "over"]] if paced else [["busy"], ["over"]]
+    axes = figure.subplot_mosaic(layout)
+    parts: list[tuple[str, NDArray[Any], str, str]] = [
+        ("busy", busy, MEASURED, "from recv to the end of send")
+    ]
+    parts += [("late", late, COMMANDED, "from the deadline to the begin of the tick")] * paced
+    number = np.arange(statistics.count - len(rows), statistics.count)
+    for name, values, colour, what in parts:
+        if not values.size:
+            continue
+        low = max(min(float(values.min()), period), 0.1)
+        bins = np.geomspace(low * 0.9, max(float(values.max()), period) * 1.1, BINS)
+        counts, _ = np.histogram(np.clip(values, bins[0], None), bins)
+        axes[name].stairs(counts, bins, fill=True, color=colour, alpha=0.75)
+        axes[name].axvline(period, color=BAD, linestyle=":", label="next deadline")
+        axes[name].set(xscale="log", yscale="log", ylabel="ticks", xlabel=f"{name} [µs], {what}")
+        axes[name].set_ylim(bottom=0.7)
+        axes[name].legend(fontsize=8)
+        axes["over"].plot(
+            *envelope(number, values), color=colour, linewidth=0.7, alpha=0.9, label=name
+        )
+    axes["over"].axhline(period, color=BAD, linestyle=":", label="next deadline")
+    axes["over"].set(yscale="log", ylabel="[µs]", xlabel="number of the tick in the run")
+    axes["over"].legend(fontsize=8, loc="upper right", ncols=3)
+    grids(*axes.values())
+    return True
+
+
+PICTURES: dict[str, tuple[Callable[[Any, Keeper, TickStatistics], bool], str, str]] = {
+    "base": (
+        _base,
+        "Path and velocity",
+        "Velocities in the base's frame: dashed as commanded, the line as the platform told it; "
+        "the sway of the gait is in it.",
+    ),
+    "ranges": (
+        _ranges,
+        "Joints and torques against their limits",
+        "Grey is a joint's whole range, the bar on it what was used of it; red is beyond a limit.",
+    ),
+    "joints": (
+        _joints,
+        "Joint positions",
+        "Each joint over time, with its target; dotted: the limits of the robot file.",
+    ),
+    "torque": (
+        _torque,
+        "The torques that came nearest to their limit",
+        "Over time; dotted: the effort limits of the robot file.",
+    ),
+    "timing": (
+        _timing,
+        "Timing",
+        "How many ticks took how long (busy) and, of a paced run, began how late (late), on "
+        "logarithmic scales. What is right of the dotted line took longer than a period.",
+    ),
+}
+"""Name to function, heading and caption, in the page's order."""

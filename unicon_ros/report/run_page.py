@@ -1,0 +1,224 @@
+"""RunPage: what a run did, as one page that needs nothing beside it."""
+
+from __future__ import annotations
+
+import html
+import json
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from unicon_core import __version__
+from unicon_core.page import figure, findings, number, page, pairs, table, write_file
+from unicon_core.runtime.phases import describe
+from unicon_ros.recording.facts import facts_of
+from unicon_ros.report.drawing import as_svg, drawn
+from unicon_ros.report.kept import Keeper
+from unicon_ros.report.pictures import PICTURES
+
+if TYPE_CHECKING:
+    from unicon_core.runtime import Report, Runner
+
+__all__ = ["RunPage"]
+
+
+class RunPage:
+    """Writes the page of a run.
+
+    Args:
+        path: of the page.
+        keeper: keeps the states of the run.
+        runner: of the run, before its first tick: its files may be others later.
+    """
+
+    def __init__(self, path: str | Path, keeper: Keeper, runner: Runner) -> None:
+        self.path = Path(path)
+        self._keeper, self._runner = keeper, runner
+        self._facts = facts_of(runner, {})
+        self._begun = time.strftime("%Y-%m-%d %H:%M:%S %z")
+        self._phases = dict(describe(runner.program))
+
+    def write(self, report: Report) -> None:
+        """Write the page, folders made as needed.
+
+        Raises:
+            OSError: the folder cannot be made.
+            UniconError: the page cannot be written.
+        """
+        title = f"{report.workflow} on {report.robot} ({report.platform})"
+        parts = [
+            f"<h1>{html.escape(title)}</h1>",
+            f'<p class="sub">{html.escape(self._subtitle(report))}</p>',
+            findings(self._said(report), bad=bool(report.faults or report.fell)),
+            "<h2>Run</h2>",
+            pairs(self._about(report)),
+        ]
+        for name, (fill, heading, caption) in PICTURES.items():
+            try:
+                picture = drawn(fill, self._keeper, self._runner.statistics)
+                if picture is None:
+                    continue
+                parts.append(figure(heading, caption, as_svg(picture, name)))
+            except Exception as error:  # the rest of the page is shown for all that
+                why = f"could not be drawn: {type(error).__name__}: {error}"
+                parts.append(f"<h2>{html.escape(heading)}</h2><p>{html.escape(why)}</p>")
+            if name == "ranges":
+                parts += ["<h2>Every joint</h2>", self._joints()]
+        parts += ["<h2>Blocks</h2>", self._blocks(report), "<h2>Phases</h2>", self._in_phases()]
+        if report.traceback:
+            parts += ["<h2>Traceback</h2>", f"<pre>{html.escape(report.traceback)}</pre>"]
+        parts += [
+            "<h2>What was run</h2>",
+            pairs(self._files(report)),
+            f'<p class="sub">unicon_ros {__version__}; all figures with all digits: '
+            "--report FILE.json; every state of every tick: --record FILE.mcap</p>",
+        ]
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        write_file(self.path, page(title, parts).encode())
+
+    def _subtitle(self, report: Report) -> str:
+        robots = self._runner.program.states.num_robots
+        many = "" if robots is None else f"; the first of {robots} robots is shown"
+        return f"begun {self._begun}{many}"
+
+    def _said(self, report: Report) -> list[str]:
+        """Return what stands out, most important first."""
+        said = [f"Fault: {fault}" for fault in report.faults]
+        if not said:
+            said = [f"Ended: {report.ended}, after {report.duration_s:.2f} s of ticks, no fault."]
+        if "fault_record" in report.extra:
+            file = report.extra["fault_record"]
+            said.append(
+                f"The last ticks before the fault are in {file}: unicon view shows them, unicon "
+                "replay --verify computes them again."
+            )
+        if report.fell:
+            said.append(f"The base leaned by up to {report.tilt_deg:g}°, which counts as a fall.")
+        for name, when in self._keeper.unfit().items():
+            said.append(f"{name} was not a number, first at {when:.2f} s: a gap in the curves.")
+        if report.ticks and report.overruns:
+            worst = ", ".join(f"{name} ({n})" for name, n in report.overrun_blocks.items())
+            said.append(
+                f"{report.overruns} of {report.ticks} deadlines were missed"
+                + (f"; most time took {worst}." if worst else ".")
+            )
+        said += [f"Advice: {report.advice}."] if report.advice else []
+        if report.forced:
+            said.append(
+                f"It was forced past these errors of the check: {', '.join(report.forced)}."
+            )
+        said += [f"Without safety block {n}: {why}." for n, why in report.safety_left_out.items()]
+        said += ["Dry: nothing was sent."] if report.dry else []
+        return said
+
+    def _about(self, report: Report) -> dict[str, str]:
+        x, y, z = report.base_displacement_m
+        late, busy = report.late_us, report.tick_us
+        period = self._runner.program.period
+        about = {
+            "ticks": f"{report.ticks:,} of {period * 1e3:g} ms ({1 / period:g} Hz), "
+            f"{report.duration_s:.2f} s",
+            "wall time": f"{report.wall_s:.2f} s, {report.rate_hz:.1f} ticks per second, speed "
+            f"{self._runner.options.speed}",
+            "tick busy": _times(busy),
+            "tick late": _times(late),
+            "overruns": f"{report.overruns}",
+            "base": f"moved {x:+.2f} {y:+.2f} {z:+.2f} m, leaned by up to {report.tilt_deg:g}°",
+            "safety": ", ".join(report.safety) or "none",
+        }
+        if report.startup_s is not None:
+            about["start-up"] = f"{report.startup_s:.2f} s to the first tick"
+        if report.bridge is not None:
+            about["ROS 2"] = (
+                f"published {report.bridge.get('published', 0)}, received "
+                f"{report.bridge.get('received', 0)} messages"
+            )
+        return about
+
+    def _joints(self) -> str:
+        keeper = self._keeper
+        robot = keeper.robot
+        if not keeper.ticks:
+            return "<p>no tick was run</p>"
+        heads = ["joint", "lowest<br><small>rad</small>", "highest<br><small>rad</small>"]
+        heads += ["lower limit<br><small>rad</small>", "upper limit<br><small>rad</small>"]
+        columns = [
+            np.fmin.reduce(keeper.lowest("joint_pos"), axis=0),
+            np.fmax.reduce(keeper.highest("joint_pos"), axis=0),
+            robot.lower,
+            robot.upper,
+        ]
+        for state, limit, unit, what in (
+            ("joint_vel", robot.velocity_limit, "rad/s", "speed"),
+            ("joint_effort", robot.effort_limit, "N·m", "torque"),
+        ):
+            if keeper.has(state):
+                sizes = np.maximum(abs(keeper.lowest(state)), abs(keeper.highest(state)))
+                columns += [np.fmax.reduce(sizes, axis=0), limit]
+                heads.append(f"largest {what}<br><small>{unit}</small>")
+                heads.append(f"{what} limit<br><small>{unit}</small>")
+        rows = [
+            [name, *(number(float(column[k])) for column in columns)]
+            for k, name in enumerate(robot.joint_names)
+        ]
+        return table(heads, rows)
+
+    def _blocks(self, report: Report) -> str:
+        period = self._runner.program.period * 1e6
+        heads = ["block", *(f"{n}<br><small>µs</small>" for n in ("p50", "p99", "max"))]
+        heads += ["p50<br><small>% of the period</small>", "calls", "late ticks by it"]
+        rows = [
+            [
+                label,
+                *(f"{times[name]:.1f}" for name in ("p50", "p99", "max")),
+                f"{100 * times['p50'] / period:.2f}",
+                f"{times['calls']:.0f}",
+                str(report.overrun_blocks.get(label, 0)),
+            ]
+            for label, times in report.blocks.items()
+        ]
+        return table(heads, rows)
+
+    def _in_phases(self) -> str:
+        keeper = self._keeper
+        ends = [tick for tick, _ in keeper.phases[1:]] + [keeper.ticks]
+        rows = [
+            [
+                phase.value,
+                f"{(tick - keeper.begin) * keeper.period:.2f}",
+                str(end - tick),
+                self._phases.get(phase.value, ""),
+            ]
+            for (tick, phase), end in zip(keeper.phases, ends)
+        ]
+        return table(["phase", "begins [s]", "ticks", "what it is"], rows, words=True)
+
+    def _files(self, report: Report) -> dict[str, str]:
+        facts = self._facts
+        overridden = json.loads(facts["overridden"])
+        policies = json.loads(facts["policies"])
+        versions = json.loads(facts["versions"])
+        return {
+            "workflow": facts["workflow_path"],
+            "changed by --set": ", ".join(map(str, overridden)) or "nothing",
+            "robot file": str(self._runner.program.robot.path),
+            "seed": facts["seed"],
+            **{f"policy {name}": f"{each['model']}" for name, each in policies.items()},
+            **{f"SHA-256 of {name}": each["sha256"] for name, each in policies.items()},
+            "SHA-256 of the commands": report.sha256_commands,
+            "layout of the states": facts["layout_hash"],
+            "versions": ", ".join(f"{name} {version}" for name, version in versions.items()),
+            **dict(_extra(report)),
+        }
+
+
+def _times(us: dict[str, float]) -> str:
+    return ", ".join(f"{name} {us.get(name, 0.0):,.0f} µs" for name in ("p50", "p99", "max"))
+
+
+def _extra(report: Report) -> Iterator[tuple[str, str]]:
+    for key, value in report.extra.items():
+        yield key.replace("_", " "), value if isinstance(value, str) else json.dumps(value)

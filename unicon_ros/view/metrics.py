@@ -1,0 +1,214 @@
+"""Metrics: a run as figures for Prometheus, at http://127.0.0.1:PORT/metrics.
+
+The format is Prometheus' text exposition format 0.0.4. Runs in the viewer's process.
+"""
+
+from __future__ import annotations
+
+import os
+from bisect import bisect_left
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core import __version__
+from unicon_ros.view.answers import Answers
+from unicon_ros.view.shown import Shown
+from unicon_ros.view.source import Remote, Snapshot, Source
+
+__all__ = ["Metrics"]
+
+KIND = "text/plain; version=0.0.4; charset=utf-8"
+
+BOUNDS = (
+    *(25e-6, 50e-6, 100e-6, 250e-6, 500e-6, 1e-3, 2.5e-3, 5e-3, 10e-3, 20e-3, 50e-3, 100e-3),
+    *(250e-3, 1.0),
+)
+"""Of the histograms, in [s]."""
+
+_AXES = ("x", "y", "z")
+_OF_STATES = (
+    # state, elements, metric, what it is
+    ("velocity_command", slice(0, 2), "velocity_command_meters_per_second", "commanded velocity"),
+    ("velocity_command", slice(2, 3), "turn_command_radians_per_second", "commanded turn"),
+    ("base_lin_vel", slice(0, 3), "base_velocity_meters_per_second", "velocity of the base"),
+    ("base_ang_vel", slice(0, 3), "base_turn_radians_per_second", "angular velocity of the base"),
+    ("base_pos_w", slice(0, 3), "base_position_meters", "position of the base in the world"),
+    ("joint_pos", None, "joint_position_radians", "position of a joint"),
+    ("joint_effort", None, "joint_torque_newton_meters", "torque of a joint"),
+    ("motor_temperature", None, "motor_temperature_celsius", "temperature of a motor"),
+    ("battery_charge", None, "battery_charge_ratio", "charge of the battery, 0 to 1"),
+    ("battery_voltage", None, "battery_volts", "voltage of the battery"),
+)
+
+
+class Metrics:
+    """The sink of `--metrics`: counts every tick, and answers whoever asks.
+
+    Args:
+        shown: the run.
+        source: of its ticks.
+        remote: not used: nobody drives from here.
+        options: `port`; `written`: the states that somebody tells.
+
+    Raises:
+        UniconError: the port cannot be had.
+    """
+
+    def __init__(
+        self, shown: Shown, source: Source, remote: Remote, options: Mapping[str, Any]
+    ) -> None:
+        os.nice(19)  # it leaves the core that a tick wakes up on at once
+        self._shown, self._source, self._written = shown, source, set(options["written"])
+        self._server = Answers(options["port"], {"/metrics": self._page}, "--metrics")
+        self.address = f"http://127.0.0.1:{self._server.port}/metrics"
+        self._busy, self._late = _Histogram(), _Histogram()
+        self._handle = self._unseen = 0
+        self._largest: NDArray[np.float64] | None = None
+        self._text: tuple[object, bytes] = (None, b"")
+
+    def poll(self) -> None:
+        """Count the new ticks, then answer."""
+        for tick in self._source.since(self._handle):
+            self._unseen += tick.handle - self._handle - 1
+            self._handle = tick.handle
+            self._count(tick)
+        self._server.poll()
+
+    def _count(self, tick: Snapshot) -> None:
+        if tick.busy_ns:  # they are of the tick before; the first has none
+            self._busy.add(tick.busy_ns * 1e-9)
+            self._late.add(max(tick.late_ns, 0) * 1e-9)
+        if "joint_effort" in self._written:
+            effort = np.abs(tick.states["joint_effort"], dtype=np.float64)
+            self._largest = effort if self._largest is None else np.fmax(self._largest, effort)
+
+    def close(self) -> None:
+        """Let the port go."""
+        self._server.close()
+
+    # -- what is told ---------------------------------------------------------------------------
+
+    def _page(self) -> tuple[str, bytes]:
+        """Return the figures; of a flood of requests all get the same."""
+        texts = self._source.texts
+        key = (self._handle, len(texts["faults"]), texts.get("counts"))
+        if self._text[0] != key or not self._handle:
+            self._text = key, "".join(self._lines()).encode()
+        return KIND, self._text[1]
+
+    def _lines(self) -> Iterator[str]:
+        shown, texts, tick = self._shown, self._source.texts, self._source.latest()
+        about = {
+            "workflow": shown.workflow,
+            "robot": shown.robot.name,
+            "platform": shown.platform,
+            "version": __version__,
+        }
+        yield from _metric("run_info", "gauge", "the run", [(about, 1)])
+        yield from _single("tick_period_seconds", "gauge", "of a tick", shown.period)
+        yield from _single("faults", "gauge", "faults of the run", len(texts["faults"]))
+        for key, what in (("published", "published to"), ("received", "taken from")):
+            given = texts.get("counts", {}).get(key, ())
+            counts = [({"topic": topic}, count) for topic, count in given]
+            if counts:
+                what = f"messages {what} a topic"
+                yield from _metric(f"ros_messages_{key}_total", "counter", what, counts)
+        if tick is None:
+            return
+        phases = [
+            ({"phase": name}, int(number == tick.phase)) for number, name in enumerate(shown.phases)
+        ]
+        yield from _metric("phase", "gauge", "1 for the phase that the run is at", phases)
+        stamp, missed, what = tick.wall_ns * 1e-9, tick.overruns, "deadlines that were missed"
+        yield from _single("last_tick_timestamp_seconds", "gauge", "of the newest tick", stamp)
+        yield from _single("ticks_total", "counter", "ticks of all phases", tick.handle)
+        yield from _single("overruns_total", "counter", what, missed)
+        what = "ticks that are in no histogram"
+        yield from _single("ticks_unseen_total", "counter", what, self._unseen)
+        yield from self._busy.lines("tick_busy_seconds", "time of a tick from its begin to its end")
+        yield from self._late.lines("tick_lateness_seconds", "begin of a tick after its deadline")
+        yield from self._of_states(tick.states)
+
+    def _of_states(self, states: Mapping[str, NDArray[Any]]) -> Iterator[str]:
+        joints = self._shown.robot.joint_names
+        for state, part, name, what in _OF_STATES:
+            if state not in states or state not in self._written:
+                continue
+            values = states[state].reshape(-1)
+            if part == slice(2, 3):
+                told = [({"axis": "z"}, values[2])]
+            elif part is not None:
+                told = [({"axis": axis}, x) for axis, x in zip(_AXES[part], values[part])]
+            elif values.size == len(joints) and values.size > 1:
+                told = [({"joint": joint}, x) for joint, x in zip(joints, values)]
+            else:
+                told = [({}, x) for x in values[:1]]
+            yield from _metric(name, "gauge", what, told)
+        if "projected_gravity" in self._written:
+            upright = float(np.clip(-states["projected_gravity"].reshape(-1)[2], -1.0, 1.0))
+            tilt = np.arccos(upright)
+            yield from _single("base_tilt_radians", "gauge", "of the base from upright", tilt)
+        if self._largest is not None:
+            most = [({"joint": joint}, x) for joint, x in zip(joints, self._largest)]
+            what = "largest torque of a joint so far, without its sign"
+            yield from _metric("joint_torque_largest_newton_meters", "gauge", what, most)
+            limits = [
+                ({"joint": joint}, x)
+                for joint, x in zip(joints, self._shown.robot.effort_limit)
+                if np.isfinite(x)
+            ]
+            what = "largest allowed torque of a joint"
+            yield from _metric("joint_torque_limit_newton_meters", "gauge", what, limits)
+
+
+class _Histogram:
+    def __init__(self) -> None:
+        self._counts, self._sum = [0] * (len(BOUNDS) + 1), 0.0
+
+    def add(self, value: float) -> None:
+        self._counts[bisect_left(BOUNDS, value)] += 1
+        self._sum += value
+
+    def lines(self, name: str, what: str) -> Iterator[str]:
+        yield from _head(name, "histogram", what)
+        below = 0
+        for bound, count in zip((*BOUNDS, float("inf")), self._counts):
+            below += count
+            yield f'unicon_{name}_bucket{{le="{_number(bound)}"}} {below}\n'
+        yield f"unicon_{name}_sum {_number(self._sum)}\n"
+        yield f"unicon_{name}_count {below}\n"
+
+
+def _head(name: str, kind: str, what: str) -> Iterator[str]:
+    yield f"# HELP unicon_{name} {what}\n# TYPE unicon_{name} {kind}\n"
+
+
+def _metric(
+    name: str, kind: str, what: str, told: Iterable[tuple[Mapping[str, str], Any]]
+) -> Iterator[str]:
+    yield from _head(name, kind, what)
+    for labels, value in told:
+        inside = ",".join(f'{key}="{_escaped(text)}"' for key, text in labels.items())
+        yield f"unicon_{name}{f'{{{inside}}}' if inside else ''} {_number(value)}\n"
+
+
+def _single(name: str, kind: str, what: str, value: Any) -> Iterator[str]:
+    return _metric(name, kind, what, [({}, value)])
+
+
+def _escaped(text: str) -> str:
+    return text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
+
+
+def _number(value: Any) -> str:
+    if isinstance(value, int):
+        return str(value)
+    number = float(value)
+    if np.isnan(number):
+        return "NaN"
+    if np.isinf(number):
+        return "+Inf" if number > 0 else "-Inf"
+    return repr(number)
