@@ -104,7 +104,7 @@ def _made(host: str) -> bytes:
         serialization.PrivateFormat.PKCS8,
         serialization.NoEncryption(),
     )
-    return secret + made.public_bytes(serialization.Encoding.PEM)
+    return bytes(secret + made.public_bytes(serialization.Encoding.PEM))
 
 
 def fingerprint(path: Path) -> str:
