@@ -19,6 +19,7 @@ EXTRAS = [
     "zmq",
     "plots",
     "view",
+    "webxr",
     "hw-unitree",
     "hw-arx",
     "test",
