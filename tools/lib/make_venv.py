@@ -19,6 +19,7 @@ EXTRAS = [
     "zmq",
     "plots",
     "view",
+    "foxglove",
     "webxr",
     "hw-unitree",
     "hw-arx",
