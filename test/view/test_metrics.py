@@ -138,13 +138,15 @@ def test_other_paths_and_methods_are_refused(metering: Metering) -> None:
 
     assert b"404" in asked(b"GET / HTTP/1.1\r\n\r\n").splitlines()[0]
     assert b"there is /metrics" in asked(b"GET /../etc/passwd HTTP/1.1\r\n\r\n")
-    assert b"405" in asked(b"POST /metrics HTTP/1.1\r\nContent-Length: 0\r\n\r\n").splitlines()[0]
-    assert b"400" in asked(b"\x00\xff garbage\r\n\r\n").splitlines()[0]
-    assert b"431" in asked(b"GET /metrics HTTP/1.1\r\n" + b"x" * 20_000).splitlines()[0]
+    assert b"501" in asked(b"POST /metrics HTTP/1.1\r\nContent-Length: 0\r\n\r\n").splitlines()[0]
+    assert b"400" in asked(b"\x00\xff garbage\r\n\r\n")
+    assert (
+        b"431" in asked(b"GET /metrics HTTP/1.1\r\n" + b"x" * 70_000 + b"\r\n\r\n").splitlines()[0]
+    )
     head = asked(b"HEAD /metrics?x=1 HTTP/1.1\r\n\r\n")
     assert b"200 OK" in head
     assert head.endswith(b"\r\n\r\n")
-    assert asked(b"GET /metrics HTTP/1.0\n\n").count(b"# TYPE") > 10
+    assert asked(b"GET /metrics HTTP/1.0\r\n\r\n").count(b"# TYPE") > 10
 
 
 @pytest.mark.slow

@@ -158,6 +158,7 @@ class Peripheral:
         self._name, self._tell, self._environment = str(given["name"]), tell, environment
         self._stale_ns, self._every = round(stale * 1e9), max(1, round(GLANCE / period))
         self._left, self._glances = self._every, 0
+        self._rounds = max(1, round(LOOK / max(GLANCE, period)))
         self._wait, self.started = FIRST, 0
         self._closed = False
         self._neutral = States(layout)
@@ -217,7 +218,7 @@ class Peripheral:
         if old:
             self._lapse()
         self._glances += 1
-        if self._glances * GLANCE < LOOK:
+        if self._glances < self._rounds:
             return took or old
         self._glances = 0
         self._look()
