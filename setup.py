@@ -70,6 +70,8 @@ EXTRAS["sim-newton"] = ["newton[sim]==1.8.0", *SIM]
 EXTRAS["sim-genesis"] = ["genesis-world==1.4.5", "torch>=2.13", *SIM]
 # Nor this: 54 MB, for `--view=foxglove` alone.
 EXTRAS["foxglove"] = ["foxglove-sdk==0.30.3", "rosbags>=0.11"]
+# Nor this: a camera's driver, which needs Debian's libusb-1.0-0 besides.
+EXTRAS["realsense"] = ["pyrealsense2>=2.56"]
 # Nor this: 754 MB installed (2.13, CPU), for TorchScript policies alone.
 EXTRAS["torch"] = ["torch"]
 # Nor this: 130 MB installed, for exports to Parquet alone.
@@ -148,6 +150,7 @@ setup(
         ],
         "unicon.blocks": [
             "camera = unicon_ros.bridge.camera:camera",
+            "realsense = unicon_ros.peripherals.realsense:realsense",
             "recorded = unicon_ros.replay.commands:recorded",
         ],
         "unicon.platforms": [
