@@ -85,7 +85,7 @@ class Chart:
                       {"label": f"[{plot.unit}]" if plot.unit else "value", "size": 52,
                        "labelSize": 18}),
                 legend={"show": True, "live": False},
-                height=205,
+                height=175,
             )  # fmt: skip
 
 
@@ -141,15 +141,16 @@ class Panel:
             ):
                 self._switch(gui, scene, label, name)
         gui.add_html(legend_html(bool(shown.robot.feet)))
-        with gui.add_folder("running part of the graph"):
+        with gui.add_folder("running part of the graph", visible=bool(shown.graph)):
             self.graph = gui.add_html("")
         if span is None and shown.parameters:
             self._parameters(gui)
         plots = gui.add_panel()
         with plots.add_tab("Plots"):
             self.window = gui.add_slider("last [s]", 1.0, 12.0, 1.0, 6.0)
+            last = TIMES if span is None else "joint_effort"  # a recording's ticks are not timed
             self.charts = [
-                Chart(gui, shown, history, first) for first in (VELOCITY, "joint_pos", TIMES)
+                Chart(gui, shown, history, first) for first in (VELOCITY, "joint_pos", last)
             ]
         plots.dock_left()
         plots.set_width(400)

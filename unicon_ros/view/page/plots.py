@@ -15,8 +15,8 @@ from unicon_ros.view.page.history import TIMING, History
 __all__ = ["ALL", "TIMES", "VELOCITY", "Curve", "Plot", "choices", "curves_of", "groups"]
 
 ALL = "all elements"
-VELOCITY = "velocity (commanded and measured)"
-TIMES = "tick timing (late, busy, deadline)"
+VELOCITY = "velocity, commanded dashed"
+TIMES = "tick timing, deadline dashed"
 
 _TARGETS = {"joint_pos": "joint_pos_target", "joint_vel": "joint_vel_target"}
 _MEASURED = (("base_lin_vel", 0), ("base_lin_vel", 1), ("base_ang_vel", 2))
@@ -152,7 +152,7 @@ def title_of(layout: Layout, state: str, chosen: str) -> str:
     words = [state if chosen == ALL else f"{state}: {chosen}"]
     words += [f"[{unit}]"] if unit else []
     words += [f"in {spec.frame}"] if spec is not None and spec.frame else []
-    return " ".join(words)
+    return " ".join(words) + (", target dashed" if state in _TARGETS else "")
 
 
 class Plot:

@@ -13,16 +13,18 @@ from typing import Any
 
 from unicon_core.errors import MissingDependencyError, UniconError
 from unicon_ros.view import PORT
-from unicon_ros.view.page.history import History
+from unicon_ros.view.front import check_reach, refusal
+from unicon_ros.view.page.history import SECONDS, History
 from unicon_ros.view.page.wheel import Wheel
 from unicon_ros.view.page.words import status_html, table
 from unicon_ros.view.shown import Shown
 from unicon_ros.view.source import Remote, Snapshot, Source
 
-__all__ = ["Page"]
+__all__ = ["MOST", "Page"]
 
 _RATE = 2.0  # [s] over which ticks are counted
-_MOST = 16  # viewers
+MOST = 16
+"""Viewers at once."""
 
 
 class Page:
@@ -56,7 +58,7 @@ class Page:
                 "--view", str(error.name), "pip install 'unicon_ros[view]'"
             ) from error
         host, token = str(options.get("host", "127.0.0.1")), str(options.get("token", ""))
-        link.check_reach(host, token)
+        check_reach(host, token)
         self._shown, self._source, self._remote, self._token = shown, source, remote, token
         self._fps, self._link = float(options.get("fps", 30.0)), link
         self._history = History(shown.layout, shown.period)
@@ -91,6 +93,7 @@ class Page:
             ) from error
         self._server = viser.ViserServer(host, int(options.get("port", PORT)), verbose=False)
         link.close_doors(self._server)
+        link.guard(self._server, self._refused)
         self._server.on_client_connect(self._came.append)
         self._server.on_client_disconnect(lambda client: self._gone.append(client.client_id))
         place = f"{f'[{host}]' if ':' in host else host}:{self._server.get_port()}"
@@ -134,12 +137,8 @@ class Page:
         from unicon_ros.view.page.viewer import Viewer
 
         while self._came:
-            client, link = self._came.popleft(), self._link
-            why = link.refusal(*link.opened(self._server, client), self._token)
-            if not why and len(self._viewers) >= _MOST:
-                why = f"{_MOST} viewers look already"
-            if why:
-                link.drop(self._server, client)
+            client = self._came.popleft()
+            if self._refused(client):  # or has gone already
                 continue
             self._viewers[client.client_id] = Viewer(
                 client.client_id + 1,
@@ -158,11 +157,18 @@ class Page:
             if viewer is not None:
                 viewer.gone()
 
+    def _refused(self, client: Any) -> str:
+        """Return why a browser may not look."""
+        headers, path = self._link.opened(self._server, client)
+        if len(self._viewers) >= MOST:
+            return f"{MOST} viewers look already"
+        return refusal(headers, path, self._token)
+
     def _take(self, handle: int, now: float) -> None:
         """Take the ticks that have come into the history."""
         if handle < self._handle:
             self._history.clear()
-            self._handle = handle - 1
+            self._handle = max(handle - round(SECONDS / self._shown.period), 0)
         for tick in self._source.since(self._handle):
             self._history.take(tick)
         self._handle = handle

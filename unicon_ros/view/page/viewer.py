@@ -17,13 +17,12 @@ from unicon_ros.view.source import Remote, Snapshot
 
 __all__ = ["Viewer"]
 
-AHEAD = 2
-"""Pictures sent that a page has not answered, at most: a slow page gets fewer, and none is late."""
+_TEXTS, _CHARTS, _PATH = 0.25, 0.1, 0.2
+"""Between two of them, in [s]; of the charts one at a time."""
 
-BEAT = 0.1
-"""How often a page is asked at least, in [s]."""
-
-_TEXTS, _CHARTS, _PATH = 0.25, 0.2, 0.2  # [s] between two
+_QUICK = 0.06
+"""A page that needs longer for a picture, in [s], has as long to itself before the next one: its
+buttons and its heartbeat come first. One picture is on its way at most, so that none is late."""
 
 
 class Viewer:
@@ -91,19 +90,19 @@ class Viewer:
             new: the tick has not been shown before.
             now: time in [s].
         """
-        if self.link.pending >= AHEAD:
+        if self.link.pending:
             return
-        picture = new and self._is_due("picture", self._interval, now)
-        if not picture and not self._is_due("beat", BEAT, now):
+        slow = 2.0 * self.link.takes if self.link.takes > _QUICK else 0.0
+        picture = new and self._is_due("picture", max(self._interval, slow), now)
+        if not picture and (new or not self._is_due("still", _TEXTS, now)):
             return
-        self._due["beat"] = now + BEAT
         with self._client.atomic():
             if picture and pose is not None:
                 self._scene.draw(pose, self._is_due("path", _PATH, now))
                 self.pictures += 1
             if self._is_due("texts", _TEXTS, now):
                 self._texts(tick, status)
-            if tick is not None and self._is_due("chart", _CHARTS / 3.0, now):
+            if tick is not None and self._is_due("chart", _CHARTS, now):
                 charts, self._chart = self.panel.charts, self._chart + 1  # one after the other
                 charts[self._chart % len(charts)].refresh(self.panel.window.value)
             self.link.ask()
@@ -139,7 +138,8 @@ class Viewer:
             return "you drive"
         if driver is not None:
             return f"viewer {driver} drives; you are viewer {self.number}"
-        return f"{lost or 'nobody here'}; you are viewer {self.number}"
+        nobody = lost or "nobody drives from a page"
+        return f"{nobody}; you are viewer {self.number}"
 
     def _is_due(self, what: str, interval: float, now: float) -> bool:
         due = self._due.get(what, 0.0)
@@ -160,8 +160,8 @@ class Viewer:
         if state.get("hidden"):
             self._wheel.lose(self.number, "was hidden")
             return
-        device = state.get("device")
-        if device != self._device and _is_vector(device):
+        device = _vector(state.get("device"))
+        if device is not None and device != self._device:
             self._device = device
             bounds = self._shown.command_bounds
             velocity = [abs(x) * (high if x > 0 else low) for x, (low, high) in zip(device, bounds)]
@@ -200,9 +200,7 @@ class Viewer:
         self.acts.add(self._remote.act(name, **arguments))
 
 
-def _is_vector(given: Any) -> bool:
-    return (
-        isinstance(given, list)
-        and len(given) == 3
-        and all(isinstance(x, (int, float)) for x in given)
-    )
+def _vector(given: Any) -> list[float] | None:
+    if not isinstance(given, list) or len(given) != 3:
+        return None
+    return given if all(isinstance(x, (int, float)) for x in given) else None

@@ -15,7 +15,7 @@ from unicon_ros.view.source import Snapshot
 __all__ = ["graph_html", "legend_html", "status_html"]
 
 COMMANDED, MEASURED = (31, 119, 180), (255, 127, 14)
-"""Colours of velocities."""
+"""Colours of the velocity arrows, and of their legend."""
 
 _STYLE = "font:13px/1.45 system-ui,sans-serif;padding:2px 12px 6px"
 _RED = "color:#c00;font-weight:600"
@@ -66,9 +66,10 @@ def status_html(
         found.append(("skill", f"<b>{escape(name)}</b>"))
     found += [
         ("tick", f"{tick.tick} · {tick.tick * shown.period:.1f} s"),
-        ("rate", f"{rate:.1f} Hz, wanted {1.0 / shown.period:.1f} Hz"),
     ]
     timed = texts.get("timed", True)
+    if timed:
+        found.append(("rate", f"{rate:.1f} Hz, wanted {1.0 / shown.period:.1f} Hz"))
     if len(rows) and timed:
         deadline = shown.period * 1e3
         p50, p99 = np.percentile(busy, (50, 99))

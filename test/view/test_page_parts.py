@@ -1,0 +1,314 @@
+"""The parts of the live page that need no browser: who drives, who may look, what is plotted."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import unicon_ros.view.page.wheel as wheel_module
+from unicon_core.errors import UniconError
+from unicon_core.states import Layout, States, StateSpec
+from unicon_core.states.standard import standard_states
+from unicon_ros.cli.main import _parser
+from unicon_ros.cli.workflow_arguments import view_options
+from unicon_ros.view.front import check_reach, refusal
+from unicon_ros.view.page.history import SECONDS, History
+from unicon_ros.view.page.plots import (
+    ALL,
+    POINTS,
+    TIMES,
+    VELOCITY,
+    Plot,
+    choices,
+    curves_of,
+    element_choices,
+    groups,
+)
+from unicon_ros.view.page.sink import MOST
+from unicon_ros.view.page.wheel import Wheel
+from unicon_ros.view.page.words import graph_html
+from unicon_ros.view.shown import DEAD_MAN, GraphLine
+
+LEGS = tuple(f"{leg}_{part}_joint" for leg in ("FL", "FR") for part in ("hip", "thigh", "calf"))
+BOUNDS = ((-0.5, 1.0), (-0.4, 0.4), (-1.0, 1.0))
+
+
+class Told:
+    """A remote that notes what it is told."""
+
+    def __init__(self) -> None:
+        self.said: list[Any] = []
+
+    def touch(self) -> None:
+        self.said.append("touch")
+
+    def let_go(self) -> None:
+        self.said.append("let_go")
+
+    def drive(self, velocity: Any) -> None:
+        self.said.append([round(float(x), 3) for x in velocity])
+
+
+@pytest.fixture
+def told() -> Told:
+    return Told()
+
+
+@pytest.fixture
+def wheel(told: Told) -> Wheel:
+    return Wheel(told, BOUNDS)
+
+
+# -- who drives ---------------------------------------------------------------------------------
+
+
+def test_one_drives_and_the_others_are_told_who(wheel: Wheel, told: Told) -> None:
+    assert wheel.take(1, 0.0) == ""
+    assert "viewer 1 drives" in wheel.take(2, 0.1)
+    assert not wheel.steer(2, (0.3, 0.0, 0.0), 0.1)
+    assert not wheel.heard(2, 0.1)
+    wheel.let_go(2)
+    assert wheel.driver == 1
+    assert told.said == ["touch"]
+
+
+def test_a_velocity_is_bounded_and_sent_with_each_sign_of_life(wheel: Wheel, told: Told) -> None:
+    wheel.take(1, 0.0)
+    assert wheel.steer(1, (9.0, -9.0, 0.5), 0.1)
+    assert wheel.heard(1, 0.2)
+    assert told.said == ["touch", [1.0, -0.4, 0.5], [1.0, -0.4, 0.5]]
+
+
+@pytest.mark.parametrize("velocity", [(np.nan, 0, 0), (np.inf, 0, 0), (0.1,), (), (0, 0, 0, 0)])
+def test_a_velocity_that_is_none_is_not_taken(wheel: Wheel, told: Told, velocity: Any) -> None:
+    wheel.take(1, 0.0)
+    assert not wheel.steer(1, velocity, 0.1)
+    assert told.said == ["touch"]
+
+
+def test_a_silent_driver_is_lost_and_has_to_take_the_wheel_anew(wheel: Wheel, told: Told) -> None:
+    wheel.take(1, 0.0)
+    wheel.steer(1, (0.5, 0.0, 0.0), 0.1)
+    stall = 0.1 + DEAD_MAN + 0.01
+    # What its page had sent before the stall comes now, all at once.
+    assert not wheel.steer(1, (0.5, 0.0, 0.0), stall)
+    assert not wheel.heard(1, stall)
+    assert wheel.driver is None
+    assert "was silent" in wheel.lost
+    assert told.said[-1] == [0.0, 0.0, 0.0]
+    assert wheel.take(1, stall) == ""
+    assert wheel.velocity.tolist() == [0.0, 0.0, 0.0]
+    assert wheel.lost == ""
+
+
+def test_silence_is_noticed_without_a_message(wheel: Wheel) -> None:
+    wheel.take(1, 0.0)
+    wheel.look(DEAD_MAN)
+    assert wheel.driver == 1
+    wheel.look(DEAD_MAN + 0.01)
+    assert wheel.driver is None
+    assert wheel.take(2, 1.0) == ""
+
+
+def test_a_closed_page_stands_still_and_gives_nothing_back(wheel: Wheel, told: Told) -> None:
+    wheel.take(1, 0.0)
+    wheel.steer(1, (0.5, 0.0, 0.0), 0.1)
+    wheel.lose(1, "was closed")
+    assert told.said[-1] == [0.0, 0.0, 0.0]
+    assert "let_go" not in told.said
+    assert wheel.driver is None
+
+
+def test_who_lets_go_gives_the_command_back(wheel: Wheel, told: Told) -> None:
+    wheel.take(1, 0.0)
+    wheel.let_go(1)
+    assert told.said == ["touch", "let_go"]
+    assert wheel.driver is None
+
+
+def test_without_a_velocity_command_there_is_nothing_to_drive(told: Told) -> None:
+    assert "nothing to drive" in Wheel(told, ()).take(1, 0.0)
+    assert told.said == []
+
+
+# -- who may look -------------------------------------------------------------------------------
+
+HOST = "127.0.0.1:8700"
+
+
+@pytest.mark.parametrize(
+    ("host", "origin", "path", "token", "why"),
+    [
+        (HOST, f"http://{HOST}", "/", "", ""),
+        ("localhost:8700", "http://localhost:8700", "/", "", ""),
+        ("[::1]:8700", "http://[::1]:8700", "/", "", ""),
+        (HOST, None, "/", "", ""),  # a program of this machine
+        (HOST, "http://evil.example", "/", "", "page of http://evil.example"),
+        (HOST, "http://127.0.0.1:80", "/", "", "page of http://127.0.0.1:80"),
+        (HOST, "null", "/", "", "page of null"),
+        ("evil.example:8700", "http://evil.example:8700", "/", "", "host 'evil.example'"),
+        ("", None, "/", "", "host ''"),
+        ("[", "http://[", "/", "", "cannot be read"),
+        ("robot:8700", "http://robot:8700", "/s3cretword", "s3cretword", ""),
+        ("robot:8700", "http://robot:8700", "/", "s3cretword", "token"),
+        ("robot:8700", "http://robot:8700", "/s3cretwore", "s3cretword", "token"),
+        ("robot:8700", "http://robot:8700", "/ümlaut", "s3cretword", "token"),
+        ("robot:8700", "http://evil.example", "/s3cretword", "s3cretword", "page of"),
+    ],
+)
+def test_only_pages_of_this_server_may_look(
+    host: str, origin: str | None, path: str, token: str, why: str
+) -> None:
+    headers = {"Host": host} | ({"Origin": origin} if origin else {})
+    found = refusal(headers, path, token)
+    assert (found == "") == (why == "")
+    assert why in found
+
+
+def test_beyond_this_machine_a_token_is_needed() -> None:
+    check_reach("127.0.0.1", "")
+    check_reach("0.0.0.0", "s3cretword")
+    with pytest.raises(UniconError, match=r"--view-host 0\.0\.0\.0 lets everybody.*--view-token"):
+        check_reach("0.0.0.0", "")
+    for token in ("short", "with/slash1", "blank blank", "ümläut123"):
+        with pytest.raises(UniconError, match="is not a token; give 8 or more"):
+            check_reach("0.0.0.0", token)
+
+
+# -- what is plotted ----------------------------------------------------------------------------
+
+
+@pytest.fixture
+def layout() -> Layout:
+    specs = standard_states(LEGS) | {"picture": StateSpec((64, 64)), "flag": StateSpec((), "bool")}
+    return Layout(specs)
+
+
+def tick(layout: Layout, number: int, **values: Any) -> Any:
+    states = States(layout)
+    for name, value in values.items():
+        states[name][...] = value
+    return SimpleNamespace(tick=number, late_ns=number * 1000, busy_ns=500_000, states=states)
+
+
+def test_any_state_of_numbers_can_be_chosen_and_pictures_are_left_out(layout: Layout) -> None:
+    known = choices(layout, History(layout, 0.02))
+    assert known[:2] == (VELOCITY, TIMES)
+    assert {"joint_pos", "base_quat", "stamp_ns", "flag"} <= set(known)
+    assert "picture" not in known
+
+
+def test_elements_are_grouped_by_leg() -> None:
+    assert groups(LEGS) == {"FL": LEGS[:3], "FR": LEGS[3:]}
+    arm = [f"left_{name}" for name in ("hip_pitch", "hip_roll", *map(str, range(8)))]
+    assert groups(arm) == {"left_hip": ("left_hip_pitch", "left_hip_roll")}
+
+
+def test_a_target_is_dashed_beside_what_is_measured(layout: Layout) -> None:
+    history = History(layout, 0.02)
+    curves = curves_of(layout, history, "joint_pos", LEGS[1])
+    assert [(c.label, c.dashed) for c in curves] == [
+        ("FL_thigh_joint", False),
+        ("FL_thigh_joint target", True),
+    ]
+    assert curves[0].colour == curves[1].colour
+    history.take(tick(layout, 1, joint_pos=np.arange(6), joint_pos_target=10 + np.arange(6)))
+    _, measured, target = Plot(layout, history, "joint_pos", LEGS[1], 0.02).data(1.0)
+    assert (measured.tolist(), target.tolist()) == ([1.0], [11.0])
+
+
+def test_velocity_has_what_is_commanded_beside_it_and_titles_have_units(layout: Layout) -> None:
+    history = History(layout, 0.02)
+    history.take(
+        tick(
+            layout,
+            5,
+            velocity_command=(1, 2, 3),
+            base_lin_vel=(4, 5, 0),
+            base_ang_vel=(0, 0, 6),
+        )
+    )
+    plot = Plot(layout, history, VELOCITY, ALL, 0.02)
+    assert [float(x[0]) for x in plot.data(1.0)] == pytest.approx([0.1, 4, 1, 5, 2, 6, 3])
+    assert plot.title == "velocity, commanded dashed [m/s, rad/s]"
+    assert Plot(layout, history, "base_lin_acc", ALL, 0.02).title == "base_lin_acc [m/s²] in base"
+    assert "FL_hip_joint" in element_choices(layout, "joint_pos")
+    assert element_choices(layout, "tick") == (ALL,)
+
+
+@pytest.mark.parametrize("period", [0.02, 0.002, 0.1])
+def test_history_keeps_the_last_seconds_and_the_worst_of_the_ticks_between(
+    layout: Layout, period: float
+) -> None:
+    history = History(layout, period)
+    count = round(3 * SECONDS / period)
+    each = tick(layout, 0)
+    for number in range(count):
+        each.tick, each.late_ns = number, 7_000_000 if number == count - 12 else 0
+        history.take(each)
+    time, rows = history.last(SECONDS)
+    assert time[-1] - time[0] == pytest.approx(SECONDS, abs=2 * max(period, 0.011))
+    assert (np.diff(time) > 0).all()
+    assert rows[-12:, history.columns["late"].start].max() == pytest.approx(7.0)
+    data = Plot(layout, history, TIMES, ALL, period).data(SECONDS)
+    assert len(data[0]) <= POINTS
+    assert data[0][-1] == time[-1]
+    assert data[3][0] == pytest.approx(period * 1e3)  # the deadline
+
+
+def test_a_reset_begins_the_plots_anew(layout: Layout) -> None:
+    history = History(layout, 0.02)
+    for number in (10, 11, 12, 3):
+        history.take(tick(layout, number))
+    assert history.last(9.0)[0].tolist() == [pytest.approx(0.06)]
+
+
+def test_a_plot_before_the_first_tick_is_empty_but_there(layout: Layout) -> None:
+    data = Plot(layout, History(layout, 0.02), "joint_pos", ALL, 0.02).data(5.0)
+    assert len(data) == 1 + 2 * len(LEGS)
+    assert np.isnan(data[1]).all()
+
+
+def test_the_running_part_of_the_graph_stands_out() -> None:
+    lines = [
+        GraphLine(0, "chain", (), 0),
+        GraphLine(1, "<b>", ((0, 1),)),
+        GraphLine(1, "c", ((0, 0),)),
+    ]
+    html = graph_html(lines, [1])
+    assert "▸ &lt;b&gt;" in html
+    assert "· c" in html
+
+
+# -- docs/view.md ---------------------------------------------------------------------------------
+
+DOCUMENT = (Path(__file__).parents[2] / "docs/view.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("line", re.findall(r"^unicon .*?(?=\s+#|$)", DOCUMENT, re.MULTILINE))
+def test_each_command_of_the_document_is_one(line: str) -> None:
+    arguments = _parser().parse_args(shlex.split(line)[1:])
+    if arguments.command == "run":
+        options = view_options(arguments)
+        assert options["sink"] == "page"
+        check_reach(options["host"], options["token"])
+
+
+def test_the_document_has_the_figures_and_the_keys_of_the_code() -> None:
+    script = (Path(wheel_module.__file__).parent / "script.js").read_text(encoding="utf-8")
+    keys = re.findall(r"\b([a-z]): \[(\d), (-?1)\]", script)
+    assert {key for key, axis, _ in keys if axis == "0"} == {"i", "k"}
+    assert "I and K forwards and back, U and O sideways, J and L turn" in DOCUMENT
+    assert [key for key, *_ in keys] == ["i", "k", "u", "o", "j", "l"]
+    assert f"After {DEAD_MAN} s of silence" in DOCUMENT
+    pytest.importorskip("viser", reason="no live page: pip install 'unicon_ros[view]'")
+    from unicon_ros.view.page.scene import TOUCHING
+
+    assert f"within {1e3 * TOUCHING:.0f} mm of the floor" in DOCUMENT
+    assert f"up to {MOST}" in DOCUMENT
