@@ -28,7 +28,7 @@ from unicon_core.platforms.child.parent import ALARM, LONGEST, Parent, text_of
 from unicon_core.states import Layout, States
 from unicon_core.states.backends.shm import Segment, ShmWriter
 
-__all__ = ["GROUP", "SLICE", "START", "Device", "Feed", "Gone", "end", "serve"]
+__all__ = ["GROUP", "SLICE", "START", "Device", "Feed", "Gone", "end", "handle_state", "serve"]
 
 GROUP = "told"
 """The group of a peripheral's segment."""
@@ -41,6 +41,11 @@ AGAIN = 0.5
 
 START = 60.0
 """Longest start in [s]."""
+
+
+def handle_state(name: str, ring: str) -> str:
+    """Return the state of a ring's handle: NAME_RING_handle, or NAME_handle of an only one, ""."""
+    return "_".join(filter(None, (name, ring, "handle")))
 
 
 class Gone(Exception):
@@ -73,7 +78,7 @@ class Feed:
         self._segment = Segment.create(given["segment"], {GROUP: states.layout})
         self._writer = ShmWriter(self._segment, GROUP, states)
         self._alive, self._stamp = states[f"{self.name}_alive"], states[f"{self.name}_stamp_ns"]
-        self._handles = [(states[f"{self.name}_{n}_handle"], r) for n, r in self.rings.items()]
+        self._handles = [(states[handle_state(self.name, n)], r) for n, r in self.rings.items()]
 
     def publish(self, stamp_ns: int | None = None, /, **values: Any) -> None:
         """Tell values by the names of their states, and the newest handles; both at once.

@@ -24,7 +24,7 @@ from unicon_core.states.backends.shm import ShmWatcher
 from unicon_core.states.backends.shm.files import remove_dead
 from unicon_core.states.groups import Copies, subset
 from unicon_core.workflow.autowire import BuildContext
-from unicon_ros.peripherals.child import GROUP, START
+from unicon_ros.peripherals.child import GROUP, START, handle_state
 
 __all__ = ["Peripheral", "peripheral_block", "peripheral_states"]
 
@@ -47,11 +47,11 @@ def peripheral_states(
     Args:
         name: of the peripheral.
         values: its own, under their whole names; `initial` is the neutral value.
-        frames: names of its rings.
+        frames: names of its rings; "" for an only one, whose state is `NAME_handle`.
     """
     handles = {
-        f"{name}_{ring}_handle": StateSpec(
-            (), "int64", description=f"number of the newest frame of {ring}, 0 if none"
+        handle_state(name, ring): StateSpec(
+            (), "int64", description=f"number of the newest frame of {ring or name}, 0 if none"
         )
         for ring in frames
     }

@@ -124,7 +124,7 @@ class Metrics:
         yield from _metric("phase", "gauge", "1 for the phase that the run is at", phases)
         stamp, missed, what = tick.wall_ns * 1e-9, tick.overruns, "deadlines that were missed"
         yield from _single("last_tick_timestamp_seconds", "gauge", "of the newest tick", stamp)
-        yield from _single("ticks_total", "counter", "ticks of all phases", tick.handle)
+        yield from _single("ticks_total", "counter", "ticks of all phases", self._handle)
         yield from _single("overruns_total", "counter", what, missed)
         what = "ticks that are in no histogram"
         yield from _single("ticks_unseen_total", "counter", what, self._unseen)
