@@ -175,6 +175,11 @@ def test_a_scanner_that_refuses_or_does_not_turn_is_named(
     assert "refuses its configuration: parameter not supported (0x20, key 0x001a)" in third.lines[0]
     assert third.block.close is not None
     third.block.close()
+    fourth = Rig(host="192.0.2.84")  # of no interface of ours: its cable is out
+    fourth.until(lambda: bool(fourth.lines))
+    assert f"no way to {THERE} from 192.0.2.84: Cannot assign" in fourth.lines[0]
+    assert fourth.block.close is not None
+    fourth.block.close()
 
 
 @pytest.mark.slow

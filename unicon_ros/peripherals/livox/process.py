@@ -90,7 +90,8 @@ class Livox:
             self._commands.bind((self._options["host"], 0))
             self._commands.connect((self._lidar, COMMAND_PORT))
         except OSError as error:
-            raise Gone(f"no way to {self._lidar}: {error.strerror}") from error
+            way = " from ".join(filter(None, (self._lidar, self._options["host"])))
+            raise Gone(f"no way to {way}: {error.strerror}") from error
         return str(self._commands.getsockname()[0])
 
     def _configure(self, host: str) -> None:
