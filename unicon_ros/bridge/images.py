@@ -19,6 +19,7 @@ from unicon_core.errors import UniconError, alternatives
 from unicon_core.models.camera import Intrinsics
 
 __all__ = [
+    "CLOUD",
     "INFO",
     "KINDS",
     "STAMP",
