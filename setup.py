@@ -75,6 +75,8 @@ EXTRAS["sim-genesis"] = ["genesis-world==1.4.5", "torch>=2.13", *SIM]
 EXTRAS["foxglove"] = ["foxglove-sdk==0.30.3", "rosbags>=0.11"]
 # Nor this: meshcat's own page, for `--view=meshcat`.
 EXTRAS["meshcat"] = ["meshcat==0.3.2", "viser==1.1.1"]
+# Nor this: a camera's driver, which needs Debian's libusb-1.0-0 besides.
+EXTRAS["realsense"] = ["pyrealsense2>=2.56"]
 # Nor this: 754 MB installed (2.13, CPU), for TorchScript policies alone.
 EXTRAS["torch"] = ["torch"]
 # Nor this: 130 MB installed, for exports to Parquet alone.
@@ -154,6 +156,7 @@ setup(
         "unicon.blocks": [
             "camera = unicon_ros.bridge.camera:camera",
             "livox = unicon_ros.peripherals.livox.livox:livox",
+            "realsense = unicon_ros.peripherals.realsense:realsense",
             "recorded = unicon_ros.replay.commands:recorded",
             "webxr = unicon_ros.peripherals.webxr.webxr:webxr",
         ],

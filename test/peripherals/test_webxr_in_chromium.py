@@ -71,10 +71,10 @@ def iwer(tmp_path_factory: pytest.TempPathFactory) -> str:
 class Rig:
     """The block and a browser that shows its page."""
 
-    def __init__(self, browser: Any, iwer: str | None) -> None:
+    def __init__(self, browser: Any, iwer: str | None, **options: Any) -> None:
         self.states, self.lines = States(webxr.declares()), list[str]()  # type: ignore[attr-defined]
         context = BuildContext(self.states, load_robot("go2"), 0.005, tell=self.lines.append)
-        self.block = webxr(context, port=0)
+        self.block = webxr(context, port=0, **options)
         assert isinstance(self.block.tick, Peripheral)
         self.address = str(self.block.tick.first["address"])
         self.console, self.asked = list[str](), list[str]()
@@ -83,7 +83,8 @@ class Rig:
 
     def open(self) -> None:
         """Open the page in a new tab."""
-        self.page = self._browser.new_page(viewport={"width": 800, "height": 820})
+        self.page = self._browser.new_page()
+        self.page.set_viewport_size({"width": 800, "height": 820})
         self.page.on("console", lambda message: self.console.append(message.text))
         self.page.on("pageerror", lambda error: self.console.append(str(error)))
         self.page.on("request", lambda request: self.asked.append(request.url))
@@ -235,6 +236,29 @@ def test_a_second_headset_is_told(rig: Rig, browser: Any, iwer: str) -> None:
     rig.until(lambda: "another headset" in second.locator("#status").inner_text())
     rig.until(lambda: rig.alive)
     second.close()
+
+
+def test_a_headset_in_the_network_comes_by_tls_with_a_token(
+    browser: Any, iwer: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("cryptography", reason="pip install cryptography")
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    trusting = browser.new_context(ignore_https_errors=True)  # as who accepts the certificate
+    rig = Rig(trusting, iwer, host="127.0.0.9", token="open-sesame-84")
+    try:
+        assert rig.address.startswith("https://")
+        assert "it does not know the token" in rig.page.content()
+        rig.address += "?token=open-sesame-84"
+        rig.page.close()
+        rig.open()
+        rig.start()
+        assert "Connected" in rig.status
+        assert list(rig.states["webxr_valid"][:3]) == [1, 1, 1]
+    finally:
+        rig.page.close()
+        trusting.close()
+        assert rig.block.close is not None
+        rig.block.close()
 
 
 def test_a_browser_without_a_headset_says_so(browser: Any) -> None:

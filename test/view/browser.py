@@ -91,7 +91,7 @@ class Run:
 class Page:
     """One tab; keeps what went wrong and whom it asked."""
 
-    def __init__(self, browser: Any, address: str, width: int = 1000, height: int = 600) -> None:
+    def __init__(self, browser: Any, address: str, width: int = 820, height: int = 600) -> None:
         self.tab = browser.new_page(viewport={"width": width, "height": height})
         self.errors: list[str] = []
         self.hosts: set[str] = set()

@@ -81,12 +81,12 @@ def take_the_wheel(page: Page) -> None:
     page.until("document.body.innerText.includes('you drive')")
 
 
-@pytest.mark.parametrize(("workflow", "joints"), [("go2_walk", "FL"), ("g1_walk", "left_hip")])
+@pytest.mark.parametrize(("workflow", "joints"), [("go2_walk", "FR"), ("g1_walk", "left_hip")])
 def test_a_robot_is_drawn_and_moves_and_its_plots_run(
     browser: Any, start: Start, workflow: str, joints: str
 ) -> None:
     run = start(workflow)
-    page = Page(browser, run.address)
+    page = Page(browser, run.address, 1100)
     page.until("document.body.innerText.includes('joint_pos: ')", 20.0)
     time.sleep(1.0)
     before, first = picture(page), curves(page)
@@ -163,10 +163,10 @@ def test_one_of_two_viewers_drives_by_keys_and_both_may_stop(
     browser: Any, start: Start, walks_on: Path
 ) -> None:
     run = start(walks_on, fps=3.0)
-    one, other = (Page(browser, run.address, 900, 600) for _ in range(2))
+    one, other = (Page(browser, run.address) for _ in range(2))
     take_the_wheel(one)
     other.until("document.body.innerText.includes('Viewer 1 drives')")
-    one.tab.mouse.click(450, 550)
+    one.tab.mouse.click(410, 550)
     one.tab.keyboard.down("i")
     time.sleep(0.5)
     assert run.command == [0.5, 0.0, 0.0]  # half of 1 m/s
