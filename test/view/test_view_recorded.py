@@ -203,6 +203,7 @@ def test_others_read_the_bag_as_it_is(tmp_path: Path) -> None:
     record = open_record(file)
     with file.open("rb") as stream:
         reader = make_reader(stream, decoder_factories=[decoding.DecoderFactory()])
+        channels = reader.get_summary().channels  # type: ignore[union-attr]
         found: dict[str, list[Any]] = {}
         for _, channel, _, message in reader.iter_decoded_messages():
             found.setdefault(channel.topic, []).append(message)
@@ -214,10 +215,19 @@ def test_others_read_the_bag_as_it_is(tmp_path: Path) -> None:
     rerun = shutil.which("rerun", path=str(Path(sys.executable).parent)) or shutil.which("rerun")
     if rerun is None:
         pytest.skip("rerun is not installed to read it, too: pip install rerun-sdk")
+    topics = [channel.topic for channel in channels.values()]
+    checked = rerun_says(rerun, "check", str(file))
+    assert re.findall(r"^(\w+) +\d+ +\d+ +(/\S+)", checked, re.MULTILINE) == [
+        ("ok", topic) for topic in topics
+    ]
     out = tmp_path / "walk.rrd"
-    done = subprocess.run(
-        [rerun, "mcap", "convert", str(file), "-o", str(out)],
-        capture_output=True, text=True, timeout=120, check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
+    rerun_says(rerun, "convert", str(file), "-o", str(out))
     assert out.stat().st_size > 100_000
+
+
+def rerun_says(rerun: str, *arguments: str) -> str:
+    done = subprocess.run(
+        [rerun, "mcap", *arguments], capture_output=True, text=True, timeout=120, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout + done.stderr
