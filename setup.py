@@ -42,6 +42,8 @@ EXTRAS = {
     "plots": ["matplotlib"],
     # The live page; its client is part of the package, so that it works off-line.
     "view": ["viser==1.1.1"],
+    # A headset's page; the second makes its certificate.
+    "webxr": ["websockets>=14", "cryptography>=42"],
     # setuptools 80 turns `colcon build --symlink-install` into a silent copy.
     "test": [
         "pytest",
@@ -120,7 +122,7 @@ def package_data() -> dict[str, list[str]]:
         package: [
             Path(path).relative_to(package).as_posix()
             for path in files_below(package)
-            if path.endswith((".h", ".js", ".json", ".msg", "py.typed"))
+            if path.endswith((".h", ".html", ".js", ".json", ".msg", "py.typed"))
         ]
         for package in ("unicon_core", "unicon_msgs_map", "unicon_ros")
     }
@@ -153,6 +155,7 @@ setup(
             "camera = unicon_ros.bridge.camera:camera",
             "livox = unicon_ros.peripherals.livox.livox:livox",
             "recorded = unicon_ros.replay.commands:recorded",
+            "webxr = unicon_ros.peripherals.webxr.webxr:webxr",
         ],
         "unicon.platforms": [
             "arx = unicon_ros.hardware.arx.platform:make",

@@ -33,6 +33,7 @@ COMES_WITH = {"_rclpy_pybind11": "rclpy", "yaml": "pyyaml", "ruamel": "rosbags"}
 COMES_WITH |= {"pybullet_utils": "pybullet", "warp": "newton", "zmq": "pyzmq", "can": "python_can"}
 COMES_WITH |= {"genesis": "genesis_world", "foxglove": "foxglove_sdk", "websockets": "viser"}
 COMES_WITH |= {"msgspec": "viser", "zstandard": "viser", "umsgpack": "meshcat"}
+COMES_WITH |= {"rich": "viser", "trimesh": "viser"}
 
 
 @lru_cache(maxsize=1)

@@ -204,7 +204,7 @@ def test_wrong_options_are_named(options: dict[str, Any], why: str) -> None:
 def test_the_document_names_options_that_there_are() -> None:
     text = (Path(__file__).parents[2] / "docs" / "peripherals.md").read_text(encoding="utf-8")
     examples = [yaml.safe_load(block) for block in re.findall(r"```yaml\n(.*?)```", text, re.S)]
-    found = [each["livox"] for one in examples for each in one["commands"] if "livox" in each]
+    found = [x["livox"] for one in examples for x in one.get("commands", ()) if "livox" in x]
     states = States(livox.declares())  # type: ignore[attr-defined]
     for options in found:
         block = livox(BuildContext(states, load_robot("go2"), 0.005, dry=True), **options)

@@ -73,6 +73,7 @@ class Feed:
         self.data: dict[str, Any] = given["data"]
         self.rings = {name: FrameRing.attach(path) for name, path in given["rings"].items()}
         self.wishes: list[list[Any]] = []
+        self._early: list[str] | None = []
         states = self._states = States(Layout.from_json(given["layout"]))
         self._segment = Segment.create(given["segment"], {GROUP: states.layout})
         self._writer = ShmWriter(self._segment, GROUP, states)
@@ -101,7 +102,17 @@ class Feed:
 
     def tell(self, line: str) -> None:
         """Tell the operator a line; not in every tick."""
-        self._parent.tell(note=line[:LONGEST])
+        if self._early is None:
+            self._parent.tell(note=line[:LONGEST])
+        else:
+            self._early.append(line)
+
+    def ready(self, **words: Any) -> None:
+        """Tell the parent that it may go on, and the operator what was to be told before."""
+        self._parent.tell(ready=True, **words)
+        early, self._early = self._early or (), None
+        for line in early:
+            self.tell(line)
 
     def words(self, **words: Any) -> None:
         """Tell the parent something else that can be pickled."""
@@ -154,7 +165,7 @@ def serve(device: Callable[[Feed], Device]) -> int:
         except Gone as gone:
             why = str(gone)
         first = getattr(opened, "first", dict)
-        parent.tell(ready=True, **first())
+        feed.ready(**first())
         if why:
             feed.tell(f"{feed.name}: {why}; it is used once it is there")
         while not ends and feed.look():
