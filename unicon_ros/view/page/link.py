@@ -23,6 +23,7 @@ __all__ = ["Link", "close_doors", "guard", "opened", "state_of"]
 KEY = "unicon"
 """Of the storage; nothing is kept there."""
 
+_TEXT = 1000  # characters of a heartbeat: a gamepad's name is the longest part
 _LONGEST = 0.15  # [s] that one picture counts: the first is the whole scene
 
 
@@ -120,6 +121,8 @@ def state_of(text: str) -> dict[str, Any] | None:
         text: a number, a blank, and a JSON object: `hidden`, `stops` (presses of the e-stop), `pad`
             (name) and `device`, three numbers from -1 to 1 for vx, vy and wz.
     """
+    if len(text) > _TEXT:
+        return None
     try:
         state = json.loads(text.partition(" ")[2])
     except ValueError:

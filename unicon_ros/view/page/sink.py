@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import socket
 import threading
 import time
@@ -218,7 +219,7 @@ class Page:
         """Take what a viewer does to a recording; in the server's thread."""
         assert self._source.span is not None
         with self._lock:
-            if what == "seek":
+            if what == "seek" and math.isfinite(given[0]):
                 self._time = float(given[0])
             elif what == "speed":
                 self._speed = float(given[0])
