@@ -42,6 +42,8 @@ EXTRAS = {
     "plots": ["matplotlib"],
     # The live page; its client is part of the package, so that it works off-line.
     "view": ["viser==1.1.1"],
+    # A headset's page; the second makes its certificate.
+    "webxr": ["websockets>=14", "cryptography>=42"],
     # setuptools 80 turns `colcon build --symlink-install` into a silent copy.
     "test": [
         "pytest",
@@ -73,6 +75,8 @@ EXTRAS["sim-genesis"] = ["genesis-world==1.4.5", "torch>=2.13", *SIM]
 EXTRAS["foxglove"] = ["foxglove-sdk==0.30.3", "rosbags>=0.11"]
 # Nor this: meshcat's own page, for `--view=meshcat`.
 EXTRAS["meshcat"] = ["meshcat==0.3.2", "viser==1.1.1"]
+# Nor this: a camera's driver, which needs Debian's libusb-1.0-0 besides.
+EXTRAS["realsense"] = ["pyrealsense2>=2.56"]
 # Nor this: 754 MB installed (2.13, CPU), for TorchScript policies alone.
 EXTRAS["torch"] = ["torch"]
 # Nor this: 130 MB installed, for exports to Parquet alone.
@@ -120,7 +124,7 @@ def package_data() -> dict[str, list[str]]:
         package: [
             Path(path).relative_to(package).as_posix()
             for path in files_below(package)
-            if path.endswith((".h", ".js", ".json", ".msg", "py.typed"))
+            if path.endswith((".h", ".html", ".js", ".json", ".msg", "py.typed"))
         ]
         for package in ("unicon_core", "unicon_msgs_map", "unicon_ros")
     }
@@ -152,7 +156,9 @@ setup(
         "unicon.blocks": [
             "camera = unicon_ros.bridge.camera:camera",
             "livox = unicon_ros.peripherals.livox.livox:livox",
+            "realsense = unicon_ros.peripherals.realsense:realsense",
             "recorded = unicon_ros.replay.commands:recorded",
+            "webxr = unicon_ros.peripherals.webxr.webxr:webxr",
         ],
         "unicon.platforms": [
             "arx = unicon_ros.hardware.arx.platform:make",

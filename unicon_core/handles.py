@@ -77,9 +77,13 @@ class FrameRing:
         """Return the ring that another process made."""
         return cls(Path(path))
 
-    def touch(self) -> None:
-        """Write to all frames once, so that no page of them is new to who fills them."""
-        self._frames[...] = 0
+    def touch(self, template: bytes = b"\0") -> None:
+        """Write to all frames once, so that no page of them is new to who fills them.
+
+        Args:
+            template: what a frame holds before it is filled; as long as one, or one byte.
+        """
+        self._frames[...] = np.frombuffer(template, np.uint8)
 
     @property
     def latest(self) -> int:

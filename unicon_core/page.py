@@ -15,7 +15,7 @@ from pathlib import Path
 
 from unicon_core.errors import UniconError
 
-__all__ = ["figure", "findings", "number", "page", "pairs", "table", "units", "write_file"]
+__all__ = ["figure", "findings", "number", "page", "pairs", "place", "table", "units", "write_file"]
 
 _STYLE = """
 :root { color-scheme: light dark; --text: #222; --pale: #666; --line: #ddd; --box: #f2f5fb;
@@ -25,7 +25,7 @@ _STYLE = """
         --box: #1c2533; --mark: #8ab4f8; --page: #121212; --card: #1b1b1b; --flow: #161a20;
         --edge: #6b7280; --hot: #fb923c; --hot-box: #2b1a0f; } }
 body { font: 15px/1.5 system-ui, sans-serif; color: var(--text); background: var(--page);
-       margin: 2em auto; max-width: 1150px; padding: 0 1em; }
+       margin: 2em auto; padding: 0 1em; }
 h1 { font-size: 1.6em; margin-bottom: 0; } h2 { font-size: 1.2em; margin: 2em 0 .3em; }
 figure { margin: 0; } figure svg { max-width: 100%; height: auto; }
 figure svg * { stroke-linejoin: round; }
@@ -42,12 +42,13 @@ th small { color: var(--pale); font-weight: 400; }
 """
 
 
-def page(title: str, parts: Iterable[str]) -> str:
+def page(title: str, parts: Iterable[str], width: int = 1150) -> str:
     """Return a whole page that needs nothing beside it, light or dark as the reader has it.
 
     Args:
         title: of the window, not escaped yet.
         parts: of the body, as HTML.
+        width: of its text at most, [pixels].
     """
     return "\n".join(
         [
@@ -55,7 +56,8 @@ def page(title: str, parts: Iterable[str]) -> str:
             '<html lang="en"><head><meta charset="utf-8">',
             '<meta name="viewport" content="width=device-width, initial-scale=1">',
             '<link rel="icon" href="data:,">',  # or browsers ask the server for one
-            f"<title>{html.escape(title)}</title><style>{_STYLE}</style></head><body>",
+            f"<title>{html.escape(title)}</title><style>{_STYLE}</style></head>",
+            f'<body style="max-width: {width}px">',
             *parts,
             "</body></html>\n",
         ]
@@ -117,6 +119,12 @@ def table(heads: Sequence[str], rows: Iterable[Sequence[str]], *, words: bool = 
     )
     kind = ' class="words"' if words else ""
     return f'<div class="wide"><table{kind}><tr>{head}</tr>{body}</table></div>'
+
+
+def place(path: str | Path) -> str:
+    """Return a path to show: from the working folder on, where it lies below it."""
+    shown = Path(path)
+    return str(shown.relative_to(Path.cwd())) if shown.is_relative_to(Path.cwd()) else str(shown)
 
 
 def number(value: float) -> str:

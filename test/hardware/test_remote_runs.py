@@ -12,7 +12,8 @@ import pytest
 from emulated_runs import FIRST, PATIENT, EmulatedUnitree
 from peer import Peer, wait_for
 
-from unicon_core.blocks.controls.gamepad import ABS, EVENT, KEY, KEYS
+from unicon_core.blocks.controls.gamepad import ABS, EVENT, KEY
+from unicon_core.blocks.controls.pads import pad_of
 
 pytest.importorskip("cyclonedds", reason="needs cyclonedds: pip install 'unicon_ros[hw-unitree]'")
 pytest.importorskip("mujoco")
@@ -20,7 +21,7 @@ pytest.importorskip("onnxruntime")
 
 pytestmark = [pytest.mark.slow, pytest.mark.alone, pytest.mark.timeout(300)]
 
-CODES = {name: code for code, name in KEYS.items()}
+CODES = {name: code for code, name in pad_of(None).keys.items()}
 FORWARD = 0x01, -32768
 """ABS_Y, its end that is up."""
 SAFETY = PATIENT.replace("tilt_stop", "{button_stop: {on: [select]}}")

@@ -1,6 +1,7 @@
 """A plain rclpy process: prints a summary of each Image, PointCloud2 or CameraInfo that it hears.
 
-Usage: plain_viewer.py TOPIC Image|PointCloud2|CameraInfo. Nothing of unicon is imported.
+Usage: plain_viewer.py TOPIC Image|PointCloud2|CameraInfo [best_effort]. The QoS is ROS's default,
+which is reliable, unless told otherwise. Nothing of unicon is imported.
 """
 
 import json
@@ -34,8 +35,10 @@ def main():
             line["finite"] = float(np.isfinite(data).mean())
         print(json.dumps(line).replace("NaN", "null"), flush=True)
 
-    best = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
-    node.create_subscription(getattr(msg, sys.argv[2]), sys.argv[1], heard, best)
+    qos = 10
+    if sys.argv[3:] == ["best_effort"]:
+        qos = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
+    node.create_subscription(getattr(msg, sys.argv[2]), sys.argv[1], heard, qos)
     print(json.dumps({"ready": True}), flush=True)
     rclpy.spin(node)
 

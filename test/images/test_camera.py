@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import subprocess
-import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -29,8 +27,7 @@ from unicon_ros.bench.domains import free_domain
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]
 
-HERE = Path(__file__).resolve().parent
-ROOT = HERE.parent.parent
+ROOT = Path(__file__).resolve().parent.parent.parent
 WIDTH, HEIGHT, FOVY = 64, 48, 60.0
 ABOVE = 1.0  # m, the camera above the base
 WORKFLOW = """\
@@ -50,55 +47,11 @@ deferred:
       topic: {topic}
       rate: 20
 """
-PROBE = """\
-import os
-os.environ.setdefault("MUJOCO_GL", "egl")
-import mujoco
-mujoco.Renderer(mujoco.MjModel.from_xml_string("<mujoco/>"), 8, 8).render()
-os._exit(0)
-"""
-
-
-@pytest.fixture(scope="session")
-def gl() -> None:
-    """Skips where this machine cannot render offscreen."""
-    done = subprocess.run(
-        [sys.executable, "-c", PROBE], capture_output=True, text=True, check=False
-    )
-    if done.returncode:
-        last = (done.stderr.strip().splitlines() or ["no reason told"])[-1]
-        pytest.skip(f"no offscreen OpenGL ({last}): apt install libegl1 libgl1-mesa-dri")
 
 
 @pytest.fixture(autouse=True)
 def domain(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", str(free_domain()))
-
-
-@pytest.fixture
-def viewer() -> Iterator[Callable[[str, str], subprocess.Popen[str]]]:
-    """Starts a plain subscriber."""
-    started: list[subprocess.Popen[str]] = []
-
-    def start(topic: str, kind: str) -> subprocess.Popen[str]:
-        environment = dict(os.environ)
-        for name in ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"):
-            environment[name] = str(ROOT / "config" / "dds" / "large_data.xml")
-        peer = subprocess.Popen(
-            [sys.executable, str(HERE / "plain_viewer.py"), topic, kind],
-            env=environment,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        started.append(peer)
-        assert peer.stdout is not None
-        assert json.loads(peer.stdout.readline())["ready"]
-        return peer
-
-    yield start
-    for peer in started:
-        peer.kill()
-        peer.wait(10)
 
 
 @pytest.fixture
@@ -238,7 +191,7 @@ def test_a_camera_process_that_is_killed_leaves_the_ticks_alone(write: Callable[
 
         def act() -> None:
             if int(workflow.states["tick"]) == 50:
-                camera._process.kill()
+                camera.peripheral.process.kill()
                 killed.append(1)
 
         return {Stage.OBSERVE: [Block("kill", act)]}

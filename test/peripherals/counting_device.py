@@ -24,6 +24,8 @@ class Counting:
         if not self._plug.exists():
             raise Gone("not plugged in")
         self._feed, self._count = feed, 0
+        if self._plug.read_text() == "garbage":
+            os.write(feed._parent._told, b"\x05" + bytes(7) + b"12345")
 
     def first(self) -> dict[str, Any]:
         """Return what the parent is told first."""
@@ -34,6 +36,8 @@ class Counting:
         time.sleep(0.01)
         if not self._plug.exists():
             raise Gone("unplugged")
+        if self._plug.read_text() == "broken":
+            raise RuntimeError("broken")
         self._count += 1
         ring = self._feed.rings["picture"]
         ring.fill()[:] = np.uint8(self._count % 256)

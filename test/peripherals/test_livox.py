@@ -175,6 +175,11 @@ def test_a_scanner_that_refuses_or_does_not_turn_is_named(
     assert "refuses its configuration: parameter not supported (0x20, key 0x001a)" in third.lines[0]
     assert third.block.close is not None
     third.block.close()
+    fourth = Rig(host="192.0.2.84")  # of no interface of ours: its cable is out
+    fourth.until(lambda: bool(fourth.lines))
+    assert f"no way to {THERE} from 192.0.2.84: Cannot assign" in fourth.lines[0]
+    assert fourth.block.close is not None
+    fourth.block.close()
 
 
 @pytest.mark.slow
@@ -204,7 +209,7 @@ def test_wrong_options_are_named(options: dict[str, Any], why: str) -> None:
 def test_the_document_names_options_that_there_are() -> None:
     text = (Path(__file__).parents[2] / "docs" / "peripherals.md").read_text(encoding="utf-8")
     examples = [yaml.safe_load(block) for block in re.findall(r"```yaml\n(.*?)```", text, re.S)]
-    found = [each["livox"] for one in examples for each in one["commands"] if "livox" in each]
+    found = [x["livox"] for one in examples for x in one.get("commands", ()) if "livox" in x]
     states = States(livox.declares())  # type: ignore[attr-defined]
     for options in found:
         block = livox(BuildContext(states, load_robot("go2"), 0.005, dry=True), **options)
@@ -212,6 +217,42 @@ def test_the_document_names_options_that_there_are() -> None:
     assert found
     for name in livox.declares():  # type: ignore[attr-defined]
         assert f"`{name}`" in text, name
+
+
+@pytest.mark.slow
+def test_clouds_are_published_for_a_default_subscriber(peer: mid360_peer.Mid360) -> None:
+    rclpy = pytest.importorskip("rclpy")
+    from sensor_msgs.msg import PointCloud2
+
+    rig = Rig(topic="livox/points", node=f"scanner_{os.getpid()}")
+    context = rclpy.context.Context()
+    rclpy.init(context=context)
+    node = rclpy.create_node(f"viewer_{os.getpid()}", context=context)
+    executor = rclpy.executors.SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    heard = list[Any]()
+    try:
+        node.create_subscription(PointCloud2, "livox/points", heard.append, 10)
+        rig.until(lambda: peer.wants(0x0006) is not None)
+
+        def looked() -> bool:
+            rig.block.tick()
+            executor.spin_once(timeout_sec=0.0)
+            return len(heard) >= 3
+
+        peer.stream(20.0, until=looked)
+        assert len(heard) >= 3, rig.lines
+        cloud = heard[-1]
+        assert (cloud.header.frame_id, cloud.height) == ("livox_frame", 1)
+        points = np.frombuffer(bytes(cloud.data), livox_message("livox_frame").dtype)
+        assert np.isfinite(points["x"]).sum() in (208 * 96, 209 * 96)
+        assert abs(time.time() - cloud.header.stamp.sec) < 10.0
+    finally:
+        assert rig.block.close is not None
+        rig.block.close()
+        executor.shutdown()
+        node.destroy_node()
+        rclpy.try_shutdown(context=context)
 
 
 @pytest.mark.slow

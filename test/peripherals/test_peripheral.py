@@ -18,7 +18,7 @@ from unicon_core.robots import load_robot
 from unicon_core.states import States, StateSpec
 from unicon_core.states.backends.shm import segments
 from unicon_core.workflow.autowire import BuildContext
-from unicon_ros.peripherals.peripheral import Peripheral, peripheral_block, peripheral_states
+from unicon_ros.peripherals.peripheral import Peripheral, peripheral_block, peripheral_states, short
 
 SPECS = peripheral_states(
     "counting",
@@ -136,6 +136,59 @@ def test_a_killed_process_is_neutral_and_started_again(rig: Rig) -> None:
     rig.until(rig.alive, 10.0)
     assert rig.tick.process.pid != before
     assert "was killed by SIGKILL; its values are neutral" in rig.lines[0]
+    rig.until(lambda: len(rig.lines) == 2)
+    assert rig.lines[1] == "counting: its process runs again"
+
+
+@pytest.mark.slow
+def test_what_dies_again_and_again_is_started_ever_more_rarely(rig: Rig, tmp_path: Path) -> None:
+    rig.until(rig.alive)
+    (tmp_path / "plug").write_text("broken")
+    rig.until(lambda: rig.tick.started >= 4, 30.0)
+    waits = [line.rsplit(" in ", 1)[1] for line in rig.lines if "started again in" in line]
+    assert waits[:3] == ["1 s", "2 s", "4 s"]
+    assert "counting raised RuntimeError: broken" in rig.lines
+    (tmp_path / "plug").write_text("")
+    rig.until(rig.alive, 20.0)
+
+
+@pytest.mark.slow
+def test_garbage_in_the_pipe_does_not_end_the_tries(rig: Rig, tmp_path: Path) -> None:
+    rig.until(rig.alive)
+    (tmp_path / "plug").write_text("garbage")
+    os.kill(rig.tick.process.pid, signal.SIGKILL)
+    rig.until(lambda: rig.tick.started == 3, 20.0)
+    (tmp_path / "plug").write_text("")
+    rig.until(rig.alive, 20.0)
+
+
+def test_closed_while_it_is_started_again_no_process_is_left(tmp_path: Path) -> None:
+    (tmp_path / "plug").touch()
+    rig = Rig(tmp_path / "plug")
+    rig.until(rig.alive)
+    os.kill(rig.tick.process.pid, signal.SIGKILL)
+    rig.until(lambda: rig.tick.started == 2)
+    rig.tick.close()
+    thread = rig.tick._thread
+    assert thread is not None
+    thread.join(10.0)
+    assert not thread.is_alive()
+    assert rig.tick.process.poll() is not None
+    assert not [each for each in segments() if each.name.startswith("counting-")]
+
+
+def test_what_is_too_long_for_the_pipe_is_left_out_whole(rig: Rig) -> None:
+    rig.until(rig.alive)
+    os.kill(rig.tick.process.pid, signal.SIGSTOP)
+    for _ in range(200):  # until there is room for a part alone
+        rig.tick.wish("longer", "x" * 5000)
+        rig.tick.wish("long", "x" * 4000)
+    os.kill(rig.tick.process.pid, signal.SIGCONT)
+    rig.until(lambda: 0 < int(rig.states["wished"]) < 20)
+    there = int(rig.states["wished"])
+    rig.tick.wish("short")  # understood as what it is
+    rig.until(lambda: int(rig.states["wished"]) == there + 1)
+    assert short("\N{SNOWMAN}" * 1000, 100) == "\N{SNOWMAN}" * 16
 
 
 def test_it_ends_with_its_parent(tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ from unicon_core.errors import Fault
 from unicon_core.flow import Block, Stage, Tick
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Report, Runner, RunOptions
+from unicon_core.runtime.phases import Phase
 from unicon_core.workflow import Program
 from unicon_ros.cli.main import main
 from unicon_ros.report import kept
@@ -182,6 +183,20 @@ def test_a_fault_says_where_its_ticks_are(tmp_path: Path) -> None:
     runner.close()
     page = read_page((tmp_path / "2.html").read_text("utf-8"))
     assert "The last ticks before the fault are in faults/x.mcap" in page.text
+
+
+def test_phases_beside_the_run_are_marked() -> None:
+    program, keeper = built(lambda: None)
+    runner = Runner(program, RunOptions(duration=0.02, speed="max"))
+    keeper.attach(runner)
+    assert runner.run().ticks == 10
+    assert keeper.beside_the_run() == []
+    keeper.phases = [(0, Phase.APPROACH), (4, Phase.RUN), (9, Phase.DAMP)]
+    assert keeper.beside_the_run() == [
+        (pytest.approx(-0.008), 0.0),
+        (pytest.approx(0.01), pytest.approx(0.012)),
+    ]
+    assert keeper.time()[0] == pytest.approx(-0.008)
 
 
 def test_long_runs_keep_their_peaks_in_the_same_room(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import socket
 import struct
 import subprocess
 import sys
@@ -176,6 +177,13 @@ def test_only_one_client_drives(rig: Rig, client: Client) -> None:
     client.publish(twist(0.2))
     other.until(lambda: any("another client drives" in line for line in other.statuses))
     assert rig.command() == [0.2, 0.0, 0.0]
+    # Whoever else says zero does not say it for a driver who has stalled.
+    other.publish(twist(0.0))
+    rig.until(lambda: rig.command() == [0.0, 0.0, 0.0], 1.0)
+    time.sleep(0.2)
+    client.publish(twist(0.2))
+    client.until(lambda: any("publish zeros first" in line for line in client.statuses))
+    assert rig.command() == [0.0, 0.0, 0.0]
     client.publish(twist(0.0))
     other.close()
 
@@ -263,3 +271,21 @@ def test_stalled_clients_cost_the_others_nothing(rig: Rig) -> None:
     os.kill(stopped.pid, signal.SIGCONT)
     for each in started[3:]:
         each.communicate(timeout=40)
+
+
+def test_killed_it_is_served_again_where_it_was() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        rig = Rig(port=port)
+    try:
+        assert not rig.view.address.endswith(f":{port}")
+        assert rig.view._peripheral is not None
+        os.kill(rig.view._peripheral.process.pid, signal.SIGKILL)
+        rig.until(lambda: any("runs again" in line for line in rig.lines), 10.0)
+        assert rig.lines[-1] == f"view: its process runs again: {rig.view.address}"
+        client = Client(rig.view.address)
+        client.subscribe("/joint_states")
+        client.until(lambda: bool(client.messages))
+        client.close()
+    finally:
+        rig.end()

@@ -19,6 +19,8 @@ EXTRAS = [
     "zmq",
     "plots",
     "view",
+    "foxglove",
+    "webxr",
     "hw-unitree",
     "hw-arx",
     "test",

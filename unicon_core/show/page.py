@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from unicon_core import __version__
-from unicon_core.page import figure, page, pairs, table, units
+from unicon_core.page import figure, page, pairs, place, table, units
 from unicon_core.show.parts import parts_rows
 from unicon_core.show.state_table import state_rows
 from unicon_core.show.svg import graph_svg
@@ -16,6 +16,9 @@ if TYPE_CHECKING:
     from unicon_core.workflow import Program
 
 __all__ = ["show_page"]
+
+WIDTH = 1600
+"""Of the page at most, [pixels]: graphs are wide."""
 
 MANY = 1 << 16
 """Writers and readers of a state: a page names all of them."""
@@ -48,14 +51,14 @@ def show_page(program: Program) -> str:
         *_policies(program),
         f'<p class="sub">unicon_ros {__version__}; the tick as Python: unicon show --source</p>',
     ]
-    return page(f"{program.name}: workflow", parts)
+    return page(f"{program.name}: workflow", parts, WIDTH)
 
 
 def _facts(program: Program) -> Iterator[tuple[str, str]]:
     layout, period = program.states.layout, program.period
     batch = "" if layout.num_robots is None else f" × {layout.num_robots} robots"
     facts = program.platform.facts
-    yield "file", str(program.document.path)
+    yield "file", place(program.document.path)
     yield "robot", f"{program.robot.name}: {program.robot.description}"
     # Of a robot that is only shown nothing is open, and `fake` stands in its place.
     yield "platform", str(program.document.values.get("platform", facts.name))
@@ -112,8 +115,8 @@ def _policies(program: Program) -> Iterator[str]:
         yield f"<h2>Policy {html.escape(name)}</h2>"
         yield pairs(
             {
-                "contract": f"{contract.path} ({contract.source})",
-                "network": str(contract.model),
+                "contract": f"{place(contract.path)} ({contract.source})",
+                "network": place(contract.model),
                 "rate": f"{1 / contract.period:g} Hz",
             }
         )

@@ -11,48 +11,49 @@
 The picture is of the pose that the states tell, so it works beside any platform that has a model
 file, or whose robot has one, and that tells where the base of a walking robot is. The tick only
 hands over the pose (some µs at `rate`) and takes a handle: the state `camera_handle` numbers the
-newest frame in `Camera.ring`, and `Camera.frame(handle)` is that frame in place.
+newest frame in `Camera.ring`, and `Camera.frame(handle)` is that frame in place. It is a peripheral
+(`unicon_ros.peripherals`): `camera_alive` and `camera_stamp_ns` go with the handle, and all three
+are 0 while its process is silent or gone.
 
 Beside pictures and depths goes `camera_info`, and /tf_static tells the optical frame.
 """
 
 from __future__ import annotations
 
-import json
-import os
-import select
-import subprocess
-import sys
+import time
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.errors import UniconError, alternatives
+from unicon_core.errors import UniconError
 from unicon_core.handles import FrameRing
 from unicon_core.models.find import find_model, model_of
-from unicon_core.resources import find_config, same_modules
 from unicon_core.robots import Robot, robot_files
-from unicon_core.states import States, StateSpec
+from unicon_core.states import StateSpec
+from unicon_core.states.groups import subset
 from unicon_core.workflow.autowire import BuildContext
 from unicon_ros.bridge.bindings import checked_prefix
+from unicon_ros.bridge.camera_topics import RELIABILITIES, large_data, topic_options
 from unicon_ros.bridge.images import frame_message
-from unicon_ros.transport import PROFILES
+from unicon_ros.peripherals.peripheral import Peripheral, peripheral_states
 
 __all__ = ["Camera", "camera"]
 
-START = 60.0  # s for the process to be ready: a software renderer compiles shaders
+PROCESS = "unicon_ros.bridge.camera_process"
+
+STALE = 2.0
+"""So long a camera may be silent by itself, in [s]: a software renderer takes its time."""
 
 
 class Camera:
     """The block; make it with `camera`.
 
     Attributes:
+        peripheral: its process.
         ring: the frames, each a whole message.
         message: layout of a frame.
-        handle: the state with the newest frame's number.
     """
 
     name = "camera"
@@ -60,37 +61,40 @@ class Camera:
     endless = True
 
     def __init__(
-        self,
-        states: States,
-        robot: Robot,
-        every: int,
-        handle: NDArray[np.int64],
-        options: dict[str, Any],
+        self, context: BuildContext, name: str, every: int, stale: float, options: dict[str, Any]
     ) -> None:
+        states, robot = context.states, context.robot
         if not robot.floats:  # its base stands where the model has it
             self.reads = ("joint_pos", "stamp_ns")
         kind, size = options["kind"], (options["width"], options["height"])
         self.message = frame_message(kind, *size, options["frame_id"])
-        self.ring = FrameRing.create(len(self.message.template))
-        self.handle = handle
-        self.dropped = 0
-        self._head = self.ring._head
-        self._first = self.ring.slots  # the process fills the templates in first
         self._states, self._every, self._wait = states, every, 0
         self._record = np.zeros(8 + len(robot.joint_names))
         self._stamp = self._record.view(np.int64)[:1]
-        options = options | {"ring": str(self.ring.path), "joints": list(robot.joint_names)}
+        self._bytes = self._record.view(np.uint8)
+        self._poses = FrameRing.create(self._record.nbytes)
+        data = {"poses": str(self._poses.path)}
+        self.writes = tuple(_states(name))
         try:
-            self._process = _start(options)
+            self.peripheral = Peripheral(
+                states,
+                subset(states.layout, self.writes),
+                PROCESS,
+                {"name": name, "options": options, "data": data},
+                {"": len(self.message.template)},
+                stale,
+                context.period,
+                context.tell,
+                large_data(),
+            )
         except BaseException:
-            self.ring.close()
+            self._poses.close()
             raise
+        self.ring = self.peripheral.rings[""]
 
     def __call__(self) -> None:
-        """Hand over the pose when it is due, and take the newest handle."""
-        latest = int(self._head[0])
-        if latest > self._first:
-            self.handle[...] = latest
+        """Take the newest handle, and hand over the pose when it is due."""
+        self.peripheral()
         if self._wait:
             self._wait -= 1
             return
@@ -100,11 +104,9 @@ class Camera:
         record[4:8] = states["base_quat"]
         record[8:] = states["joint_pos"]
         self._stamp[0] = states["stamp_ns"]
-        assert self._process.stdin is not None
-        try:
-            os.write(self._process.stdin.fileno(), record.data)
-        except OSError:  # a process that hangs or has died: the tick goes on without pictures
-            self.dropped += 1
+        self._poses.fill()[:] = self._bytes
+        self._poses.commit(time.monotonic_ns())
+        self.peripheral.wish("draw")
 
     def frame(self, handle: int) -> NDArray[Any] | None:
         """Return a frame in place, shape `message.shape`; None when it was overwritten."""
@@ -117,15 +119,8 @@ class Camera:
 
     def close(self) -> None:
         """End the process and let the frames go; safe to call twice."""
-        process = self._process
-        if process.poll() is None and process.stdin is not None:
-            process.stdin.close()
-            try:
-                process.wait(5.0)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait(5.0)
-        self.ring.close()
+        self.peripheral.close()
+        self._poses.close()
 
 
 def camera(
@@ -145,7 +140,8 @@ def camera(
     frame_id: str = "",
     frame_prefix: str = "",
     handle: str = "camera_handle",
-    reliability: str = "best_effort",
+    stale: float = STALE,
+    reliability: str = RELIABILITIES[0],
     node: str = "camera",
     namespace: str | None = None,
     ros_args: Sequence[str] = (),
@@ -167,8 +163,9 @@ def camera(
         topic: name; `camera_info` stands beside it; empty to publish nothing, for handles alone.
         frame_id: optical frame of the header; made of the camera's name if empty.
         frame_prefix: stands before the names of its frames; that of the robot's node.
-        handle: state that takes the handle; `camera_handle` is declared by itself.
-        reliability: of the topic: `best_effort` or `reliable`.
+        handle: state that takes the handle, NAME_handle; NAME_alive and NAME_stamp_ns go with it.
+        stale: so long its process may be silent before all three are 0, in [s].
+        reliability: of the topic: `reliable`, which all subscribers get, or `best_effort`.
         node: name of the process's node.
         namespace: of that node.
         ros_args: ROS arguments of that node, such as remaps.
@@ -185,13 +182,11 @@ def camera(
     for label, value in (("width", width), ("height", height), ("rate", rate), ("fovy", fovy)):
         if not value > 0:
             raise UniconError(f"camera: {label} is {value}; give more than 0")
-    if reliability not in ("best_effort", "reliable"):
-        choices = alternatives(reliability, ("best_effort", "reliable"))
-        raise UniconError(f"camera: reliability {reliability!r}; {choices}")
-    if handle not in states:
-        raise UniconError(
-            f"camera: no state {handle!r}; declare it under 'states:' as {{dtype: int64}}"
-        )
+    if not 0.0 < stale <= 10.0:
+        raise UniconError(f"camera: stale is {stale}; give more than 0 and at most 10 s")
+    ros = topic_options("camera", node, namespace, ros_args, reliability)
+    if (own := handle.removesuffix("_handle")) in ("", handle):
+        raise UniconError(f"camera: handle {handle!r}; give NAME_handle, such as front_handle")
     path = find_model(model, context.relative_to) if model else model_of(platform, robot)
     name = camera or f"{body}_camera"
     options = {
@@ -208,61 +203,18 @@ def camera(
         "topic": topic,
         "frame_id": checked_prefix(frame_prefix) + (frame_id or f"{name}_optical_frame"),
         "frame_prefix": frame_prefix,
-        "reliability": reliability,
-        "node": node,
-        "namespace": namespace,
-        "ros_args": list(ros_args),
+        "ros": ros,
     }
     every = max(1, round(1.0 / (rate * context.period)))
-    return Camera(states, robot, every, states[handle], options)
+    return Camera(context, own, every, stale, options)
+
+
+def _states(name: str) -> dict[str, StateSpec]:
+    return peripheral_states(name, {}, [""])
 
 
 def _declares(robot: Robot, handle: str = "camera_handle", **_: Any) -> dict[str, StateSpec]:
-    return {handle: StateSpec((), "int64", description="number of the newest frame, 0 if none")}
+    return _states(str(handle).removesuffix("_handle"))
 
 
 camera.declares = _declares  # type: ignore[attr-defined]
-
-
-def _start(options: dict[str, Any]) -> subprocess.Popen[bytes]:
-    environment = same_modules()
-    guard, libraries = "_ROS_WHEELS_BOOTSTRAP_COMPLETE", "LD_LIBRARY_PATH"
-    ours = str(Path(sys.prefix, "lib")) in environment.get(libraries, "").split(os.pathsep)
-    if guard in environment and not ours:  # the ROS wheels of another venv have set both
-        del environment[guard]
-        environment.pop(libraries, None)
-    profile = str(find_config("dds", "large_data", ".xml"))
-    for variable in PROFILES:
-        if environment.get(variable, "").endswith("fast_discovery.xml"):
-            environment[variable] = profile  # which has fast discovery too
-        environment.setdefault(variable, profile)
-    process = subprocess.Popen(
-        [sys.executable, "-m", "unicon_ros.bridge.camera_process", json.dumps(options)],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        bufsize=0,
-        env=environment,
-    )
-    try:
-        told = _first_line(process)
-    except BaseException:
-        process.kill()
-        process.wait()
-        raise
-    if "error" in told:
-        process.wait()
-        raise UniconError(told["error"])
-    assert process.stdin is not None
-    os.set_blocking(process.stdin.fileno(), False)
-    return process
-
-
-def _first_line(process: subprocess.Popen[bytes]) -> dict[str, Any]:
-    assert process.stdout is not None
-    ready, _, _ = select.select([process.stdout], [], [], START)
-    line = process.stdout.readline() if ready else b""
-    if not line:
-        how = "ended at once" if ready else f"was not ready after {START:g} s"
-        raise UniconError(f"camera: its process {how}; see what it wrote above")
-    told: dict[str, Any] = json.loads(line)
-    return told

@@ -1,79 +1,40 @@
-"""Process of a simulated camera: renders what the states say and publishes it; started by `camera`.
+"""Process of a simulated camera: renders what the states say and publishes it; of `camera`.
 
 Its own process, since a software renderer takes 80 ms for a small picture and a publisher holds
-Python's lock while it copies a large message: neither must be felt by the tick. It reads records of
-(stamp_ns, base position, base quaternion, joint positions) from stdin, always the latest, and ends
-with its parent, when stdin does.
+Python's lock while it copies a large message: neither must be felt by the tick. It draws the newest
+pose of a ring: (stamp_ns, base position, base quaternion, joint positions).
 """
 
 from __future__ import annotations
 
-import json
 import os
-import signal
-import sys
+import select
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.errors import ModelError, UniconError
+from unicon_core.errors import ModelError
 from unicon_core.handles import FrameRing
 from unicon_core.models.camera import ModelCamera
 from unicon_core.robots import load_files
 from unicon_ros.bridge.camera_topics import CameraTopics
-from unicon_ros.bridge.images import frame_message, rays
-
-__all__ = ["main"]
-
-
-def main() -> int:
-    """Run; tells `{"ready": true}` or `{"error": …}` on stdout first."""
-    # Ctrl-C goes to the whole group of processes: ours ends with the one that it serves.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    options = json.loads(sys.argv[1])
-    if not os.environ.get("MUJOCO_GL") and not os.environ.get("DISPLAY"):
-        os.environ["MUJOCO_GL"] = "egl"
-    told = os.fdopen(os.dup(1), "w")
-    os.dup2(2, 1)  # what libraries print is not for the parent
-    try:
-        camera = _Camera(options)
-        shot = options, camera.message, camera.model
-        publish = CameraTopics(*shot) if options["topic"] else _nowhere
-    except UniconError as error:
-        print(json.dumps({"error": str(error)}), file=told, flush=True)
-        return 1
-    print(json.dumps({"ready": True}), file=told, flush=True)
-    told.close()
-    size = 8 * (8 + len(options["joints"]))
-    rest = b""
-    while True:
-        read = os.read(0, 1 << 16)
-        if not read:
-            return 0
-        rest += read
-        whole = len(rest) // size * size
-        if whole:
-            record = rest[whole - size : whole]
-            rest = rest[whole:]
-            publish(camera.shoot(record))
+from unicon_ros.bridge.images import frame_message, info_message, rays
+from unicon_ros.peripherals.child import SLICE, Feed, end, serve
 
 
 class _Camera:
-    """Draws one camera into a ring of messages.
+    """Draws one camera into a ring of messages."""
 
-    Attributes:
-        message: layout of a frame.
-        model: what draws.
-    """
-
-    def __init__(self, options: dict[str, Any]) -> None:
-        self._kind, self._far = options["kind"], float(options["far"])
+    def __init__(self, feed: Feed) -> None:
+        if not os.environ.get("MUJOCO_GL") and not os.environ.get("DISPLAY"):
+            os.environ["MUJOCO_GL"] = "egl"
+        options = feed.options
+        self._feed, self._kind, self._far = feed, options["kind"], float(options["far"])
         size = int(options["width"]), int(options["height"])
-        self.message = frame_message(self._kind, *size, options["frame_id"])
-        self.ring = FrameRing.attach(options["ring"])
-        self.model = ModelCamera(
+        self._message = frame_message(self._kind, *size, options["frame_id"])
+        self._ring, self._poses = feed.rings[""], FrameRing.attach(feed.data["poses"])
+        model = self._model = ModelCamera(
             Path(options["model"]),
             load_files(options["robot"]),
             options["camera"],
@@ -85,39 +46,64 @@ class _Camera:
         )
         self._rays: NDArray[np.float32] | None = None
         if self._kind == "cloud":
-            if not self.model.pinhole.fx:
+            if not model.pinhole.fx:
                 raise ModelError(f"camera: {options['camera']!r} has no perspective, so no cloud")
-            self._rays = rays(*size, self.model.pinhole)
-        for _ in range(self.ring.slots):
-            slot = self.ring.fill()
-            slot[:] = np.frombuffer(self.message.template, np.uint8)
-            self.ring.commit(0)
+            self._rays = rays(*size, model.pinhole)
+        if not self._ring.latest:  # else it holds frames of a process that has died
+            self._ring.touch(self._message.template)
+        self._seen = self._stamp_ns = 0
+        self._topics: CameraTopics | None = None
+        if options["topic"]:
+            self._topics = CameraTopics(options["ros"], feed.tell)
+            info = None
+            if self._kind != "cloud":
+                info = info_message(*size, options["frame_id"], model.pinhole)
+            self._publish = self._topics.add(options["topic"], self._message.type, info)
+            if model.mount is not None:
+                parent, at, quat = model.mount
+                parent = options["frame_prefix"] + parent
+                self._topics.tell_frame(options["frame_id"], parent, at, quat)
 
-    def shoot(self, record: bytes) -> bytes:
-        """Draw a record's pose into the ring; return the message."""
+    def poll(self) -> None:
+        """Wait for a pose, and draw it; tell meanwhile that we are there."""
+        self._feed.wishes.clear()  # they only wake us
+        if self._poses.latest == self._seen:
+            select.select([0], [], [], SLICE)
+        handle = self._poses.latest
+        pose = None if handle == self._seen else self._poses.frame(handle)
+        if pose is not None:
+            record, stamp_ns = pose.tobytes(), self._poses.stamp_ns(handle)
+            if self._poses.holds(handle):
+                self._seen, self._stamp_ns = handle, stamp_ns
+                self._shoot(record)
+        if self._stamp_ns:
+            self._feed.publish(self._stamp_ns)
+        if self._topics is not None:
+            self._topics.look()
+
+    def _shoot(self, record: bytes) -> None:
+        """Draw a pose into the ring, and publish it."""
         stamp_ns = int(np.frombuffer(record, np.int64, 1)[0])
         values = np.frombuffer(record, np.float64, offset=8)
-        picture = self.model.shoot(values[7:], values[:7])
-        slot = self.ring.fill()
-        into = self.message.data(slot)
+        picture = self._model.shoot(values[7:], values[:7])
+        slot = self._ring.fill()
+        into = self._message.data(slot)
         if self._kind != "color":
             picture[picture > self._far] = np.nan
         if self._rays is None:
             into[...] = picture
         else:
             np.multiply(self._rays, picture[..., None], out=into)
-        self.message.stamp(slot, stamp_ns)
-        message = slot.tobytes()
-        self.ring.commit(stamp_ns)
-        return message
+        self._message.stamp(slot, stamp_ns)
+        self._ring.commit(stamp_ns)
+        if self._topics is not None:
+            self._publish(slot.tobytes())
 
-
-def _nowhere(message: bytes) -> None:
-    """Publish nothing: the frames are for handles alone."""
+    def close(self) -> None:
+        """Let the topics go; the renderer ends with the process."""
+        if self._topics is not None:
+            self._topics.close()
 
 
 if __name__ == "__main__":
-    # No destructors: GL libraries print tracebacks when Python tears them down.
-    status = main()
-    sys.stderr.flush()
-    os._exit(status)
+    end(serve(_Camera))

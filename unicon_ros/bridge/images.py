@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,6 +19,7 @@ from unicon_core.errors import UniconError, alternatives
 from unicon_core.models.camera import Intrinsics
 
 __all__ = [
+    "CLOUD",
     "INFO",
     "KINDS",
     "STAMP",
@@ -50,6 +51,7 @@ class FrameMessage:
         offset: where the data begin, [B].
         shape: of the data: (height, width, 3), (height, width), or (width,) points.
         dtype: of the data.
+        frame_id: of the header.
     """
 
     type: str
@@ -57,6 +59,7 @@ class FrameMessage:
     offset: int
     shape: tuple[int, ...]
     dtype: str | np.dtype[np.void]
+    frame_id: str = ""
 
     def data(self, buffer: Any) -> NDArray[Any]:
         """Return the view of the data in a message's buffer; to write into or to read."""
@@ -95,7 +98,8 @@ def frame_message(kind: str, width: int, height: int, frame_id: str) -> FrameMes
     offset = out.data(row * height)
     if kind == "cloud":
         out.pack("B", 0)  # is_dense: no, what is too far is NaN
-    return FrameMessage(CLOUD if kind == "cloud" else IMAGE, bytes(out.bytes), offset, shape, dtype)
+    kind = CLOUD if kind == "cloud" else IMAGE
+    return FrameMessage(kind, bytes(out.bytes), offset, shape, dtype, frame_id)
 
 
 def cloud_message(width: int, point: np.dtype[np.void], frame_id: str) -> FrameMessage:
@@ -116,25 +120,32 @@ def cloud_message(width: int, point: np.dtype[np.void], frame_id: str) -> FrameM
     return FrameMessage(CLOUD, bytes(out.bytes), offset, (width,), point)
 
 
-def info_message(width: int, height: int, frame_id: str, pinhole: Intrinsics) -> bytes:
+def info_message(
+    width: int,
+    height: int,
+    frame_id: str,
+    pinhole: Intrinsics,
+    distortion: Sequence[float] = (0.0,) * 5,
+) -> bytes:
     """Return a CameraInfo with stamp 0, for an image as `frame_message` lays it out.
 
-    Nothing is distorted or turned (D five zeros, R the identity, P as K), and binning and region
-    are left at 0, which stands for the whole image (REP-104). All of K is 0 where the camera is no
-    pinhole: that is how the message says "not calibrated".
+    Nothing is turned (R the identity, P as K), and binning and region are left at 0, which stands
+    for the whole image (REP-104). All of K is 0 where the camera is no pinhole: that is how the
+    message says "not calibrated".
 
     Args:
         width: in pixels.
         height: in pixels.
         frame_id: that of the image.
         pinhole: of the whole image.
+        distortion: k1, k2, p1, p2, k3 of the model `plumb_bob`.
     """
     fx, fy, cx, cy = pinhole.fx, pinhole.fy, pinhole.cx, pinhole.cy
     known = float(fx > 0.0)
     out = _Cdr(frame_id, height, width)
     out.text("plumb_bob")
     out.pack("I", 5)
-    out.pack("d" * 5, *[0.0] * 5)
+    out.pack("d" * 5, *distortion)
     out.pack("d" * 9, fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, known)
     out.pack("d" * 9, known, 0.0, 0.0, 0.0, known, 0.0, 0.0, 0.0, known)
     out.pack("d" * 12, fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, known, 0.0)

@@ -16,6 +16,8 @@ from unicon_ros import compat
 
 __all__ = ["CALM", "QosEvents"]
 
+REMEDY = "set qos.{policy} of the topic in the message map, or the peer's"
+
 CALM = 3.0
 """[s] without an event, and three times what is declared, after which an episode is over: a peer
 that is always a little late is told once, not each time. Events are asked for once a second."""
@@ -30,6 +32,8 @@ class QosEvents:
         own: what we have: `publisher` or `subscription`.
         passed: returns how many messages have passed so far.
         warn: takes the messages.
+        remedy: of a `{policy}` that does not match.
+        theirs: returns what a peer has for a policy, if that is known.
     """
 
     def __init__(
@@ -39,7 +43,11 @@ class QosEvents:
         own: str,
         passed: Callable[[], int],
         warn: Callable[[str], None],
+        *,
+        remedy: str = REMEDY,
+        theirs: Callable[[str], str] = lambda _: "",
     ) -> None:
+        self._remedy, self._theirs = remedy, theirs
         self._topic, self._qos, self._own = topic, qos, own
         self._passed, self._warn = passed, warn
         self._told: set[str] = set()
@@ -104,12 +112,13 @@ class QosEvents:
         if policy in self._told:
             return
         self._told.add(policy)
-        ours = getattr(self._qos, policy, None)
-        said = f" (ours: {ours})" if ours is not None else ""
+        ours, theirs = getattr(self._qos, policy, None), self._theirs(policy)
+        both = [*([f"ours: {ours}"] if ours is not None else ()), *filter(None, [theirs])]
+        said = f" ({', '.join(both)})" if both else ""
         peer = "publisher" if self._own == "subscription" else "subscription"
         self._say(
             f"a {peer} has an incompatible {policy}{said}, so nothing passes "
-            f"between us; set qos.{policy} of the topic in the message map, or the peer's"
+            f"between us; {self._remedy.format(policy=policy)}"
         )
 
     def _deadline_missed(self, event: Any) -> None:

@@ -28,7 +28,7 @@ from unicon_core.platforms.child.parent import ALARM, LONGEST, Parent, text_of
 from unicon_core.states import Layout, States
 from unicon_core.states.backends.shm import Segment, ShmWriter
 
-__all__ = ["GROUP", "SLICE", "START", "Device", "Feed", "Gone", "end", "serve"]
+__all__ = ["GROUP", "SLICE", "START", "Device", "Feed", "Gone", "end", "handle_state", "serve"]
 
 GROUP = "told"
 """The group of a peripheral's segment."""
@@ -41,6 +41,11 @@ AGAIN = 0.5
 
 START = 60.0
 """Longest start in [s]."""
+
+
+def handle_state(name: str, ring: str) -> str:
+    """Return the state of a ring's handle: NAME_RING_handle, or NAME_handle of an only one, ""."""
+    return "_".join(filter(None, (name, ring, "handle")))
 
 
 class Gone(Exception):
@@ -68,11 +73,12 @@ class Feed:
         self.data: dict[str, Any] = given["data"]
         self.rings = {name: FrameRing.attach(path) for name, path in given["rings"].items()}
         self.wishes: list[list[Any]] = []
+        self._early: list[str] | None = []
         states = self._states = States(Layout.from_json(given["layout"]))
         self._segment = Segment.create(given["segment"], {GROUP: states.layout})
         self._writer = ShmWriter(self._segment, GROUP, states)
         self._alive, self._stamp = states[f"{self.name}_alive"], states[f"{self.name}_stamp_ns"]
-        self._handles = [(states[f"{self.name}_{n}_handle"], r) for n, r in self.rings.items()]
+        self._handles = [(states[handle_state(self.name, n)], r) for n, r in self.rings.items()]
 
     def publish(self, stamp_ns: int | None = None, /, **values: Any) -> None:
         """Tell values by the names of their states, and the newest handles; both at once.
@@ -96,7 +102,17 @@ class Feed:
 
     def tell(self, line: str) -> None:
         """Tell the operator a line; not in every tick."""
-        self._parent.tell(note=line[:LONGEST])
+        if self._early is None:
+            self._parent.tell(note=line[:LONGEST])
+        else:
+            self._early.append(line)
+
+    def ready(self, **words: Any) -> None:
+        """Tell the parent that it may go on, and the operator what was to be told before."""
+        self._parent.tell(ready=True, **words)
+        early, self._early = self._early or (), None
+        for line in early:
+            self.tell(line)
 
     def words(self, **words: Any) -> None:
         """Tell the parent something else that can be pickled."""
@@ -149,7 +165,7 @@ def serve(device: Callable[[Feed], Device]) -> int:
         except Gone as gone:
             why = str(gone)
         first = getattr(opened, "first", dict)
-        parent.tell(ready=True, **first())
+        feed.ready(**first())
         if why:
             feed.tell(f"{feed.name}: {why}; it is used once it is there")
         while not ends and feed.look():

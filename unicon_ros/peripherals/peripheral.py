@@ -8,14 +8,16 @@ nothing has come for `stale` seconds.
 
 from __future__ import annotations
 
+import json
 import os
+import select
 import threading
 import time
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from typing import Any
 
-from unicon_core.errors import UniconError
+from unicon_core.errors import Fault, UniconError
 from unicon_core.flow import Block, Stage
 from unicon_core.handles import FrameRing
 from unicon_core.platforms.child.pipe import Pipe
@@ -24,9 +26,9 @@ from unicon_core.states.backends.shm import ShmWatcher
 from unicon_core.states.backends.shm.files import remove_dead
 from unicon_core.states.groups import Copies, subset
 from unicon_core.workflow.autowire import BuildContext
-from unicon_ros.peripherals.child import GROUP, START
+from unicon_ros.peripherals.child import GROUP, START, handle_state
 
-__all__ = ["Peripheral", "peripheral_block", "peripheral_states"]
+__all__ = ["Peripheral", "peripheral_block", "peripheral_states", "short"]
 
 GLANCE, LOOK = 0.02, 0.25
 """How often it is looked how old the values are, and whether the process lives and what it says, in
@@ -36,7 +38,15 @@ CLOSING = 2.0
 """How long the process may take to end, in [s]."""
 
 FIRST, LONGEST = 1.0, 30.0
-"""Shortest and longest wait before a process that has died is started again, in [s]."""
+"""Shortest and longest wait before a process that has died is started again, in [s]; it doubles
+with each process that has not lived for the longest one."""
+
+
+def short(text: str, room: int) -> str:
+    """Return as much of a text as has room in a wish, [B]."""
+    while len(packed := json.dumps(text)) > room:
+        text = text[: len(text) * room // len(packed)]
+    return text
 
 
 def peripheral_states(
@@ -47,11 +57,11 @@ def peripheral_states(
     Args:
         name: of the peripheral.
         values: its own, under their whole names; `initial` is the neutral value.
-        frames: names of its rings.
+        frames: names of its rings; "" for an only one, whose state is `NAME_handle`.
     """
     handles = {
-        f"{name}_{ring}_handle": StateSpec(
-            (), "int64", description=f"number of the newest frame of {ring}, 0 if none"
+        handle_state(name, ring): StateSpec(
+            (), "int64", description=f"number of the newest frame of {ring or name}, 0 if none"
         )
         for ring in frames
     }
@@ -132,7 +142,7 @@ class Peripheral:
         environment: of the process; None for ours.
 
     Attributes:
-        first: what the process told when it began.
+        first: what the process told when it began; another one once it was started again.
         rings: of its frames, by name.
         process: it.
         started: how often it was.
@@ -158,8 +168,10 @@ class Peripheral:
         self._name, self._tell, self._environment = str(given["name"]), tell, environment
         self._stale_ns, self._every = round(stale * 1e9), max(1, round(GLANCE / period))
         self._left, self._glances = self._every, 0
+        self._rounds = max(1, round(LOOK / max(GLANCE, period)))
         self._wait, self.started = FIRST, 0
-        self._closed = False
+        self._closed, self._news, self._began = False, "", 0.0
+        self._ending = threading.Lock()
         self._neutral = States(layout)
         self._pairs = Copies(states, layout, memoryview(self._neutral.buffer.data).cast("B")).pairs
         self.heard: Callable[[dict[str, Any]], object] = bool
@@ -195,6 +207,7 @@ class Peripheral:
         assert pipe.process.stdin is not None
         os.set_blocking(pipe.process.stdin.fileno(), False)  # `wish` waits for nobody
         self._pipe, self.process = pipe, pipe.process
+        self._began = time.monotonic()
         self._watcher, self._take = watcher, watcher.take
         return first
 
@@ -217,7 +230,7 @@ class Peripheral:
         if old:
             self._lapse()
         self._glances += 1
-        if self._glances * GLANCE < LOOK:
+        if self._glances < self._rounds:
             return took or old
         self._glances = 0
         self._look()
@@ -234,8 +247,12 @@ class Peripheral:
             return
         pipe = self._pipe
         self.listen()
+        if self._news:
+            self._tell(self._news)
+            self._news = ""
         if pipe.process.poll() is None:
-            self._wait = FIRST
+            if time.monotonic() - self._began > LONGEST:
+                self._wait = FIRST
             return
         self._lapse()
         self._watcher, self._take = None, bool
@@ -264,13 +281,21 @@ class Peripheral:
             self._wait = min(2.0 * self._wait, LONGEST)
             if self._closed:
                 return
-            with suppress(UniconError, OSError):
-                self._start()
+            with suppress(UniconError, Fault, OSError):
+                self.first = self._start()
+                where = self.first.get("address", "")
+                self._news = f"{self._name}: its process runs again{where and f': {where}'}"
+                if self._closed:  # meanwhile
+                    self._end()
                 return
 
     def wish(self, what: str, *given: object) -> None:
-        """Tell the process a wish of at most 4096 B; one that has no room in its pipe is lost."""
-        if self._watcher is not None:
+        """Tell the process a wish.
+
+        One that has no room in its pipe is lost; so is one of more than 4096 B, of which a part
+        alone could have room, as nothing behind that part would be understood.
+        """
+        if self._watcher is not None and len(json.dumps([what, *given])) < select.PIPE_BUF:
             self._pipe.tell(what, *given)
 
     def close(self) -> None:
@@ -278,11 +303,16 @@ class Peripheral:
         if self._closed:
             return
         self._closed = True
-        if self._watcher is not None:
-            self._pipe.close(CLOSING)
-            self._watcher.close()
+        self._end()
         for ring in self.rings.values():
             ring.close()
+
+    def _end(self) -> None:
+        with self._ending:
+            watcher, self._watcher, self._take = self._watcher, None, bool
+        if watcher is not None:
+            self._pipe.close(CLOSING)
+            watcher.close()
 
 
 def _nothing() -> None:

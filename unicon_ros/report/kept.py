@@ -135,6 +135,15 @@ class Keeper:
         run = [tick for tick, phase in self.phases if phase.value == "run"]
         return run[0] if run else 0
 
+    def beside_the_run(self) -> list[tuple[float, float]]:
+        """Return from when to when another phase than the run was kept, in [s]."""
+        ends = [*(tick for tick, _ in self.phases[1:]), self._count]
+        return [
+            ((begin - self.begin) * self.period, (end - self.begin) * self.period)
+            for (begin, phase), end in zip(self.phases, ends)
+            if phase.value != "run"
+        ]
+
     def time(self) -> NDArray[np.float64]:
         """Return when each row begins in [s], shape (rows,)."""
         ticks = np.arange(self._used, dtype=np.float64) * self.stride

@@ -83,6 +83,12 @@ def _path(axes: Any, keeper: Keeper) -> None:
     axes.legend()
 
 
+def _shade(axes: Any, keeper: Keeper) -> None:
+    """Mark what was before and after the run."""
+    for begin, end in keeper.beside_the_run():
+        axes.axvspan(begin, end, color="0.5", alpha=0.2, label="other phase")
+
+
 def _measured(keeper: Keeper, k: int) -> tuple[NDArray[Any], NDArray[Any]]:
     time, values = keeper.curve("base_ang_vel" if k == 2 else "base_lin_vel")
     return time, values[:, k]
@@ -111,10 +117,11 @@ def _base(figure: Any, keeper: Keeper, statistics: TickStatistics) -> bool:
                 *envelope(time, command[:, k]), "--", color=COMMANDED, linewidth=1.4,
                 label="commanded",
             )  # fmt: skip
+        _shade(below, keeper)
         below.set_title(name, fontsize=10, loc="left")
         below.set_ylabel(f"[{unit}]")
         if k == 0:
-            below.legend(fontsize=8, loc="upper right", ncols=2)
+            below.legend(*_once(below), fontsize=8, loc="upper right", ncols=3)
     axes[_SPEEDS[-1][0]].set_xlabel("time [s]")
     grids(*axes.values())
     return True
@@ -191,10 +198,11 @@ def _joints(figure: Any, keeper: Keeper, statistics: TickStatistics) -> bool:
         for limit in (robot.lower[k], robot.upper[k]):
             if np.isfinite(limit):
                 axes.axhline(limit, color=BAD, linewidth=0.9, linestyle=":", label="limit")
+        _shade(axes, keeper)
         axes.set_title(robot.joint_names[k], fontsize=8, loc="left")
         axes.tick_params(labelsize=7)
     grids(*grid[:count])
-    figure.legend(*_once(grid[0]), loc="outside upper right", ncols=3, fontsize=8)
+    figure.legend(*_once(grid[0]), loc="outside upper right", ncols=4, fontsize=8)
     figure.supylabel("[rad]", fontsize=9)
     figure.supxlabel("time [s]", fontsize=9)
     return True
@@ -234,7 +242,7 @@ def _torque(figure: Any, keeper: Keeper, statistics: TickStatistics) -> bool:
             f"{robot.joint_names[k]}: {share[k]:.0%} of its limit", fontsize=9, loc="left"
         )
     grids(*grid[: len(order)])
-    figure.legend(*_once(grid[0]), loc="outside upper right", ncols=2, fontsize=8)
+    figure.legend(*_once(grid[0]), loc="outside upper right", ncols=3, fontsize=8)
     figure.supylabel("torque [N·m]", fontsize=9)
     figure.supxlabel("time [s]", fontsize=9)
     return True
@@ -285,7 +293,7 @@ PICTURES: dict[str, tuple[Callable[[Any, Keeper, TickStatistics], bool], str, st
         _base,
         "Path and velocity",
         "Velocities in the base's frame: dashed as commanded, the line as the platform told it; "
-        "the sway of the gait is in it.",
+        "the sway of the gait is in it. Grey is before and after the run: approach, damping.",
     ),
     "ranges": (
         _ranges,

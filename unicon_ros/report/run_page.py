@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from unicon_core import __version__
-from unicon_core.page import figure, findings, number, page, pairs, table, write_file
+from unicon_core.page import figure, findings, number, page, pairs, place, table, write_file
 from unicon_core.runtime.phases import describe
 from unicon_ros.recording.facts import facts_of
 from unicon_ros.report.drawing import as_svg, drawn
@@ -124,7 +124,7 @@ class RunPage:
             "wall time": f"{report.wall_s:.2f} s, {report.rate_hz:.1f} ticks per second, speed "
             f"{self._runner.options.speed}",
             "tick busy": _times(busy),
-            "tick late": _times(late),
+            **({"tick late": _times(late)} if self._keeper.paced else {}),
             "overruns": f"{report.overruns}",
             "base": f"moved {x:+.2f} {y:+.2f} {z:+.2f} m, leaned by up to {report.tilt_deg:g}°",
             "safety": ", ".join(report.safety) or "none",
@@ -202,11 +202,11 @@ class RunPage:
         policies = json.loads(facts["policies"])
         versions = json.loads(facts["versions"])
         return {
-            "workflow": facts["workflow_path"],
+            "workflow": place(facts["workflow_path"]),
             "changed by --set": ", ".join(map(str, overridden)) or "nothing",
-            "robot file": str(self._runner.program.robot.path),
+            "robot file": place(self._runner.program.robot.path),
             "seed": facts["seed"],
-            **{f"policy {name}": f"{each['model']}" for name, each in policies.items()},
+            **{f"policy {name}": place(each["model"]) for name, each in policies.items()},
             **{f"SHA-256 of {name}": each["sha256"] for name, each in policies.items()},
             "SHA-256 of the commands": report.sha256_commands,
             "layout of the states": facts["layout_hash"],

@@ -23,6 +23,7 @@ from unicon_ros.bridge.bindings import given_by_blocks
 from unicon_ros.bridge.tuning import Tuning, too_little_damping
 from unicon_ros.controls import Answer, Controls
 from unicon_ros.parameter_table import LIMITS, RANGES
+from unicon_ros.peripherals.peripheral import short
 from unicon_ros.view.shown import DEAD_MAN, DRIVING, GIVEN_BACK
 
 if TYPE_CHECKING:
@@ -33,6 +34,9 @@ __all__ = ["COMMAND", "FAULT", "Driver"]
 
 COMMAND = "velocity_command"
 FAULT = "emergency stop by a viewer"
+
+LONGEST = 1000
+"""Of names and answers, in [B]."""
 
 _ACTS = ("start", "stop", "reset", "pause", "step")
 
@@ -174,14 +178,14 @@ class Driver:
         except (UniconError, KeyError, TypeError, ValueError) as error:
             done, text = False, f"{name} is refused: {error}"
         if self._peripheral is not None:
-            self._peripheral.wish("answer", number, done, text)
+            self._peripheral.wish("answer", number, done, short(text, LONGEST))
 
     def _done(self, name: str, arguments: dict[str, Any]) -> Answer:
         if name in _ACTS:
             answer: Answer = getattr(self._controls, name)()
             return answer
         if name == "skill":
-            return self._skill(str(arguments["name"]))
+            return self._skill(str(arguments["name"])[:LONGEST])
         if name == "set_parameter":
             return self._set(str(arguments["name"]), float(arguments["value"]))
         return False, f"no act {name!r}; {alternatives(name, (*_ACTS, 'skill', 'set_parameter'))}"

@@ -333,6 +333,9 @@ class _Driver:
             self._say(f"topic {channel.topic} is {wanted}, not {channel.schema_name}")
             return
         with self._lock:
+            if client != self._client and self._client >= 0:  # whose velocity stays as it is
+                self._say("another client drives")
+                return
             raw = data if channel.encoding == "cdr" else _from_json(data, decoder.spec.type)
             if raw is None or not decoder.decode(raw):
                 self._say(f"topic {channel.topic}: {decoder.last_error or 'not a message'}")
@@ -347,9 +350,6 @@ class _Driver:
                 return
             self._stalled.discard(client)
         if client != self._client:
-            if self._client >= 0:
-                self._say("another client drives")
-                return
             self._client = client
             self._remote.touch()
         self._at = now

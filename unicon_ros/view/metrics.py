@@ -5,22 +5,33 @@ The format is Prometheus' text exposition format 0.0.4. Runs in the viewer's pro
 
 from __future__ import annotations
 
+import errno
 import os
+import threading
 from bisect import bisect_left
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core import __version__
-from unicon_ros.view.answers import Answers
+from unicon_core.errors import UniconError
 from unicon_ros.view.shown import Shown
 from unicon_ros.view.source import Remote, Snapshot, Source
 
 __all__ = ["Metrics"]
 
+PATH = "/metrics"
 KIND = "text/plain; version=0.0.4; charset=utf-8"
+
+PATIENCE = 2.0
+"""So long a client may be silent, in [s]."""
+
+MOST = 256
+"""Clients at once."""
 
 BOUNDS = (
     *(25e-6, 50e-6, 100e-6, 250e-6, 500e-6, 1e-3, 2.5e-3, 5e-3, 10e-3, 20e-3, 50e-3, 100e-3),
@@ -62,20 +73,20 @@ class Metrics:
     ) -> None:
         os.nice(19)  # it leaves the core that a tick wakes up on at once
         self._shown, self._source, self._written = shown, source, set(options["written"])
-        self._server = Answers(options["port"], {"/metrics": self._page}, "--metrics")
-        self.address = f"http://127.0.0.1:{self._server.port}/metrics"
+        self._server = _Server(int(options["port"]), self._page)
+        self.address = f"http://127.0.0.1:{self._server.server_address[1]}{PATH}"
         self._busy, self._late = _Histogram(), _Histogram()
         self._handle = self._unseen = 0
         self._largest: NDArray[np.float64] | None = None
         self._text: tuple[object, bytes] = (None, b"")
 
     def poll(self) -> None:
-        """Count the new ticks, then answer."""
-        for tick in self._source.since(self._handle):
-            self._unseen += tick.handle - self._handle - 1
-            self._handle = tick.handle
-            self._count(tick)
-        self._server.poll()
+        """Count the new ticks."""
+        with self._server.lock:
+            for tick in self._source.since(self._handle):
+                self._unseen += tick.handle - self._handle - 1
+                self._handle = tick.handle
+                self._count(tick)
 
     def _count(self, tick: Snapshot) -> None:
         if tick.busy_ns:  # they are of the tick before; the first has none
@@ -87,17 +98,18 @@ class Metrics:
 
     def close(self) -> None:
         """Let the port go."""
-        self._server.close()
+        self._server.shutdown()
+        self._server.server_close()
 
     # -- what is told ---------------------------------------------------------------------------
 
-    def _page(self) -> tuple[str, bytes]:
+    def _page(self) -> bytes:
         """Return the figures; of a flood of requests all get the same."""
         texts = self._source.texts
         key = (self._handle, len(texts["faults"]), texts.get("counts"))
         if self._text[0] != key or not self._handle:
             self._text = key, "".join(self._lines()).encode()
-        return KIND, self._text[1]
+        return self._text[1]
 
     def _lines(self) -> Iterator[str]:
         shown, texts, tick = self._shown, self._source.texts, self._source.latest()
@@ -124,7 +136,7 @@ class Metrics:
         yield from _metric("phase", "gauge", "1 for the phase that the run is at", phases)
         stamp, missed, what = tick.wall_ns * 1e-9, tick.overruns, "deadlines that were missed"
         yield from _single("last_tick_timestamp_seconds", "gauge", "of the newest tick", stamp)
-        yield from _single("ticks_total", "counter", "ticks of all phases", tick.handle)
+        yield from _single("ticks_total", "counter", "ticks of all phases", self._handle)
         yield from _single("overruns_total", "counter", what, missed)
         what = "ticks that are in no histogram"
         yield from _single("ticks_unseen_total", "counter", what, self._unseen)
@@ -162,6 +174,65 @@ class Metrics:
             ]
             what = "largest allowed torque of a joint"
             yield from _metric("joint_torque_limit_newton_meters", "gauge", what, limits)
+
+
+class _Server(ThreadingHTTPServer):
+    """Python's own, on loopback, with a thread for each client; it serves from the beginning."""
+
+    daemon_threads = True
+
+    def __init__(self, port: int, page: Callable[[], bytes]) -> None:
+        self.page, self.lock = page, threading.Lock()
+        self._room = threading.BoundedSemaphore(MOST)
+        try:
+            super().__init__(("127.0.0.1", port), _Answer)
+        except (OSError, OverflowError) as error:
+            taken = getattr(error, "errno", 0) == errno.EADDRINUSE
+            why = "is taken by another process" if taken else f"cannot be used: {error}"
+            raise UniconError(
+                f"--metrics: port {port} {why}; give another one, or 0 for any that is free"
+            ) from error
+        threading.Thread(target=self.serve_forever, name="metrics", daemon=True).start()
+
+    def process_request_thread(self, request: Any, client_address: Any) -> None:
+        if self._room.acquire(blocking=False):
+            with suppress(OSError):
+                super().process_request_thread(request, client_address)
+            self._room.release()
+        else:
+            self.shutdown_request(request)
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Nobody is told of a client that has gone."""
+
+
+class _Answer(BaseHTTPRequestHandler):
+    """One client of `_Server`."""
+
+    timeout = PATIENCE
+    server: _Server
+
+    def do_GET(self) -> None:
+        self._tell(whole=True)
+
+    def do_HEAD(self) -> None:
+        self._tell(whole=False)
+
+    def _tell(self, *, whole: bool) -> None:
+        if self.path.split("?", 1)[0] != PATH:
+            self.send_error(404, explain=f"there is {PATH}")
+            return
+        with self.server.lock:
+            page = self.server.page()
+        self.send_response(200)
+        self.send_header("Content-Type", KIND)
+        self.send_header("Content-Length", str(len(page)))
+        self.end_headers()
+        if whole:
+            self.wfile.write(page)
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """Nothing is logged."""
 
 
 class _Histogram:

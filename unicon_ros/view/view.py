@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
+from urllib.parse import urlsplit
 
 from unicon_core.flow import Block, Stage
 from unicon_core.states import States
 from unicon_core.workflow import Program, WorkflowDocument
 from unicon_ros.bridge.tuning import Tuning
 from unicon_ros.controls import Controls
-from unicon_ros.peripherals.peripheral import Peripheral
+from unicon_ros.peripherals.peripheral import Peripheral, short
+from unicon_ros.view import PORT
 from unicon_ros.view.driver import Driver
 from unicon_ros.view.feed import Feed
 from unicon_ros.view.shown import DEAD_MAN, NAME, PAGE, shown_of
@@ -32,7 +35,7 @@ LINES = 20
 """Of what the run has told, that a viewer is told."""
 
 LONGEST = 3500
-"""Characters of the texts: they go through a pipe whole or not at all."""
+"""Bytes of the texts: they go through a pipe whole or not at all."""
 
 
 class View:
@@ -110,6 +113,8 @@ class View:
             self.warn,
         )
         self.address = self._peripheral.first["address"]
+        # A process that is started again is served where browsers look for it.
+        self._options["port"] = urlsplit(self.address).port or self._options.get("port", PORT)
         self._runner, self._fill = runner, feed.filling(driver, self.controls)
         driver.attach(self._peripheral, runner)
         self.controls.others += [driver.look, self._show]
@@ -151,10 +156,10 @@ class View:
 
 def _cut(value: Any) -> Any:
     if isinstance(value, str):
-        return value[: LONGEST // 4]
+        return short(value, LONGEST // 4)
     lines: list[str] = []
     for line in reversed(value):
-        if sum(map(len, lines)) + len(line) > LONGEST // 4:
+        if len(json.dumps([line, *lines])) > LONGEST // 4:
             break
         lines.insert(0, line)
     return lines

@@ -7,6 +7,8 @@ import os
 import pickle
 import select
 import signal
+import threading
+from contextlib import suppress
 from typing import Any
 
 from unicon_core.errors import Fault
@@ -37,19 +39,17 @@ class Parent:
             signal.signal(number, signal.SIG_IGN)
         signal.signal(signal.SIGALRM, signal.SIG_DFL)
         signal.alarm(round(patience) + ALARM)
-        self._told = os.dup(1)
+        self._told, self._telling = os.dup(1), threading.Lock()
         os.dup2(2, 1)  # what libraries print is not for the parent
         size = int.from_bytes(_exactly(8), "little")
         self.given: dict[str, Any] = pickle.loads(_exactly(size))  # through our own pipe
         self._rest = b""
 
     def tell(self, **words: Any) -> None:
-        """Tell it something; nothing where nobody is there to be told."""
-        try:
-            packed = pickle.dumps(words)
+        """Tell it something; nothing where nobody is there to be told. From any thread."""
+        packed = pickle.dumps(words)
+        with self._telling, suppress(OSError):
             os.write(self._told, len(packed).to_bytes(8, "little") + packed)
-        except OSError:
-            pass
 
     def wishes(self) -> list[list[Any]] | None:
         """Return what it wishes since the last look, each `[what, *given]`; None: it has closed."""

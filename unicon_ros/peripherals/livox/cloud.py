@@ -129,6 +129,12 @@ class Clouds:
         self._number, self._kind = 0, -1
         self.row = self._rows[0]
 
+    @property
+    def newest(self) -> bytes:
+        """The newest cloud's message; empty before there is one."""
+        frame = self._ring.frame(self._ring.latest)
+        return b"" if frame is None else frame.tobytes()
+
     def take(self, head: Packet, clock: SensorClock) -> bool:
         """Take the datagram that is in `row`; True where a cloud has become ready.
 

@@ -10,13 +10,14 @@ A cloud is a whole sensor_msgs/PointCloud2 of 0.1 s in a `FrameRing`; the state
 from __future__ import annotations
 
 import ipaddress
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from unicon_core.errors import WorkflowError
 from unicon_core.flow import Block
 from unicon_core.states import StateSpec
 from unicon_core.workflow.autowire import BuildContext
+from unicon_ros.bridge.camera_topics import RELIABILITIES, large_data, topic_options
 from unicon_ros.peripherals.livox.cloud import livox_message
 from unicon_ros.peripherals.peripheral import peripheral_block, peripheral_states
 
@@ -38,6 +39,11 @@ def livox(
     silence: float = 0.2,
     frame_id: str = "livox_frame",
     name: str = "livox",
+    topic: str = "",
+    reliability: str = RELIABILITIES[0],
+    node: str = "",
+    namespace: str | None = None,
+    ros_args: Sequence[str] = (),
 ) -> Block:
     """Write the newest cloud's handle and the IMU of a Mid-360.
 
@@ -53,10 +59,16 @@ def livox(
         silence: without points for so long it is not there, in [s].
         frame_id: of the clouds: the scanner's own frame, x forward, y left, z up.
         name: stands before the names of its states.
+        topic: where the clouds are published too, such as `livox/points`; nowhere if empty.
+        reliability: of the topic: `reliable`, which every subscriber gets, or `best_effort`.
+        node: name of the process's node; that of its states if empty.
+        namespace: of that node.
+        ros_args: ROS arguments of that node, such as remaps.
 
     Raises:
         WorkflowError: an option is wrong.
-        UniconError: another program has the ports.
+        UniconError: another program has the ports, or the topic cannot be.
+        MissingDependencyError: rclpy is not installed, and a topic is given.
     """
     for label, address in (("lidar", lidar), ("host", host or "127.0.0.1")):
         try:
@@ -84,6 +96,8 @@ def livox(
         "checksum": bool(checksum),
         "silence": float(silence),
         "frame_id": frame_id,
+        "topic": topic,
+        "ros": topic_options("livox", node or name, namespace, ros_args, reliability),
     }
     return peripheral_block(
         context,
@@ -92,6 +106,7 @@ def livox(
         options,
         values=_values(name),
         frames={"cloud": len(livox_message(frame_id).template)},
+        environment=large_data() if topic else None,
     )
 
 

@@ -12,6 +12,7 @@ from contextlib import suppress
 import numpy as np
 
 from unicon_core.errors import UniconError
+from unicon_ros.bridge.images import CLOUD
 from unicon_ros.peripherals.child import SLICE, Feed, Gone, end, serve
 from unicon_ros.peripherals.livox import protocol
 from unicon_ros.peripherals.livox.cloud import ROW, Clouds, Counter, SensorClock, livox_message
@@ -47,14 +48,15 @@ class Livox:
 
     Args:
         feed: whose options name the scanner.
+        topic: where its clouds are published; None for nowhere.
 
     Raises:
         UniconError: another program has the port.
         Gone: it does not answer, or does not send.
     """
 
-    def __init__(self, feed: Feed) -> None:
-        self._feed, self._options = feed, feed.options
+    def __init__(self, feed: Feed, topic: Topic | None = None) -> None:
+        self._feed, self._options, self._topic = feed, feed.options, topic
         self._lidar: str = self._options["lidar"]
         self._commands, self._sockets = _socket(), list[socket.socket]()
         self._number = 0
@@ -88,7 +90,8 @@ class Livox:
             self._commands.bind((self._options["host"], 0))
             self._commands.connect((self._lidar, COMMAND_PORT))
         except OSError as error:
-            raise Gone(f"no way to {self._lidar}: {error.strerror}") from error
+            way = " from ".join(filter(None, (self._lidar, self._options["host"])))
+            raise Gone(f"no way to {way}: {error.strerror}") from error
         return str(self._commands.getsockname()[0])
 
     def _configure(self, host: str) -> None:
@@ -148,6 +151,8 @@ class Livox:
         news = bool(ready) and self._sockets[0] in ready and self._take_points()
         if ready and self._sockets[-1] in ready:
             news |= self._take_imu()
+        if self._topic is not None:
+            self._topic.look()
         now = time.monotonic_ns()
         if now - self._heard_ns > 1e9 * self._options["silence"]:
             self._clouds.finish(self._clock)
@@ -176,7 +181,10 @@ class Livox:
             if head.points:
                 self._points_count.hear(head.number)
                 self._heard_ns = time.monotonic_ns()
-                ready |= self._clouds.take(head, self._clock)
+                if self._clouds.take(head, self._clock):
+                    ready = True
+                    if self._topic is not None:
+                        self._topic.publish(self._clouds.newest)
         return ready
 
     def _take_imu(self) -> bool:
@@ -230,6 +238,41 @@ class Livox:
             each.close()
 
 
+class Topic:
+    """The topic of the clouds, which stays while the scanner comes and goes.
+
+    Args:
+        feed: whose options name it.
+
+    Raises:
+        UniconError: its name or a ROS argument is wrong.
+        MissingDependencyError: rclpy is not installed.
+    """
+
+    def __init__(self, feed: Feed) -> None:
+        from unicon_ros.bridge.camera_topics import CameraTopics
+
+        topics = CameraTopics(feed.options["ros"], feed.tell)
+        self.publish = topics.add(feed.options["topic"], CLOUD)
+        self.look, self.close = topics.look, topics.close
+
+
+def main() -> int:
+    """Run until the parent has gone."""
+    topics = list[Topic]()
+
+    def opened(feed: Feed) -> Livox:
+        if feed.options["topic"] and not topics:
+            topics.append(Topic(feed))
+        return Livox(feed, *topics)
+
+    try:
+        return serve(opened)
+    finally:
+        for topic in topics:
+            topic.close()
+
+
 NOTHING = Packet(0, 0, 0, -1, 0, 0)
 SECOND = 1_000_000_000
 
@@ -266,4 +309,4 @@ def _listening(host: str, port: int) -> socket.socket:
 
 
 if __name__ == "__main__":
-    end(serve(Livox))
+    end(main())

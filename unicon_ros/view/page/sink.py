@@ -186,10 +186,12 @@ class Page:
 
     def _status(self, tick: Snapshot | None, driver: str) -> str:
         """Return how the run is, as HTML, with who drives in words."""
-        if tick is None or not self._ticks:
+        if tick is None:
             return table([("phase", "no tick yet")])
-        (first, one), (last, other) = self._ticks[0], self._ticks[-1]
-        rate = (other - one) / (last - first) if last > first else 0.0
+        rate = 0.0
+        if self._ticks:  # of late
+            (first, one), (last, other) = self._ticks[0], self._ticks[-1]
+            rate = (other - one) / (last - first) if last > first else 0.0
         stale = 0.0 if self._source.span else time.monotonic() - self._seen
         texts = dict(self._source.texts)
         if self._note:

@@ -1,0 +1,1 @@
+"""A headset that shows a page of ours: head, hands and controllers by WebXR."""
