@@ -314,7 +314,8 @@ def test_a_robot_is_drawn_with_bones_where_its_model_has_no_looks(tmp_path: Path
     text = """<mujoco><worldbody><body name="trunk" pos="0 0 1"><freejoint/>
         <geom type="capsule" size="0.1 0.2" rgba="1 0 0 1"/>
         <geom type="box" size="0.1 0.2 0.3" pos="0 0 1" rgba="0 1 0 1"/>
-        <body name="thigh" pos="0 0.2 0"><joint/><inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/>
+        <body name="thigh" pos="0 0.2 0"><joint/>
+        <inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/>
         <body name="calf" pos="0 0 -0.5"><joint/>
         <inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/></body></body></body>
         </worldbody></mujoco>"""
