@@ -158,7 +158,9 @@ def look(port: int, seconds: float, answers: bool) -> list[float]:
     camera = {
         "type": "ViewerCameraMessage",
         "wxyz": [1, 0, 0, 0],
-        **dict.fromkeys(("position", "look_at", "up_direction"), [0, 0, 1]),
+        "position": [1, 1, 1],
+        "look_at": [0, 0, 0],
+        "up_direction": [0, 0, 1],
         **dict.fromkeys(("image_height", "image_width"), 500),
         **dict.fromkeys(("fov", "near", "far"), 1.0),
     }
