@@ -141,3 +141,47 @@ def chromium() -> Iterator[Any]:
             yield browser
         finally:
             browser.close()
+
+
+def look(port: int, seconds: float, answers: bool) -> list[float]:
+    """Look as a browser does, without drawing; return the time of each picture.
+
+    Args:
+        port: of the page.
+        seconds: how long.
+        answers: it acknowledges pictures; else it is stalled.
+    """
+    import msgspec
+    import zstandard
+    from websockets.sync.client import connect
+
+    camera = {
+        "type": "ViewerCameraMessage",
+        "wxyz": [1, 0, 0, 0],
+        "position": [1, 1, 1],
+        "look_at": [0, 0, 0],
+        "up_direction": [0, 0, 1],
+        **dict.fromkeys(("image_height", "image_width"), 500),
+        **dict.fromkeys(("fov", "near", "far"), 1.0),
+    }
+    seen, unpack = [], zstandard.ZstdDecompressor()
+    protocols: Any = ["viser-v1.1.1"]
+    with connect(f"ws://127.0.0.1:{port}", subprotocols=protocols, max_size=None) as socket:
+        socket.send(msgspec.msgpack.encode(camera))
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            if not answers:
+                time.sleep(0.05)
+                continue
+            try:
+                data = bytes(socket.recv(timeout=0.5))  # type: ignore[arg-type]
+            except TimeoutError:
+                continue
+            packed = data[16 : 16 + int.from_bytes(data[8:16], "little")]
+            for said in msgspec.msgpack.decode(unpack.decompress(packed))["messages"]:
+                if said["type"] == "LocalStorageGetItemRequestMessage":
+                    seen.append(time.monotonic())
+                    answer = {"value": None, "error": None, "request_uuid": said["request_uuid"]}
+                    answer["type"] = "LocalStorageGetItemResponseMessage"
+                    socket.send(msgspec.msgpack.encode(answer))
+    return seen

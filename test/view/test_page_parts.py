@@ -307,6 +307,50 @@ def test_the_running_part_of_the_graph_stands_out() -> None:
     assert "· c" in html
 
 
+@pytest.mark.parametrize(
+    ("text", "state"),
+    [
+        ('7 {"hidden": false, "stops": 0}', {"hidden": False, "stops": 0}),
+        ("", None),
+        ("7", None),
+        ("7 []", None),
+        ("7 {", None),
+        ("7 " + "[" * 100_000, None),
+    ],
+)
+def test_a_heartbeat_is_read_and_garbage_is_not(text: str, state: Any) -> None:
+    pytest.importorskip("viser", reason="no live page: pip install 'unicon_ros[view]'")
+    from unicon_ros.view.page.link import state_of
+
+    assert state_of(text) == state
+
+
+def test_a_robot_is_drawn_with_bones_where_its_model_has_no_looks(tmp_path: Path) -> None:
+    pytest.importorskip("viser", reason="no live page: pip install 'unicon_ros[view]'")
+    import mujoco
+
+    from unicon_core.models.loaded import LoadedModel
+    from unicon_ros.view.page.shapes import shapes_of
+
+    text = """<mujoco><worldbody><body name="trunk" pos="0 0 1"><freejoint/>
+        <geom type="capsule" size="0.1 0.2" rgba="1 0 0 1"/>
+        <geom type="box" size="0.1 0.2 0.3" pos="0 0 1" rgba="0 1 0 1"/>
+        <body name="thigh" pos="0 0.2 0"><joint/>
+        <inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/>
+        <body name="calf" pos="0 0 -0.5"><joint/>
+        <inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/></body></body></body>
+        </worldbody></mujoco>"""
+    model = mujoco.MjModel.from_xml_string(text)
+    shapes = shapes_of(LoadedModel(model, tmp_path, [1, 2]))
+    capsule, box, bone = shapes
+    assert np.ptp(capsule.vertices, axis=0) == pytest.approx([0.2, 0.2, 0.6], rel=0.05)
+    assert np.allclose(capsule.vertices.mean(axis=0), 0.0, atol=0.02)
+    assert box.vertices.min(axis=0) == pytest.approx([-0.1, -0.2, 0.7])
+    assert (bone.body, capsule.body) == (2, 1)  # from the thigh to the calf
+    assert bone.vertices[:, 2].min() == pytest.approx(-0.5, abs=0.01)
+    assert all(shape.faces.max() < len(shape.vertices) for shape in shapes)
+
+
 # -- docs/view.md ---------------------------------------------------------------------------------
 
 DOCUMENT = (Path(__file__).parents[2] / "docs/view.md").read_text(encoding="utf-8")

@@ -30,7 +30,7 @@ def main(workflow: str = "go2_walk", path: str = "docs/pictures/view.png") -> in
     from PIL import Image
     from playwright.sync_api import sync_playwright
 
-    command = [sys.executable, "-m", "unicon_ros", "run", workflow, "--view", "--duration", "40"]
+    command = [sys.executable, "-m", "unicon_ros", "run", workflow, "--view", "--duration", "60"]
     run = subprocess.Popen([*command, "--view-port", "8790"], stderr=subprocess.PIPE, text=True)
     try:
         assert run.stderr is not None
@@ -49,7 +49,7 @@ def main(workflow: str = "go2_walk", path: str = "docs/pictures/view.png") -> in
     finally:
         run.terminate()
         run.wait(20.0)
-    picture = Image.open(io.BytesIO(shot)).convert("RGB").quantize(128, dither=Image.Dither.NONE)
+    picture = Image.open(io.BytesIO(shot)).convert("RGB").quantize(255, dither=Image.Dither.NONE)
     (ROOT / path).parent.mkdir(parents=True, exist_ok=True)
     picture.save(ROOT / path, optimize=True)
     print(f"{path}: {(ROOT / path).stat().st_size / 1e3:.0f} kB")

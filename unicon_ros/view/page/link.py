@@ -9,6 +9,7 @@ pictures take, and at once what gamepad and keys do: as the text of a widget tha
 
 from __future__ import annotations
 
+import asyncio
 import json
 import time
 from collections.abc import Callable, Mapping
@@ -18,11 +19,12 @@ from typing import Any
 
 from viser import _messages
 
-__all__ = ["Link", "close_doors", "guard", "opened", "state_of"]
+__all__ = ["Link", "close_doors", "drop", "guard", "opened", "state_of"]
 
 KEY = "unicon"
 """Of the storage; nothing is kept there."""
 
+_TEXT = 1000  # characters of a heartbeat: a gamepad's name is the longest part
 _LONGEST = 0.15  # [s] that one picture counts: the first is the whole scene
 
 
@@ -32,6 +34,13 @@ def opened(server: Any, client: Any) -> tuple[Mapping[str, str], str]:
     if connection is None or connection.request is None:
         return {}, ""
     return connection.request.headers, connection.request.path
+
+
+def drop(server: Any, number: int) -> None:
+    """Close the websocket of a client, by its number."""
+    connection = server._websock_server._live_connections.get(number)
+    if connection is not None:
+        asyncio.run_coroutine_threadsafe(connection.close(1008, "refused"), server.get_event_loop())
 
 
 def guard(server: Any, refused: Callable[[Any], str]) -> None:
@@ -120,6 +129,8 @@ def state_of(text: str) -> dict[str, Any] | None:
         text: a number, a blank, and a JSON object: `hidden`, `stops` (presses of the e-stop), `pad`
             (name) and `device`, three numbers from -1 to 1 for vx, vy and wz.
     """
+    if len(text) > _TEXT:
+        return None
     try:
         state = json.loads(text.partition(" ")[2])
     except ValueError:

@@ -25,6 +25,7 @@ _STEP, _LONGEST = 0.03, 2000  # [m] between points of the path, and points at mo
 TOUCHING = 0.005
 """A foot nearer to the floor stands on it, [m]."""
 
+_ABOVE = 0.2  # [m] from the highest joint to the arrows
 _SURE = 0.5  # of `foot_contact`
 
 
@@ -74,7 +75,7 @@ class Stage:
         self.size = float(np.clip(loaded.model.stat.extent, 0.3, 3.0))
         self.pose = Pose(loaded.model.nbody)
         self._path = np.zeros((_LONGEST, 3), np.float32)
-        self._points, self._tick = 0, -1
+        self._points, self._tick, self._above = 0, -1, 0.0
 
     @property
     def path(self) -> NDArray[np.float32]:
@@ -99,6 +100,9 @@ class Stage:
                 data = self._posed.put(joints, place)
         pose.position[...], pose.quat[...] = data.xpos, data.xquat
         pose.base[...] = data.xpos[self._body]
+        if not self._above:
+            bodies = self._model.body_rootid == self._model.body_rootid[self._body]
+            self._above = float(data.xpos[bodies, 2].max() - pose.base[2]) + _ABOVE
         pose.feet = {foot: np.array(data.xpos[body]) for foot, body in self._feet.items()}
         for foot, geoms in self._soles.items():
             pose.feet[foot] = np.array(data.geom_xpos[geoms[0]])
@@ -140,7 +144,7 @@ class Stage:
         yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
         heading = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
         for row, state in enumerate(("velocity_command", "base_lin_vel")):
-            start = pose.base + np.array((0.0, 0.0, 0.22 + 0.06 * row))
+            start = pose.base + np.array((0.0, 0.0, self._above + 0.06 * row))
             pose.arrows[row, 0] = pose.arrows[row, 1] = start
             if state in states and np.isfinite(states[state]).all():
                 pose.arrows[row, 1, :2] += 0.6 * heading @ np.asarray(states[state][:2], float)
@@ -180,7 +184,7 @@ class Scene:
         api.add_light_ambient("/ambient", intensity=0.6)
         self._world = api.add_frame("/world", show_axes=False)
         api.add_frame("/world/origin", axes_length=0.3, axes_radius=0.006)
-        self._ground = api.add_line_segments("/world/ground", _squares(), _GRID, line_width=1.0)
+        self._ground = api.add_line_segments("/world/ground", _squares(), _GRID, line_width=1.5)
         self._bodies: dict[int, Any] = {}
         self._feet: dict[str, Any] = {}
         self._drawn = -1

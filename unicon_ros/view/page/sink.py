@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import threading
 import time
 import warnings
@@ -117,8 +118,11 @@ class Page:
         pose = None
         if tick is not None and self._stage is not None:
             pose = self._stage.put(tick.tick, tick.states)
-        for viewer in list(self._viewers.values()):
-            viewer.show(pose, tick, self._status, new or viewer.pictures == 0, now)
+        for number, viewer in list(self._viewers.items()):
+            try:
+                viewer.show(pose, tick, self._status, new or viewer.pictures == 0, now)
+            except Exception as error:  # whatever one widget was told, the others look on
+                self._drop(number, error)
         self._drawn = self._handle
 
     def close(self) -> None:
@@ -133,22 +137,31 @@ class Page:
             client = self._came.popleft()
             if self._refused(client):  # or has gone already
                 continue
-            self._viewers[client.client_id] = Viewer(
-                client.client_id + 1,
-                client,
-                self._shown,
-                self._history,
-                self._stage,
-                self._remote,
-                self._wheel,
-                self._recorded if self._source.span is not None else None,
-                self._source.span,
-                self._fps,
-            )
+            try:
+                self._viewers[client.client_id] = Viewer(
+                    client.client_id + 1,
+                    client,
+                    self._shown,
+                    self._history,
+                    self._stage,
+                    self._remote,
+                    self._wheel,
+                    self._recorded if self._source.span is not None else None,
+                    self._source.span,
+                    self._fps,
+                )
+            except Exception as error:  # whatever a browser says of itself, the others look on
+                self._drop(client.client_id, error)
         while self._gone:
             viewer = self._viewers.pop(self._gone.popleft(), None)
             if viewer is not None:
                 viewer.gone()
+
+    def _drop(self, number: int, error: Exception) -> None:
+        """Let a browser go that cannot be served."""
+        self._note = f"a browser was let go: {error!r}"
+        self._link.drop(self._server, number)
+        self._gone.append(number)
 
     def _refused(self, client: Any) -> str:
         """Return why a browser may not look."""
@@ -213,7 +226,7 @@ class Page:
         """Take what a viewer does to a recording; in the server's thread."""
         assert self._source.span is not None
         with self._lock:
-            if what == "seek":
+            if what == "seek" and math.isfinite(given[0]):
                 self._time = float(given[0])
             elif what == "speed":
                 self._speed = float(given[0])

@@ -67,7 +67,7 @@ class Viewer:
         size = 1.0 if stage is None else stage.size
         with client.atomic():
             client.camera.position = (2.2 * size, -2.2 * size, 1.3 * size)
-            client.camera.look_at = (0.0, 0.0, 0.25 * size)
+            client.camera.look_at = (0.0, 0.0, 0.3 * size)
             self._scene = Scene(client.scene, stage)
             self.panel = Panel(client, shown, history, self._scene, number, self._do, span)
             self.link = Link(client, self._heard, self.panel.stop)
