@@ -16,11 +16,24 @@ pytest.importorskip("mujoco")
 import umsgpack
 from websockets.sync.client import connect
 
+from unicon_core.errors import UniconError
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import Program, load_document
 from unicon_ros.view.view import View
 
 pytestmark = pytest.mark.slow
+
+
+def test_a_token_is_refused_as_its_page_could_not_give_it() -> None:
+    options = {"sink": "meshcat", "host": "127.0.0.1", "port": 8730, "token": "c0rrecthorse"}
+    view = View({**options, "fps": 30.0})
+    program = Program(load_document("go2_stand"), hooks=[view.hook])
+    try:
+        with pytest.raises(UniconError, match=r"takes no --view-token; .* or take --view=page"):
+            view.attach(Runner(program, RunOptions(duration=1.0)))
+    finally:
+        view.close()
+        program.close()
 
 
 def test_a_page_gets_the_robot_and_nobody_else_can_reach_it(tmp_path: Path) -> None:

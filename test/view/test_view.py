@@ -214,6 +214,32 @@ def test_a_sink_that_fails_is_told_and_started_again(rig: Rig) -> None:
     assert rig.end().faults == []
 
 
+@pytest.mark.slow
+def test_a_viewer_that_was_killed_is_told_again_what_the_run_said(rig: Rig) -> None:
+    line = "it was told before"
+    rig.until(lambda seen: seen["tick"] > 5)
+    rig.program.tell(line)
+    rig.until(lambda seen: line in seen["notes"])
+    (rig.folder / "seen").unlink()
+    os.kill(rig.process, signal.SIGKILL)
+    rig.until(lambda seen: line in seen.get("notes", ()), 10.0)
+    assert rig.end().faults == []
+
+
+def test_a_viewer_that_stood_still_gets_the_newest_of_what_it_had_no_room_for(rig: Rig) -> None:
+    rig.until(lambda seen: seen["tick"] > 5)
+    peripheral, pid = rig.view._peripheral, rig.process
+    assert peripheral is not None
+    os.kill(pid, signal.SIGSTOP)
+    for size in (3000, 0):  # until its pipe is full to the last byte
+        while peripheral.wish("texts", {"filler": "x" * size}):
+            pass
+    rig.program.tell("nobody could read this")
+    time.sleep(0.5)
+    os.kill(pid, signal.SIGCONT)
+    rig.until(lambda seen: "nobody could read this" in seen["notes"])
+
+
 def walked(folder: Path | None, *signals: int) -> str:
     """Return the hash of the commands of a walk, in which the viewer gets some signals."""
     document = load_document("go2_walk")

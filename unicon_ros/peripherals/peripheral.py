@@ -289,14 +289,15 @@ class Peripheral:
                     self._end()
                 return
 
-    def wish(self, what: str, *given: object) -> None:
-        """Tell the process a wish.
+    def wish(self, what: str, *given: object) -> bool:
+        """Tell the process a wish; False where it is lost.
 
         One that has no room in its pipe is lost; so is one of more than 4096 B, of which a part
         alone could have room, as nothing behind that part would be understood.
         """
-        if self._watcher is not None and len(json.dumps([what, *given])) < select.PIPE_BUF:
-            self._pipe.tell(what, *given)
+        if self._watcher is None or len(json.dumps([what, *given])) >= select.PIPE_BUF:
+            return False
+        return self._pipe.tell(what, *given)
 
     def close(self) -> None:
         """End the process, kill it where it hangs, and let the frames go; safe to call twice."""

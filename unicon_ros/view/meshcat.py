@@ -7,6 +7,8 @@ import tempfile
 import threading
 import time
 from collections.abc import Mapping
+from contextlib import redirect_stdout
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -54,6 +56,12 @@ class Meshcat:
             raise MissingDependencyError(
                 "--view=meshcat", str(error.name), "pip install 'unicon_ros[meshcat]'"
             ) from error
+        host, token = str(options["host"]), str(options["token"])
+        if token:  # its page asks for its parts without one
+            raise UniconError(
+                "--view=meshcat takes no --view-token; leave --view-host and --view-token out and "
+                "come through ssh -L, or take --view=page"
+            )
         if shown.model is None:
             raise UniconError(f"--view=meshcat: robot {shown.robot.name} names no model to draw")
         self._source, self._interval, self._due = source, 1.0 / float(options["fps"]), 0.0
@@ -68,11 +76,11 @@ class Meshcat:
         self._thread.start()
         if not ready.wait(START):
             raise UniconError(f"--view=meshcat: its server did not begin within {START:g} s")
-        host, token = str(options["host"]), str(options["token"])
-        behind = self._hidden, self._port
-        self._front = Front(host, int(options["port"]), behind, (), token)
-        self.address = f"http://{host}:{self._front.port}/static/"
-        self._page = Visualizer(zmq_url=self._url)
+        self._front = Front(host, int(options["port"]), (self._hidden, self._port))
+        shown_host = f"[{host}]" if ":" in host else host
+        self.address = f"http://{shown_host}:{self._front.port}/static/"
+        with redirect_stdout(StringIO()):  # it prints an address at which nothing is
+            self._page = Visualizer(zmq_url=self._url)
         self._bodies = sorted({shape.body for shape in self._stage.shapes})
         for number, shape in enumerate(self._stage.shapes):
             red, green, blue = (round(255 * part) for part in shape.rgba[:3])

@@ -67,6 +67,7 @@ class View:
         self._told = States(PAGE)
         self._lines: list[str] = []
         self._texts: dict[str, Any] = {}
+        self._reader: object = None
         self._feed: Feed | None = None
         self._driver: Driver | None = None
         self._runner: Runner | None = None
@@ -135,10 +136,13 @@ class View:
 
     def _tell(self, runner: Runner) -> bool:
         texts = {"waits_for": runner.waits_for, "faults": runner.faults, "notes": self._lines}
-        if self._peripheral is None or texts == self._texts:
+        if self._peripheral is None:
             return False
-        self._texts = {**texts, "faults": list(runner.faults)}
-        self._peripheral.wish("texts", {name: _cut(value) for name, value in texts.items()})
+        process = self._peripheral.process  # one that was started again knows nothing
+        if process is self._reader and texts == self._texts:
+            return False
+        if self._peripheral.wish("texts", {name: _cut(each) for name, each in texts.items()}):
+            self._texts, self._reader = {**texts, "faults": list(runner.faults)}, process
         return True
 
     def close(self) -> None:

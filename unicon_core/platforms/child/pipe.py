@@ -69,11 +69,13 @@ class Pipe:
         with suppress(BrokenPipeError):  # its first words tell why
             self.process.stdin.write(len(packed).to_bytes(8, "little") + packed)
 
-    def tell(self, what: str, *given: object) -> None:
-        """Say a wish."""
+    def tell(self, what: str, *given: object) -> bool:
+        """Say a wish; False where the child has gone, or has no room in a pipe that never waits."""
         assert self.process.stdin is not None
         with suppress(BrokenPipeError):  # `recv` tells of a child that has died
-            self.process.stdin.write(json.dumps([what, *given]).encode() + b"\n")
+            said = self.process.stdin.write(json.dumps([what, *given]).encode() + b"\n")
+            return said is not None
+        return False
 
     def words(self) -> dict[str, Any]:
         """Return what the child has written since the last look, {} for nothing whole."""
