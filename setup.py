@@ -152,6 +152,7 @@ setup(
             "camera = unicon_ros.bridge.camera:camera",
             "realsense = unicon_ros.peripherals.realsense:realsense",
             "recorded = unicon_ros.replay.commands:recorded",
+            "webcam = unicon_ros.peripherals.webcam:webcam",
         ],
         "unicon.platforms": [
             "arx = unicon_ros.hardware.arx.platform:make",
