@@ -158,6 +158,7 @@ setup(
             "livox = unicon_ros.peripherals.livox.livox:livox",
             "realsense = unicon_ros.peripherals.realsense:realsense",
             "recorded = unicon_ros.replay.commands:recorded",
+            "webcam = unicon_ros.peripherals.webcam:webcam",
             "webxr = unicon_ros.peripherals.webxr.webxr:webxr",
         ],
         "unicon.platforms": [

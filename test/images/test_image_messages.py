@@ -14,6 +14,7 @@ from unicon_ros.bridge.images import (
     STAMP,
     frame_message,
     info_message,
+    jpeg_message,
     rays,
 )
 
@@ -44,6 +45,28 @@ def test_rosbags_reads_what_was_laid_out(kind: str, width: int, height: int, fra
     else:
         assert message.encoding == {"color": "rgb8", "depth": "32FC1"}[kind]
         assert message.step == {"color": 3, "depth": 4}[kind] * width
+
+
+@pytest.mark.parametrize("frame_id", ["", "a", "camera_optical_frame"])
+@pytest.mark.parametrize("count", [2, 7, 9])
+def test_rosbags_reads_a_jpeg_of_any_length(frame_id: str, count: int) -> None:
+    layout = jpeg_message(9, frame_id)
+    buffer = bytearray(layout.template)
+    for data in (b"\xff\xd8longer.", bytes(range(count))):  # what was there before is cut off
+        length = layout.put(buffer, memoryview(data))
+    layout.stamp(buffer, 1_700_000_000_123_456_789)
+    message = STORE.deserialize_cdr(bytes(buffer[:length]), layout.type)
+    assert (message.header.frame_id, message.format) == (frame_id, "jpeg")
+    assert message.header.stamp.nanosec == 123_456_789
+    assert message.data.tobytes() == bytes(range(count))
+    assert bytes(STORE.serialize_cdr(message, layout.type)) == bytes(buffer[:length])
+
+
+def test_camera_info_tells_distortion() -> None:
+    coefficients = (0.1, -0.2, 0.001, 0.002, 0.05)
+    raw = info_message(8, 6, "a", Intrinsics(5.0, 6.0, 3.5, 2.5), coefficients)
+    message = STORE.deserialize_cdr(raw, INFO)
+    assert (message.distortion_model, *message.d) == ("plumb_bob", *coefficients)
 
 
 def test_rays_open_as_wide_as_the_field_of_view() -> None:

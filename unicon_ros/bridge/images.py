@@ -27,11 +27,12 @@ __all__ = [
     "cloud_message",
     "frame_message",
     "info_message",
+    "jpeg_message",
     "rays",
 ]
 
 IMAGE, CLOUD = "sensor_msgs/msg/Image", "sensor_msgs/msg/PointCloud2"
-INFO = "sensor_msgs/msg/CameraInfo"
+INFO, JPEG = "sensor_msgs/msg/CameraInfo", "sensor_msgs/msg/CompressedImage"
 KINDS = ("color", "depth", "cloud")
 """`color` rgb8; `depth` 32FC1 in [m] along the view axis (REP-118); `cloud` x, y, z in [m]."""
 
@@ -65,6 +66,18 @@ class FrameMessage:
         """Return the view of the data in a message's buffer; to write into or to read."""
         view: NDArray[Any] = np.ndarray(self.shape, self.dtype, buffer, self.offset)
         return view
+
+    def put(self, buffer: Any, data: memoryview) -> int:
+        """Write data of any length, and how long they are; return the message's length, [B].
+
+        Args:
+            buffer: of a message.
+            data: at most as many bytes as `shape` says.
+        """
+        count = len(data)
+        struct.pack_into("<I", buffer, self.offset - 4, count)
+        memoryview(buffer)[self.offset : self.offset + count] = data
+        return self.offset + count
 
     def stamp(self, buffer: Any, stamp_ns: int) -> None:
         """Write the header's stamp, [ns]."""
@@ -120,6 +133,20 @@ def cloud_message(width: int, point: np.dtype[np.void], frame_id: str) -> FrameM
     return FrameMessage(CLOUD, bytes(out.bytes), offset, (width,), point)
 
 
+def jpeg_message(most: int, frame_id: str) -> FrameMessage:
+    """Return the layout of a CompressedImage with a JPEG; `put` writes it and tells its length.
+
+    Args:
+        most: largest size of the JPEG, [B].
+        frame_id: of the header, an optical frame.
+    """
+    out = _Cdr(frame_id)
+    out.text("jpeg")
+    out.pack("I", 0)
+    offset = len(out.bytes)
+    return FrameMessage(JPEG, bytes(out.bytes) + bytes(most), offset, (most,), "|u1", frame_id)
+
+
 def info_message(
     width: int,
     height: int,
@@ -168,13 +195,13 @@ def rays(width: int, height: int, pinhole: Intrinsics) -> NDArray[np.float32]:
 
 
 class _Cdr:
-    """Little-endian CDR, written once: of messages that begin with header, height and width."""
+    """Little-endian CDR, written once: of messages that begin with a header, and with a size."""
 
-    def __init__(self, frame_id: str, height: int, width: int) -> None:
+    def __init__(self, frame_id: str, *size: int) -> None:
         self.bytes = bytearray(b"\x00\x01\x00\x00")
         self.pack("iI", 0, 0)
         self.text(frame_id)
-        self.pack("II", height, width)
+        self.pack("I" * len(size), *size)
 
     def pack(self, codes: str, *values: float) -> None:
         for code, value in zip(codes, values):
