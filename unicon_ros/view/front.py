@@ -28,7 +28,7 @@ LONGEST_HEAD = 16_384
 PATIENCE = 5.0
 """How long a client may take for its head, in [s]."""
 CLIENTS = 64
-"""At once."""
+"""Who were let in, at once; as many may still be asked who they are."""
 PORTS = 100
 """That are tried from the first one on."""
 
@@ -125,6 +125,7 @@ class Front:
         self._server = listening(host, port)
         self.port: int = self._server.getsockname()[1]
         self.refused = self._clients = 0
+        self._asked: list[asyncio.StreamWriter] = []
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._run, name="front", daemon=True)
         self._thread.start()
@@ -134,13 +135,22 @@ class Front:
         serving = asyncio.start_server(self._come, sock=self._server, limit=LONGEST_HEAD)
         self._loop.run_until_complete(serving)
         self._loop.run_forever()
+        left = asyncio.all_tasks(self._loop)
+        for task in left:
+            task.cancel()
+        self._loop.run_until_complete(asyncio.gather(*left, return_exceptions=True))
 
     async def _come(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        self._clients += 1
+        inside = False
+        self._asked.append(writer)
+        if len(self._asked) > CLIENTS:  # whoever has been silent for longest makes room
+            self._asked.pop(0).transport.abort()
         try:
             with suppress(OSError, asyncio.TimeoutError, asyncio.LimitOverrunError, EOFError):
                 head = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), PATIENCE)
-                why = "too many are here" if self._clients > CLIENTS else self._refusal(head)
+                why = self._refusal(head)
+                if not why and self._clients >= CLIENTS:
+                    why = "too many are here"
                 if why:
                     self.refused += 1
                     self._warn(f"a viewer was refused: {why}")
@@ -148,6 +158,9 @@ class Front:
                     writer.write(line.encode())
                     await writer.drain()
                     return
+                inside = True
+                self._clients += 1
+                self._asked.remove(writer)
                 inner_reader, inner_writer = await asyncio.open_connection(*self._behind)
                 inner_writer.write(head)
                 ways = (_pipe(reader, inner_writer), _pipe(inner_reader, writer))
@@ -159,7 +172,9 @@ class Front:
                     way.cancel()
                 inner_writer.close()
         finally:
-            self._clients -= 1
+            self._clients -= inside
+            if writer in self._asked:
+                self._asked.remove(writer)
             with suppress(Exception):
                 writer.close()
 
