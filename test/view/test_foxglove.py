@@ -219,6 +219,7 @@ def test_another_sites_page_does_not_come_in(rig: Rig) -> None:
         Client(rig.view.address, origin).close()
 
 
+@pytest.mark.slow
 def test_beyond_this_machine_a_token_is_needed() -> None:
     with pytest.raises(UniconError, match="lets everybody in the network drive the robot"):
         Rig(host="0.0.0.0")
@@ -273,6 +274,7 @@ def test_stalled_clients_cost_the_others_nothing(rig: Rig) -> None:
         each.communicate(timeout=40)
 
 
+@pytest.mark.slow
 def test_killed_it_is_served_again_where_it_was() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 import shlex
+import socket
+from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -15,9 +17,9 @@ import unicon_ros.view.page.wheel as wheel_module
 from unicon_core.errors import UniconError
 from unicon_core.states import Layout, States, StateSpec
 from unicon_core.states.standard import standard_states
-from unicon_ros.cli.main import _parser
+from unicon_ros.cli.main import _parser, main
 from unicon_ros.cli.workflow_arguments import view_options
-from unicon_ros.view.front import check_reach, refusal
+from unicon_ros.view.front import check_reach, listening, refusal
 from unicon_ros.view.page.history import SECONDS, History
 from unicon_ros.view.page.plots import (
     ALL,
@@ -179,6 +181,25 @@ def test_beyond_this_machine_a_token_is_needed() -> None:
     for token in ("short", "with/slash1", "blank blank", "ümläut123"):
         with pytest.raises(UniconError, match="is not a token; give 8 or more"):
             check_reach("0.0.0.0", token)
+
+
+def test_a_taken_port_gives_the_next_one_and_the_last_one_an_error() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        with listening("127.0.0.1", port) as server:
+            assert port < server.getsockname()[1] < port + 100
+    refused = pytest.raises(UniconError, match="--view-port 65535: Address already in use; give")
+    with suppress(OSError), socket.create_server(("127.0.0.1", 65535)), refused:
+        listening("127.0.0.1", 65535)
+    with pytest.raises(UniconError, match=r"--view-host 192\.0\.2\.1 .*; give others"):
+        listening("192.0.2.1", 8700)
+
+
+@pytest.mark.parametrize("port", ["65536", "-1", "web"])
+def test_what_is_no_port_is_refused(port: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["run", "go2_walk", "--view", "--view-port", port])
+    assert "argument --view-port: " in capsys.readouterr().err
 
 
 # -- what is plotted ----------------------------------------------------------------------------

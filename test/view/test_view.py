@@ -202,6 +202,7 @@ def test_an_estop_in_a_pause_ends_it(rig: Rig) -> None:
     assert rig.report.faults == [FAULT]
 
 
+@pytest.mark.slow
 def test_a_sink_that_fails_is_told_and_started_again(rig: Rig) -> None:
     rig.until(lambda seen: seen["tick"] > 5)
     (rig.folder / "say").write_text('["raise"]\n')

@@ -53,7 +53,7 @@ def add_view_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--view-port",
         metavar="PORT",
-        type=int,
+        type=port,
         default=PORT,
         help=f"its port (default {PORT}, or the next free one)",
     )

@@ -18,7 +18,7 @@ from urllib.parse import urlsplit
 
 from unicon_core.errors import UniconError
 
-__all__ = ["LOOPBACK", "Front", "check_reach", "hidden_address", "refusal"]
+__all__ = ["LOOPBACK", "Front", "check_reach", "hidden_address", "listening", "refusal"]
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 SHORTEST = 8
@@ -122,7 +122,7 @@ class Front:
     ) -> None:
         check_reach(host, token)
         self._behind, self._origins, self._token, self._warn = behind, origins, token, warn
-        self._server = _listening(host, port)
+        self._server = listening(host, port)
         self.port: int = self._server.getsockname()[1]
         self.refused = self._clients = 0
         self._loop = asyncio.new_event_loop()
@@ -177,9 +177,15 @@ class Front:
         self._server.close()
 
 
-def _listening(host: str, port: int) -> socket.socket:
+def listening(host: str, port: int) -> socket.socket:
+    """Return a socket that listens at a port, or at the next free one; at any for 0.
+
+    Raises:
+        UniconError: the host is not this machine's, or no port is free.
+    """
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    for number in range(port, port + PORTS) if port else (0,):
+    last = min(port + PORTS - 1, 65535) if port else 0
+    for number in range(port, last + 1):
         server = socket.socket(family)
         server.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
@@ -187,10 +193,9 @@ def _listening(host: str, port: int) -> socket.socket:
             server.listen(CLIENTS)
         except OSError as error:
             server.close()
-            if number == port + PORTS - 1 or error.errno not in (98, 13):
-                raise UniconError(
-                    f"--view-host {host} --view-port {number}: {error.strerror}; give others"
-                ) from error
+            if number == last or error.errno not in (98, 13):
+                where, why = f"--view-host {host} --view-port {number}", error.strerror or error
+                raise UniconError(f"{where}: {why}; give others") from error
             continue
         server.setblocking(False)
         return server

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import math
-import socket
 import threading
 import time
 import warnings
@@ -14,7 +13,7 @@ from typing import Any
 
 from unicon_core.errors import MissingDependencyError, UniconError
 from unicon_ros.view import PORT
-from unicon_ros.view.front import check_reach, refusal
+from unicon_ros.view.front import check_reach, listening, refusal
 from unicon_ros.view.page.history import SECONDS, History
 from unicon_ros.view.page.wheel import Wheel
 from unicon_ros.view.page.words import status_html, table
@@ -84,15 +83,9 @@ class Page:
         warnings.filterwarnings("ignore", "Queued a")  # viser's, of a page that has just gone
         rich.reconfigure(quiet=True)  # viser would print where it is served
         logging.getLogger("websockets").setLevel(logging.CRITICAL)
-        family = socket.AF_INET6 if ":" in host else socket.AF_INET
-        try:
-            with socket.socket(family) as probe:
-                probe.bind((host, 0))
-        except OSError as error:
-            raise UniconError(
-                f"--view-host {host}: {error.strerror or error}; give an address of this machine"
-            ) from error
-        self._server = viser.ViserServer(host, int(options.get("port", PORT)), verbose=False)
+        with listening(host, int(options.get("port", PORT))) as free:
+            port = free.getsockname()[1]  # viser waits for ever where there is none
+        self._server = viser.ViserServer(host, port, verbose=False)
         link.close_doors(self._server)
         link.guard(self._server, self._refused)
         self._server.on_client_connect(self._came.append)

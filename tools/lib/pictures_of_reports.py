@@ -1,7 +1,7 @@
-"""Makes the pictures of pages in docs/: runs what they show, and takes them in headless Chromium.
+"""Makes the pictures of docs/reports.md: runs what they show, and takes them in headless Chromium.
 
-    .venv/bin/python tools/pictures/make_pictures.py          # all, into docs/
-    .venv/bin/python tools/pictures/make_pictures.py --out /tmp report_page
+    .venv/bin/python tools/lib/pictures_of_reports.py         # all, into docs/pictures/
+    .venv/bin/python tools/lib/pictures_of_reports.py --out /tmp report
 
 Needs Chromium (apt install chromium), and what unicon's pages need (matplotlib, MuJoCo).
 """
@@ -43,17 +43,22 @@ class Shot:
 
 RUN = ("run", "go2_walk", "--no-ros", "--quiet", "--report")
 SHOTS = {
-    "report_page": Shot(RUN, (1200, 1300)),
-    "show_page": Shot(("show", "go2_walk", "--html"), (1500, 1300)),
+    "report": Shot(RUN, (1200, 1300)),
+    "show": Shot(("show", "go2_walk", "--html"), (1500, 1300)),
 }
-"""Name of a picture in docs/ to what it shows; runs take place in real time."""
+"""Name of a picture to what it shows; runs take place in real time."""
 
 
 def main() -> int:
     """Make the pictures that are named, all unless told."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0] if __doc__ else "")
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(SHOTS)}")
-    parser.add_argument("--out", type=Path, default=ROOT / "docs", help="folder (default: docs/)")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=ROOT / "docs" / "pictures",
+        help="folder (default: docs/pictures/)",
+    )
     arguments = parser.parse_args()
     if unknown := [name for name in arguments.names if name not in SHOTS]:
         parser.error(f"no picture {unknown[0]!r}; there are {', '.join(SHOTS)}")
