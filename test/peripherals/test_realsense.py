@@ -38,10 +38,10 @@ class Rig:
 
     def __init__(self, plug: Path, name: str = "realsense", **options: Any) -> None:
         self.name, self.lines = name, list[str]()
-        self.states = States(realsense.declares(robot=None, name=name, **options))  # type: ignore[attr-defined]
+        self.states = States(realsense.declares(robot=None, prefix=name, **options))  # type: ignore[attr-defined]
         context = BuildContext(self.states, load_robot("go2"), 0.002, tell=self.lines.append)
         device = {"serial": str(plug), "device": "soft_realsense:device"}
-        self.block: Block = realsense(context=context, name=name, **device, **options)
+        self.block: Block = realsense(context=context, prefix=name, **device, **options)
         assert isinstance(self.block.tick, Peripheral)
         self.tick = self.block.tick
         aligned, cloud = options.get("aligned", False), options.get("cloud", False)

@@ -17,8 +17,11 @@ import strict_v4l2
 from numpy.typing import NDArray
 
 from unicon_core.errors import UniconError
+from unicon_core.flow import Block, Stage
 from unicon_core.robots import load_robot
+from unicon_core.runtime import Runner, RunOptions
 from unicon_core.states import States
+from unicon_core.workflow import Program, load_workflow
 from unicon_core.workflow.autowire import BuildContext
 from unicon_ros.peripherals import v4l2
 from unicon_ros.peripherals.child import Gone
@@ -229,3 +232,41 @@ def test_structures_and_numbers_are_those_of_the_kernels_header(tmp_path: Path) 
         assert int(told[name]) == getattr(v4l2, name) == getattr(strict_v4l2, name)
     for (kind, field), offset in fields.items():
         assert int(told[f"{kind}.{field}"]) == offset
+
+
+WORKFLOW = """\
+schema: unicon.workflow/1
+robot: go2
+platform: fake
+rate: 100
+flow: {{hold: {{}}}}
+safety: [finite]
+commands:
+  - webcam: {{device: {first}, system: "strict_v4l2:Strict"}}
+  - webcam: {{prefix: rear, device: {second}, system: "strict_v4l2:Strict", format: mjpg}}
+"""
+
+
+@pytest.mark.slow
+def test_a_workflow_has_two_of_them_and_one_is_pulled_out(plug: Path) -> None:
+    other = plug.with_name("video1")
+    other.touch()
+    path = plug.with_name("two.yaml")
+    path.write_text(WORKFLOW.format(first=plug, second=other))
+    seen: list[tuple[int, ...]] = []
+    names = ("webcam_alive", "webcam_handle", "rear_alive", "rear_handle")
+
+    def hook(program: Program) -> dict[Stage, list[Block]]:
+        def look() -> None:
+            if int(program.states["tick"]) == 150:
+                plug.unlink()
+            seen.append(tuple(int(program.states[name]) for name in names))
+
+        return {Stage.OBSERVE: [Block("look", look)]}
+
+    report = Runner(load_workflow(path, hooks=[hook]), RunOptions(duration=3.0)).run()
+    assert report.faults == []
+    assert seen[149][0] == seen[149][2] == 1
+    assert seen[149][1] > 20
+    assert seen[-1][:3] == (0, 0, 1)
+    assert seen[-1][3] > seen[149][3] + 30

@@ -31,7 +31,7 @@ PROCESS = "unicon_ros.peripherals.realsense_process"
 def realsense(
     *,
     context: BuildContext,
-    name: str = "realsense",
+    prefix: str = "realsense",
     serial: str = "",
     width: int = 640,
     height: int = 480,
@@ -51,7 +51,7 @@ def realsense(
 
     Args:
         context: of the workflow.
-        name: stands before the names of its states, its frames and its node.
+        prefix: stands before the names of its states, its frames and its node.
         serial: number of the camera; empty for the first that is found.
         width: of both pictures, [pixels].
         height: of both pictures, [pixels].
@@ -71,6 +71,7 @@ def realsense(
         UniconError: an option is wrong, or the camera has no such pictures.
         MissingDependencyError: pyrealsense2 is not installed, or rclpy where there is a topic.
     """
+    name = prefix
     for label, value in (("width", width), ("height", height), ("rate", rate)):
         if not value > 0:
             raise UniconError(f"{name}: {label} is {value}; give more than 0")
@@ -105,17 +106,17 @@ def messages(name: str, options: dict[str, Any]) -> dict[str, FrameMessage]:
         name: of the peripheral.
         options: of it, as its process gets them.
     """
-    (width, height), prefix = options["size"], options["frame_prefix"] + name
+    (width, height), before = options["size"], options["frame_prefix"] + name
     depth = "color" if options["aligned"] else "depth"
     frames = {"color": "color", "depth": depth, **({"cloud": depth} if options["cloud"] else {})}
     return {
-        ring: frame_message(ring, width, height, f"{prefix}_{seen_by}_optical_frame")
+        ring: frame_message(ring, width, height, f"{before}_{seen_by}_optical_frame")
         for ring, seen_by in frames.items()
     }
 
 
-def _declares(*, name: str = "realsense", cloud: bool = False, **_: Any) -> dict[str, StateSpec]:
-    return peripheral_states(name, {}, ("color", "depth", *(("cloud",) if cloud else ())))
+def _declares(*, prefix: str = "realsense", cloud: bool = False, **_: Any) -> dict[str, StateSpec]:
+    return peripheral_states(prefix, {}, ("color", "depth", *(("cloud",) if cloud else ())))
 
 
 realsense.declares = _declares  # type: ignore[attr-defined]

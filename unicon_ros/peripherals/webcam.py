@@ -32,7 +32,7 @@ FORMATS = {"yuyv": "YUYV", "mjpg": "MJPG"}
 def webcam(
     *,
     context: BuildContext,
-    name: str = "webcam",
+    prefix: str = "webcam",
     device: str = "auto",
     format: str = "yuyv",
     width: int = 640,
@@ -51,7 +51,7 @@ def webcam(
 
     Args:
         context: of the workflow.
-        name: stands before the names of its states, its frame and its node.
+        prefix: stands before the names of its states, its frame and its node.
         device: such as /dev/video0, or a name of /dev/v4l/by-id, which stays with the camera; auto
             takes the first camera.
         format: `yuyv` or `mjpg`.
@@ -71,6 +71,7 @@ def webcam(
         UniconError: an option is wrong, or the device has no such pictures.
         MissingDependencyError: rclpy is not installed, and there is a topic.
     """
+    name = prefix
     for label, value in (("width", width), ("height", height), ("rate", rate)):
         if not value > 0:
             raise UniconError(f"{name}: {label} is {value}; give more than 0")
@@ -114,8 +115,8 @@ def message_of(options: dict[str, Any]) -> FrameMessage:
     return frame_message("color", width, height, options["frame_id"])
 
 
-def _declares(*, name: str = "webcam", **_: Any) -> dict[str, StateSpec]:
-    return peripheral_states(name, {}, [""])
+def _declares(*, prefix: str = "webcam", **_: Any) -> dict[str, StateSpec]:
+    return peripheral_states(prefix, {}, [""])
 
 
 webcam.declares = _declares  # type: ignore[attr-defined]
