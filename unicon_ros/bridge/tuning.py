@@ -1,12 +1,13 @@
 """Tuning: gain scales and command limits that a host may change while ticks run.
 
 The host's thread writes numbers between ticks; the blocks read them. At the neutral values a tick
-costs one comparison each.
+costs a comparison or two for each block, in the place of its call.
 """
 
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -47,9 +48,26 @@ class Tuning:
     """
 
     def __init__(self) -> None:
-        self.stiffness_scale = 1.0
-        self.damping_scale = 1.0
+        self._scales: Any = memoryview(np.ones(2).data)
         self.command_limit = np.full(3, NO_LIMIT, np.float32)
+
+    @property
+    def stiffness_scale(self) -> float:
+        """See the class."""
+        return float(self._scales[0])
+
+    @stiffness_scale.setter
+    def stiffness_scale(self, scale: float) -> None:
+        self._scales[0] = scale
+
+    @property
+    def damping_scale(self) -> float:
+        """See the class."""
+        return float(self._scales[1])
+
+    @damping_scale.setter
+    def damping_scale(self, scale: float) -> None:
+        self._scales[1] = scale
 
     def declare(self, document: WorkflowDocument) -> None:
         """Let a workflow have the state `gain_scale`, before it is built: records tell it then.
@@ -70,23 +88,49 @@ class Tuning:
         each = memoryview(limit.data)  # a reduction would cost more than the rest of the block
 
         def limited() -> None:
-            if each[0] < NO_LIMIT or each[1] < NO_LIMIT or each[2] < NO_LIMIT:
-                np.clip(command, -limit, limit, out=command)
+            np.clip(command, -limit, limit, out=command)
 
-        unscaled, scaled = self._gain_scale(program)
+        limits = {"each": each, "no": NO_LIMIT, "limited": limited}
+        unscaled, scaled, changed = self._gain_scale(program)
+        scaling = {"scales": self._scales, "changed": changed, "scaled": scaled}
         gains = ("joint_stiffness", "joint_damping")
         told = (GAIN_SCALE,) if _declared(program) else ()
         return {
             Stage.INPUT: [
-                Block("command limits", limited, amends=("velocity_command",), endless=True),
+                Block(
+                    "command limits",
+                    limited,
+                    amends=("velocity_command",),
+                    endless=True,
+                    inline="(each[0] < no or each[1] < no or each[2] < no) and limited()",
+                    inline_names=limits,
+                ),
                 # Declares nothing: it takes back what `gain scale` did, and no more.
-                Block("gains unscaled", unscaled, endless=True),
+                Block(
+                    "gains unscaled",
+                    unscaled,
+                    endless=True,
+                    inline="changed[0] and unscaled()",
+                    inline_names={"changed": changed, "unscaled": unscaled},
+                ),
             ],
-            Stage.TUNE: [Block("gain scale", scaled, writes=told, amends=gains, endless=True)],
+            Stage.TUNE: [
+                Block(
+                    "gain scale",
+                    scaled,
+                    writes=told,
+                    amends=gains,
+                    endless=True,
+                    inline="(scales[0] != 1.0 or scales[1] != 1.0 or changed[1]) and scaled()",
+                    inline_names=scaling,
+                )
+            ],
         }
 
-    def _gain_scale(self, program: Program) -> tuple[Tick, Tick]:
+    def _gain_scale(self, program: Program) -> tuple[Tick, Tick, memoryview]:
         """Return what takes the scales out of the gains before the flow, and puts them in after.
+
+        The third are two flags: the gains are scaled at present, and were in the last tick.
 
         A flow need not write its gains in every tick (a policy that runs every fourth does not), so
         without the former the factors would add up.
@@ -94,29 +138,24 @@ class Tuning:
         live = (program.states["joint_stiffness"], program.states["joint_damping"])
         own = tuple(array.copy() for array in live)
         told = program.states[GAIN_SCALE] if _declared(program) else np.ones(2)
-        before = UNSCALED
-        changed = False
+        changed = memoryview(np.zeros(2, np.int8).data)
 
         def unscaled() -> None:
-            nonlocal changed
-            if changed:
-                changed = False
+            if changed[0]:
+                changed[0] = 0
                 for array, kept in zip(live, own):
                     array[...] = kept
 
         def scaled() -> None:
-            nonlocal before, changed
             scales = (self.stiffness_scale, self.damping_scale)
-            if scales != before:
-                before = scales
-                told[...] = scales
-            if scales != UNSCALED:
-                changed = True
+            told[...] = scales
+            changed[0] = changed[1] = scales != UNSCALED
+            if changed[0]:
                 for array, kept, scale in zip(live, own, scales):
                     kept[...] = array
                     np.multiply(array, scale, out=array, casting="unsafe")
 
-        return unscaled, scaled
+        return unscaled, scaled, changed
 
 
 def _declared(program: Program) -> bool:

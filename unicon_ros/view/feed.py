@@ -21,6 +21,9 @@ __all__ = ["Feed"]
 KEPT_S = 1.0
 """Of ticks in the ring, in [s]: a viewer that looks rarely still plots every one of them."""
 
+RARELY = 0.01
+"""How often it is looked who drives, at the phase and the overruns, in [s]."""
+
 FEWEST, LARGEST = 16, 32 << 20
 """Ticks in the ring at least, and its bytes at most beyond those."""
 
@@ -63,11 +66,23 @@ class Feed:
         phases, phase, phase_number = {p: n for n, p in enumerate(Phase)}, runner.phase, 0
         robots, count = program.states.num_robots or 1, len(cells)
 
-        def fill() -> None:
-            nonlocal number, phase, phase_number
-            if phase is not runner.phase:  # looked up when it changes: an enum's hash is slow
+        often, left = max(1, round(RARELY / program.period)), 0
+        paused = driving = overruns = 0
+
+        def look() -> None:
+            """Look at what changes rarely: each is a cold line of memory more."""
+            nonlocal left, phase, phase_number, paused, driving, overruns
+            left, paused, driving = often, int(controls.paused), driver.driving
+            overruns = statistics.overruns
+            if phase is not runner.phase:  # an enum's hash is slow
                 phase = runner.phase
                 phase_number = phases[phase]
+
+        def fill() -> None:
+            nonlocal number, left
+            left -= 1
+            if left <= 0:
+                look()
             ticks = statistics.count
             if ticks:  # of the tick before: this one has not ended
                 row = (ticks - 1) % capacity * width
@@ -79,8 +94,8 @@ class Feed:
             at, place, stamp = start + place * size, 2 * place, now()
             table[place] = 0
             pack(
-                *(memory, at, tick[0], stamp, phase_number, controls.paused, began - due),
-                *(ended - began, statistics.overruns, driver.driving, robots, count),
+                *(memory, at, tick[0], stamp, phase_number, paused, began - due, ended - began),
+                *(overruns, driving, robots, count),
             )
             for offset, cell in cells:
                 counter(memory, at + offset, cell.cell_contents)
