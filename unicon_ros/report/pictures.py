@@ -137,21 +137,26 @@ def _ranges(figure: Any, keeper: Keeper, statistics: TickStatistics) -> bool:
     ))  # fmt: skip
     bounded = np.isfinite(robot.lower) & np.isfinite(robot.upper)
     torque = _peaks(keeper)
-    shown = np.flatnonzero(bounded)[:MOST]
+    told = bounded if torque is None else bounded | np.isfinite(robot.effort_limit)
+    shown = np.flatnonzero(told)[:MOST]
     if not shown.size:
         return False
     figure.set_size_inches(12.0, 1.1 + 0.25 * len(shown))
     left, right = figure.subplots(1, 2, sharey=True, width_ratios=[1.3, 1.0])
-    width = (robot.upper - robot.lower)[shown]
-    begin, end = ((side[shown] - robot.lower[shown]) / width * 100 for side in (low, high))
+    # A wheel has no limits: its place in the left one stays empty.
+    lower = np.where(bounded, robot.lower, 0.0)[shown]
+    width = np.where(bounded, robot.upper - robot.lower, np.nan)[shown]
+    begin, end = ((side[shown] - lower) / width * 100 for side in (low, high))
     colours = [BAD if a < 0 or b > 100 else MEASURED for a, b in zip(begin, end)]
     names = [robot.joint_names[k] for k in shown]
     places = np.arange(len(shown))
-    left.barh(places, 100.0, color="0.5", alpha=0.18)
-    left.barh(places, end - begin, left=begin, color=colours, height=0.5)
+    left.barh(places[bounded[shown]], 100.0, color="0.5", alpha=0.18)
+    left.barh(places, np.nan_to_num(end - begin), left=np.nan_to_num(begin), color=colours,
+              height=0.5)  # fmt: skip
     left.set_yticks(places, names, fontsize=8)
     left.set(xlabel="position [% of the way from its lower to its upper limit]")
-    left.set_xlim(min(-2.0, float(np.nanmin(begin)) - 2), max(102.0, float(np.nanmax(end)) + 2))
+    first, last = np.nan_to_num(begin).min(), np.nan_to_num(end).max()
+    left.set_xlim(min(-2.0, first - 2.0), max(102.0, last + 2.0))
     left.invert_yaxis()
     left.set_title("range that was used", fontsize=10)
     if torque is None:
@@ -202,15 +207,17 @@ def _joints(figure: Any, keeper: Keeper, statistics: TickStatistics) -> bool:
         axes.set_title(robot.joint_names[k], fontsize=8, loc="left")
         axes.tick_params(labelsize=7)
     grids(*grid[:count])
-    figure.legend(*_once(grid[0]), loc="outside upper right", ncols=4, fontsize=8)
+    figure.legend(*_once(*grid[:count]), loc="outside upper right", ncols=4, fontsize=8)
     figure.supylabel("[rad]", fontsize=9)
     figure.supxlabel("time [s]", fontsize=9)
     return True
 
 
-def _once(axes: Any) -> tuple[list[Any], list[str]]:
+def _once(*all_axes: Any) -> tuple[list[Any], list[str]]:
     """Return what a legend shows, each label once."""
-    by_label = {label: handle for handle, label in zip(*axes.get_legend_handles_labels())}
+    by_label: dict[str, Any] = {}
+    for axes in all_axes:
+        by_label |= {label: handle for handle, label in zip(*axes.get_legend_handles_labels())}
     return list(by_label.values()), list(by_label)
 
 
@@ -242,7 +249,7 @@ def _torque(figure: Any, keeper: Keeper, statistics: TickStatistics) -> bool:
             f"{robot.joint_names[k]}: {share[k]:.0%} of its limit", fontsize=9, loc="left"
         )
     grids(*grid[: len(order)])
-    figure.legend(*_once(grid[0]), loc="outside upper right", ncols=3, fontsize=8)
+    figure.legend(*_once(*grid[: len(order)]), loc="outside upper right", ncols=3, fontsize=8)
     figure.supylabel("torque [N·m]", fontsize=9)
     figure.supxlabel("time [s]", fontsize=9)
     return True
