@@ -23,7 +23,7 @@ __all__ = ["main"]
 def main() -> int:
     """Run; 0 once the input has ended."""
     sink, address, kind = sys.argv[1:]
-    os.nice(5)  # as a browser's would be, it is on another machine, or comes after whoever ticks
+    os.nice(19)  # a browser is on another machine, or comes after whoever ticks
     split = urlsplit(address)
     origin = f"http://{split.netloc}"
     protocol = f"viser-v{version('viser')}" if sink == "page" else "foxglove.sdk.v1"

@@ -6,7 +6,6 @@ The format is Prometheus' text exposition format 0.0.4. Runs in the viewer's pro
 from __future__ import annotations
 
 import errno
-import os
 import threading
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -71,7 +70,6 @@ class Metrics:
     def __init__(
         self, shown: Shown, source: Source, remote: Remote, options: Mapping[str, Any]
     ) -> None:
-        os.nice(19)  # it leaves the core that a tick wakes up on at once
         self._shown, self._source, self._written = shown, source, set(options["written"])
         self._server = _Server(int(options["port"]), self._page)
         self.address = f"http://127.0.0.1:{self._server.server_address[1]}{PATH}"

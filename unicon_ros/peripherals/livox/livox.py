@@ -38,7 +38,7 @@ def livox(
     checksum: bool = True,
     silence: float = 0.2,
     frame_id: str = "livox_frame",
-    name: str = "livox",
+    prefix: str = "livox",
     topic: str = "",
     reliability: str = RELIABILITIES[0],
     node: str = "",
@@ -58,7 +58,7 @@ def livox(
         checksum: refuse what does not fit its checksum.
         silence: without points for so long it is not there, in [s].
         frame_id: of the clouds: the scanner's own frame, x forward, y left, z up.
-        name: stands before the names of its states.
+        prefix: stands before the names of its states.
         topic: where the clouds are published too, such as `livox/points`; nowhere if empty.
         reliability: of the topic: `reliable`, which every subscriber gets, or `best_effort`.
         node: name of the process's node; that of its states if empty.
@@ -97,14 +97,14 @@ def livox(
         "silence": float(silence),
         "frame_id": frame_id,
         "topic": topic,
-        "ros": topic_options("livox", node or name, namespace, ros_args, reliability),
+        "ros": topic_options("livox", node or prefix, namespace, ros_args, reliability),
     }
     return peripheral_block(
         context,
-        name,
+        prefix,
         MODULE,
         options,
-        values=_values(name),
+        values=_values(prefix),
         frames={"cloud": len(livox_message(frame_id).template)},
         environment=large_data() if topic else None,
     )
@@ -121,8 +121,8 @@ def _values(name: str) -> Mapping[str, StateSpec]:
     }
 
 
-def _declares(name: str = "livox", **_: Any) -> Mapping[str, StateSpec]:
-    return peripheral_states(name, _values(name), ["cloud"])
+def _declares(prefix: str = "livox", **_: Any) -> Mapping[str, StateSpec]:
+    return peripheral_states(prefix, _values(prefix), ["cloud"])
 
 
 setattr(livox, "declares", _declares)  # noqa: B010  a function has none to mypy

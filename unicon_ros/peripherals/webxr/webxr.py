@@ -34,7 +34,7 @@ def webxr(
     token: str = "",
     tls: bool | None = None,
     stale: float = 0.2,
-    name: str = "webxr",
+    prefix: str = "webxr",
 ) -> Block:
     """Write poses, buttons and axes of a headset; all neutral, and alive 0, while none is heard.
 
@@ -46,7 +46,7 @@ def webxr(
         tls: serve by https; unless said, beyond this machine: headsets show WebXR to no others.
         stale: frames that are older are not taken, and after so long without one all is neutral,
             in [s].
-        name: stands before the names of its states.
+        prefix: stands before the names of its states.
 
     Raises:
         WorkflowError: an option is wrong.
@@ -81,7 +81,7 @@ def webxr(
         "stale": float(stale),
     }
     return peripheral_block(
-        context, name, MODULE, options, values=_values(name), stale=float(stale)
+        context, prefix, MODULE, options, values=_values(prefix), stale=float(stale)
     )
 
 
@@ -117,8 +117,8 @@ def _pose(joints: int, what: str) -> StateSpec:
     )
 
 
-def _declares(name: str = "webxr", **_: Any) -> Mapping[str, StateSpec]:
-    return peripheral_states(name, _values(name))
+def _declares(prefix: str = "webxr", **_: Any) -> Mapping[str, StateSpec]:
+    return peripheral_states(prefix, _values(prefix))
 
 
 setattr(webxr, "declares", _declares)  # noqa: B010  a function has none to mypy
