@@ -52,6 +52,7 @@ class Telling:
             "driving": tick.driving,
             "paused": tick.paused,
             "lost": self._lost,
+            "max_vx": self._shown.parameters["max_vx"].value,
             "busy_ns": tick.busy_ns,
             "running": [each.text for each in self._shown.graph if each.runs(list(tick.counters))],
             "velocity_command": tick.states["velocity_command"].tolist(),

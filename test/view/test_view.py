@@ -179,6 +179,7 @@ def test_what_it_wishes_is_done_and_answered(rig: Rig) -> None:
     rig.until(lambda seen: not seen["paused"])
     rig.say("act", "set_parameter", {"name": "max_vx", "value": 0.1})
     rig.until(lambda seen: seen["velocity_command"][0] < 0.11)
+    rig.until(lambda seen: seen["max_vx"] == pytest.approx(0.1))  # what a new page is told
     rig.say("act", "set_parameter", {"name": "damping_scale", "value": 0.1})
     rig.say("act", "set_parameter", {"name": "rate", "value": 0.1})
     rig.say("act", "skill", {"name": "dance"})

@@ -14,7 +14,7 @@ import numpy as np
 from unicon_core.flow import Block, Stage, Tick
 from unicon_core.states.standard import GAIN_SCALE, GAIN_SCALE_SPEC
 from unicon_core.workflow import Program, WorkflowDocument
-from unicon_ros.parameter_table import NO_LIMIT
+from unicon_ros.parameter_table import LIMITS, NO_LIMIT, SCALES
 
 __all__ = ["Tuning", "too_little_damping"]
 
@@ -68,6 +68,11 @@ class Tuning:
     @damping_scale.setter
     def damping_scale(self, scale: float) -> None:
         self._scales[1] = scale
+
+    def values(self) -> dict[str, float]:
+        """Return what the parameters are at present, by their names on `unicon_node`."""
+        limits = zip(LIMITS, map(float, self.command_limit))
+        return {**dict(zip(SCALES, map(float, self._scales))), **dict(limits)}
 
     def declare(self, document: WorkflowDocument) -> None:
         """Let a workflow have the state `gain_scale`, before it is built: records tell it then.

@@ -84,7 +84,6 @@ class Foxglove:
         self._lock = threading.Lock()
         self._answers: dict[int, tuple[bool, str]] = {}
         self._answered = threading.Condition(self._lock)
-        self._values = {name: one.value for name, one in shown.parameters.items()}
         self._handle = 0
         self._topics = _Topics(foxglove, self._context)
         program = cast(Program, _program_of(shown, self._states))
@@ -152,9 +151,10 @@ class Foxglove:
 
     def parameters(self, names: list[str]) -> list[Any]:
         """Return the parameters of these names; all for none."""
-        chosen = names or list(self._values)
+        known = self._shown.parameters
+        chosen = names or list(known)
         make = self._sdk.Parameter
-        return [make(name, value=self._values[name]) for name in chosen if name in self._values]
+        return [make(name, value=known[name].value) for name in chosen if name in known]
 
     def set_parameter(self, name: str, value: Any) -> None:
         """Set one, where the run takes it."""
@@ -162,12 +162,12 @@ class Foxglove:
             number = float(value)
         except (TypeError, ValueError):
             number = math.nan
-        if name not in self._values or not math.isfinite(number):
+        if name not in self._shown.parameters or not math.isfinite(number):
             self._say(f"parameter {name}: {value!r} is refused")
             return
         done, text = self.act("set_parameter", name=name, value=number)
         if done:
-            self._values[name] = number
+            self._shown.tell({name: number})
         else:
             self._say(text)
 

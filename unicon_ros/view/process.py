@@ -38,7 +38,7 @@ class Viewer:
         os.nice(NICE)
         shown: Shown = feed.data["shown"]
         drives = feed.name == NAME
-        self._feed, self._remote = feed, Remote(feed if drives else None)
+        self._shown, self._feed, self._remote = shown, feed, Remote(feed if drives else None)
         self._source = LiveSource(shown.layout, FrameRing.attach(feed.data["ring"]))
         options = feed.options
         self._sink: Sink = sink_class(options["sink"])(shown, self._source, self._remote, options)
@@ -50,7 +50,8 @@ class Viewer:
 
     def poll(self) -> None:
         """Show what is new."""
-        self._source.hear(self._feed)
+        if self._source.hear(self._feed):
+            self._shown.tell(self._source.texts.get("parameters", {}))
         self._sink.poll()
         if time.monotonic() >= self._beat:
             self._beat = time.monotonic() + BEAT

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from unicon_core.errors import UniconError
@@ -77,7 +77,7 @@ class Parameter:
     """A number that may be changed while ticks run.
 
     Attributes:
-        value: at the beginning.
+        value: at present.
         low, high: its range.
         description: what it does, with its unit.
     """
@@ -105,7 +105,7 @@ class Shown:
         skills: names; the state `skill` is the number of the present one.
         command_bounds: lowest and highest vx, vy [m/s] and wz [rad/s].
         drives: a velocity command is read by somebody.
-        parameters: those that may be changed.
+        parameters: those that may be changed, with their present values.
         map: name of the message map.
         frame_prefix: of ROS frames.
     """
@@ -122,9 +122,15 @@ class Shown:
     skills: tuple[str, ...] = ()
     command_bounds: tuple[tuple[float, float], ...] = ()
     drives: bool = False
-    parameters: Mapping[str, Parameter] = field(default_factory=dict)
+    parameters: dict[str, Parameter] = field(default_factory=dict)
     map: str = "default"
     frame_prefix: str = ""
+
+    def tell(self, values: Mapping[str, float]) -> None:
+        """Note the present values of parameters; in a viewer's process."""
+        for name, value in values.items():
+            if name in self.parameters:
+                self.parameters[name] = replace(self.parameters[name], value=float(value))
 
 
 def shown_of(

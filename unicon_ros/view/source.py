@@ -133,14 +133,15 @@ class LiveSource:
             if self._each.take(self._ring, number):
                 yield self._each
 
-    def hear(self, feed: Feed) -> None:
-        """Take what the run has told."""
+    def hear(self, feed: Feed) -> bool:
+        """Take what the run has told; return whether texts are among it."""
         wishes, feed.wishes = feed.wishes, []
         for what, *given in wishes:
             if what == "answer":
                 self.answers.append(Answered(*given))
             elif what == "texts":
                 self.texts |= given[0]
+        return any(what == "texts" for what, *_ in wishes)
 
 
 class Remote:

@@ -135,9 +135,14 @@ class View:
             self._tell(self._runner)
 
     def _tell(self, runner: Runner) -> bool:
-        texts = {"waits_for": runner.waits_for, "faults": runner.faults, "notes": self._lines}
         if self._peripheral is None:
             return False
+        texts = {
+            "waits_for": runner.waits_for,
+            "faults": runner.faults,
+            "notes": self._lines,
+            "parameters": self._tuning.values(),
+        }
         process = self._peripheral.process  # one that was started again knows nothing
         if process is self._reader and texts == self._texts:
             return False
@@ -159,6 +164,8 @@ class View:
 
 
 def _cut(value: Any) -> Any:
+    if isinstance(value, dict):
+        return value
     if isinstance(value, str):
         return short(value, LONGEST // 4)
     lines: list[str] = []
