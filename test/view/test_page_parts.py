@@ -202,6 +202,14 @@ def test_what_is_no_port_is_refused(port: str, capsys: pytest.CaptureFixture[str
     assert "argument --view-port: " in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("option", ["--view-token=c0rrecthorse", "--view-host=0.0.0.0"])
+def test_what_is_said_of_a_viewer_that_nobody_opens_is_refused(
+    option: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["run", "go2_walk", "--no-ros", option]) == 1
+    assert "--view-host and --view-token go with --view; add it" in capsys.readouterr().err
+
+
 # -- what is plotted ----------------------------------------------------------------------------
 
 

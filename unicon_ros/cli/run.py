@@ -22,7 +22,7 @@ from unicon_ros.cli.workflow_arguments import (
     positive,
     view_options,
 )
-from unicon_ros.view import SINKS
+from unicon_ros.view import LOCAL, SINKS
 
 if TYPE_CHECKING:
     from unicon_core.flow import Block, Stage
@@ -234,6 +234,8 @@ def _run(
             )
             view.declare(document)
             hooks.append(view.hook)
+        elif arguments.view_token or arguments.view_host != LOCAL:
+            raise UniconError("--view-host and --view-token go with --view; add it")
         if arguments.metrics is not None:
             from unicon_ros.view.metered import Metered
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from unicon_ros.view import PORT
+from unicon_ros.view import LOCAL, PORT
 
 __all__ = ["add_overrides", "add_view_options", "add_workflow", "port", "positive", "view_options"]
 
@@ -48,7 +48,7 @@ def port(text: str) -> int:
 def add_view_options(parser: argparse.ArgumentParser) -> None:
     """Add where and how a viewer is served."""
     parser.add_argument(
-        "--view-host", metavar="HOST", default="127.0.0.1", help="where the viewer is served"
+        "--view-host", metavar="HOST", default=LOCAL, help="where the viewer is served"
     )
     parser.add_argument(
         "--view-port",

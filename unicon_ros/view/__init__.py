@@ -13,3 +13,6 @@ SINKS = {
 
 PORT = 8700
 """Where a viewer is served, unless it is taken: then the next free one."""
+
+LOCAL = "127.0.0.1"
+"""Where it is served unless another host is given."""
