@@ -243,6 +243,7 @@ def test_a_robot_has_the_time_of_the_wall(tmp_path: Path) -> None:
     assert before < stamps[0] < stamps[10] < time.time_ns()
 
 
+@pytest.mark.slow
 def test_a_second_fault_keeps_the_first_ones_record_and_old_ones_make_room(tmp_path: Path) -> None:
     workflow, folder = written(tmp_path), tmp_path / "faults"
     paths = [faulty(workflow, folder, 2)[1] for _ in range(KEPT + 3)]

@@ -205,6 +205,7 @@ def test_liveliness_lost_and_regained_is_told(
     assert topic.events.counts() == {"liveliness lost": 2, "publishers alive": 1}
 
 
+@pytest.mark.slow
 def test_a_stopped_process_is_not_alive_until_it_goes_on(
     run_with: Callable[..., Run], peers: Callable[..., Any]
 ) -> None:

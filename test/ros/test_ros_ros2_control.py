@@ -160,6 +160,7 @@ def test_a_controller_manager_runs_our_robot_as_topic_based_hardware(
     assert counted["rejected"] == 0
 
 
+@pytest.mark.slow
 def test_our_workflow_commands_a_robot_of_ros2_control_by_torques(
     runs: Callable[..., Any], peers: Callable[..., Peer], tmp_path: Path
 ) -> None:

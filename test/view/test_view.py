@@ -262,6 +262,13 @@ def test_what_becomes_of_the_viewer_changes_no_command(tmp_path: Path) -> None:
     pytest.importorskip("mujoco")
     pytest.importorskip("onnxruntime")
     alone = walked(None)
-    assert walked(tmp_path) == alone
     assert walked(tmp_path, signal.SIGSTOP, signal.SIGKILL) == alone
+
+
+@pytest.mark.slow
+def test_nor_does_one_that_looks_or_has_stopped(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    pytest.importorskip("onnxruntime")
+    alone = walked(None)
+    assert walked(tmp_path) == alone
     assert walked(tmp_path, signal.SIGSTOP) == alone
