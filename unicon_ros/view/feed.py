@@ -93,10 +93,13 @@ class Feed:
             place = number % slots
             at, place, stamp = start + place * size, 2 * place, now()
             table[place] = 0
+            late, took = began - due, ended - began
+            # fmt: off
             pack(
-                *(memory, at, tick[0], stamp, phase_number, paused, began - due, ended - began),
-                *(overruns, driving, robots, count),
+                memory, at, tick[0], stamp, phase_number, paused, late, took, overruns, driving,
+                robots, count,
             )
+            # fmt: on
             for offset, cell in cells:
                 counter(memory, at + offset, cell.cell_contents)
             memory[at + begin : at + size] = states
