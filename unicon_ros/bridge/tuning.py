@@ -44,12 +44,12 @@ class Tuning:
 
     Attributes:
         stiffness_scale, damping_scale: factors of `joint_stiffness` and `joint_damping`.
-        command_limit: largest magnitude of vx, vy [m/s] and wz [rad/s], float32, shape (3,).
+        command_limit: largest magnitude of vx, vy [m/s] and wz [rad/s], shape (3,).
     """
 
     def __init__(self) -> None:
         self._scales: Any = memoryview(np.ones(2).data)
-        self.command_limit = np.full(3, NO_LIMIT, np.float32)
+        self.command_limit = np.full(3, NO_LIMIT)
 
     @property
     def stiffness_scale(self) -> float:
