@@ -37,7 +37,12 @@ from unicon_core.workflow.autowire import BuildContext
 from unicon_ros.bridge.bindings import checked_prefix
 from unicon_ros.bridge.camera_topics import RELIABILITIES, large_data, topic_options
 from unicon_ros.bridge.images import frame_message
-from unicon_ros.peripherals.peripheral import Peripheral, peripheral_states
+from unicon_ros.peripherals.peripheral import (
+    Peripheral,
+    check_positive,
+    check_stale,
+    peripheral_states,
+)
 
 __all__ = ["Camera", "camera"]
 
@@ -179,11 +184,8 @@ def camera(
         raise UniconError("camera: one robot is rendered; leave num_robots out")
     if (camera is None) == (body is None):
         raise UniconError("camera: give either camera: NAME of the model, or body: NAME to mount")
-    for label, value in (("width", width), ("height", height), ("rate", rate), ("fovy", fovy)):
-        if not value > 0:
-            raise UniconError(f"camera: {label} is {value}; give more than 0")
-    if not 0.0 < stale <= 10.0:
-        raise UniconError(f"camera: stale is {stale}; give more than 0 and at most 10 s")
+    check_positive("camera", width=width, height=height, rate=rate, fovy=fovy)
+    check_stale("camera", stale)
     ros = topic_options("camera", node, namespace, ros_args, reliability)
     if (own := handle.removesuffix("_handle")) in ("", handle):
         raise UniconError(f"camera: handle {handle!r}; give NAME_handle, such as front_handle")

@@ -28,7 +28,14 @@ from unicon_core.states.groups import Copies, subset
 from unicon_core.workflow.autowire import BuildContext
 from unicon_ros.peripherals.child import GROUP, START, handle_state
 
-__all__ = ["Peripheral", "peripheral_block", "peripheral_states", "short"]
+__all__ = [
+    "Peripheral",
+    "check_positive",
+    "check_stale",
+    "peripheral_block",
+    "peripheral_states",
+    "short",
+]
 
 GLANCE, LOOK = 0.02, 0.25
 """How often it is looked how old the values are, and whether the process lives and what it says, in
@@ -75,6 +82,27 @@ def peripheral_states(
     }
 
 
+def check_positive(name: str, **options: float) -> None:
+    """Refuse options of a peripheral that are not more than 0.
+
+    Raises:
+        UniconError: one is not.
+    """
+    for label, value in options.items():
+        if not value > 0:
+            raise UniconError(f"{name}: {label} is {value}; give more than 0")
+
+
+def check_stale(name: str, stale: float) -> None:
+    """Refuse a time of silence that is none, or that nobody would wait for.
+
+    Raises:
+        UniconError: it is.
+    """
+    if not 0.0 < stale <= 10.0:
+        raise UniconError(f"{name}: stale is {stale}; give more than 0 and at most 10 s")
+
+
 def peripheral_block(
     context: BuildContext,
     name: str,
@@ -105,8 +133,7 @@ def peripheral_block(
     Raises:
         UniconError: what the process says when it cannot begin.
     """
-    if not 0.0 < stale <= 10.0:
-        raise UniconError(f"{name}: stale is {stale}; give more than 0 and at most 10 s")
+    check_stale(name, stale)
     rings = dict(frames or {})
     names = (*peripheral_states(name, {}, rings), *values)
     if context.dry:
@@ -295,9 +322,7 @@ class Peripheral:
         One that has no room in its pipe is lost; so is one of more than 4096 B, of which a part
         alone could have room, as nothing behind that part would be understood.
         """
-        if self._watcher is None or len(json.dumps([what, *given])) >= select.PIPE_BUF:
-            return False
-        return self._pipe.tell(what, *given)
+        return self._watcher is not None and self._pipe.tell(what, *given, most=select.PIPE_BUF)
 
     def close(self) -> None:
         """End the process, kill it where it hangs, and let the frames go; safe to call twice."""

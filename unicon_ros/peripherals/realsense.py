@@ -14,14 +14,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from unicon_core.errors import UniconError
 from unicon_core.flow import Block
 from unicon_core.states import StateSpec
 from unicon_core.workflow.autowire import BuildContext
 from unicon_ros.bridge.bindings import checked_prefix
 from unicon_ros.bridge.camera_topics import RELIABILITIES, large_data, topic_options
 from unicon_ros.bridge.images import FrameMessage, frame_message
-from unicon_ros.peripherals.peripheral import peripheral_block, peripheral_states
+from unicon_ros.peripherals.peripheral import (
+    check_positive,
+    peripheral_block,
+    peripheral_states,
+)
 
 __all__ = ["messages", "realsense"]
 
@@ -72,9 +75,7 @@ def realsense(
         MissingDependencyError: pyrealsense2 is not installed, or rclpy where there is a topic.
     """
     name = prefix
-    for label, value in (("width", width), ("height", height), ("rate", rate)):
-        if not value > 0:
-            raise UniconError(f"{name}: {label} is {value}; give more than 0")
+    check_positive(name, width=width, height=height, rate=rate)
     options = {
         "serial": str(serial),
         "size": [int(width), int(height)],

@@ -19,7 +19,11 @@ from unicon_core.workflow.autowire import BuildContext
 from unicon_ros.bridge.bindings import checked_prefix
 from unicon_ros.bridge.camera_topics import RELIABILITIES, large_data, topic_options
 from unicon_ros.bridge.images import FrameMessage, frame_message, jpeg_message
-from unicon_ros.peripherals.peripheral import peripheral_block, peripheral_states
+from unicon_ros.peripherals.peripheral import (
+    check_positive,
+    peripheral_block,
+    peripheral_states,
+)
 
 __all__ = ["FORMATS", "message_of", "webcam"]
 
@@ -72,9 +76,7 @@ def webcam(
         MissingDependencyError: rclpy is not installed, and there is a topic.
     """
     name = prefix
-    for label, value in (("width", width), ("height", height), ("rate", rate)):
-        if not value > 0:
-            raise UniconError(f"{name}: {label} is {value}; give more than 0")
+    check_positive(name, width=width, height=height, rate=rate)
     if format not in FORMATS:
         raise UniconError(f"{name}: format {format!r}; {alternatives(format, FORMATS)}")
     if format == "yuyv" and width % 2:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.flow import Block, Stage
+from unicon_ros.bridge.bindings import told_states
 from unicon_ros.report.drawing import require
 
 if TYPE_CHECKING:
@@ -91,11 +92,7 @@ class Keeper:
 
     def attach(self, runner: Runner) -> None:
         """Get to know the runner, whose phases are kept, and who writes what."""
-        from unicon_core.flow import blocks_of
-
-        self._runner = runner
-        blocks = blocks_of(runner.program.root)
-        self.told = frozenset(name for each in blocks for name in (*each.writes, *each.amends))
+        self._runner, self.told = runner, told_states(runner.program)
 
     def _halve(self) -> None:
         """Let each row stand for twice as many ticks; a millisecond, once in that many ticks."""

@@ -5,18 +5,24 @@ from __future__ import annotations
 import struct
 import time
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+from urllib.parse import urlsplit
 
 from unicon_core.handles import FrameRing
 from unicon_core.runtime.phases import Phase
-from unicon_ros.view.shown import HEAD
+from unicon_core.states import States
+from unicon_ros.peripherals.peripheral import Peripheral
+from unicon_ros.view import PORT
+from unicon_ros.view.shown import HEAD, shown_of
 
 if TYPE_CHECKING:
     from unicon_core.runtime import Runner
     from unicon_ros.controls import Controls
     from unicon_ros.view.driver import Driver
 
-__all__ = ["Feed"]
+__all__ = ["Feed", "started"]
+
+PROCESS = "unicon_ros.view.process"
 
 KEPT_S = 1.0
 """Of ticks in the ring, in [s]: a viewer that looks rarely still plots every one of them."""
@@ -111,3 +117,46 @@ class Feed:
     def close(self) -> None:
         """Let the ring go; safe to call twice."""
         self.ring.close()
+
+
+def started(
+    runner: Runner,
+    name: str,
+    told: States,
+    options: dict[str, Any],
+    warn: Callable[[str], None],
+    *,
+    stale: float,
+    period: float,
+    map: str = "default",
+    frame_prefix: str = "",
+) -> tuple[Feed, Peripheral, str]:
+    """Start the process that reads a run's ring; return the ring, the process and its address.
+
+    Args:
+        runner: of the run, before its first tick.
+        name: of the peripheral that the process is.
+        told: what it tells.
+        options: of its sink; `port` becomes the one that it has got, where browsers look for a
+            process that is started again.
+        warn: takes lines for the operator.
+        stale: so long it may be silent, in [s].
+        period: between two looks at it, in [s].
+        map: name of the message map.
+        frame_prefix: of ROS frames.
+
+    Raises:
+        UniconError: it cannot begin.
+    """
+    shown, variables = shown_of(runner.program, runner.graph, map, frame_prefix)
+    feed = Feed(runner, variables)
+    data = {"shown": shown, "ring": str(feed.ring.path)}
+    given = {"name": name, "options": options, "data": data}
+    try:
+        process = Peripheral(told, told.layout, PROCESS, given, {}, stale, period, warn)
+    except BaseException:
+        feed.close()
+        raise
+    address: str = process.first["address"]
+    options["port"] = urlsplit(address).port or options.get("port", PORT)
+    return feed, process, address

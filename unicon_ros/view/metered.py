@@ -7,12 +7,12 @@ from collections.abc import Callable
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
-from unicon_core.flow import Block, Stage, blocks_of
+from unicon_core.flow import Block, Stage
 from unicon_core.states import States
 from unicon_core.workflow import Program
+from unicon_ros.bridge.bindings import told_states
 from unicon_ros.peripherals.peripheral import Peripheral, peripheral_states
-from unicon_ros.view.feed import Feed
-from unicon_ros.view.shown import shown_of
+from unicon_ros.view.feed import Feed, started
 
 if TYPE_CHECKING:
     from unicon_core.runtime import Runner
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Metered"]
 
-NAME = "metrics"
+NAME, SINK = "metrics", "unicon_ros.view.metrics:Metrics"
 
 TOLD = 1.0
 """How often the process is told what is not in the states, in [s]."""
@@ -61,24 +61,15 @@ class Metered:
         Raises:
             UniconError: the port cannot be had.
         """
-        shown, variables = shown_of(runner.program, runner.graph)
-        feed = self._feed = Feed(runner, variables)
-        blocks = blocks_of(runner.program.root)
-        written = sorted({name for each in blocks for name in (*each.writes, *each.amends)})
-        options: dict[str, Any] = {"port": self._port, "written": written}
-        options["sink"] = "unicon_ros.view.metrics:Metrics"
-        data = {"shown": shown, "ring": str(feed.ring.path)}
-        given = {"name": NAME, "options": options, "data": data}
-        told = States(peripheral_states(NAME, {}))
-        module = "unicon_ros.view.process"
-        self._peripheral = Peripheral(
-            *(told, told.layout, module, given, {}, TOLD, TOLD), self._warn
+        written = sorted(told_states(runner.program))
+        options: dict[str, Any] = {"port": self._port, "written": written, "sink": SINK}
+        self._feed, self._peripheral, self.address = started(
+            *(runner, NAME, States(peripheral_states(NAME, {})), options, self._warn),
+            stale=TOLD,
+            period=TOLD,
         )
-        self.address = self._peripheral.first["address"]
-        # A process that is started again gets the same port.
-        options["port"] = int(self.address.rsplit(":", 1)[1].split("/")[0])
         nobody: Any = SimpleNamespace(driving=0, paused=0)
-        self._runner, self._fill = runner, feed.filling(nobody, nobody)
+        self._runner, self._fill = runner, self._feed.filling(nobody, nobody)
 
     def _tick(self) -> None:
         self._fill()

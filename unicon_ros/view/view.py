@@ -6,7 +6,6 @@ import json
 import time
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
-from urllib.parse import urlsplit
 
 from unicon_core.flow import Block, Stage
 from unicon_core.states import States
@@ -14,10 +13,9 @@ from unicon_core.workflow import Program, WorkflowDocument
 from unicon_ros.bridge.tuning import Tuning
 from unicon_ros.controls import Controls
 from unicon_ros.peripherals.peripheral import Peripheral, short
-from unicon_ros.view import PORT
 from unicon_ros.view.driver import Driver
-from unicon_ros.view.feed import Feed
-from unicon_ros.view.shown import DEAD_MAN, NAME, PAGE, shown_of
+from unicon_ros.view.feed import Feed, started
+from unicon_ros.view.shown import DEAD_MAN, NAME, PAGE
 
 if TYPE_CHECKING:
     from unicon_core.runtime import Runner
@@ -99,24 +97,16 @@ class View:
         """
         driver, program = self._driver, runner.program
         assert driver is not None
-        shown, variables = shown_of(program, runner.graph, self._map, self._prefix)
         if self.controls.runner is None:
             self.controls.runner = runner
-        feed = self._feed = Feed(runner, variables)
-        given = {
-            "name": NAME,
-            "options": self._options,
-            "data": {"shown": shown, "ring": str(feed.ring.path)},
-        }
-        layout = self._told.layout
-        self._peripheral = Peripheral(
-            *(self._told, layout, "unicon_ros.view.process", given, {}, DEAD_MAN, program.period),
-            self.warn,
+        self._feed, self._peripheral, self.address = started(
+            *(runner, NAME, self._told, self._options, self.warn),
+            stale=DEAD_MAN,
+            period=program.period,
+            map=self._map,
+            frame_prefix=self._prefix,
         )
-        self.address = self._peripheral.first["address"]
-        # A process that is started again is served where browsers look for it.
-        self._options["port"] = urlsplit(self.address).port or self._options.get("port", PORT)
-        self._runner, self._fill = runner, feed.filling(driver, self.controls)
+        self._runner, self._fill = runner, self._feed.filling(driver, self.controls)
         driver.attach(self._peripheral, runner)
         self.controls.others += [driver.look, self._show]
         tell = runner.options.warn

@@ -69,12 +69,20 @@ class Pipe:
         with suppress(BrokenPipeError):  # its first words tell why
             self.process.stdin.write(len(packed).to_bytes(8, "little") + packed)
 
-    def tell(self, what: str, *given: object) -> bool:
-        """Say a wish; False where the child has gone, or has no room in a pipe that never waits."""
+    def tell(self, what: str, *given: object, most: int | None = None) -> bool:
+        """Say a wish; False where the child has gone, or has no room in a pipe that never waits.
+
+        Args:
+            what: it is.
+            given: with it.
+            most: bytes that may be said; a longer wish is not.
+        """
         assert self.process.stdin is not None
+        line = json.dumps([what, *given]).encode() + b"\n"
+        if most is not None and len(line) > most:
+            return False
         with suppress(BrokenPipeError):  # `recv` tells of a child that has died
-            said = self.process.stdin.write(json.dumps([what, *given]).encode() + b"\n")
-            return said is not None
+            return self.process.stdin.write(line) is not None
         return False
 
     def words(self) -> dict[str, Any]:
