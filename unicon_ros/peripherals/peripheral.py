@@ -2,8 +2,9 @@
 
 Of a peripheral `webxr` the states are `webxr_alive` (1 while it is there), `webxr_stamp_ns` (when
 its values were true), `webxr_NAME_handle` of each ring of frames, and its values. Each goes back to
-its initial value, the neutral one, in the tick after the device was lost, its process has died, or
-nothing has come for `stale` seconds.
+its initial value, the neutral one: in the next tick where the process says that the device is gone,
+after `stale` seconds and at most `GLANCE` more where nothing comes, after `LOOK` or earlier where
+the process has died.
 """
 
 from __future__ import annotations
