@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 import time
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
@@ -29,6 +28,9 @@ KEPT_S = 1.0
 
 RARELY = 0.01
 """How often it is looked who drives, at the phase and the overruns, in [s]."""
+
+_TICK, _STAMP, _PHASE, _PAUSED, _LATE, _TOOK, _OVERRUNS, _DRIVES, _ROBOTS, _COUNTERS = range(10)
+"""Places of the numbers of `HEAD`."""
 
 FEWEST, LARGEST = 16, 32 << 20
 """Ticks in the ring at least, and its bytes at most beyond those."""
@@ -60,29 +62,29 @@ class Feed:
             driver: tells whether a viewer drives.
             controls: tell whether the simulator stands still.
         """
-        runner, ring, states, pack = self._runner, self.ring, self._states, HEAD.pack_into
+        runner, ring, states = self._runner, self.ring, self._states
         program, statistics = runner.program, runner.statistics
         head, table, memory, start = ring.parts()
         slots, size, begin, number = ring.slots, ring.nbytes, ring.nbytes - len(states), 0
-        cells = tuple((HEAD.size + 8 * place, cell) for place, cell in enumerate(self._cells))
+        front = memoryview(bytearray(begin))  # filled here and copied: it stays warm, slots do not
+        words = front.cast("q")
+        words[_ROBOTS], words[_COUNTERS] = program.states.num_robots or 1, len(self._cells)
+        cells = tuple(enumerate(self._cells, HEAD.size // words.itemsize))
         tick = memoryview(program.states["tick"].reshape(-1).data)
         rows = memoryview(statistics.rows.reshape(-1).data)
         capacity, width = statistics.rows.shape
-        now, counter = time.perf_counter_ns, struct.Struct("<q").pack_into
-        phases, phase, phase_number = {p: n for n, p in enumerate(Phase)}, runner.phase, 0
-        robots, count = program.states.num_robots or 1, len(cells)
-
+        phases, phase, now = {p: n for n, p in enumerate(Phase)}, None, time.perf_counter_ns
         often, left = max(1, round(RARELY / program.period)), 0
-        paused = driving = overruns = 0
 
         def look() -> None:
             """Look at what changes rarely: each is a cold line of memory more."""
-            nonlocal left, phase, phase_number, paused, driving, overruns
-            left, paused, driving = often, int(controls.paused), driver.driving
-            overruns = statistics.overruns
+            nonlocal left, phase
+            left = often
+            words[_PAUSED], words[_DRIVES] = controls.paused, driver.driving
+            words[_OVERRUNS] = statistics.overruns
             if phase is not runner.phase:  # an enum's hash is slow
                 phase = runner.phase
-                phase_number = phases[phase]
+                words[_PHASE] = phases[phase]
 
         def fill() -> None:
             nonlocal number, left
@@ -92,24 +94,18 @@ class Feed:
             ticks = statistics.count
             if ticks:  # of the tick before: this one has not ended
                 row = (ticks - 1) % capacity * width
-                due, ended, began = rows[row], rows[row + 1], rows[row + 2]
-            else:
-                due = ended = began = 0
+                began = rows[row + 2]
+                words[_LATE], words[_TOOK] = began - rows[row], rows[row + 1] - began
             number += 1
             place = number % slots
-            at, place, stamp = start + place * size, 2 * place, now()
+            at, place = start + place * size, 2 * place
+            words[_TICK], words[_STAMP] = tick[0], now()
+            for word, cell in cells:
+                words[word] = cell.cell_contents
             table[place] = 0
-            late, took = began - due, ended - began
-            # fmt: off
-            pack(
-                memory, at, tick[0], stamp, phase_number, paused, late, took, overruns, driving,
-                robots, count,
-            )
-            # fmt: on
-            for offset, cell in cells:
-                counter(memory, at + offset, cell.cell_contents)
+            memory[at : at + begin] = front
             memory[at + begin : at + size] = states
-            table[place + 1] = stamp
+            table[place + 1] = words[_STAMP]
             table[place] = head[0] = number
 
         return fill
