@@ -35,6 +35,9 @@ __all__ = ["COMMAND", "FAULT", "Driver"]
 COMMAND = "velocity_command"
 FAULT = "emergency stop by a viewer"
 
+OFTEN = 0.01
+"""How often a viewer is heard that does not drive, in [s]."""
+
 LONGEST = 1000
 """Of names and answers, in [B]."""
 
@@ -53,6 +56,7 @@ class Driver:
 
     Attributes:
         driving: 1 while the viewer's velocity is the command.
+        interval: between two looks at a viewer that does not drive, in [s].
     """
 
     def __init__(
@@ -71,8 +75,11 @@ class Driver:
         command = program.states[COMMAND]
         self._command = command if command.ndim == 1 else command.reshape(-1, 3)
         self._heard_acts = self._heard_estop = self._lapsed = self._driven = self._started = 0
-        self._replaces = self._pressed = False
-        self._idle = True  # nobody drives, or has driven
+        self._replaces = False
+        self._left = memoryview(np.zeros(1, np.int32).data)  # ticks until the viewer is heard
+        self._often = max(1, round(OFTEN / program.period))
+        self.interval = self._often * program.period
+        self._is_pressed = memoryview(np.zeros(1, np.int8).data)
         self.driving = 0
         self._peripheral: Peripheral | None = None
         self._runner: Runner | None = None
@@ -87,10 +94,13 @@ class Driver:
         """Return the blocks: one before the flow, one right before `send`."""
         contested = COMMAND in given_by_blocks(self._program)
         amends, writes = ((COMMAND,), ()) if contested else ((), (COMMAND,))
-        return {
-            Stage.INPUT: [Block("viewer", self.hear, amends=amends, writes=writes, endless=True)],
-            Stage.SAFETY: [Block("viewer e-stop", self.stop_if_pressed, endless=True)],
-        }
+        hear = Block("viewer", self.hear, amends=amends, writes=writes, endless=True)
+        hear.inline = "left[0] -= 1\nleft[0] > 0 or hear()"
+        hear.inline_names = {"left": self._left, "hear": self.hear}
+        stop = Block("viewer e-stop", self.stop_if_pressed, endless=True)
+        stop.inline = "pressed[0] and stop()"
+        stop.inline_names = {"pressed": self._is_pressed, "stop": self.stop_if_pressed}
+        return {Stage.INPUT: [hear], Stage.SAFETY: [stop]}
 
     def hear(self) -> None:
         """Take what the viewer tells.
@@ -98,15 +108,16 @@ class Driver:
         Raises:
             Fault: the emergency stop was pressed, and nothing is sent yet.
         """
+        self._left[0] = self._often
         peripheral, runner = self._peripheral, self._runner
         if peripheral is None or runner is None:
             return
         if peripheral():
             self._take(peripheral)
-            if self._pressed and runner.phase is Phase.WAIT:
+            if self._is_pressed[0] and runner.phase is Phase.WAIT:
                 raise Fault(FAULT)
-            self._idle = not self._replaces and self._mode[0] != DRIVING
-        if not self._idle:
+        if self._replaces or self._mode[0] == DRIVING:
+            self._left[0] = 1  # others write the command in each tick
             self._drive()
 
     def look(self) -> None:
@@ -129,7 +140,7 @@ class Driver:
             peripheral.listen()
         if self._estop[0] > self._heard_estop:
             self._heard_estop = self._estop[0]
-            self._pressed = True
+            self._is_pressed[0] = 1
             self._press()
 
     def stop_if_pressed(self) -> None:
@@ -138,7 +149,7 @@ class Driver:
         Raises:
             Fault: the emergency stop was pressed.
         """
-        if self._pressed:
+        if self._is_pressed[0]:
             raise Fault(FAULT)
 
     def _drive(self) -> None:

@@ -102,7 +102,7 @@ class View:
         self._feed, self._peripheral, self.address = started(
             *(runner, NAME, self._told, self._options, self.warn),
             stale=DEAD_MAN,
-            period=program.period,
+            period=driver.interval,
             map=self._map,
             frame_prefix=self._prefix,
         )

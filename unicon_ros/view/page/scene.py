@@ -12,6 +12,7 @@ from unicon_core.models.load import load_model
 from unicon_core.models.loaded import import_mujoco
 from unicon_core.models.posed import PosedModel, foot_bodies, foot_geoms
 from unicon_core.models.touching import floors
+from unicon_ros.view.page.link import move
 from unicon_ros.view.page.shapes import shapes_of
 from unicon_ros.view.page.words import COMMANDED, MEASURED
 from unicon_ros.view.shown import Shown
@@ -25,6 +26,7 @@ _STEP, _LONGEST = 0.03, 2000  # [m] between points of the path, and points at mo
 TOUCHING = 0.005
 """A foot nearer to the floor stands on it, [m]."""
 
+_STILL = 1e-5  # [m], and of a quaternion: what moved less stays where it is
 _ABOVE = 0.2  # [m] from the highest joint to the arrows
 _SURE = 0.5  # of `foot_contact`
 
@@ -187,9 +189,10 @@ class Scene:
         self._ground = api.add_line_segments("/world/ground", _squares(), _GRID, line_width=1.5)
         self._bodies: dict[int, Any] = {}
         self._feet: dict[str, Any] = {}
-        self._drawn = -1
+        self._drawn, self._middle = -1, (0.0, 0.0)
         if stage is None:
             return
+        self._poses = np.full((len(stage.pose.position), 7), np.inf)
         for body in sorted({shape.body for shape in stage.shapes}):
             self._bodies[body] = api.add_frame(f"/world/body_{body}", show_axes=False)
         for number, shape in enumerate(stage.shapes):
@@ -233,16 +236,21 @@ class Scene:
         stage = self._stage
         if stage is None:
             return
-        for body, frame in self._bodies.items():
-            if body or self._drawn < 0:
-                frame.position, frame.wxyz = pose.position[body], pose.quat[body]
-        middle = (*pose.base[:2], 0.0) if self.follow else (0.0, 0.0, 0.0)
-        self._world.position = tuple(-x for x in middle)
-        self._ground.position = tuple(float(round(x)) for x in middle)
+        poses = np.hstack([pose.position, pose.quat])
+        for body in np.flatnonzero(np.abs(poses - self._poses).max(axis=1) > _STILL).tolist():
+            self._poses[body] = poses[body]
+            if body in self._bodies:
+                place = poses[body].tolist()
+                move(self._bodies[body], place[:3], place[3:])
+        x, y = pose.base[:2].tolist() if self.follow else (0.0, 0.0)
+        if (x, y) != self._middle:
+            self._middle = x, y
+            move(self._world, (-x, -y, 0.0))
+            move(self._ground, (float(round(x)), float(round(y)), 0.0))
         for foot, ball in self._feet.items():
             stands = self.contacts and foot in pose.touching
             if stands:
-                ball.position = pose.feet[foot]
+                move(ball, pose.feet[foot].tolist())
             if ball.visible != stands:
                 ball.visible = stands
         for arrow, (start, end) in zip(self._velocity, pose.arrows):
