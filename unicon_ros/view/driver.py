@@ -35,7 +35,7 @@ __all__ = ["COMMAND", "FAULT", "Driver"]
 COMMAND = "velocity_command"
 FAULT = "emergency stop by a viewer"
 
-OFTEN = 0.01
+OFTEN = 0.02
 """How often a viewer is heard that does not drive, in [s]."""
 
 LONGEST = 1000
