@@ -77,6 +77,7 @@ def compose(members: Mapping[str, Robot]) -> Robot:
         simulated=simulated,
         overlay=None,
         members=dict(members),
+        groups={group: joints for group, joints in base.groups.items() if group not in members},
     )
 
 

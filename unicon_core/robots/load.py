@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
@@ -44,6 +45,7 @@ def _robot(located: Located) -> Robot:
     document: dict[str, Any] = located.value
     joints = document["joints"]
     imu = document["imu"]
+    names = tuple(joint["name"] for joint in joints)
     arrays: dict[str, Any] = {
         field: _array([joint[key] for joint in joints]) for key, field in JOINT_FIELDS.items()
     }
@@ -55,7 +57,7 @@ def _robot(located: Located) -> Robot:
         path=located.path,
         models=document["models"],
         base_frame=document["base_frame"],
-        joint_names=tuple(joint["name"] for joint in joints),
+        joint_names=names,
         **arrays,
         imu=imu
         and Imu(
@@ -70,6 +72,10 @@ def _robot(located: Located) -> Robot:
             for axis, (low, high) in (document.get("command_ranges") or {}).items()
         },
         simulated=document.get("simulated") or {},
+        groups={
+            group: tuple(name for name in names if any(fnmatchcase(name, p) for p in patterns))
+            for group, patterns in (document.get("groups") or {}).items()
+        },
     )
 
 

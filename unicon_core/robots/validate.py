@@ -6,6 +6,7 @@ The JSON Schema is for editors.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from fnmatch import fnmatchcase
 from pathlib import PurePath
 from typing import Any
 
@@ -49,7 +50,7 @@ _REQUIRED = (
     "transport",
     "sources",
 )
-_OPTIONAL = ("feet", "fingertips", "command_ranges", "simulated", "unknown")
+_OPTIONAL = ("feet", "fingertips", "command_ranges", "groups", "simulated", "unknown")
 _OVERLAY = ("schema", "extends", "simulated")
 
 
@@ -167,6 +168,30 @@ def _simulated(located: Located, simulated: Any) -> Problems:
                 yield located.error(where, f"simulated: {found}")
 
 
+def _groups(located: Located, groups: Any) -> Problems:
+    """`{legs: ["*_hip_*", …]}`: each pattern means a joint."""
+    if groups is None:
+        return
+    if not isinstance(groups, dict):
+        remedy = 'write {legs: ["*_hip_*", "*_knee_*"], …}'
+        yield from check_mapping(located, ("groups",), groups, remedy)
+        return
+    names = [str(joint.get("name")) for joint in _joints(located.value)]
+    for group, patterns in groups.items():
+        where: Where = ("groups", group)
+        if not isinstance(group, str) or not group.isidentifier() or group in names:
+            yield located.error(
+                where, f"groups: {group!r} is not a name for joints; use letters, digits and _"
+            )
+        if not isinstance(patterns, list) or not patterns:
+            yield wrong(located, where, f"is {patterns!r}; write a list of joints or patterns")
+            continue
+        for i, pattern in enumerate(patterns):
+            if not isinstance(pattern, str) or not any(fnmatchcase(n, pattern) for n in names):
+                known = alternatives(str(pattern), names)
+                yield located.error((*where, i), f"groups: no joint is like {pattern!r}; {known}")
+
+
 def _one_of(located: Located, where: Where, value: Any, known: tuple[str, ...]) -> Problems:
     if value not in known:
         yield wrong(located, where, f"{value!r} is not known; {alternatives(str(value), known)}")
@@ -260,6 +285,7 @@ _CHECKS: dict[str, Check] = {
     "command_ranges": check_command_ranges,
     "transport": _transport,
     "simulated": _simulated,
+    "groups": _groups,
 }
 """Key to the check of its value, where it stands."""
 

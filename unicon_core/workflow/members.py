@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 from unicon_core.errors import RobotError
@@ -84,11 +85,29 @@ def member_context(context: BuildContext, member: str) -> BuildContext:
     return replace(context, states=states, robot=own)
 
 
-def share_of(context: BuildContext, member: str) -> Share:
-    """Return what a block of a member has of the states."""
+def share_of(context: BuildContext, member: str, words: Sequence[str] = ()) -> Share:
+    """Return what a block has of the states that moves some joints alone.
+
+    Args:
+        context: of the whole robot.
+        member: for which it is built, "" for the whole robot.
+        words: groups or joints of that member, or of the whole; all of them if none are given.
+
+    Raises:
+        RobotError: a word means no joint.
+    """
     robot = context.robot
-    names = divided(context.states.layout, robot.joint_names)
-    return Share(member, tuple(robot.members), names)
+    own = member_robot(robot, member)
+    names = robot.joint_names[robot.joints_of(member)] if member else robot.joint_names
+    places = own.group(words) if words else range(own.num_joints)
+    parts = {each: robot.joint_names[robot.joints_of(each)] for each in robot.members}
+    return Share(
+        ", ".join(words) or member,
+        frozenset(names[place] for place in places),
+        frozenset(robot.joint_names),
+        {each: frozenset(joints) for each, joints in (parts | dict(robot.groups)).items()},
+        divided(context.states.layout, robot.joint_names),
+    )
 
 
 def scene_of_member(scene: Scene, robot: Robot, member: str) -> Scene:
