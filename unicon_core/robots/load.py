@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from unicon_core.errors import RobotError, WorkflowError
 from unicon_core.located_yaml import Located, read_yaml
 from unicon_core.resources import find_config, list_config
+from unicon_core.robots.mounts import mounts_of
 from unicon_core.robots.poses import joints_like
 from unicon_core.robots.robot import JOINT_FIELDS, Imu, Robot
 from unicon_core.robots.validate import is_overlay, refuse, validate, validate_overlay
@@ -70,6 +71,7 @@ def _robot(located: Located) -> Robot:
             for axis, (low, high) in (document.get("command_ranges") or {}).items()
         },
         simulated=document.get("simulated") or {},
+        mounts=mounts_of(document.get("mounts") or {}),
     )
 
 

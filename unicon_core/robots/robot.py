@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from unicon_core.robots.mounts import Mount
+
 __all__ = ["JOINT_FIELDS", "MODEL_FORMATS", "Imu", "Robot"]
 
 MODEL_FORMATS = ("mjcf", "urdf")
@@ -96,6 +98,9 @@ class Robot:
     members: Mapping[str, Robot] = field(default_factory=dict)
     """Name to robot, of a robot made of robots, in the order of the joints; see `compose`."""
 
+    mounts: Mapping[str, Mount] = field(default_factory=dict)
+    """Where its model carries others: name of a member, or of the robot there, to the place; of a
+    robot made of members, each one's."""
     weldable: frozenset[str] = frozenset()
     """Joints that no policy of the workflow moves: a simulated model may lack them."""
 
