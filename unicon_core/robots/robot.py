@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import RobotError, alternatives
+from unicon_core.robots.mounts import Mount
 
 __all__ = ["JOINT_FIELDS", "MODEL_FORMATS", "Imu", "Robot"]
 
@@ -100,6 +101,10 @@ class Robot:
 
     groups: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """Name to joints in the robot's order, such as `legs`; groups may overlap."""
+
+    mounts: Mapping[str, Mount] = field(default_factory=dict)
+    """Where its model carries others: name of a member, or of the robot there, to the place; of a
+    robot made of members, each one's."""
 
     weldable: frozenset[str] = frozenset()
     """Joints that no policy of the workflow moves: a simulated model may lack them."""

@@ -28,6 +28,7 @@ from unicon_core.robots.checks import (
     wrong,
 )
 from unicon_core.robots.joint_physics import wrong_physics
+from unicon_core.robots.mounts import wrong_mounts
 from unicon_core.robots.robot import JOINT_FIELDS, MODEL_FORMATS
 
 __all__ = ["COMMANDS", "KINDS", "SCHEMA", "is_overlay", "refuse", "validate", "validate_overlay"]
@@ -50,7 +51,7 @@ _REQUIRED = (
     "transport",
     "sources",
 )
-_OPTIONAL = ("feet", "fingertips", "command_ranges", "groups", "simulated", "unknown")
+_OPTIONAL = ("feet", "fingertips", "command_ranges", "groups", "mounts", "simulated", "unknown")
 _OVERLAY = ("schema", "extends", "simulated")
 
 
@@ -192,6 +193,11 @@ def _groups(located: Located, groups: Any) -> Problems:
                 yield located.error((*where, i), f"groups: no joint is like {pattern!r}; {known}")
 
 
+def _mounts(located: Located, mounts: Any) -> Problems:
+    for where, found in wrong_mounts(mounts) if mounts is not None else ():
+        yield located.error(("mounts", *where), f"{'.'.join(('mounts', *where))} {found}")
+
+
 def _one_of(located: Located, where: Where, value: Any, known: tuple[str, ...]) -> Problems:
     if value not in known:
         yield wrong(located, where, f"{value!r} is not known; {alternatives(str(value), known)}")
@@ -284,6 +290,7 @@ _CHECKS: dict[str, Check] = {
     "imu": check_imu,
     "command_ranges": check_command_ranges,
     "transport": _transport,
+    "mounts": _mounts,
     "simulated": _simulated,
     "groups": _groups,
 }
@@ -371,6 +378,7 @@ def _sources(located: Located, document: dict[str, Any]) -> Problems:
         "feet": bool(document.get("feet")),
         "fingertips": bool(document.get("fingertips")),
         "command_ranges": bool(document.get("command_ranges")),
+        "mounts": bool(document.get("mounts")),
         "transport": True,
     }
     for group, needed in given.items():

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from unicon_core.errors import RobotError
+from unicon_core.errors import RobotError, alternatives
 from unicon_core.flow.block import Share
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.resources import find_config
 from unicon_core.robots import Robot, compose, load_robot
+from unicon_core.robots.mounts import Mount, mounts_of, wrong_mounts
 from unicon_core.robots.poses import joints_like
 from unicon_core.states import StateSpec
 from unicon_core.states.member import divided, member_states, stamp_of
@@ -37,6 +38,7 @@ def load_robot_of(document: WorkflowDocument) -> Robot:
     """
     members = read_members(document)
     if not members:
+        _mounts(document, [])
         return _load(document, document.get("robot", str), "robot")
     for member in members:
         if member in known("platforms"):
@@ -46,7 +48,28 @@ def load_robot_of(document: WorkflowDocument) -> Robot:
                 "robot",
                 member,
             )
-    return compose({m: _load(document, text, "robot", m) for m, text in members.items()})
+    robots = {m: _load(document, text, "robot", m) for m, text in members.items()}
+    try:
+        return compose(robots, _mounts(document, list(members)))
+    except RobotError as error:
+        raise document.error(error.message, "robot") from error
+
+
+def _mounts(document: WorkflowDocument, members: list[str]) -> dict[str, Mount]:
+    """Return what `scene.mounts` says."""
+    said = document.get("scene", dict, {}).get("mounts")
+    if said is None:
+        return {}
+    for where, wrong in wrong_mounts(said):
+        path = ("scene", "mounts", *where)
+        raise document.error(f"{'.'.join(path)} {wrong}", *path)
+    for member in said:
+        if member not in members[1:]:
+            known = alternatives(member, members[1:]) if members[1:] else "the robot has no members"
+            raise document.error(
+                f"scene.mounts: no member {member!r}; {known}", "scene", "mounts", member
+            )
+    return mounts_of(said)
 
 
 def _load(document: WorkflowDocument, text: str, *path: str) -> Robot:
