@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 from unicon_core.check.result import CheckResult
 from unicon_core.check.subject import Subject, listed
+from unicon_core.policies.driven import DrivenPolicy
 from unicon_core.robots import Robot
 
 __all__ = ["check_joints"]
@@ -53,6 +54,7 @@ def check_joints(subject: Subject, result: CheckResult) -> None:
             f"model {model.path.name}",
             f"it lacks {listed(model.welded)}, which no policy moves: they are taken as welded",
         )
+    _seen(subject, result)
     result.table("Joints", columns, rows, lines)
     if subject.platform.simulated:
         return
@@ -67,6 +69,26 @@ def check_joints(subject: Subject, result: CheckResult) -> None:
                 f"{count} joints",
                 "give one slot for each joint, in the order of joints",
                 each.path,
+            )
+
+
+def _seen(subject: Subject, result: CheckResult) -> None:
+    """Find policies that see joints which others move: few were trained so."""
+    keys = {id(contract): key for key, contract in subject.program.policies.items()}
+    for block in subject.program.blocks:
+        tick = block.tick
+        if not isinstance(tick, DrivenPolicy) or not {"joint_pos", "joint_vel"} & {*tick.reads}:
+            continue
+        names = subject.robot.joint_names
+        known = {names[place] for place in (*tick.places, *tick.hidden)}
+        seen = [name for name in names if name in tick.contract.joints and name not in known]
+        if seen:
+            result.find(
+                "joints.seen",
+                f"policy {keys[id(tick.contract)]!r}",
+                f"sees {listed(seen)}, which others move: most policies fall by that",
+                "hide them: sees_default_for: [GROUP]; accept it where the policy was trained so",
+                block.where,
             )
 
 

@@ -21,6 +21,7 @@ CODES = {
     "graph": "the graph of blocks is wrong",
     "joints.held": "joints that no policy moves (a note)",
     "joints.welded": "the simulated model lacks joints that no policy moves (a note)",
+    "joints.seen": "a policy sees joints that other blocks move",
     "joints.motors": "motor slots do not fit the joints",
     "joints.order": "the joints are named in another order than the figures have",
     "gains.differ": "the policy's gains are not the robot file's (a note)",

@@ -7,7 +7,7 @@ something is wrong. Any plain function that returns a bool is a block.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal, TypeAlias
 
@@ -47,16 +47,20 @@ class Bundle:
 
 @dataclass(frozen=True)
 class Share:
-    """What a block of one member of a robot has of the states.
+    """What a block has of the states that moves some joints of a robot alone.
 
     Attributes:
-        member: of the robot.
-        members: all of them.
-        states: those that have an element for each joint; of them it has its member's.
+        of: whose joints: a member of the robot, or groups.
+        joints: their names in the whole robot.
+        whole: all joints of the robot.
+        parts: name to joints of members and groups, for messages.
+        states: those that have an element for each joint; of them it has its own joints'.
     """
 
-    member: str
-    members: tuple[str, ...]
+    of: str
+    joints: frozenset[str]
+    whole: frozenset[str]
+    parts: Mapping[str, frozenset[str]]
     states: frozenset[str]
 
 
@@ -79,7 +83,7 @@ class Block:
         part: of a divided workflow, to which it belongs; "" for the first one.
         endless: True where the block can never be done; what it returns is not even looked at.
         expects: what it needs states to be: name to `shape`, `dtype`, `unit` or `frame`.
-        share: of a block that was built for one member of the robot, or None.
+        share: of a block that moves some of the joints alone, such as those of a member, or None.
         linear: what it does where that is a copy or a linear index map, or None; neighbours are
             then fused into one operation.
         parts: the blocks that were fused into this one.
@@ -113,7 +117,7 @@ class Block:
     def claim(self, state: str) -> str:
         """Return a state as this block has it: `joint_pos of left_hand`, or all of it."""
         share = self.share
-        return f"{state} of {share.member}" if share and state in share.states else state
+        return f"{state} of {share.of}" if share and state in share.states else state
 
 
 def as_block(candidate: Any, *, name: str = "", where: str = "") -> Block:

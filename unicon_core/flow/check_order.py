@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 from unicon_core.flow.block import Block
 from unicon_core.flow.critical_path import is_patient
@@ -46,7 +46,7 @@ class _Reads:
         blocks = blocks_of(root)
         # Of several writers the first counts.
         self.writers = {b.claim(name): b for b in reversed(blocks) for name in b.writes}
-        self.members = next((b.share.members for b in blocks if b.share is not None), ())
+        self.shared = [(b, b.share) for b in blocks if b.share is not None]
 
     def walk(self, node: Node, before: States, ever: States) -> Iterator[Finding]:
         if isinstance(node, Block):
@@ -97,11 +97,28 @@ class _Reads:
                 yield Finding.of(block, evidence, remedy)
 
     def claims(self, block: Block, name: str) -> list[str]:
-        """Return what has to be written for a block to read a state: each member's share of it."""
-        own = [f"{name} of {member}" for member in self.members]
-        if block.claim(name) != name or self.writers.keys().isdisjoint(own):
+        """Return what has to be written for a block to read a state: each share of it."""
+        own = [(b, s) for b, s in self.shared if name in b.writes and name in s.states]
+        if not own or name in self.writers:
             return [block.claim(name)]
-        return own
+        reader = block.share if block.share is not None and name in block.share.states else None
+        if reader is not None and block.claim(name) in self.writers:
+            return [block.claim(name)]
+        share = own[0][1]
+        wanted = share.whole if reader is None else reader.joints
+        claims = list(dict.fromkeys(b.claim(name) for b, s in own if s.joints & wanted))
+        left = wanted.difference(*(s.joints for _, s in own))
+        return claims + [f"{name} of {each}" for each in _named(left, share.parts)]
+
+
+def _named(joints: frozenset[str], parts: Mapping[str, frozenset[str]]) -> list[str]:
+    """Return joints by the names of what they are part of, those that are of no whole part last."""
+    named = []
+    for name, part in parts.items():
+        if part and part <= joints:
+            named.append(name)
+            joints -= part
+    return [*named, ", ".join(sorted(joints))] if joints else named
 
 
 def behind_send(root: Node) -> list[Finding]:

@@ -21,7 +21,7 @@ def two_writers(root: Node) -> list[Finding]:
 
     Children of a chain and cases of a switch exclude each other. Of two blocks below two `when`
     nobody can tell. A block that amends is no writer, and a block is no second writer to itself.
-    Blocks of different members of a robot write different joints.
+    Blocks of different members or groups of a robot write different joints.
     """
     found: dict[tuple[str, str, str], Finding] = {}
 
@@ -63,9 +63,11 @@ def two_writers(root: Node) -> list[Finding]:
 
 
 def _apart(name: str, first: Block, second: Block) -> bool:
-    """Whether they write the joints of different members."""
-    claims = first.claim(name), second.claim(name)
-    return name not in claims and claims[0] != claims[1]
+    """Whether they write different joints."""
+    one, other = first.share, second.share
+    if one is None or other is None or name not in one.states:
+        return False
+    return one.joints.isdisjoint(other.joints)
 
 
 def _remedy(name: str, first: Block, second: Block) -> str:
@@ -73,12 +75,23 @@ def _remedy(name: str, first: Block, second: Block) -> str:
     whole = next((block for block in either if block.claim(name) == name), None)
     share = first.share or second.share
     if whole is not None and share is not None and name in share.states:
-        others = " or ".join(member for member in share.members if member != share.member)
-        return f"a joint has one writer: give {whole.name!r} other joints, of: {others}"
+        free = [name for name, joints in share.parts.items() if joints.isdisjoint(share.joints)]
+        others = f", of: {' or '.join(free)}" if free else ""
+        return f"a joint has one writer: give {whole.name!r} other joints{others}"
+    if share is not None and name in share.states:
+        both = _both(first, second)
+        return f"a joint has one writer, and both move {both}: take them from one of the two"
     return (
         "a state has one writer: remove one, declare the second as one that "
         "amends, or let a chain or switch choose"
     )
+
+
+def _both(first: Block, second: Block) -> str:
+    """Return the joints that two blocks move; the first few of many."""
+    shares = [block.share.joints for block in (first, second) if block.share is not None]
+    names = sorted(frozenset.intersection(*shares))
+    return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
 
 
 def _of(block: Block, writers: list[_Writer]) -> list[_Writer]:

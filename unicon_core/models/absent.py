@@ -8,7 +8,7 @@ from typing import Any
 
 from unicon_core.packages import PACKAGE, share_folder
 
-__all__ = ["drop_absent_meshes", "drop_absent_textures"]
+__all__ = ["delete", "drop_absent_meshes", "drop_absent_textures"]
 
 _MESHES = (".stl", ".obj", ".msh")  # what MuJoCo reads; COLLADA counts as absent
 
@@ -60,12 +60,12 @@ def drop_absent_meshes(spec: Any, path: Path, floats: bool) -> list[str]:
             dropped += 1
             colliding += bool(geom.contype or geom.conaffinity or geom.name in paired)
             gone.add(geom.name)
-            _delete(spec, geom)
+            delete(spec, geom)
     for pair in list(spec.pairs):
         if {pair.geomname1, pair.geomname2} & gone - {""}:
-            _delete(spec, pair)
+            delete(spec, pair)
     for mesh in absent.values():
-        _delete(spec, mesh)
+        delete(spec, mesh)
     note = (
         f"{len(absent)} mesh files are absent (first: {next(iter(absent.values())).file}): "
         f"{dropped} geoms left out, {colliding} of them may collide"
@@ -92,11 +92,12 @@ def drop_absent_textures(spec: Any, path: Path) -> list[str]:
     for material in spec.materials:
         material.textures = ["" if name in names else name for name in material.textures]
     for texture in absent:
-        _delete(spec, texture)
+        delete(spec, texture)
     return [f"{len(names)} textures are absent ({', '.join(sorted(names))}): left out"]
 
 
-def _delete(spec: Any, element: Any) -> None:
+def delete(spec: Any, element: Any) -> None:
+    """Take an element out of a spec, in any version of MuJoCo."""
     if hasattr(spec, "delete"):
         spec.delete(element)
     else:  # mujoco < 3.3.3

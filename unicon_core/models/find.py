@@ -56,11 +56,17 @@ def pick_model(
     if given is not None:
         return find_model(given, relative_to)
     if robot.members:
-        raise ModelError(
-            f"robot {robot.name} is made of members, and no model of the whole is named; let the "
-            "workflow name one: scene: {model: PATH}, or give each member a platform: platform: "
-            f"{{{', '.join(f'{member}: …' for member in robot.members)}}}"
-        )
+        base, *others = robot.members
+        loose = [member for member in others if member not in robot.mounts]
+        if loose:
+            places = ", ".join(f"{member}: …" for member in robot.members)
+            raise ModelError(
+                f"robot {robot.name} is made of members, and nothing says where {loose[0]} sits on "
+                f"{robot.members[base].name}; let the workflow say it: scene: {{mounts: "
+                f"{{{loose[0]}: {{body: …}}}}}}, name a model of the whole: scene: {{model: "
+                f"PATH}}, or give each member a platform: platform: {{{places}}}"
+            )
+        return pick_model(robot.members[base])
     found = next((robot.models[kind] for kind in MODEL_FORMATS if kind in robot.models), None)
     if found is None:
         raise ModelError(

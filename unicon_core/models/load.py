@@ -13,7 +13,9 @@ import numpy as np
 from unicon_core.errors import ModelError
 from unicon_core.models.absent import drop_absent_meshes, drop_absent_textures
 from unicon_core.models.actuators import mend_actuators
+from unicon_core.models.attach import attach_members
 from unicon_core.models.bounded import refuse_endless, refuse_not_finite
+from unicon_core.models.find import pick_model
 from unicon_core.models.ground import mend_floor
 from unicon_core.models.joints import find_joints
 from unicon_core.models.loaded import LoadedModel, import_mujoco
@@ -42,7 +44,8 @@ def load_model(
     of public URDF files that ROS reads over are mended. A URDF of a robot that walks gets a free
     joint; a walking robot without surroundings gets a floor, by the name that its pairs give it; a
     robot joint without a motor gets one. Joints that the robot calls weldable may be absent: they
-    stand still.
+    stand still. Of a robot made of members the models of those that have a mount, and whose joints
+    the file lacks, are attached to it.
 
     Args:
         path: MJCF or URDF file.
@@ -56,15 +59,19 @@ def load_model(
     """
     mujoco = import_mujoco()
     notes: list[str] = []
-    refuse_endless(path)
-    is_urdf = path.suffix.lower() == ".urdf"
-    spec = _read(mujoco, path, repaired_urdf(path, notes) if is_urdf else None)
-    absent = drop_absent_meshes(spec, path, robot.floats)
-    for note in () if quiet else absent:
-        _log.info("model %s: %s", path, note)
-    notes += [*absent, *drop_absent_textures(spec, path)]
-    if is_urdf:
-        spec.compiler.fusestatic = False  # fixed links keep their names: feet and sensor frames
+    absent: list[str] = []
+
+    def read(path: Path, notes: list[str], floats: bool) -> Any:
+        spec = _read(mujoco, path, notes)
+        lacking = drop_absent_meshes(spec, path, floats)
+        for note in () if quiet else lacking:
+            _log.info("model %s: %s", path, note)
+        absent.extend(lacking)
+        notes += [*lacking, *drop_absent_textures(spec, path)]
+        return spec
+
+    spec = read(path, notes, robot.floats)
+    if path.suffix.lower() == ".urdf":
         spec.option.timestep = _URDF_TIMESTEP
         # A URDF has no armature: with Euler's step the vendor's damping blows an A1 up.
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
@@ -74,6 +81,13 @@ def load_model(
         spec.option.timestep = float(timestep)
     if robot.floats:
         mend_floor(mujoco, spec, notes)
+    if robot.mounts and robot.members:
+
+        def member(own: Robot, told: list[str]) -> Any:
+            return read(pick_model(own), told, floats=False)
+
+        with _told(path):
+            attach_members(mujoco, spec, robot, path, member, notes)
     if prepare is not None:
         prepare(spec)
     with _told(path):
@@ -93,12 +107,18 @@ def load_model(
     return LoadedModel(model, path, joints, notes, welded, tuple(absent), arm)
 
 
-def _read(mujoco: Any, path: Path, text: str | None) -> Any:
+def _read(mujoco: Any, path: Path, notes: list[str]) -> Any:
+    refuse_endless(path)
+    is_urdf = path.suffix.lower() == ".urdf"
+    text = repaired_urdf(path, notes) if is_urdf else None
     with _told(path):
         if text is None:
-            return mujoco.MjSpec.from_file(str(path))
-        spec = mujoco.MjSpec.from_string(text)
-    spec.modelfiledir = f"{path.parent}/"  # a text has no folder to look for meshes in
+            spec = mujoco.MjSpec.from_file(str(path))
+        else:
+            spec = mujoco.MjSpec.from_string(text)
+            spec.modelfiledir = f"{path.parent}/"  # a text has no folder to look for meshes in
+    if is_urdf:
+        spec.compiler.fusestatic = False  # fixed links keep their names: feet and sensor frames
     return spec
 
 

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from unicon_core.errors import RobotError
 from unicon_core.robots.load import load_robot
+from unicon_core.robots.mounts import Mount
 from unicon_core.robots.robot import JOINT_FIELDS, Robot
 
 __all__ = ["compose", "load_files", "robot_files"]
@@ -27,7 +28,7 @@ _OF_A_MEMBER = ("motors", "command")
 """Keys of `transport` that are about the joints of one member."""
 
 
-def compose(members: Mapping[str, Robot]) -> Robot:
+def compose(members: Mapping[str, Robot], mounts: Mapping[str, Mount] | None = None) -> Robot:
     """Return the whole robot.
 
     A joint name that several members have is told apart by `MEMBER_` in front of it; the first
@@ -36,9 +37,10 @@ def compose(members: Mapping[str, Robot]) -> Robot:
 
     Args:
         members: name to robot, at least one.
+        mounts: name of a member, or of its robot, to its place, over what the base's file says.
 
     Raises:
-        RobotError: two joints would have the same name.
+        RobotError: two joints would have the same name, or two members the same place.
     """
     base_name = next(iter(members))
     base = members[base_name]
@@ -75,9 +77,29 @@ def compose(members: Mapping[str, Robot]) -> Robot:
         transport={k: v for k, v in base.transport.items() if k not in _OF_A_MEMBER},
         unknown=tuple(f"{m}: {fact}" for m, robot in members.items() for fact in robot.unknown),
         simulated=simulated,
+        mounts=_mounted(members, {**base.mounts, **(mounts or {})}),
         overlay=None,
         members=dict(members),
+        groups={group: joints for group, joints in base.groups.items() if group not in members},
     )
+
+
+def _mounted(members: Mapping[str, Robot], said: Mapping[str, Mount]) -> dict[str, Mount]:
+    """Return the place of each member that has one; its name goes before that of its robot."""
+    found: dict[str, Mount] = {}
+    for member, robot in list(members.items())[1:]:
+        mount = said.get(member) or said.get(robot.name)
+        if mount is None:
+            continue
+        for other, its in found.items():
+            if (its.body, its.position) == (mount.body, mount.position):
+                raise RobotError(
+                    f"robot of {', '.join(members)}: {other} and {member} are both mounted on "
+                    f"{mount.body} at {list(mount.position)}; give one another place: "
+                    f"scene: {{mounts: {{{member}: {{body: …, position: …}}}}}}"
+                )
+        found[member] = mount
+    return found
 
 
 def robot_files(robot: Robot) -> dict[str, Path]:
@@ -85,10 +107,10 @@ def robot_files(robot: Robot) -> dict[str, Path]:
     return {member: each.path for member, each in (robot.members or {"": robot}).items()}
 
 
-def load_files(files: Mapping[str, str | Path]) -> Robot:
-    """Return the robot of these files, as `robot_files` names them."""
+def load_files(files: Mapping[str, str | Path], mounts: Mapping[str, Mount] | None = None) -> Robot:
+    """Return the robot of these files, as `robot_files` names them, with mounts as of `compose`."""
     robots = {member: load_robot(path) for member, path in files.items()}
-    return compose(robots) if "" not in robots else robots[""]
+    return compose(robots, mounts) if "" not in robots else robots[""]
 
 
 def _gains(robot: Robot, field: str) -> NDArray[np.float32]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from unicon_core.errors import RobotError, WorkflowError
 from unicon_core.located_yaml import Located, read_yaml
 from unicon_core.resources import find_config, list_config
+from unicon_core.robots.mounts import mounts_of
 from unicon_core.robots.poses import joints_like
 from unicon_core.robots.robot import JOINT_FIELDS, Imu, Robot
 from unicon_core.robots.validate import is_overlay, refuse, validate, validate_overlay
@@ -44,6 +46,7 @@ def _robot(located: Located) -> Robot:
     document: dict[str, Any] = located.value
     joints = document["joints"]
     imu = document["imu"]
+    names = tuple(joint["name"] for joint in joints)
     arrays: dict[str, Any] = {
         field: _array([joint[key] for joint in joints]) for key, field in JOINT_FIELDS.items()
     }
@@ -55,7 +58,7 @@ def _robot(located: Located) -> Robot:
         path=located.path,
         models=document["models"],
         base_frame=document["base_frame"],
-        joint_names=tuple(joint["name"] for joint in joints),
+        joint_names=names,
         **arrays,
         imu=imu
         and Imu(
@@ -70,6 +73,11 @@ def _robot(located: Located) -> Robot:
             for axis, (low, high) in (document.get("command_ranges") or {}).items()
         },
         simulated=document.get("simulated") or {},
+        groups={
+            group: tuple(name for name in names if any(fnmatchcase(name, p) for p in patterns))
+            for group, patterns in (document.get("groups") or {}).items()
+        },
+        mounts=mounts_of(document.get("mounts") or {}),
     )
 
 

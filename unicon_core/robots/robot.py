@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -10,6 +10,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from unicon_core.errors import RobotError, alternatives
+from unicon_core.robots.mounts import Mount
 
 __all__ = ["JOINT_FIELDS", "MODEL_FORMATS", "Imu", "Robot"]
 
@@ -96,6 +99,13 @@ class Robot:
     members: Mapping[str, Robot] = field(default_factory=dict)
     """Name to robot, of a robot made of robots, in the order of the joints; see `compose`."""
 
+    groups: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """Name to joints in the robot's order, such as `legs`; groups may overlap."""
+
+    mounts: Mapping[str, Mount] = field(default_factory=dict)
+    """Where its model carries others: name of a member, or of the robot there, to the place; of a
+    robot made of members, each one's."""
+
     weldable: frozenset[str] = frozenset()
     """Joints that no policy of the workflow moves: a simulated model may lack them."""
 
@@ -141,6 +151,33 @@ class Robot:
                 return slice(start, start + robot.num_joints)
             start += robot.num_joints
         raise KeyError(member)
+
+    def group(self, words: Sequence[str]) -> NDArray[np.intp]:
+        """Return the places of joints in the robot's order, each once, shape (k,).
+
+        Args:
+            words: groups, members, and names or patterns (`*`, `?`) of joints.
+
+        Raises:
+            RobotError: a word means no joint.
+        """
+        found: set[str] = set()
+        for word in words:
+            if word in self.groups:
+                joints: Sequence[str] = self.groups[word]
+            elif word in self.members:
+                joints = self.joint_names[self.joints_of(word)]
+            else:
+                joints = [name for name in self.joint_names if fnmatchcase(name, str(word))]
+            if not joints:
+                known = [*self.groups, *self.members, *self.joint_names]
+                raise RobotError(
+                    f"robot {self.name} has no group or joint {word!r}; "
+                    f"{alternatives(str(word), known)}"
+                )
+            found.update(joints)
+        places = [i for i, name in enumerate(self.joint_names) if name in found]
+        return np.array(places, dtype=np.intp)
 
     def file_of(self, joint: str) -> Path:
         """Return the file that says the facts of a joint."""

@@ -64,6 +64,7 @@ def robot_table(robot: Robot) -> str:
     if robot.command_ranges:
         ranges = [f"{k} {low:g}…{high:g}" for k, (low, high) in robot.command_ranges.items()]
         head.append(("commands", ", ".join(ranges)))
+    head += [(f"group {group}", ", ".join(names)) for group, names in robot.groups.items()]
     if robot.overlay is not None:
         head.append(("overlay", str(robot.overlay)))
     parts = [_wrapped(head), _joints(robot)]

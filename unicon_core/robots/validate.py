@@ -6,6 +6,7 @@ The JSON Schema is for editors.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from fnmatch import fnmatchcase
 from pathlib import PurePath
 from typing import Any
 
@@ -27,6 +28,7 @@ from unicon_core.robots.checks import (
     wrong,
 )
 from unicon_core.robots.joint_physics import wrong_physics
+from unicon_core.robots.mounts import wrong_mounts
 from unicon_core.robots.robot import JOINT_FIELDS, MODEL_FORMATS
 
 __all__ = ["COMMANDS", "KINDS", "SCHEMA", "is_overlay", "refuse", "validate", "validate_overlay"]
@@ -49,7 +51,7 @@ _REQUIRED = (
     "transport",
     "sources",
 )
-_OPTIONAL = ("feet", "fingertips", "command_ranges", "simulated", "unknown")
+_OPTIONAL = ("feet", "fingertips", "command_ranges", "groups", "mounts", "simulated", "unknown")
 _OVERLAY = ("schema", "extends", "simulated")
 
 
@@ -167,6 +169,35 @@ def _simulated(located: Located, simulated: Any) -> Problems:
                 yield located.error(where, f"simulated: {found}")
 
 
+def _groups(located: Located, groups: Any) -> Problems:
+    """`{legs: ["*_hip_*", …]}`: each pattern means a joint."""
+    if groups is None:
+        return
+    if not isinstance(groups, dict):
+        remedy = 'write {legs: ["*_hip_*", "*_knee_*"], …}'
+        yield from check_mapping(located, ("groups",), groups, remedy)
+        return
+    names = [str(joint.get("name")) for joint in _joints(located.value)]
+    for group, patterns in groups.items():
+        where: Where = ("groups", group)
+        if not isinstance(group, str) or not group.isidentifier() or group in names:
+            yield located.error(
+                where, f"groups: {group!r} is not a name for joints; use letters, digits and _"
+            )
+        if not isinstance(patterns, list) or not patterns:
+            yield wrong(located, where, f"is {patterns!r}; write a list of joints or patterns")
+            continue
+        for i, pattern in enumerate(patterns):
+            if not isinstance(pattern, str) or not any(fnmatchcase(n, pattern) for n in names):
+                known = alternatives(str(pattern), names)
+                yield located.error((*where, i), f"groups: no joint is like {pattern!r}; {known}")
+
+
+def _mounts(located: Located, mounts: Any) -> Problems:
+    for where, found in wrong_mounts(mounts) if mounts is not None else ():
+        yield located.error(("mounts", *where), f"{'.'.join(('mounts', *where))} {found}")
+
+
 def _one_of(located: Located, where: Where, value: Any, known: tuple[str, ...]) -> Problems:
     if value not in known:
         yield wrong(located, where, f"{value!r} is not known; {alternatives(str(value), known)}")
@@ -259,7 +290,9 @@ _CHECKS: dict[str, Check] = {
     "imu": check_imu,
     "command_ranges": check_command_ranges,
     "transport": _transport,
+    "mounts": _mounts,
     "simulated": _simulated,
+    "groups": _groups,
 }
 """Key to the check of its value, where it stands."""
 
@@ -345,6 +378,7 @@ def _sources(located: Located, document: dict[str, Any]) -> Problems:
         "feet": bool(document.get("feet")),
         "fingertips": bool(document.get("fingertips")),
         "command_ranges": bool(document.get("command_ranges")),
+        "mounts": bool(document.get("mounts")),
         "transport": True,
     }
     for group, needed in given.items():

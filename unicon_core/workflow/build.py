@@ -122,12 +122,12 @@ class Builder:
         options = _options(factory, use)
 
         def build(context: BuildContext) -> Block:
-            if not use.of:
-                return autowire(factory, use.name, context, options, use.rename, use.where)
-            own = member_context(context, use.of)
-            name = use.label or f"{use.name} of {use.of}"
+            own = member_context(context, use.of) if use.of else context
+            name = f"{use.name} of {use.of}" if use.of and not use.label else use.name
             made = autowire(factory, name, own, options, use.rename, use.where)
-            made.share = share_of(context, use.of)
+            moves = tuple(getattr(made.tick, "moves", ()))
+            if use.of or moves:
+                made.share = share_of(context, use.of, moves)
             return made
 
         block = build(self._context)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
-from unicon_core.errors import RobotError
+from unicon_core.errors import RobotError, alternatives
 from unicon_core.flow.block import Share
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.resources import find_config
 from unicon_core.robots import Robot, compose, load_robot
+from unicon_core.robots.mounts import Mount, mounts_of, wrong_mounts
 from unicon_core.robots.poses import joints_like
 from unicon_core.states import StateSpec
 from unicon_core.states.member import divided, member_states, stamp_of
@@ -36,6 +38,7 @@ def load_robot_of(document: WorkflowDocument) -> Robot:
     """
     members = read_members(document)
     if not members:
+        _mounts(document, [])
         return _load(document, document.get("robot", str), "robot")
     for member in members:
         if member in known("platforms"):
@@ -45,7 +48,28 @@ def load_robot_of(document: WorkflowDocument) -> Robot:
                 "robot",
                 member,
             )
-    return compose({m: _load(document, text, "robot", m) for m, text in members.items()})
+    robots = {m: _load(document, text, "robot", m) for m, text in members.items()}
+    try:
+        return compose(robots, _mounts(document, list(members)))
+    except RobotError as error:
+        raise document.error(error.message, "robot") from error
+
+
+def _mounts(document: WorkflowDocument, members: list[str]) -> dict[str, Mount]:
+    """Return what `scene.mounts` says."""
+    said = document.get("scene", dict, {}).get("mounts")
+    if said is None:
+        return {}
+    for where, wrong in wrong_mounts(said):
+        path = ("scene", "mounts", *where)
+        raise document.error(f"{'.'.join(path)} {wrong}", *path)
+    for member in said:
+        if member not in members[1:]:
+            known = alternatives(member, members[1:]) if members[1:] else "the robot has no members"
+            raise document.error(
+                f"scene.mounts: no member {member!r}; {known}", "scene", "mounts", member
+            )
+    return mounts_of(said)
 
 
 def _load(document: WorkflowDocument, text: str, *path: str) -> Robot:
@@ -84,11 +108,29 @@ def member_context(context: BuildContext, member: str) -> BuildContext:
     return replace(context, states=states, robot=own)
 
 
-def share_of(context: BuildContext, member: str) -> Share:
-    """Return what a block of a member has of the states."""
+def share_of(context: BuildContext, member: str, words: Sequence[str] = ()) -> Share:
+    """Return what a block has of the states that moves some joints alone.
+
+    Args:
+        context: of the whole robot.
+        member: for which it is built, "" for the whole robot.
+        words: groups or joints of that member, or of the whole; all of them if none are given.
+
+    Raises:
+        RobotError: a word means no joint.
+    """
     robot = context.robot
-    names = divided(context.states.layout, robot.joint_names)
-    return Share(member, tuple(robot.members), names)
+    own = member_robot(robot, member)
+    names = robot.joint_names[robot.joints_of(member)] if member else robot.joint_names
+    places = own.group(words) if words else range(own.num_joints)
+    parts = {each: robot.joint_names[robot.joints_of(each)] for each in robot.members}
+    return Share(
+        ", ".join(words) or member,
+        frozenset(names[place] for place in places),
+        frozenset(robot.joint_names),
+        {each: frozenset(joints) for each, joints in (parts | dict(robot.groups)).items()},
+        divided(context.states.layout, robot.joint_names),
+    )
 
 
 def scene_of_member(scene: Scene, robot: Robot, member: str) -> Scene:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -16,9 +16,10 @@ from unicon_core.policies import Policy, PolicyContract, load_policy, policy_sta
 from unicon_core.policies.action_map import lacking_joints
 from unicon_core.policies.contract import ChildSpec
 from unicon_core.policies.controller import ControllerContract, controller_contract
+from unicon_core.policies.driven import DrivenPolicy
 from unicon_core.policies.prefixed import prefix_of
 from unicon_core.robots import Robot
-from unicon_core.states import StateSpec
+from unicon_core.states import States, StateSpec
 from unicon_core.workflow.autowire import BuildContext
 from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.platforms import facts_of_all, find_platforms
@@ -140,7 +141,7 @@ def used_policy(use: Use, policies: Mapping[str, Any]) -> str:
     Raises:
         WorkflowError: none is named, or it is not under `policies:`.
     """
-    name = use.options.get("use", use.first)
+    name = use.options.get("policy", use.options.get("use", use.first))
     if name is None and len(policies) == 1:
         return next(iter(policies))
     if not isinstance(name, str) or name not in policies:
@@ -189,7 +190,24 @@ def policy_factory(use: Use, policies: Mapping[str, Any]) -> Callable[..., Any]:
     name = used_policy(use, policies)
     contract, prefix, member = policies[name], prefix_of(name, policies), use.of
 
-    def policy(context: BuildContext, use: str = "") -> Any:
+    def policy(
+        context: BuildContext,
+        use: str = "",
+        policy: str = "",
+        drives: Sequence[str] = (),
+        sees_default_for: Sequence[str] = (),
+    ) -> Any:
+        if drives or sees_default_for:
+            return DrivenPolicy(
+                lambda states: made_with(context, states),
+                context.states,
+                context.robot,
+                drives,
+                sees_default_for,
+            )
+        return made_with(context, context.states)
+
+    def made_with(context: BuildContext, states: States) -> Any:
         model = None
         if contract.motion is not None and not contract.motion.chain:
             with suppress(ModelError):  # told where it is needed
@@ -197,12 +215,12 @@ def policy_factory(use: Use, policies: Mapping[str, Any]) -> Callable[..., Any]:
         others = [each for each in policies.values() if each.action.kinds]
         options: dict[str, Any] = {"prefix": prefix, "model": model, "every_target": bool(others)}
         if contract.child is None:
-            return Policy(contract, context.states, context.robot, **options)
+            return Policy(contract, states, context.robot, **options)
         from unicon_core.policies.child_policy import ChildPolicy  # of Linux alone
 
         made = ChildPolicy(
             contract,
-            context.states,
+            states,
             context.robot,
             period=context.period,
             paced=context.paced,

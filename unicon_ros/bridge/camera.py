@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -198,6 +199,7 @@ def camera(
         "position": [float(x) for x in position],
         "fovy": float(fovy),
         "robot": {member: str(path) for member, path in robot_files(robot).items()},
+        "mounts": {name: asdict(mount) for name, mount in robot.mounts.items()},
         "model": str(path),
         "width": int(width),
         "height": int(height),

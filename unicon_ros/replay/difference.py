@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from unicon_core.flow import Block
 from unicon_core.flow.compiled import CompiledGraph
 from unicon_core.policies import Policy
+from unicon_core.policies.driven import policy_of
 from unicon_core.states import States
 
 __all__ = ["Difference", "located", "unequal"]
@@ -90,7 +91,7 @@ def located(
     there, here = np.atleast_1d(recorded(state)), np.atleast_1d(states[state])
     place = unequal(there, here)
     why: list[str] = []
-    policy = block.tick if block is not None and isinstance(block.tick, Policy) else None
+    policy = policy_of(block) if block is not None else None
     if policy is not None:
         why = _reason(policy, state, place, recorded, states, names)
     return replace(

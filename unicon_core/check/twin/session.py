@@ -21,6 +21,7 @@ from unicon_core.models.find import model_of
 from unicon_core.models.load import load_model
 from unicon_core.platforms.platform import info_of
 from unicon_core.policies import Policy, PolicyContract
+from unicon_core.policies.driven import DrivenPolicy
 from unicon_core.policies.prefixed import prefix_of
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import Program
@@ -42,7 +43,7 @@ def _reads_command(contract: PolicyContract) -> bool:
 class _Counted:
     """The tick of a policy block, with the number of its calls."""
 
-    def __init__(self, policy: Policy) -> None:
+    def __init__(self, policy: Policy | DrivenPolicy) -> None:
         self.policy, self.calls = policy, 0
 
     def __call__(self) -> bool:
@@ -99,7 +100,7 @@ class TwinSession:
         self._uses = [
             (keys[id(block.tick.contract)], block, block.tick)
             for block in self.program.blocks
-            if isinstance(block.tick, Policy)
+            if isinstance(block.tick, (Policy, DrivenPolicy))
         ]
         robot, platform = self.program.robot, self.program.platform
         self.lifts = isinstance(platform, Unlimited)
@@ -219,12 +220,15 @@ class TwinSession:
 
     def _exchange(self, key: str, contract: PolicyContract | None) -> dict[str, _Counted]:
         counted: dict[str, _Counted] = {}
-        for used, block, policy in self._uses:
-            running = policy
+        for used, block, uses in self._uses:
+            running = uses
             if contract is not None and used == key:
+                policy = uses.policy if isinstance(uses, DrivenPolicy) else uses
                 places, options = policy.made
                 made: Any = type(policy)  # in a child, or here
                 running = made(contract, *places, network=policy.network, **options)
+                if isinstance(uses, DrivenPolicy):
+                    running = uses.driving(running)
             tick = counted.setdefault(used, _Counted(running))
             block.tick, block.reset, block.warm_up = tick, running.reset, None
         return counted

@@ -9,7 +9,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +49,8 @@ class Scene:
         push: `every` in [s] and `velocity` in [m/s]: random horizontal pushes of the base.
         joints: joint names and patterns to `strength`, `friction`, `armature` and `delay` in place
             of the model's, see `robots/joint_physics.py`; over those of the robot file.
+        mounts: member to `body`, `position` [m] and `quat` (wxyz) where its model sits on the first
+            member's, over the robot file's; the builder gives them to the robot.
         folder: of the workflow, for a relative `model`; not a key of the file.
         pose: all joints in [rad], shape (n,), in place of `initial_pose`; not a key of the file.
 
@@ -65,6 +67,7 @@ class Scene:
     noise: Mapping[str, float] = field(default_factory=dict)
     push: Mapping[str, float] = field(default_factory=dict)
     joints: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    mounts: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     folder: Path | None = None
     pose: NDArray[np.float32] | None = None
 

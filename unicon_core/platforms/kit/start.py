@@ -67,7 +67,18 @@ def start_of(robot: Robot, scene: Scene) -> Start:
         PlatformError: no such pose.
     """
     # No stand-ins for absent joints: other engines know neither armature nor implicit damping.
-    loaded = load_model(scene.model_path(robot), replace(robot, weldable=frozenset()))
+    # Nothing attached either: they read the file themselves.
+    alone = replace(robot, weldable=frozenset(), mounts={})
+    try:
+        loaded = load_model(scene.model_path(robot), alone)
+    except ModelError as error:
+        if not robot.mounts or not robot.members:
+            raise
+        raise ModelError(
+            f"{error}; this simulator reads one file and cannot attach the members' models: choose "
+            "platform: mujoco, name a model of the whole (scene: {model: PATH}), or give each "
+            f"member a platform: {{{', '.join(f'{member}: …' for member in robot.members)}}}"
+        ) from error
     base, qpos = loaded.base, initial_positions(loaded, robot, scene)
     pose = np.array((0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0))
     if base is not None:
