@@ -75,9 +75,10 @@ def start_of(robot: Robot, scene: Scene) -> Start:
         if not robot.mounts or not robot.members:
             raise
         raise ModelError(
-            f"{error}; this simulator reads one file and cannot attach the members' models: choose "
-            "platform: mujoco, name a model of the whole (scene: {model: PATH}), or give each "
-            f"member a platform: {{{', '.join(f'{member}: …' for member in robot.members)}}}"
+            f"robot {robot.name} is made of members, and this simulator reads one file "
+            f"({scene.model_path(robot)}) and cannot attach the others: choose platform: mujoco, "
+            "name a model of the whole (scene: {model: PATH}), or give each member a platform: "
+            f"{{{', '.join(f'{member}: …' for member in robot.members)}}}"
         ) from error
     base, qpos = loaded.base, initial_positions(loaded, robot, scene)
     pose = np.array((0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0))
