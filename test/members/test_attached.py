@@ -14,6 +14,7 @@ from unicon_core.located_yaml import read_yaml
 from unicon_core.models.find import pick_model
 from unicon_core.models.load import load_model
 from unicon_core.models.loaded import LoadedModel, import_mujoco
+from unicon_core.models.posed import PosedModel
 from unicon_core.robots import Robot, compose, load_robot
 from unicon_core.robots.mounts import Mount
 from unicon_core.runtime import Runner, RunOptions
@@ -53,6 +54,22 @@ def test_masses_are_those_of_the_parts(inspired: tuple[Robot, LoadedModel]) -> N
     assert float(loaded.model.body_mass.sum()) == pytest.approx(whole, rel=1e-12)
     names = [loaded.model.joint(joint).name for joint in loaded.joints]
     assert names == list(robot.joint_names)
+
+
+def test_what_is_pulled_along_follows_where_it_is_drawn(
+    inspired: tuple[Robot, LoadedModel],
+) -> None:
+    robot, loaded = inspired
+    posed, pose = PosedModel(loaded), robot.default_joint_pos.copy()
+    pose[robot.joint_names.index("L_index_proximal_joint")] = 1.2
+    data = posed.put(pose)
+    pulled = loaded.model.joint("L_index_intermediate_joint").qposadr[0]
+    urdf = Path(pick_model(robot.members["left_hand"])).read_text("utf-8")
+    _, mimic = urdf.split('joint="L_index_proximal_joint"', 1)
+    factor = float(mimic.split('multiplier="', 1)[1].split('"', 1)[0])
+    assert factor > 0.5
+    assert data.qpos[pulled] == pytest.approx(1.2 * factor, abs=1e-6)
+    assert data.qpos[loaded.model.joint("R_index_intermediate_joint").qposadr[0]] == 0.0
 
 
 def test_a_hand_sits_where_the_vendors_model_has_it(inspired: tuple[Robot, LoadedModel]) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from unicon_core.models.loaded import LoadedModel, import_mujoco
@@ -19,6 +20,9 @@ _ENDINGS = ("_foot", "_link", "_sphere", "_toe")
 class PosedModel:
     """A robot's model whose joints and base stand where somebody put them.
 
+    Joints that no motor drives but others pull along, such as the ends of a hand's fingers, follow
+    by the constraints of the model.
+
     Attributes:
         loaded: the model.
         data: its `MjData`; kinematics are up to date after `put`.
@@ -29,6 +33,7 @@ class PosedModel:
         self.data = self._mujoco.MjData(loaded.model)
         self._joints, base = loaded.addresses, loaded.base
         self._base = None if base is None else int(loaded.model.jnt_qposadr[base])
+        self._mimics = _mimics(loaded, int(self._mujoco.mjtEq.mjEQ_JOINT))
 
     def put(self, joint_pos: ArrayLike, base: ArrayLike | None = None) -> Any:
         """Put the robot somewhere; return `data`.
@@ -40,6 +45,9 @@ class PosedModel:
         """
         data, model = self.data, self.loaded.model
         data.qpos[self._joints] = joint_pos
+        for joint, driver, offset, start, polynomial in self._mimics:
+            turned = data.qpos[driver] - start if driver >= 0 else 0.0
+            data.qpos[joint] = offset + np.polynomial.polynomial.polyval(turned, polynomial)
         if self._base is not None and base is not None:
             data.qpos[self._base : self._base + 7] = base
         self._mujoco.mj_kinematics(model, data)
@@ -60,6 +68,36 @@ class PosedModel:
                     height = float(mujoco.mj_geomDistance(model, data, floor, geom, _FAR, None))
                     found[geom] = min(height, found.get(geom, _FAR))
         return found
+
+
+def _mimics(loaded: LoadedModel, kind: int) -> list[tuple[int, int, float, float, Any]]:
+    """Return the joints that others pull along, drivers before what they drive.
+
+    Each is its place in `qpos`, that of its driver or -1, both at rest, and the polynomial by which
+    it follows (MuJoCo, XML reference, `equality/joint`).
+    """
+    model = loaded.model
+    driven, found = {int(place) for place in loaded.addresses}, []
+    left = [i for i in range(model.neq) if model.eq_type[i] == kind and model.eq_active0[i]]
+    followers = {int(model.jnt_qposadr[model.eq_obj1id[i]]) for i in left} - driven
+    while left:
+        ready = []
+        for i in left:
+            joint, other = int(model.eq_obj1id[i]), int(model.eq_obj2id[i])
+            place = int(model.jnt_qposadr[joint])
+            driver = int(model.jnt_qposadr[other]) if other >= 0 else -1
+            if driver in followers and driver != place:
+                continue
+            ready.append(i)
+            if place in followers:
+                start = float(model.qpos0[driver]) if driver >= 0 else 0.0
+                offset = float(model.qpos0[place])
+                found.append((place, driver, offset, start, model.eq_data[i, :5].copy()))
+        if not ready:  # they drive each other
+            break
+        followers -= {place for place, *_ in found}
+        left = [i for i in left if i not in ready]
+    return found
 
 
 def foot_geoms(model: Any, feet: tuple[str, ...]) -> dict[str, list[int]]:
