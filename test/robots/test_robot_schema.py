@@ -28,6 +28,7 @@ NOT_JSON = {"simulated_friction_is_nan"}
 BEYOND_A_SCHEMA = {
     "default_outside",
     "feet_empty_not_in_unknown",
+    "group_of_no_joint",
     "imu_null_not_in_unknown",
     "joint_twice",
     "key_twice",

@@ -12,6 +12,7 @@ from pages import read_page
 
 from unicon_core.flow import blocks_of, compile_graph
 from unicon_core.show import show_mermaid, show_svg, show_text
+from unicon_core.show.mermaid import ENTITIES
 from unicon_core.workflow import Program, load_document, load_workflow, workflow_names
 from unicon_ros.cli.main import main
 
@@ -53,7 +54,7 @@ def test_mermaid_has_a_node_for_every_block_and_balanced_subgraphs(workflow: Pro
     assert opened == sum(line.strip() == "end" for line in lines)
     text = "\n".join(lines)
     for block in blocks_of(workflow.root):
-        assert block.name.split("(")[0].strip() in text
+        assert block.name.split("(")[0].strip().translate(ENTITIES) in text
 
 
 def test_svg_is_well_formed_and_says_every_block(workflow: Program) -> None:
