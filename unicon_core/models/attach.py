@@ -10,6 +10,7 @@ import numpy as np
 from unicon_core.errors import ModelError, alternatives
 from unicon_core.models.absent import delete
 from unicon_core.robots import Robot
+from unicon_core.robots.joint_index import plain_name
 
 __all__ = ["attach_members", "lacking_members"]
 
@@ -27,12 +28,12 @@ def lacking_members(spec: Any, robot: Robot) -> list[str]:
         spec: the `MjSpec` of the body, or of the whole.
         robot: made of members.
     """
-    there = {_plain(joint.name) for joint in spec.joints}
+    there = {plain_name(joint.name) for joint in spec.joints}
     return [
         member
         for member in robot.mounts
         if member in robot.members
-        and there.isdisjoint(_plain(n) for n in robot.joint_names[robot.joints_of(member)])
+        and there.isdisjoint(plain_name(n) for n in robot.joint_names[robot.joints_of(member)])
     ]
 
 
@@ -98,7 +99,7 @@ def _attach_one(
     plain = not list(child.tendons)  # a tendon names its joints in words that cannot be changed
     own = robot.members[member].joint_names
     whole = robot.joint_names[robot.joints_of(member)]
-    called = {_plain(name): composed for name, composed in zip(own, whole)}
+    called = {plain_name(name): composed for name, composed in zip(own, whole)}
     taken = {
         kind: {each.name for each in getattr(spec, kind)} for kind in ("bodies", "joints", "sites")
     }
@@ -117,7 +118,7 @@ def _attach_one(
                     continue
                 name = each.name.removeprefix(prefix)
                 if kind == "joints":
-                    name = called.get(_plain(name), name)
+                    name = called.get(plain_name(name), name)
                 while name in taken[kind]:
                     name = f"{member}_{name}"
                 taken[kind].add(name)
@@ -175,15 +176,11 @@ def _taken_keys(spec: Any) -> list[_Key]:
     if not list(spec.keys):
         return []
     model = spec.compile()
-    ends = [*model.jnt_qposadr[1:], model.nq]
-    keys = []
-    for i in range(model.nkey):
-        qpos = model.key_qpos[i]
-        values = {
-            model.joint(j).name: np.array(qpos[model.jnt_qposadr[j] : ends[j]])
-            for j in range(model.njnt)
-        }
-        keys.append((model.key(i).name, values))
+    places = _places(model)
+    keys = [
+        (model.key(i).name, {name: model.key_qpos[i][at].copy() for name, at in places.items()})
+        for i in range(model.nkey)
+    ]
     for key in list(spec.keys):
         delete(spec, key)
     return keys
@@ -191,15 +188,15 @@ def _taken_keys(spec: Any) -> list[_Key]:
 
 def _give_keys(spec: Any, keys: list[_Key]) -> None:
     model = spec.compile()
-    ends = [*model.jnt_qposadr[1:], model.nq]
+    places = _places(model)
     for name, values in keys:
         qpos = np.array(model.qpos0)
-        for j in range(model.njnt):
-            found = values.get(model.joint(j).name)
-            if found is not None:
-                qpos[model.jnt_qposadr[j] : ends[j]] = found
+        for joint, value in values.items():
+            qpos[places[joint]] = value
         spec.add_key(name=name, qpos=qpos)
 
 
-def _plain(name: str) -> str:
-    return name.rsplit("/", 1)[-1].removesuffix("_joint")
+def _places(model: Any) -> dict[str, slice]:
+    """Return where each joint stands in `qpos`."""
+    starts = [*map(int, model.jnt_qposadr), model.nq]
+    return {model.joint(j).name: slice(starts[j], starts[j + 1]) for j in range(model.njnt)}

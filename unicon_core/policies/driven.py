@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from unicon_core.errors import RobotError, WorkflowError
 from unicon_core.flow import Block
+from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.policy import Policy
 from unicon_core.robots import Robot
 from unicon_core.states import States
@@ -113,11 +114,11 @@ class DrivenPolicy:
             live[...] = found
         return done
 
-    def driving(self, policy: Policy) -> DrivenPolicy:
-        """Return the like with another policy, made with the same states."""
-        like = copy(self)
-        like.policy = policy
-        return like
+    def like(self, contract: PolicyContract) -> DrivenPolicy:
+        """Return one with another contract, made with the same states and network."""
+        made = copy(self)
+        made.policy, made.contract = self.policy.like(contract), contract
+        return made
 
     def warm_up(self) -> None:
         """Take the path of a tick and discard the result."""

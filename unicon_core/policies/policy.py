@@ -6,6 +6,7 @@ Observation → network → check → targets; a NaN or infinity is a Fault befo
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -166,6 +167,13 @@ class Policy:
         if self._motion and not warm_up:
             self._reference()
         return self.tracker is not None and self.tracker.done
+
+    def like(self, contract: PolicyContract) -> Policy:
+        """Return one with another contract, made with the same states and network."""
+        places, options = self.made
+        made: Any = type(self)  # in a child, or here
+        other: Policy = made(contract, *places, network=self.network, **options)
+        return other
 
     def warm_up(self) -> None:
         """Take the path of a tick and discard the result: caches get warm, nothing changes.

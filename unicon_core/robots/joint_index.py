@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from unicon_core.errors import RobotError, alternatives
 
-__all__ = ["joint_index"]
+__all__ = ["joint_index", "plain_name"]
 
 
 def joint_index(
@@ -42,10 +42,10 @@ def joint_index(
     position = {name: i for i, name in enumerate(from_)}
     alike: dict[str, list[str]] = {}
     for name in from_ if loose else ():
-        alike.setdefault(_plain(name), []).append(name)
+        alike.setdefault(plain_name(name), []).append(name)
     found: list[int] = []
     for name in to:
-        fits = [name] if name in position else alike.get(_plain(name), [])
+        fits = [name] if name in position else alike.get(plain_name(name), [])
         if not fits:
             raise RobotError(f"no joint {name!r}; {alternatives(name, from_)}")
         if len(fits) > 1:
@@ -56,6 +56,6 @@ def joint_index(
     return np.array(found, dtype=np.intp)
 
 
-def _plain(name: str) -> str:
+def plain_name(name: str) -> str:
     """Return a joint name without namespace and without the ending `_joint`."""
     return name.rsplit("/", 1)[-1].removesuffix("_joint")

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext, suppress
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -220,15 +220,10 @@ class TwinSession:
 
     def _exchange(self, key: str, contract: PolicyContract | None) -> dict[str, _Counted]:
         counted: dict[str, _Counted] = {}
-        for used, block, uses in self._uses:
-            running = uses
+        for used, block, policy in self._uses:
+            running = policy
             if contract is not None and used == key:
-                policy = uses.policy if isinstance(uses, DrivenPolicy) else uses
-                places, options = policy.made
-                made: Any = type(policy)  # in a child, or here
-                running = made(contract, *places, network=policy.network, **options)
-                if isinstance(uses, DrivenPolicy):
-                    running = uses.driving(running)
+                running = policy.like(contract)
             tick = counted.setdefault(used, _Counted(running))
             block.tick, block.reset, block.warm_up = tick, running.reset, None
         return counted
