@@ -16,7 +16,7 @@ from unicon_core.models.load import load_model
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.models.posed import PosedModel
 from unicon_core.robots import Robot, compose, load_robot
-from unicon_core.robots.mounts import Mount
+from unicon_core.robots.places import Place
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import Program
 
@@ -27,7 +27,7 @@ PARTS = ("proximal", "intermediate")
 WRIST = {"left": "left_wrist_yaw_link", "right": "right_wrist_yaw_link"}
 
 
-def g1_with(left: str, right: str, **mounts: Mount) -> Robot:
+def g1_with(left: str, right: str, **mounts: Place) -> Robot:
     members = {"body": "g1_29dof", "left_hand": left, "right_hand": right}
     return compose({name: load_robot(robot) for name, robot in members.items()}, mounts)
 
@@ -105,7 +105,7 @@ def test_nothing_of_a_hand_touches_what_carries_it(inspired: tuple[Robot, Loaded
 
 
 def test_two_hands_of_one_file_get_names_of_their_own(assets: Path) -> None:
-    mounts = {f"{side}_hand": Mount(body) for side, body in WRIST.items()}
+    mounts = {f"{side}_hand": Place(body) for side, body in WRIST.items()}
     robot = g1_with("inspire_rh56_left", "inspire_rh56_left", **mounts)
     loaded = attached(robot)
     names = [loaded.model.joint(joint).name for joint in loaded.joints]
@@ -143,7 +143,7 @@ def test_key_frames_keep_the_bodys_joints(assets: Path, tmp_path: Path) -> None:
 
 
 def test_a_body_that_is_not_there_is_told_with_alternatives(assets: Path) -> None:
-    robot = g1_with("dex3_left", "dex3_right", left_hand=Mount("left_wrist_yow_link"))
+    robot = g1_with("dex3_left", "dex3_right", left_hand=Place("left_wrist_yow_link"))
     with pytest.raises(
         ModelError, match=r"mounts.left_hand: no body 'left_wrist_yow_link' .*did you"
     ):
@@ -151,7 +151,7 @@ def test_a_body_that_is_not_there_is_told_with_alternatives(assets: Path) -> Non
 
 
 def test_two_hands_on_one_place_are_refused() -> None:
-    here = Mount(WRIST["left"])
+    here = Place(WRIST["left"])
     with pytest.raises(
         RobotError, match=r"left_hand and right_hand are both mounted on left_wrist"
     ):

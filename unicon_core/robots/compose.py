@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from unicon_core.errors import RobotError
 from unicon_core.robots.load import load_robot
-from unicon_core.robots.mounts import Mount
+from unicon_core.robots.places import Place
 from unicon_core.robots.robot import JOINT_FIELDS, Robot
 
 __all__ = ["compose", "load_files", "robot_files"]
@@ -28,7 +28,7 @@ _OF_A_MEMBER = ("motors", "command")
 """Keys of `transport` that are about the joints of one member."""
 
 
-def compose(members: Mapping[str, Robot], mounts: Mapping[str, Mount] | None = None) -> Robot:
+def compose(members: Mapping[str, Robot], mounts: Mapping[str, Place] | None = None) -> Robot:
     """Return the whole robot.
 
     A joint name that several members have is told apart by `MEMBER_` in front of it; the first
@@ -84,9 +84,9 @@ def compose(members: Mapping[str, Robot], mounts: Mapping[str, Mount] | None = N
     )
 
 
-def _mounted(members: Mapping[str, Robot], said: Mapping[str, Mount]) -> dict[str, Mount]:
+def _mounted(members: Mapping[str, Robot], said: Mapping[str, Place]) -> dict[str, Place]:
     """Return the place of each member that has one; its name goes before that of its robot."""
-    found: dict[str, Mount] = {}
+    found: dict[str, Place] = {}
     for member, robot in list(members.items())[1:]:
         mount = said.get(member) or said.get(robot.name)
         if mount is None:
@@ -107,7 +107,7 @@ def robot_files(robot: Robot) -> dict[str, Path]:
     return {member: each.path for member, each in (robot.members or {"": robot}).items()}
 
 
-def load_files(files: Mapping[str, str | Path], mounts: Mapping[str, Mount] | None = None) -> Robot:
+def load_files(files: Mapping[str, str | Path], mounts: Mapping[str, Place] | None = None) -> Robot:
     """Return the robot of these files, as `robot_files` names them, with mounts as of `compose`."""
     robots = {member: load_robot(path) for member, path in files.items()}
     return compose(robots, mounts) if "" not in robots else robots[""]

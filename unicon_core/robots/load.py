@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from unicon_core.errors import RobotError, WorkflowError
 from unicon_core.located_yaml import Located, read_yaml
 from unicon_core.resources import find_config, list_config
-from unicon_core.robots.mounts import mounts_of
+from unicon_core.robots.capsules import capsules_of
+from unicon_core.robots.places import places_of
 from unicon_core.robots.poses import joints_like
 from unicon_core.robots.robot import JOINT_FIELDS, Imu, Robot
 from unicon_core.robots.validate import is_overlay, refuse, validate, validate_overlay
@@ -77,7 +78,9 @@ def _robot(located: Located) -> Robot:
             group: tuple(name for name in names if any(fnmatchcase(name, p) for p in patterns))
             for group, patterns in (document.get("groups") or {}).items()
         },
-        mounts=mounts_of(document.get("mounts") or {}),
+        mounts=places_of(document.get("mounts") or {}),
+        end_effectors=places_of(document.get("end_effectors") or {}),
+        capsules=capsules_of(document.get("capsules") or {}),
     )
 
 

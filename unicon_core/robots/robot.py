@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import RobotError, alternatives
-from unicon_core.robots.mounts import Mount
+from unicon_core.robots.capsules import Capsule
+from unicon_core.robots.places import Place
 
 __all__ = ["JOINT_FIELDS", "MODEL_FORMATS", "Imu", "Robot"]
 
@@ -102,9 +103,16 @@ class Robot:
     groups: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """Name to joints in the robot's order, such as `legs`; groups may overlap."""
 
-    mounts: Mapping[str, Mount] = field(default_factory=dict)
+    mounts: Mapping[str, Place] = field(default_factory=dict)
     """Where its model carries others: name of a member, or of the robot there, to the place; of a
     robot made of members, each one's."""
+
+    end_effectors: Mapping[str, Place] = field(default_factory=dict)
+    """Name to the frame that is brought to a target, such as `left_hand`; of a robot made of
+    members, those of its first one."""
+
+    capsules: Mapping[str, Capsule] = field(default_factory=dict)
+    """Name to the capsule that stands for a link, or a part of one, where links are kept apart."""
 
     weldable: frozenset[str] = frozenset()
     """Joints that no policy of the workflow moves: a simulated model may lack them."""

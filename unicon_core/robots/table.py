@@ -11,6 +11,7 @@ import numpy as np
 from unicon_core.aligned import aligned
 from unicon_core.errors import RobotError, one_line
 from unicon_core.robots.load import load_robot, robot_names
+from unicon_core.robots.places import Place
 from unicon_core.robots.robot import JOINT_FIELDS, Robot
 
 __all__ = ["joint_limits", "robot_table", "robots_table"]
@@ -65,6 +66,9 @@ def robot_table(robot: Robot) -> str:
         ranges = [f"{k} {low:g}…{high:g}" for k, (low, high) in robot.command_ranges.items()]
         head.append(("commands", ", ".join(ranges)))
     head += [(f"group {group}", ", ".join(names)) for group, names in robot.groups.items()]
+    head += [(f"end effector {name}", _place(place)) for name, place in robot.end_effectors.items()]
+    if robot.capsules:
+        head.append(("capsules", ", ".join(robot.capsules)))
     if robot.overlay is not None:
         head.append(("overlay", str(robot.overlay)))
     parts = [_wrapped(head), _joints(robot)]
@@ -102,6 +106,11 @@ def _imu(robot: Robot) -> str:
     position = " ".join(_figure(float(x)) for x in robot.imu.position)
     quat = " ".join(_figure(float(x)) for x in robot.imu.quat)
     return f"{robot.imu.frame}, position [{position}] m, quat wxyz [{quat}]"
+
+
+def _place(place: Place) -> str:
+    position, quat = (" ".join(f"{x:.4g}" for x in part) for part in (place.position, place.quat))
+    return f"on {place.body}, position [{position}] m, quat wxyz [{quat}]"
 
 
 def _missing(robot: Robot) -> str:

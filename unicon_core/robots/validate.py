@@ -12,6 +12,7 @@ from typing import Any
 
 from unicon_core.errors import RobotFileError, UniconError, alternatives
 from unicon_core.located_yaml import Located, Where
+from unicon_core.robots.capsules import wrong_capsules
 from unicon_core.robots.checks import (
     IMU_KEYS,
     NOT_NEGATIVE,
@@ -28,7 +29,7 @@ from unicon_core.robots.checks import (
     wrong,
 )
 from unicon_core.robots.joint_physics import wrong_physics
-from unicon_core.robots.mounts import wrong_mounts
+from unicon_core.robots.places import wrong_places
 from unicon_core.robots.robot import JOINT_FIELDS, MODEL_FORMATS
 
 __all__ = ["COMMANDS", "KINDS", "SCHEMA", "is_overlay", "refuse", "validate", "validate_overlay"]
@@ -51,7 +52,10 @@ _REQUIRED = (
     "transport",
     "sources",
 )
-_OPTIONAL = ("feet", "fingertips", "command_ranges", "groups", "mounts", "simulated", "unknown")
+_OPTIONAL = (
+    *("feet", "fingertips", "command_ranges", "groups", "mounts", "end_effectors", "capsules"),
+    *("simulated", "unknown"),
+)
 _OVERLAY = ("schema", "extends", "simulated")
 
 
@@ -193,9 +197,13 @@ def _groups(located: Located, groups: Any) -> Problems:
                 yield located.error((*where, i), f"groups: no joint is like {pattern!r}; {known}")
 
 
-def _mounts(located: Located, mounts: Any) -> Problems:
-    for where, found in wrong_mounts(mounts) if mounts is not None else ():
-        yield located.error(("mounts", *where), f"{'.'.join(('mounts', *where))} {found}")
+def _placed(key: str, wrong_ones: Callable[[Any], Iterable[tuple[Where, str]]]) -> Check:
+    def check(located: Located, said: Any) -> Problems:
+        for where, found in wrong_ones(said) if said is not None else ():
+            place: Where = (key, *where)
+            yield located.error(place, f"{'.'.join(map(str, place))} {found}")
+
+    return check
 
 
 def _one_of(located: Located, where: Where, value: Any, known: tuple[str, ...]) -> Problems:
@@ -290,7 +298,9 @@ _CHECKS: dict[str, Check] = {
     "imu": check_imu,
     "command_ranges": check_command_ranges,
     "transport": _transport,
-    "mounts": _mounts,
+    "mounts": _placed("mounts", wrong_places),
+    "end_effectors": _placed("end_effectors", wrong_places),
+    "capsules": _placed("capsules", wrong_capsules),
     "simulated": _simulated,
     "groups": _groups,
 }
@@ -379,6 +389,8 @@ def _sources(located: Located, document: dict[str, Any]) -> Problems:
         "fingertips": bool(document.get("fingertips")),
         "command_ranges": bool(document.get("command_ranges")),
         "mounts": bool(document.get("mounts")),
+        "end_effectors": bool(document.get("end_effectors")),
+        "capsules": bool(document.get("capsules")),
         "transport": True,
     }
     for group, needed in given.items():

@@ -10,7 +10,7 @@ from unicon_core.flow.block import Share
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.resources import find_config
 from unicon_core.robots import Robot, compose, load_robot
-from unicon_core.robots.mounts import Mount, mounts_of, wrong_mounts
+from unicon_core.robots.places import Place, places_of, wrong_places
 from unicon_core.robots.poses import joints_like
 from unicon_core.states import StateSpec
 from unicon_core.states.member import divided, member_states, stamp_of
@@ -55,12 +55,12 @@ def load_robot_of(document: WorkflowDocument) -> Robot:
         raise document.error(error.message, "robot") from error
 
 
-def _mounts(document: WorkflowDocument, members: list[str]) -> dict[str, Mount]:
+def _mounts(document: WorkflowDocument, members: list[str]) -> dict[str, Place]:
     """Return what `scene.mounts` says."""
     said = document.get("scene", dict, {}).get("mounts")
     if said is None:
         return {}
-    for where, wrong in wrong_mounts(said):
+    for where, wrong in wrong_places(said):
         path = ("scene", "mounts", *where)
         raise document.error(f"{'.'.join(path)} {wrong}", *path)
     for member in said:
@@ -69,7 +69,7 @@ def _mounts(document: WorkflowDocument, members: list[str]) -> dict[str, Mount]:
             raise document.error(
                 f"scene.mounts: no member {member!r}; {known}", "scene", "mounts", member
             )
-    return mounts_of(said)
+    return places_of(said)
 
 
 def _load(document: WorkflowDocument, text: str, *path: str) -> Robot:

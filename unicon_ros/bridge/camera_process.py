@@ -18,7 +18,7 @@ from unicon_core.errors import ModelError
 from unicon_core.handles import FrameRing
 from unicon_core.models.camera import ModelCamera
 from unicon_core.robots import load_files
-from unicon_core.robots.mounts import mounts_of
+from unicon_core.robots.places import places_of
 from unicon_ros.bridge.camera_topics import CameraTopics
 from unicon_ros.bridge.images import frame_message, info_message, rays
 from unicon_ros.peripherals.child import SLICE, Feed, end, serve
@@ -37,7 +37,7 @@ class _Camera:
         self._ring, self._poses = feed.rings[""], FrameRing.attach(feed.data["poses"])
         model = self._model = ModelCamera(
             Path(options["model"]),
-            load_files(options["robot"], mounts_of(options["mounts"])),
+            load_files(options["robot"], places_of(options["mounts"])),
             options["camera"],
             size,
             body=options["body"],
