@@ -38,6 +38,8 @@ EXTRAS = {
         f"ros-rclpy[fastrtps]==7.1.6; {ROS_WHEELS}",
         f"ros-jazzy-common-interfaces==5.3.6; {ROS_WHEELS}",
     ],
+    # The quadratic programs of block `reach`.
+    "ik": ["daqp>=0.7"],
     "zmq": ["pyzmq"],
     "plots": ["matplotlib"],
     # The live page; its client is part of the package, so that it works off-line.

@@ -1,0 +1,314 @@
+"""Block `reach`: joints of arms that bring end effectors to targets, by differential IK.
+
+commands:
+  - reach: {effectors: [left_hand, right_hand], moves: [arms], look_ahead: 0.06}
+flow: {zip: [{policy: walk, drives: [legs, waist]}, {forward_command: {moves: [arms]}}]}
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.blocks.forward_command import MAX_RATE
+from unicon_core.blocks.safety.limits import velocity_limits
+from unicon_core.bounds import VELOCITY, within
+from unicon_core.errors import MissingDependencyError, WorkflowError, alternatives
+from unicon_core.flow.block import Block, Reads, Writes
+from unicon_core.flow.stage import Stage
+from unicon_core.ik.chain import Chain
+from unicon_core.ik.differential import DifferentialIk, Pose
+from unicon_core.ik.pairs import Reaching, load_apart
+from unicon_core.ik.settings import APART, Settings, Weights
+from unicon_core.ik.targets import LONGEST, Target, target_states
+from unicon_core.models.find import model_of
+from unicon_core.robots import Robot
+from unicon_core.states import StateSpec
+from unicon_core.states.standard import forwarded_states
+from unicon_core.workflow.autowire import BuildContext
+
+__all__ = ["Reach", "reach"]
+
+View = NDArray[Any]
+Effectors = Sequence[str] | Mapping[str, Mapping[str, float]]
+
+_ARMS = "arms"
+
+
+def reach(
+    joint_pos: Reads,
+    stamp_ns: Reads,
+    joint_pos_command: Writes,
+    joint_vel_command: Writes,
+    *,
+    context: BuildContext,
+    effectors: Effectors,
+    moves: Sequence[str] = (_ARMS,),
+    look_ahead: float = 0.0,
+    max_rate: float | Literal["robot"] = MAX_RATE,
+    posture: float = Settings.posture,
+    apart: float = APART,
+    tolerance: float = Settings.tolerance[0],
+    angle_tolerance: float = Settings.tolerance[1],
+) -> Block:
+    """Command the joints that bring end effectors to their targets.
+
+    Where an end effector has no target (NaN), the joints that carry no other one are not commanded.
+    Other joints of the robot stand where they are measured.
+
+    Args:
+        joint_pos: measured, in [rad], shape (n,).
+        stamp_ns: time of the robot's data.
+        joint_pos_command: in [rad], shape (n,); NaN of what is not commanded.
+        joint_vel_command: in [rad/s], likewise.
+        effectors: names of the robot file's `end_effectors`, or name to `position` and
+            `orientation`, their weights; 0 leaves one free.
+        moves: groups, and joints or patterns of them, that it moves.
+        look_ahead: in [s], by which targets are brought on by their velocity.
+        max_rate: of a joint in [rad/s], or `robot` for the robot file's velocity limits.
+        posture: weight of 1 rad to the default pose, against an end effector's 1 m.
+        apart: distance in [m] that the robot file's capsules keep; 0 lets them touch.
+        tolerance: in [m], within which a target counts as reached.
+        angle_tolerance: in [rad], likewise.
+
+    Raises:
+        WorkflowError: the states are of a batch, an end effector is unknown or no moved joint
+            carries it, or an option is wrong.
+        RobotError: the model lacks a body that the robot file names.
+        ModelError: there is no model.
+        MissingDependencyError: MuJoCo or daqp is not installed.
+    """
+    if joint_pos.ndim != 1:
+        raise WorkflowError("it moves one robot; leave num_robots out, or leave it out")
+    robot, states = context.robot, context.states
+    weights = _weights(robot, effectors)
+    settings = Settings(
+        within(posture, "posture", "", 1.0, above=False),
+        within(apart, "apart", "m", 0.5, above=False),
+        (
+            within(tolerance, "tolerance", "m", 1.0),
+            within(angle_tolerance, "angle_tolerance", "rad", 3.2),
+        ),
+    )
+    look_ahead = within(look_ahead, "look_ahead", "s", LONGEST, above=False)
+    if max_rate == "robot":
+        rate = velocity_limits(robot, "give reach a max_rate in [rad/s]")
+    elif isinstance(max_rate, str):
+        raise WorkflowError(f"max_rate is {max_rate!r}; give [rad/s] above 0, or robot")
+    else:
+        most = within(max_rate, "max_rate", "rad/s", VELOCITY)
+        rate = np.fmin(np.full(robot.num_joints, most, np.float32), robot.velocity_limit)
+    moved = robot.group(list(moves))
+    reaching = _loaded(context, list(weights), moved, settings.apart)
+    reads = ["joint_pos_target", "joint_stiffness"]  # those of the tick before
+    for name in weights:
+        reads += target_states(name)
+    outs = {"joint_pos_command": joint_pos_command, "joint_vel_command": joint_vel_command}
+    outs |= {name: states[name] for effector in weights for name in _told(effector)}
+    views = {"joint_pos": joint_pos, "stamp_ns": stamp_ns}
+    views |= {name: states[name] for name in reads}
+
+    def make(
+        ins: Mapping[str, View], results: Mapping[str, View], tell: Callable[[str], None]
+    ) -> Reach:
+        chain = Chain(reaching.loaded, robot, list(weights), moved)
+        ik = DifferentialIk(
+            chain,
+            robot,
+            list(weights.values()),
+            rate[moved].astype(np.float64),
+            context.period,
+            settings,
+        )
+        targets = [
+            Target(name, *(ins[s] for s in target_states(name)), w.orientation > 0, look_ahead, tell)
+            for name, w in weights.items()
+        ]
+        return Reach(ik, chain, list(weights), targets, ins, results, context.period)
+
+    tick = make(views, outs, context.tell)
+    tick.moves = tuple(moves)
+    tick.notes = tuple(
+        f"capsules {one} and {other} are {1e3 * distance:.0f} mm apart at the default pose, and are "
+        "not kept apart"
+        for one, other, distance in reaching.left_out
+    )
+    for note in tick.notes:
+        context.tell(f"reach: {note}")
+    return Block(
+        "",
+        tick,
+        reads=tuple(reads[2:]),
+        writes=tuple(name for name in outs if name not in ("joint_pos_command", "joint_vel_command")),
+        reset=tick.reset,
+        warm_up=_warm_up(make, views, outs),
+        stage=Stage.COMMAND,
+        endless=True,
+    )
+
+
+def _told(effector: str) -> dict[str, StateSpec]:
+    """Return the states that tell how an end effector fares."""
+    return {
+        f"{effector}_error": StateSpec(
+            (2,),
+            names=("position", "orientation"),
+            description=f"[m] and [rad] that the joints commanded leave of {effector}_target",
+            initial=float("nan"),
+        ),
+        f"{effector}_reachable": StateSpec(
+            (), "int32", description=f"1 while the joints commanded reach {effector}_target"
+        ),
+    }
+
+
+def _declares(robot: Robot, effectors: Effectors = (), **_: Any) -> dict[str, StateSpec]:
+    specs = forwarded_states(robot.joint_names)
+    for effector in _weights(robot, effectors):
+        specs |= target_states(effector) | _told(effector)
+    return specs
+
+
+setattr(reach, "declares", _declares)  # noqa: B010  a function has none to mypy
+
+
+def _weights(robot: Robot, effectors: Any) -> dict[str, Weights]:
+    """Return the weights of each end effector that an option names.
+
+    Raises:
+        WorkflowError: one is unknown, or its weights are none.
+    """
+    known = robot.end_effectors
+    named = effectors if isinstance(effectors, (Mapping, list, tuple)) else [effectors]
+    found = {}
+    for name in named:
+        if name not in known:
+            what = alternatives(str(name), known) if known else "its robot file names none"
+            raise WorkflowError(
+                f"block 'reach': robot {robot.name} has no end effector {name!r}; {what}; add it "
+                f"under end_effectors in {robot.path}"
+            )
+        said = effectors[name] if isinstance(effectors, Mapping) else {}
+        if not isinstance(said, Mapping) or not set(said) <= {"position", "orientation"}:
+            raise WorkflowError(
+                f"block 'reach': effectors.{name} is {said!r:.60}; give {{position: 1.0, "
+                "orientation: 0.3}, weights of 1 m and 1 rad"
+            )
+        weights = Weights(
+            **{key: within(w, f"effectors.{name}.{key}", "", 100.0, above=False) for key, w in said.items()}
+        )
+        if not weights.position and not weights.orientation:
+            raise WorkflowError(f"block 'reach': effectors.{name} is free; give it a weight above 0")
+        found[str(name)] = weights
+    return found
+
+
+def _loaded(
+    context: BuildContext, effectors: Sequence[str], moved: NDArray[np.intp], apart: float
+) -> Reaching:
+    robot = context.robot
+    try:
+        return load_apart(model_of(context.platform, robot), robot, effectors, moved, apart)
+    except MissingDependencyError as error:
+        raise MissingDependencyError(
+            "block 'reach'", "mujoco", "pip install 'unicon_ros[sim]'"
+        ) from error
+
+
+def _warm_up(
+    make: Callable[[Mapping[str, View], Mapping[str, View], Callable[[str], None]], Reach],
+    views: Mapping[str, View],
+    outs: Mapping[str, View],
+) -> Callable[[], None]:
+    """Return what runs the same code on copies, and tells nothing."""
+    copies = {name: view.copy() for name, view in views.items()}
+    second = make(copies, {name: view.copy() for name, view in outs.items()}, _quiet)
+    pairs = [(copies[name], view) for name, view in views.items()]
+
+    def warm_up() -> None:
+        for copy, view in pairs:
+            copy[...] = view
+        second()
+
+    return warm_up
+
+
+class Reach:
+    """The tick of `reach`.
+
+    Attributes:
+        ik: what moves the joints.
+        moves: as the workflow says.
+        notes: what to know of it, one line each.
+    """
+
+    def __init__(
+        self,
+        ik: DifferentialIk,
+        chain: Chain,
+        effectors: Sequence[str],
+        targets: Sequence[Target],
+        views: Mapping[str, View],
+        outs: Mapping[str, View],
+        period: float,
+    ) -> None:
+        self.ik = ik
+        self.moves: tuple[str, ...] = ()
+        self.notes: tuple[str, ...] = ()
+        self._targets, self._moved = targets, chain.moved
+        self._joint_pos, self._stamp = views["joint_pos"], views["stamp_ns"]
+        self._held, self._stiffness = views["joint_pos_target"], views["joint_stiffness"]
+        self._pos, self._vel = outs["joint_pos_command"], outs["joint_vel_command"]
+        self._told = [tuple(outs[name] for name in _told(each)) for each in effectors]
+        self._carries, self._per_second = chain.carries, 1.0 / period
+        k = len(chain.moved)
+        self._active, self._silent = np.zeros(k), np.ones(k, np.bool_)
+        self._have = [False] * len(targets)
+        self._measured = np.zeros(len(self._joint_pos))
+        self._seen = False
+
+    def reset(self) -> None:
+        """Begin anew from wherever the joints are at the next tick."""
+        self._have = [False] * len(self._targets)
+        self._active[:], self._silent[:] = 0.0, True
+
+    def __call__(self) -> None:
+        measured, moved = self._joint_pos, self._moved
+        total = float(measured.sum())
+        if total - total == 0.0:  # finite; what is not is as it was
+            self._measured[:] = measured
+            self._seen = True
+        now = int(self._stamp)
+        targets = [target(now) for target in self._targets]
+        have = [self._seen and target is not None for target in targets]
+        if have != self._have:
+            self._change(have)
+        if not any(have):
+            self._pos[moved] = self._vel[moved] = np.nan
+            for error, reachable in self._told:
+                error[:], reachable[...] = np.nan, 0
+            return
+        ik = self.ik
+        ik(self._measured, targets, self._active)
+        pos, vel = ik.pos.astype(np.float32), (ik.step * self._per_second).astype(np.float32)
+        pos[self._silent] = vel[self._silent] = np.nan
+        self._pos[moved], self._vel[moved] = pos, vel
+        for i, (error, reachable) in enumerate(self._told):
+            error[:], reachable[...] = ik.error[i], ik.reached[i]
+
+    def _change(self, have: list[bool]) -> None:
+        """Take up the joints of targets that have come, and leave those of targets that went."""
+        wanted = self._carries[have].any(axis=0) if any(have) else np.zeros_like(self._silent)
+        begin = wanted & self._silent
+        stiff = self._stiffness[self._moved] > 0.0
+        held = np.where(stiff, self._held[self._moved], self._measured[self._moved])
+        self.ik.begin(held, begin)
+        self._have, self._active[:] = have, wanted
+        np.logical_not(wanted, out=self._silent)
+
+
+def _quiet(_: str) -> None:
+    """Say nothing."""

@@ -1,0 +1,7 @@
+"""Differential inverse kinematics: joints that bring end effectors to targets, for block `reach`."""
+
+from unicon_core.ik.chain import Chain
+from unicon_core.ik.differential import DifferentialIk
+from unicon_core.ik.settings import Settings, Weights
+
+__all__ = ["Chain", "DifferentialIk", "Settings", "Weights"]

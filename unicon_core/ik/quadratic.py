@@ -1,0 +1,81 @@
+"""Quadratic programs of inverse kinematics: bounds of each joint, and rows; solved by daqp."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.errors import MissingDependencyError
+
+__all__ = ["Quadratic"]
+
+Float = NDArray[np.float64]
+
+MOST_ROWS = 32
+"""More pairs of capsules are not near each other at once; the nearest count."""
+_INFEASIBLE = -1
+
+
+class Quadratic:
+    """Minimises ½ xᵀ H x + fᵀ x with lower ≤ x ≤ upper and rows x ≥ least.
+
+    daqp (Arnström, Bemporad, Axehill: A dual active-set solver for embedded quadratic programming
+    using recursive LDLᵀ updates, IEEE TAC 67(8), 2022) is asked without a warm start, so that what
+    it answers depends on the problem alone: a replay is the same to the bit.
+
+    Args:
+        size: of x, k.
+
+    Attributes:
+        square: H, positive definite, shape (k, k).
+        slope: f, shape (k,).
+        lower, upper: bounds, shape (k,); 0 is within.
+        rows: shape (MOST_ROWS, k).
+        least: shape (MOST_ROWS,).
+        solution: x after `solve`, shape (k,).
+
+    Raises:
+        MissingDependencyError: daqp is not installed.
+    """
+
+    def __init__(self, size: int) -> None:
+        try:
+            import daqp
+        except ModuleNotFoundError as error:
+            raise MissingDependencyError(
+                "block 'reach'", "daqp", "pip install 'unicon_ros[ik]'"
+            ) from error
+        self._solve: Any = daqp.solve
+        most = size + MOST_ROWS
+        self.square, self.slope = np.zeros((size, size)), np.zeros(size)
+        self.rows = np.zeros((MOST_ROWS, size))
+        self._above, self._below = np.full(most, 1e30), np.zeros(most)
+        self.lower, self.upper = self._below[:size], self._above[:size]
+        self.least = self._below[size:]
+        self._kinds = np.zeros(most, np.intc)
+        self.solution = np.zeros(size)
+        self._size = size
+
+    def solve(self, rows: int = 0) -> bool:
+        """Write the solution; False, and 0 everywhere, where there is none.
+
+        Args:
+            rows: how many of them count.
+        """
+        end = self._size + rows
+        found, _, status, _ = self._solve(
+            self.square,
+            self.slope,
+            self.rows[:rows],
+            self._above[:end],
+            self._below[:end],
+            self._kinds[:end],
+        )
+        # A solution of daqp is within 1e-6; a NaN passes no comparison.
+        np.clip(found, self.lower, self.upper, out=self.solution)
+        if status > 0 and np.isfinite(self.solution).all():
+            return True
+        self.solution[:] = 0.0
+        return False
