@@ -33,6 +33,9 @@ BUILTIN: dict[str, str] = {
         "odometry.leg_odometry": ("leg_odometry",),
         "projected_gravity": ("projected_gravity",),
         "maps": ("copy", "linear_map"),
+        "whole_body.frames": ("frames",),
+        "whole_body.gravity": ("gravity",),
+        "whole_body.moving_target": ("moving_target",),
     }.items()
     for name in names
 }

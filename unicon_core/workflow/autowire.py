@@ -43,6 +43,9 @@ class BuildContext:
         sent: what has left last, or None where nothing is ever sent.
         paced: whether the clock paces ticks just now.
         networks: those in processes of their own; all mentions of a policy share one.
+        models: those that blocks compute with, by robot and file; all blocks share one.
+        carried: it is the share of a member that another one carries, such as a hand: the platform
+            simulates, and the IMU tells of, the one that carries it.
 
     A parameter `context` gets all of it, one of the names in `PARTS` that attribute.
     """
@@ -59,6 +62,8 @@ class BuildContext:
     sent: LastSent | None = None
     paced: Callable[[], bool] = lambda: False
     networks: dict[tuple[str, str], Any] = field(default_factory=dict)
+    models: dict[tuple[str, Path], Any] = field(default_factory=dict)
+    carried: bool = False
 
 
 PARTS = ("states", "robot", "period", "relative_to")
