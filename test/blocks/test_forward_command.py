@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from unicon_core.errors import RobotError, UniconError, WorkflowError
+from unicon_core.runtime import Runner, RunOptions
 from unicon_core.states.standard import COMMAND_STATES, forwarded_states
 from unicon_core.workflow import Program
 from unicon_core.workflow.uses import block as use
@@ -300,17 +301,13 @@ def test_members_have_slices_of_the_wholes_commands() -> None:
             ]
         },
     )
-    try:
-        commanded = program.states["joint_pos_command"]
-        assert commanded.shape == (program.robot.num_joints,)
-        right = program.robot.joints_of("right_hand")
-        commanded[right] = 0.2
-        for _ in range(50):
-            program.step()
-        target = program.states["joint_pos_target"]
-        np.testing.assert_allclose(target[right], 0.2, atol=1e-6)
-        left = program.robot.joints_of("left_hand")
-        home = program.robot.members["left_hand"].default_joint_pos
-        np.testing.assert_allclose(target[left], home, atol=1e-6)
-    finally:
-        program.close()
+    commanded = program.states["joint_pos_command"]
+    assert commanded.shape == (program.robot.num_joints,)
+    right = program.robot.joints_of("right_hand")
+    commanded[right] = 0.2
+    Runner(program, RunOptions(duration=1.0, speed="max", warn=lambda _: None)).run()
+    target = program.states["joint_pos_target"]
+    np.testing.assert_allclose(target[right], 0.2, atol=1e-6)
+    left = program.robot.joints_of("left_hand")
+    home = program.robot.members["left_hand"].default_joint_pos
+    np.testing.assert_allclose(target[left], home, atol=1e-6)

@@ -24,9 +24,7 @@ def matrix(quat: Any) -> Float:
     )
 
 
-def pose(
-    loaded: LoadedModel, joint_pos: Any, place: Place, above: str
-) -> tuple[Float, Float]:
+def pose(loaded: LoadedModel, joint_pos: Any, place: Place, above: str) -> tuple[Float, Float]:
     """Return position and rotation of a place in the frame of a body above it, all hinges."""
     model = loaded.model
     angles = dict(zip(loaded.joints, joint_pos))

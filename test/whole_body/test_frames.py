@@ -18,6 +18,7 @@ from unicon_core.models.frames import Frames
 from unicon_core.models.load import load_model
 from unicon_core.robots import Robot, load_robot
 from unicon_core.robots.places import Place
+from unicon_core.runtime import Runner, RunOptions
 from unicon_core.states.effectors import pose_states
 from unicon_core.testing import Bench
 from unicon_core.workflow import Program
@@ -43,7 +44,7 @@ def of_reacher(robot: Robot, **options: Any) -> tuple[Bench, Any]:
 @given(st.lists(st.floats(-3.0, 3.0), min_size=12, max_size=12))
 def test_a_pose_is_that_of_a_chain_of_matrices(joint_pos: list[float]) -> None:
     found = Frames(GO2_MODEL, GO2, {"toe": TOE}).of(joint_pos)["toe"]
-    at, turn = pose(GO2_MODEL, joint_pos, TOE, "base")
+    at, turn = pose(GO2_MODEL, joint_pos, TOE, "base_link")
     np.testing.assert_allclose(found[:3], at, atol=1e-12)
     np.testing.assert_allclose(matrix(found[3:]), turn, atol=1e-12)
 
@@ -73,7 +74,7 @@ def test_in_the_world_a_base_that_floats_is_where_it_is_said_to_be() -> None:
     bench.states.base_pos_w = (1.0, 2.0, 3.0)
     bench.states.base_quat = (0.0, 0.0, 0.0, 1.0)  # half a turn to the left
     made.tick()
-    at, _ = pose(GO2_MODEL, GO2.default_joint_pos, Place("RL_calf"), "base")
+    at, _ = pose(GO2_MODEL, GO2.default_joint_pos, Place("RL_calf"), "base_link")
     expected = np.array((1.0 - at[0], 2.0 - at[1], 3.0 + at[2]))
     np.testing.assert_allclose(bench.states.toe_pose[:3], expected, atol=1e-5)
 
@@ -115,17 +116,14 @@ def test_a_hands_own_frames_are_of_its_own_model(assets: Path) -> None:
         ],
         flow=block("hold"),
     )
-    try:
-        program.step()
-        hand, own = program.robot.members["left_hand"], program.states["joint_pos"][29:]
-        loaded = load_model(pick_model(hand), hand, quiet=True)
-        tip = Frames(loaded, hand, {"tip": Place("L_index_intermediate")}).of(own)["tip"]
-        np.testing.assert_allclose(program.states["tip_pose"], tip, atol=1e-6)
-        assert 0.05 < np.linalg.norm(tip[:3]) < 0.3
-        assert program.states["left_hand_pose"][0] > 0.1
-        assert len(program.context.models) == 2
-    finally:
-        program.close()
+    Runner(program, RunOptions(duration=0.04, speed="max")).run()
+    hand, own = program.robot.members["left_hand"], program.states["joint_pos"][29:]
+    loaded = load_model(pick_model(hand), hand, quiet=True)
+    tip = Frames(loaded, hand, {"tip": Place("L_index_intermediate")}).of(own)["tip"]
+    np.testing.assert_allclose(program.states["tip_pose"], tip, atol=1e-6)
+    assert 0.05 < np.linalg.norm(tip[:3]) < 0.3
+    assert program.states["left_hand_pose"][0] > 0.1
+    assert len(program.context.models) == 2
 
 
 @pytest.mark.parametrize("name", ["g1_29dof", "g1_23dof", "h1", "h1_2", "t1", "adam_lite"])

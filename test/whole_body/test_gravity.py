@@ -15,6 +15,7 @@ from unicon_core.models.load import load_model
 from unicon_core.models.loaded import import_mujoco
 from unicon_core.models.weight import Weight
 from unicon_core.robots import Robot, compose, load_robot
+from unicon_core.runtime import Runner, RunOptions
 from unicon_core.testing import Bench
 from unicon_core.workflow import Program
 from unicon_core.workflow.uses import block, of
@@ -60,28 +61,22 @@ def test_a_base_that_leans_turns_the_weight_with_it(assets: Path) -> None:
         assert found[joint] == pytest.approx(slope / 2e-5, abs=1e-5)
 
 
-def lying(robot: str, seconds: float, *more: Any) -> tuple[Any, Any]:
-    """Return where an arm without stiffness begins and ends."""
+def lying(robot: str, *more: Any) -> tuple[Any, Any]:
+    """Return where an arm without stiffness begins, and where it is after a second."""
     program = Program(
         robot=robot,
         platform="mujoco",
-        rate=200,
+        rate=250,
         flow={"zip": [{"forward_command": {"stiffness_scale": 0.0, "damping_scale": 0.2}}, *more]},
     )
-    try:
-        program.step()
-        begin = program.states["joint_pos"].copy()
-        for _ in range(round(seconds * 200)):
-            program.step()
-        return begin, program.states["joint_pos"].copy()
-    finally:
-        program.close()
+    Runner(program, RunOptions(duration=1.0, speed="max", warn=lambda _: None)).run()
+    return program.robot.default_joint_pos, program.states["joint_pos"]
 
 
 def test_without_stiffness_an_arm_stays_where_it_is(reacher: Robot) -> None:
-    begin, fallen = lying(str(reacher.path), 1.0)
+    begin, fallen = lying(str(reacher.path))
     assert np.abs(fallen - begin).max() > 0.3
-    begin, held = lying(str(reacher.path), 1.0, "gravity")
+    begin, held = lying(str(reacher.path), "gravity")
     assert np.abs(held - begin).max() < 2e-3
 
 
@@ -170,7 +165,7 @@ def test_unless_told_a_walker_carries_what_bears_no_foot(assets: Path) -> None:
     )
 
 
-WITHOUT_TORQUES = '''
+WITHOUT_TORQUES = """
 from dataclasses import replace
 from unicon_core.platforms.fake import FakeRobot
 from unicon_core.platforms.kit.scene import Scene
@@ -182,7 +177,7 @@ class Positions(FakeRobot):
 
 def make(states, robot, period, scene: Scene) -> Positions:
     return Positions(states, robot, period, scene, 0.0)
-'''
+"""
 
 
 def test_a_platform_that_takes_no_torques_is_a_finding(

@@ -602,7 +602,11 @@ ROWS = [
         ("ForwardCommand._feed_forward", "np.copyto(fed, 0.0, where=self._silent)", "pass"),
         ("ForwardCommand._head_home", REMOVED),
         ("ForwardCommand._head_home", "np.copyto(self._steps, step, where=goes)", "pass"),
-        ("ForwardCommand._head_home", "goes &= np.isnan(said[at]).all(axis=-1, keepdims=True)", "pass"),
+        (
+            "ForwardCommand._head_home",
+            "goes &= np.isnan(said[at]).all(axis=-1, keepdims=True)",
+            "pass",
+        ),
     ),
     *_rows(
         "trajectory/accepted.py",

@@ -1,6 +1,6 @@
 """States of an end effector: where it shall be and where it is, for blocks that bring it there.
 
-    left_hand_target, left_hand_target_velocity, left_hand_target_stamp_ns, left_hand_pose
+left_hand_target, left_hand_target_velocity, left_hand_target_stamp_ns, left_hand_pose
 """
 
 from __future__ import annotations

@@ -162,10 +162,14 @@ def refuse_options(
 def option_names(factory: Factory) -> list[str]:
     """Return the names of a factory's options, without states and context."""
     access, bundles = _annotated(factory)
-    taken = {*access, *bundles, *PARTS, "context", "scene", "silent"}
+    parameters = inspect.signature(factory).parameters
+    taken = {*access, *bundles, *PARTS, "context", "scene"}
+    silent = parameters.get("silent")
+    if silent is not None and not isinstance(silent.default, str):
+        taken.add("silent")  # of a platform that can be opened to receive only
     return sorted(
         name
-        for name, parameter in inspect.signature(factory).parameters.items()
+        for name, parameter in parameters.items()
         if name not in taken
         and parameter.kind not in (parameter.VAR_KEYWORD, parameter.VAR_POSITIONAL)
     )

@@ -1,7 +1,7 @@
 """Block `frames`: where hands and other bodies are, by forward kinematics of the joints.
 
-    estimate: [{frames: {of: [left_hand, right_hand]}}]     # left_hand_pose, right_hand_pose
-    estimate: [{frames: {of: {palm: left_wrist_yaw_link}, frame: world}}]       # palm_pose
+estimate: [{frames: {of: [left_hand, right_hand]}}]     # left_hand_pose, right_hand_pose
+estimate: [{frames: {of: {palm: left_wrist_yaw_link}, frame: world}}]       # palm_pose
 """
 
 from __future__ import annotations
@@ -30,7 +30,11 @@ View = NDArray[Any]
 
 
 def frames(
-    joint_pos: Reads, *, context: BuildContext, of: Of = (), frame: Literal["base", "world"] = "base"
+    joint_pos: Reads,
+    *,
+    context: BuildContext,
+    of: Of = (),
+    frame: Literal["base", "world"] = "base",
 ) -> Block:
     """Tell the poses of end effectors, or of bodies, as states `NAME_pose`.
 

@@ -67,9 +67,7 @@ def gravity(
     return Block("", tick, reads=("base_quat",) if weight.floats else (), endless=True)
 
 
-def _carried(
-    robot: Robot, words: tuple[str, ...], bears: NDArray[np.bool_]
-) -> NDArray[np.intp]:
+def _carried(robot: Robot, words: tuple[str, ...], bears: NDArray[np.bool_]) -> NDArray[np.intp]:
     """Return the joints that are carried, in the robot's order."""
     servo = robot.by_position
     if not words:
@@ -78,8 +76,10 @@ def _carried(
             return places
         raise WorkflowError(f"robot {robot.name} has no joint to carry; leave it out")
     places = robot.group(words)
-    for wrong, why in ((bears, "bears a foot: what it carries depends on the ground"),
-                       (servo, "takes positions alone: its vendor closes the loop")):
+    for wrong, why in (
+        (bears, "bears a foot: what it carries depends on the ground"),
+        (servo, "takes positions alone: its vendor closes the loop"),
+    ):
         bad = places[wrong[places]]
         if len(bad):
             free = [name for name, joints in robot.groups.items() if not _any(robot, joints, wrong)]

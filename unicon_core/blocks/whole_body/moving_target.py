@@ -1,6 +1,6 @@
 """Block `moving_target`: a target on a circle for an end effector, to try out what follows it.
 
-    commands: [{moving_target: {effector: left_hand, radius: 0.08, frequency: 0.4}}]
+commands: [{moving_target: {effector: left_hand, radius: 0.08, frequency: 0.4}}]
 """
 
 from __future__ import annotations
@@ -88,7 +88,9 @@ def moving_target(
     return Block("", tick, writes=names, reset=tick.reset, endless=True)
 
 
-def _declares(*, robot: Robot, effector: Any = "", **_: Any) -> dict[str, StateSpec]:
+def _declares(*, robot: Robot, effector: Any = None, **_: Any) -> dict[str, StateSpec]:
+    if effector is None:  # told when it is built, as of every option
+        return {}
     effector_of(effector, robot, "moving_target")
     return target_states(effector)
 
