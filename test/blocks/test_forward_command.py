@@ -146,7 +146,7 @@ def test_max_rate_robot_takes_the_robots_velocity_limits(following: Bench) -> No
 
 
 def test_it_moves_the_joints_that_are_named_and_leaves_others_alone(following: Bench) -> None:
-    """They may stand anywhere: front legs of the Go2 are joints 0 to 5, its knees are every third."""
+    """They may stand anywhere: the Go2's front legs are joints 0 to 5, its knees every third."""
     states = following.states
     for moves, own in ((["F*"], range(6)), (["*_calf_joint"], (2, 5, 8, 11))):
         others = np.setdiff1d(np.arange(12), own)

@@ -17,17 +17,23 @@ kind: arm
 models: {mjcf: reacher.xml}
 base_frame: plate
 joints:
-  - {name: yaw,   lower: -3.0, upper: 3.0, velocity: 8.0, effort: 40.0, default: 0.3,  rest: 0.0, stiffness: 60.0, damping: 3.0}
-  - {name: lift,  lower: -2.0, upper: 2.0, velocity: 8.0, effort: 40.0, default: -0.5, rest: 0.0, stiffness: 60.0, damping: 3.0}
-  - {name: elbow, lower: -2.5, upper: 2.5, velocity: 8.0, effort: 3.0,  default: 0.9,  rest: 0.0, stiffness: 60.0, damping: 3.0}
+  - {name: yaw, lower: -3.0, upper: 3.0, effort: 40.0, default: 0.3, FACTS}
+  - {name: lift, lower: -2.0, upper: 2.0, effort: 40.0, default: -0.5, FACTS}
+  - {name: elbow, lower: -2.5, upper: 2.5, effort: 3.0, default: 0.9, FACTS}
 imu: null
 groups: {arm: [yaw, lift, elbow], last: [elbow]}
 end_effectors:
   tool: {body: forearm, position: [0.25, 0.0, 0.02], quat: [0.5, 0.5, 0.5, 0.5]}
 transport: {protocol: fake, rate_hz: 500}
-sources: {joints: "made up", gains: "made up", default: "made up", rest: "made up", transport: "made up", end_effectors: "made up"}
+sources:
+  joints: "made up"
+  gains: "made up"
+  default: "made up"
+  rest: "made up"
+  transport: "made up"
+  end_effectors: "made up"
 unknown: []
-"""
+""".replace("FACTS", "velocity: 8.0, rest: 0.0, stiffness: 60.0, damping: 3.0")
 
 MODEL = """
 <mujoco>

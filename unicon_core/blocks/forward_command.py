@@ -94,8 +94,8 @@ def forward_command(
             gravity leaves between the commanded and the measured position; 0 for none.
         stiffness_scale: factor on the robot file's stiffness; 0 follows efforts and velocities.
         damping_scale: factor on the robot file's damping.
-        stiffness: in [N·m/rad] in place of the robot file's: of all joints that it moves, or groups,
-            joints and patterns to values.
+        stiffness: in [N·m/rad] in place of the robot file's: a number for all joints that it
+            moves, or groups, joints and patterns to numbers.
         damping: in [N·m·s/rad], likewise.
         duration: in [s]; None never ends.
 

@@ -1,4 +1,4 @@
-"""`model_for`: the model of a robot for blocks that compute with it, loaded once for all of them."""
+"""`model_for`: a robot's model for blocks that compute with it, loaded once for all of them."""
 
 from __future__ import annotations
 

@@ -5,6 +5,8 @@ left_hand_target, left_hand_target_velocity, left_hand_target_stamp_ns, left_han
 
 from __future__ import annotations
 
+import math
+
 from unicon_core.states.spec import StateSpec
 
 __all__ = ["POSE_NAMES", "pose_of", "pose_states", "target_of", "target_states"]
@@ -41,17 +43,18 @@ def target_states(effector: str) -> dict[str, StateSpec]:
     return {
         target: StateSpec(
             (7,),
-            "float32",
-            "m",
-            "base",
-            POSE_NAMES,
-            f"position [m] and orientation {what}; NaN: none",
-            float("nan"),
+            frame="base",
+            names=POSE_NAMES,
+            description=f"position [m] and orientation {what}; NaN: none",
+            initial=math.nan,
         ),
         velocity: StateSpec(
-            (6,), "float32", "m/s", "base", _TWIST_NAMES, f"velocity [m/s, rad/s] {what}"
+            (6,),
+            frame="base",
+            names=_TWIST_NAMES,
+            description=f"velocity [m/s, rad/s] {what}; 0 where not known",
         ),
-        stamp: StateSpec((), "int64", "ns", "", (), f"source time {what}; 0: now"),
+        stamp: StateSpec((), "int64", "ns", description=f"source time {what}; 0: now"),
     }
 
 
@@ -63,5 +66,5 @@ def pose_states(effector: str, frame: str = "base") -> dict[str, StateSpec]:
         frame: `base` or `world`.
     """
     said = f"position [m] and orientation of {effector}; NaN: not known"
-    spec = StateSpec((7,), "float32", "m", frame, POSE_NAMES, said, float("nan"))
+    spec = StateSpec((7,), frame=frame, names=POSE_NAMES, description=said, initial=math.nan)
     return {pose_of(effector): spec}
