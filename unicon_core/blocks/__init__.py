@@ -34,6 +34,9 @@ BUILTIN: dict[str, str] = {
         "projected_gravity": ("projected_gravity",),
         "reach": ("reach",),
         "maps": ("copy", "linear_map"),
+        "whole_body.frames": ("frames",),
+        "whole_body.gravity": ("gravity",),
+        "whole_body.moving_target": ("moving_target",),
     }.items()
     for name in names
 }

@@ -4,22 +4,25 @@ flow: {chain: [{pose: {to: stand}}, {forward_command: {max_rate: 2.0}}]}
 
 What ros2_control's forward_command_controller is to its hardware, with bounds: whoever commands,
 no joint moves faster than told. An element that is NaN says nothing.
+
+    forward_command: {moves: [arms], silent: home}     # beside a policy that walks on the legs
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.blocks.joint_command import JointCommand, robot_gains, ticks_of
+from unicon_core.blocks.joint_command import Gain, JointCommand, robot_gains, ticks_of
 from unicon_core.blocks.safety.limits import velocity_limits
 from unicon_core.bounds import DURATION, POSITION, VELOCITY, within
-from unicon_core.errors import WorkflowError
+from unicon_core.errors import RobotError, WorkflowError
 from unicon_core.flow.block import Bundle, Reads
+from unicon_core.models.rows import index_of
 from unicon_core.robots import Robot
 from unicon_core.states import StateSpec
 from unicon_core.states.standard import forwarded_states
@@ -29,6 +32,9 @@ __all__ = ["Commanded", "ForwardCommand", "forward_command"]
 
 MAX_RATE = 2.0
 """In [rad/s], unless told: an arm that is jogged has 0.5 to 3, and a person can step back."""
+
+HOME_RATE = 1.0
+"""In [rad/s] to the robot's default pose where nobody commands: an arm is home within 2 s."""
 
 MOST_INTEGRAL = 20.0
 """In [1/s]: a joint's servo settles in 0.1 to 0.3 s, and has to be quicker."""
@@ -59,10 +65,15 @@ def forward_command(
     period: float,
     context: BuildContext,
     max_rate: float | Literal["robot"] = MAX_RATE,
+    moves: Sequence[str] = (),
+    silent: Literal["hold", "home"] = "hold",
+    home_rate: float = HOME_RATE,
     start_tolerance: float | None = None,
     integral: float = 0.0,
     stiffness_scale: float = 1.0,
     damping_scale: float = 1.0,
+    stiffness: Gain | None = None,
+    damping: Gain | None = None,
     duration: float | None = None,
 ) -> ForwardCommand:
     """Let the position targets go to the commanded positions, no faster than a speed.
@@ -73,13 +84,24 @@ def forward_command(
 
     Args:
         max_rate: of a target in [rad/s], or `robot` for the robot file's velocity limits.
+        moves: groups, joints or patterns that it moves, all unless told; others are left alone.
+        silent: where nothing at all is commanded of these joints, they `hold`, or go `home`, to the
+            robot file's default pose; when commands come back they go there from where they are.
+        home_rate: in [rad/s], on the way home.
         start_tolerance: how far from the present target in [rad] the first command after silence
             may be; one that is farther off is told once and not followed. None: any.
         integral: gain in [1/s] by which a target is moved on, by 0.25 rad at most, against what
             gravity leaves between the commanded and the measured position; 0 for none.
         stiffness_scale: factor on the robot file's stiffness; 0 follows efforts and velocities.
         damping_scale: factor on the robot file's damping.
+        stiffness: in [N·m/rad] in place of the robot file's: a number for all joints that it
+            moves, or groups, joints and patterns to numbers.
+        damping: in [N·m·s/rad], likewise.
         duration: in [s]; None never ends.
+
+    Raises:
+        RobotError: the robot file lacks a gain or the pose to go home to, or a word means no joint.
+        WorkflowError: an option is wrong.
     """
     if max_rate == "robot":
         rate = velocity_limits(robot, "give forward_command a max_rate in [rad/s]")
@@ -93,9 +115,15 @@ def forward_command(
     if duration is not None:
         within(duration, "duration", "s", DURATION)
     integral = within(integral, "integral", "1/s", MOST_INTEGRAL, above=False)
-    gains = robot_gains(robot, "forward_command", stiffness_scale, damping_scale)
+    scales = stiffness_scale, damping_scale
+    gains = robot_gains(robot, "forward_command", *scales, stiffness, damping)
     ticks = ticks_of(duration, period, "duration")
-    made = ForwardCommand(command, commanded, robot, period, rate, gains, integral, ticks)
+    words = (moves,) if isinstance(moves, str) else tuple(moves)
+    made = ForwardCommand(command, commanded, robot, period, rate, gains, integral, ticks, words)
+    if silent == "home":
+        made.go_home(within(home_rate, "home_rate", "rad/s", VELOCITY))
+    elif silent != "hold":
+        raise WorkflowError(f"silent is {silent!r}; give hold or home")
     if start_tolerance is not None:
         made.guard(start_tolerance, context.tell)
     return made
@@ -113,6 +141,7 @@ class ForwardCommand:
 
     Attributes:
         max_rate: of each target in [rad/s], shape (n,).
+        moves: groups, joints or patterns, as they were given; none for all joints.
         held: positions that are commanded in this tick in [rad], shape (..., n).
         ticks: that it has run since its flow entered it; who gives commands sees whether anybody
             follows them.
@@ -128,20 +157,26 @@ class ForwardCommand:
         gains: tuple[NDArray[np.float32], NDArray[np.float32]],
         integral: float,
         ticks: int | None,
+        moves: tuple[str, ...] = (),
     ) -> None:
+        self.moves = moves
+        self._places = robot.group(moves or robot.joint_names)
+        self._at = (..., index_of(self._places.tolist()))
         self._command, self._commanded, self._robot = command, commanded, robot
         self._gains, self._ends = gains, ticks
         self.endless = ticks is None
         self.max_rate = max_rate
         self.ticks = 0
-        self._step = (max_rate * period).astype(np.float32)
+        self._period = np.float32(period)
+        self._step = self._steps = (max_rate * period).astype(np.float32)
         self._lower = np.nan_to_num(robot.lower, nan=-np.inf)
         self._upper = np.nan_to_num(robot.upper, nan=np.inf)
         self._effort = np.nan_to_num(robot.effort_limit, nan=np.inf)
         target = command.joint_pos_target
-        self.held, self._bound, self._wanted = (np.zeros_like(target) for _ in range(3))
+        self.held, self._bound, self._wanted, self._fed = (np.zeros_like(target) for _ in range(4))
         self._share, self._offset = np.float32(integral * period), np.zeros_like(target)
         self._silent = np.zeros(target.shape, np.bool_)
+        self._home: tuple[NDArray[np.float32], NDArray[np.float32]] | None = None
         self._tolerance = np.inf
         self._tell: Callable[[str], None] = _quiet
         self._heard, self._refused = False, False
@@ -149,6 +184,25 @@ class ForwardCommand:
     def guard(self, tolerance: float, tell: Callable[[str], None]) -> None:
         """Follow the first command after silence only within a tolerance in [rad]."""
         self._tolerance, self._tell = tolerance, tell
+
+    def go_home(self, rate: float) -> None:
+        """Let joints of which nothing is commanded go to the default pose, at a rate in [rad/s].
+
+        Raises:
+            RobotError: the robot file does not say that pose.
+        """
+        robot, home = self._robot, self._robot.default_joint_pos
+        for place in self._places:
+            if np.isnan(home[place]):
+                joint = robot.joint_names[place]
+                raise RobotError(
+                    f"block 'forward_command': robot {robot.name} does not say the default pose of "
+                    f"joint {joint}, where silent: home goes; give it in {robot.file_of(joint)}, "
+                    "or take silent: hold"
+                )
+        step = np.fmin(self._step, np.float32(rate) * self._period)
+        self._home = home, np.where(robot.endless, np.float32(0.0), step)  # a wheel stays
+        self._steps, self._goes = np.empty_like(self.held), np.empty_like(self._silent)
 
     def __call__(self) -> bool:
         command, held = self._command, self.held
@@ -163,50 +217,69 @@ class ForwardCommand:
         np.copyto(wanted, held, where=self._silent)
         if self._tolerance < np.inf:
             self._begin()
+        if self._home is not None:
+            self._head_home(*self._home)
         # Within the limits, and no faster than allowed from where the target is.
         np.maximum(wanted, self._lower, out=wanted)
         np.minimum(wanted, self._upper, out=wanted)
         np.copyto(wanted, held, where=self._silent)  # a target beyond a limit is not pulled in
-        np.subtract(held, self._step, out=self._bound)
+        np.subtract(held, self._steps, out=self._bound)
         np.maximum(wanted, self._bound, out=wanted)
-        np.add(held, self._step, out=self._bound)
+        np.add(held, self._steps, out=self._bound)
         np.minimum(wanted, self._bound, out=held)
-        command.joint_pos_target[...] = held
+        at = self._at
+        command.joint_pos_target[at] = held[at]
         if self._share:
             np.subtract(held, command.joint_pos, out=self._bound)
             self._bound *= self._share
             self._offset += self._bound
             np.maximum(self._offset, -FARTHEST, out=self._offset)
             np.minimum(self._offset, FARTHEST, out=self._offset)
-            command.joint_pos_target[...] += self._offset
+            command.joint_pos_target[at] += self._offset[at]
         self._feed_forward(
             self._commanded.joint_vel_command, self.max_rate, command.joint_vel_target
         )
         self._feed_forward(
             self._commanded.joint_effort_command, self._effort, command.joint_effort_ff
         )
-        command.joint_stiffness[...], command.joint_damping[...] = self._gains
+        stiffness, damping = self._gains
+        command.joint_stiffness[at], command.joint_damping[at] = stiffness[at], damping[at]
         return self._ends is not None and self.ticks >= self._ends
+
+    def _head_home(self, home: NDArray[np.float32], step: NDArray[np.float32]) -> None:
+        """Let robots of which nothing is commanded want to be home, slowly."""
+        goes, at = self._goes, self._at
+        goes[...] = self._silent[at].all(axis=-1, keepdims=True)
+        np.copyto(self._steps, self._step)
+        if not goes.any():
+            return
+        for said in (self._commanded.joint_vel_command, self._commanded.joint_effort_command):
+            goes &= np.isnan(said[at]).all(axis=-1, keepdims=True)
+        np.copyto(self._wanted, home, where=goes)
+        np.copyto(self._steps, step, where=goes)
+        np.greater(self._silent, goes, out=self._silent)
 
     def _begin(self) -> None:
         """Refuse what comes first after silence and is too far off."""
-        if self._silent.all():
+        if self._silent[self._at].all():
             self._heard = self._refused = False
             return
         if self._heard:
             return
         np.subtract(self._wanted, self.held, out=self._bound)
         np.abs(self._bound, out=self._bound)
-        if float(self._bound.max()) <= self._tolerance:
+        off = self._bound[self._at]
+        if float(off.max()) <= self._tolerance:
             self._heard, self._refused = True, False
             return
         if not self._refused:
             self._refused = True
-            *_, joint = np.unravel_index(int(self._bound.argmax()), self._bound.shape)
+            *_, worst = np.unravel_index(int(off.argmax()), off.shape)
+            joint = self._robot.joint_names[self._places[int(worst)]]
             self._tell(
-                f"forward_command: the first command is {float(self._bound.max()):.2f} rad from "
-                f"the target of {self._robot.joint_names[int(joint)]}, allowed are "
-                f"{self._tolerance:g} (start_tolerance); the joints hold until it is nearer"
+                f"forward_command: the first command is {float(off.max()):.2f} rad from the target "
+                f"of {joint}, allowed are {self._tolerance:g} (start_tolerance); the joints hold "
+                "until it is nearer"
             )
         self._wanted[...] = self.held
 
@@ -214,14 +287,16 @@ class ForwardCommand:
         self, said: NDArray[np.float32], most: NDArray[np.float32], out: NDArray[np.float32]
     ) -> None:
         if self._refused:
-            out[...] = 0.0
+            out[self._at] = 0.0
             return
-        np.copyto(out, said)
-        np.isnan(out, out=self._silent)
-        np.copyto(out, 0.0, where=self._silent)
-        np.minimum(out, most, out=out)
+        fed = self._fed
+        np.copyto(fed, said)
+        np.isnan(fed, out=self._silent)
+        np.copyto(fed, 0.0, where=self._silent)
+        np.minimum(fed, most, out=fed)
         np.negative(most, out=self._bound)
-        np.maximum(out, self._bound, out=out)
+        np.maximum(fed, self._bound, out=fed)
+        out[self._at] = fed[self._at]
 
     def reset(self) -> None:
         """Begin anew from wherever the joints are at the next tick."""

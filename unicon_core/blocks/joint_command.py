@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.bounds import GAIN_SCALES, within
+from unicon_core.bounds import DAMPING, GAIN_SCALES, STIFFNESS, within
 from unicon_core.errors import RobotError, WorkflowError
 from unicon_core.flow.block import Bundle, Reads, Writes
 from unicon_core.robots import Robot
 
-__all__ = ["LONGEST_S", "JointCommand", "robot_gains", "ticks_of"]
+__all__ = ["LONGEST_S", "Gain", "JointCommand", "robot_gains", "ticks_of"]
 
 Float = NDArray[np.float32]
 
@@ -51,8 +52,17 @@ class JointCommand(Bundle):
         out[...] = np.where(self.joint_stiffness > 0.0, self.joint_pos_target, self.joint_pos)
 
 
+Gain = float | Mapping[str, float]
+"""A gain for all joints, or groups, joints and patterns to gains."""
+
+
 def robot_gains(
-    robot: Robot, needed_for: str, stiffness_scale: float = 1.0, damping_scale: float = 1.0
+    robot: Robot,
+    needed_for: str,
+    stiffness_scale: float = 1.0,
+    damping_scale: float = 1.0,
+    stiffness: Gain | None = None,
+    damping: Gain | None = None,
 ) -> tuple[Float, Float]:
     """Return the stiffness [N·m/rad] and damping [N·m·s/rad] of a robot file, each shape (n,).
 
@@ -63,26 +73,32 @@ def robot_gains(
         needed_for: the block, for the message.
         stiffness_scale: factor on the stiffness.
         damping_scale: factor on the damping.
+        stiffness: in [N·m/rad], in place of the robot file's and not scaled.
+        damping: in [N·m·s/rad], likewise.
 
     Raises:
-        RobotError: a gain is unknown.
-        WorkflowError: a factor is not plausible.
+        RobotError: a gain is unknown, or a word means no joint.
+        WorkflowError: a factor or gain is not plausible.
     """
     gains = []
-    for key, values, scale in (
-        ("stiffness", robot.joint_stiffness, stiffness_scale),
-        ("damping", robot.joint_damping, damping_scale),
+    for key, values, scale, given, unit, most in (
+        ("stiffness", robot.joint_stiffness, stiffness_scale, stiffness, "N·m/rad", STIFFNESS),
+        ("damping", robot.joint_damping, damping_scale, damping, "N·m·s/rad", DAMPING),
     ):
         option = f"{key}_scale"
         scale = within(scale, option, "", GAIN_SCALES[option], above=False)
-        known = np.where(np.isnan(values) & robot.by_position, 1.0, values)
+        known = np.where(np.isnan(values) & robot.by_position, 1.0, values) * np.float32(scale)
+        each = given if isinstance(given, Mapping) else {} if given is None else {"*": given}
+        for word, gain in each.items():
+            of = f"{key} of {word!r}" if isinstance(given, Mapping) else key
+            known[robot.group([word])] = within(gain, of, unit, most, above=False)
         unknown = [name for name, value in zip(robot.joint_names, known) if math.isnan(value)]
         if unknown:
             raise RobotError(
                 f"block {needed_for!r}: robot {robot.name} does not say the {key} of joint "
                 f"{unknown[0]} ({len(unknown)} joints); give it in {robot.file_of(unknown[0])}"
             )
-        gains.append(known.astype(np.float32) * np.float32(scale))
+        gains.append(known.astype(np.float32))
     return gains[0], gains[1]
 
 

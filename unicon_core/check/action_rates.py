@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 
 from unicon_core.blocks.safety.limits import EffortLimits
 from unicon_core.blocks.safety.speeds import VelocityLimits
-from unicon_core.check.result import PolicyResult
+from unicon_core.check.result import CheckResult, PolicyResult
 from unicon_core.check.safety import has_limits
 from unicon_core.check.subject import Subject, listed
+from unicon_core.flow import Stage
 
-__all__ = ["check_rates"]
+__all__ = ["check_fed", "check_rates"]
 
 _STATES = {
     "position": "joint_pos_target",
@@ -53,6 +54,22 @@ def check_rates(subject: Subject, policy: PolicyResult, outside: NDArray[np.bool
             f"add {limits}_limits to safety",
             subject.document.where("safety"),
         )
+
+
+def check_fed(subject: Subject, result: CheckResult) -> None:
+    """Find blocks whose torques a platform leaves out, such as `gravity`: the arms would sag."""
+    platform, state = subject.program.platform, _STATES["torque"]
+    if not subject.program.has_platform or state in platform.facts.reads:
+        return
+    for block in subject.blocks:
+        if block.stage is Stage.FLOW and state in block.amends:
+            result.find(
+                "action.unsent",
+                f"block {block.name!r}",
+                f"it adds torques, and platform {platform.facts.name!r} does not send {state}",
+                f"leave {block.name!r} out, or choose a map or platform that sends it",
+                block.where,
+            )
 
 
 def _sent(subject: Subject, policy: PolicyResult) -> None:

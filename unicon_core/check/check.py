@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from unicon_core.check.action import check_action, check_commands, check_timing
+from unicon_core.check.action_rates import check_fed
 from unicon_core.check.files import check_files, check_robot
 from unicon_core.check.gains import check_gains, check_limits
 from unicon_core.check.graph import check_blocks
@@ -119,6 +120,7 @@ def static_checks(subject: Subject, result: CheckResult) -> None:
     check_limits(subject, result)
     check_observation(subject, result)
     check_action(subject, result)
+    check_fed(subject, result)
     check_timing(subject, result)
     check_commands(subject, result)
     check_pose(subject, result)

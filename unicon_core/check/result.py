@@ -37,7 +37,7 @@ CODES = {
     "action.symmetry": "left and right joints have different action scales",
     "action.offset": "action 0 means a target outside the limits",
     "action.reach": "clipped actions reach far outside the limits, and nothing limits targets",
-    "action.unsent": "the platform does not send the velocities or torques that a policy commands",
+    "action.unsent": "the platform does not send the velocities or torques that are commanded",
     "action.torque": "one unit of action asks for more torque than there is (a note)",
     "observation.scale": "a term is multiplied by 0 (some of its elements: a note)",
     "observation.clip": "a term is clipped to a single value",

@@ -5,10 +5,10 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from unicon_core.models.loaded import LoadedModel, import_mujoco
+from unicon_core.models.rows import index_of
 from unicon_core.models.touching import floors, may_touch, on_floor
 
 __all__ = ["PosedModel", "foot_bodies", "foot_geoms"]
@@ -31,7 +31,8 @@ class PosedModel:
     def __init__(self, loaded: LoadedModel) -> None:
         self.loaded, self._mujoco = loaded, import_mujoco()
         self.data = self._mujoco.MjData(loaded.model)
-        self._joints, base = loaded.addresses, loaded.base
+        self._qpos, base = self.data.qpos, loaded.base
+        self._joints = index_of(loaded.addresses.tolist())
         self._base = None if base is None else int(loaded.model.jnt_qposadr[base])
         self._mimics = _mimics(loaded, int(self._mujoco.mjtEq.mjEQ_JOINT))
 
@@ -43,13 +44,14 @@ class PosedModel:
             base: position in the world in [m], and base to world, wxyz, shape (7,); None leaves it
                 where it is. A fixed base does not move.
         """
-        data, model = self.data, self.loaded.model
-        data.qpos[self._joints] = joint_pos
-        for joint, driver, offset, start, polynomial in self._mimics:
-            turned = data.qpos[driver] - start if driver >= 0 else 0.0
-            data.qpos[joint] = offset + np.polynomial.polynomial.polyval(turned, polynomial)
+        data, model, qpos = self.data, self.loaded.model, self._qpos
+        qpos[self._joints] = joint_pos
+        for joint, driver, offset, start, (a, b, c, d, e) in self._mimics:
+            turned = float(qpos[driver]) - start if driver >= 0 else 0.0
+            # Numbers: polyval takes 5 µs, and two hands have twelve such joints.
+            qpos[joint] = offset + a + turned * (b + turned * (c + turned * (d + turned * e)))
         if self._base is not None and base is not None:
-            data.qpos[self._base : self._base + 7] = base
+            qpos[self._base : self._base + 7] = base
         self._mujoco.mj_kinematics(model, data)
         self._mujoco.mj_comPos(model, data)
         return data
@@ -70,7 +72,7 @@ class PosedModel:
         return found
 
 
-def _mimics(loaded: LoadedModel, kind: int) -> list[tuple[int, int, float, float, Any]]:
+def _mimics(loaded: LoadedModel, kind: int) -> list[tuple[int, int, float, float, list[float]]]:
     """Return the joints that others pull along, drivers before what they drive.
 
     Each is its place in `qpos`, that of its driver or -1, both at rest, and the polynomial by which
@@ -92,7 +94,7 @@ def _mimics(loaded: LoadedModel, kind: int) -> list[tuple[int, int, float, float
             if place in followers:
                 start = float(model.qpos0[driver]) if driver >= 0 else 0.0
                 offset = float(model.qpos0[place])
-                found.append((place, driver, offset, start, model.eq_data[i, :5].copy()))
+                found.append((place, driver, offset, start, model.eq_data[i, :5].tolist()))
         if not ready:  # they drive each other
             break
         followers -= {place for place, *_ in found}

@@ -43,6 +43,9 @@ class BuildContext:
         sent: what has left last, or None where nothing is ever sent.
         paced: whether the clock paces ticks just now.
         networks: those in processes of their own; all mentions of a policy share one.
+        models: those that blocks compute with, by robot and file; all blocks share one.
+        carried: it is the share of a member that another one carries, such as a hand: the platform
+            simulates, and the IMU tells of, the one that carries it.
 
     A parameter `context` gets all of it, one of the names in `PARTS` that attribute.
     """
@@ -59,6 +62,8 @@ class BuildContext:
     sent: LastSent | None = None
     paced: Callable[[], bool] = lambda: False
     networks: dict[tuple[str, str], Any] = field(default_factory=dict)
+    models: dict[tuple[str, Path], Any] = field(default_factory=dict)
+    carried: bool = False
 
 
 PARTS = ("states", "robot", "period", "relative_to")
@@ -157,10 +162,14 @@ def refuse_options(
 def option_names(factory: Factory) -> list[str]:
     """Return the names of a factory's options, without states and context."""
     access, bundles = _annotated(factory)
-    taken = {*access, *bundles, *PARTS, "context", "scene", "silent"}
+    parameters = inspect.signature(factory).parameters
+    taken = {*access, *bundles, *PARTS, "context", "scene"}
+    silent = parameters.get("silent")
+    if silent is not None and not isinstance(silent.default, str):
+        taken.add("silent")  # of a platform that can be opened to receive only
     return sorted(
         name
-        for name, parameter in inspect.signature(factory).parameters.items()
+        for name, parameter in parameters.items()
         if name not in taken
         and parameter.kind not in (parameter.VAR_KEYWORD, parameter.VAR_POSITIONAL)
     )

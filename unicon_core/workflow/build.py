@@ -24,7 +24,13 @@ from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.expression import expression
 from unicon_core.workflow.flow_yaml import FlowReader
 from unicon_core.workflow.live_twin import twin_states
-from unicon_core.workflow.members import member_context, member_robot, share_of, stamps_of
+from unicon_core.workflow.members import (
+    member_context,
+    member_robot,
+    of_whole,
+    share_of,
+    stamps_of,
+)
 from unicon_core.workflow.platforms import facts_of_all, find_platforms
 from unicon_core.workflow.policies import declared_states, policy_factory
 from unicon_core.workflow.registry import Factory, find_factory
@@ -231,7 +237,7 @@ def specs_of(
         if declares is not None:
             own = member_robot(robot, use.of)
             for name, spec in declares(robot=own, **_options(factory, use)).items():
-                specs.setdefault(use.rename.get(name, name), spec)
+                specs.setdefault(use.rename.get(name, name), of_whole(spec, own, robot))
     return specs
 
 

@@ -23,6 +23,7 @@ __all__ = [
     "load_robot_of",
     "member_context",
     "member_robot",
+    "of_whole",
     "scene_of_member",
     "share_of",
     "stamps_of",
@@ -93,19 +94,30 @@ def member_robot(robot: Robot, member: str) -> Robot:
     return robot.members[member] if member else robot
 
 
+def of_whole(spec: StateSpec, own: Robot, robot: Robot) -> StateSpec:
+    """Return a state that a block of a member declares as the whole robot has it.
+
+    One with an element for each of the member's joints has one for each joint of the whole, of
+    which each member's blocks have their slice.
+    """
+    if own is robot or spec.names != own.joint_names or spec.shape != (own.num_joints,):
+        return spec
+    return replace(spec, shape=(robot.num_joints,), names=robot.joint_names)
+
+
 def member_context(context: BuildContext, member: str) -> BuildContext:
     """Return what is built for one member: its robot, and its share of the states."""
     robot = context.robot
-    own = robot.members[member]
+    own, base = robot.members[member], member == next(iter(robot.members))
     states = member_states(
         context.states,
         robot.joint_names,
         member,
         robot.joints_of(member),
         own.joint_names,
-        base=member == next(iter(robot.members)),
+        base=base,
     )
-    return replace(context, states=states, robot=own)
+    return replace(context, states=states, robot=own, carried=not base)
 
 
 def share_of(context: BuildContext, member: str, words: Sequence[str] = ()) -> Share:

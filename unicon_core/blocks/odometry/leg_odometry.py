@@ -11,13 +11,11 @@ from numpy.typing import NDArray
 
 from unicon_core.blocks.odometry.standing import Standing
 from unicon_core.blocks.odometry.velocity_filter import VelocityFilter
+from unicon_core.blocks.robot_model import model_for
 from unicon_core.bounds import within
-from unicon_core.errors import MissingDependencyError, WorkflowError
+from unicon_core.errors import WorkflowError
 from unicon_core.flow.block import Block, Reads, Writes
 from unicon_core.models.feet import Feet
-from unicon_core.models.find import model_of
-from unicon_core.models.load import load_model
-from unicon_core.models.loaded import LoadedModel
 from unicon_core.robots import Robot
 from unicon_core.states import StateSpec
 from unicon_core.workflow.autowire import BuildContext
@@ -110,7 +108,7 @@ def leg_odometry(
         "foot_contact": foot_contact,
         **writes,
     }
-    loaded = _loaded(context)
+    loaded = model_for("leg_odometry", context)
 
     def make(ins: Mapping[str, View], results: Mapping[str, View]) -> LegOdometry:
         feet = Feet(loaded, context.robot)
@@ -150,16 +148,6 @@ def _declares(robot: Robot, **_: Any) -> dict[str, StateSpec]:
 
 setattr(leg_odometry, "declares", _declares)  # noqa: B010  a function has none to mypy
 _FORCE, _POS_VARIANCE = "foot_force", "base_pos_w_variance"
-
-
-def _loaded(context: BuildContext) -> LoadedModel:
-    robot = context.robot
-    try:
-        return load_model(model_of(context.platform, robot), robot, quiet=True)
-    except MissingDependencyError as error:
-        raise MissingDependencyError(
-            "block 'leg_odometry'", "mujoco", "pip install 'unicon_ros[sim]'"
-        ) from error
 
 
 def _warm_up(

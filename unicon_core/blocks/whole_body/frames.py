@@ -1,0 +1,148 @@
+"""Block `frames`: where hands and other bodies are, by forward kinematics of the joints.
+
+estimate: [{frames: {of: [left_hand, right_hand]}}]     # left_hand_pose, right_hand_pose
+estimate: [{frames: {of: {palm: left_wrist_yaw_link}, frame: world}}]       # palm_pose
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.blocks.robot_model import model_for
+from unicon_core.errors import WorkflowError, alternatives
+from unicon_core.flow.block import Block, Reads
+from unicon_core.models.frames import Frames
+from unicon_core.robots import Robot
+from unicon_core.robots.places import Place
+from unicon_core.states import StateSpec
+from unicon_core.states.effectors import pose_of, pose_states
+from unicon_core.states.spec import check_name
+from unicon_core.workflow.autowire import BuildContext
+
+__all__ = ["FramePoses", "effector_of", "frames"]
+
+Of = Sequence[str] | Mapping[str, str]
+View = NDArray[Any]
+
+
+def frames(
+    joint_pos: Reads,
+    *,
+    context: BuildContext,
+    of: Of = (),
+    frame: Literal["base", "world"] = "base",
+) -> Block:
+    """Tell the poses of end effectors, or of bodies, as states `NAME_pose`.
+
+    Each is position in [m] and quaternion wxyz, shape (7,). Two neighbouring ticks have the
+    quaternion of the same sign.
+
+    Args:
+        joint_pos: in [rad] or [m], shape (n,).
+        of: end effectors of the robot file, all unless told; or names to bodies of the model.
+        frame: `base`, or `world`, which takes `base_pos_w` and `base_quat`.
+
+    Raises:
+        WorkflowError: no such end effector, or the states are of a batch.
+        ModelError: there is no model, or it lacks a body.
+    """
+    if joint_pos.ndim != 1:
+        raise WorkflowError("it looks at one robot; leave num_robots out, or leave it out")
+    loaded, states, robot = model_for("frames", context), context.states, context.robot
+    places = _places(of, robot)
+    base: tuple[str, ...] = ()
+    if frame == "world" and loaded.base is not None:
+        base = ("base_pos_w", "base_quat")
+        if context.carried:
+            raise WorkflowError(
+                "frame is 'world', and what carries this member is not known here; leave of: out "
+                "beside it, and name bodies of the whole"
+            )
+    names = tuple(map(pose_of, places))
+    tick = FramePoses(
+        Frames(loaded, robot, places),
+        joint_pos,
+        [states[name] for name in names],
+        tuple(states[name] for name in base),
+        np.zeros(7) if frame == "world" else None,
+    )
+    return Block("", tick, reads=base, writes=names, endless=True)
+
+
+def effector_of(name: str, robot: Robot, block: str) -> Place:
+    """Return an end effector of a robot file.
+
+    Args:
+        name: of the end effector.
+        robot: whose it is.
+        block: that asks, for the message.
+
+    Raises:
+        WorkflowError: it has none of that name.
+    """
+    if name in robot.end_effectors:
+        return robot.end_effectors[name]
+    known = robot.end_effectors
+    remedy = alternatives(str(name), known) if known else "it names none"
+    raise WorkflowError(
+        f"block {block!r}: robot {robot.name} has no end effector {name!r}; {remedy}; name one "
+        f"under end_effectors in {robot.path}"
+    )
+
+
+def _places(of: Of, robot: Robot) -> dict[str, Place]:
+    if isinstance(of, Mapping):
+        return {check_name(name): Place(str(body)) for name, body in of.items()}
+    words = (of,) if isinstance(of, str) else tuple(of) or tuple(robot.end_effectors)
+    if not words:
+        raise WorkflowError(
+            f"block 'frames': robot {robot.name} names no end effectors; give of: {{NAME: BODY}}, "
+            f"or name them under end_effectors in {robot.path}"
+        )
+    return {word: effector_of(word, robot, "frames") for word in words}
+
+
+def _declares(*, robot: Robot, of: Of = (), frame: str = "base", **_: Any) -> dict[str, StateSpec]:
+    if frame not in ("base", "world"):
+        raise WorkflowError(f"block 'frames': frame is {frame!r}; give base or world")
+    found: dict[str, StateSpec] = {}
+    for name in _places(of, robot):
+        found |= pose_states(name, frame)
+    return found
+
+
+setattr(frames, "declares", _declares)  # noqa: B010  a function has none to mypy
+
+
+class FramePoses:
+    """The tick of `frames`.
+
+    Args:
+        frames: the robot's.
+        joint_pos: in [rad] or [m], shape (n,).
+        outs: states of the poses, each of shape (7,).
+        base: states of the base's position in [m] and orientation, or none where it is fixed.
+        world: scratch for the pose of the base, shape (7,); None for poses in the base frame.
+    """
+
+    def __init__(
+        self,
+        frames: Frames,
+        joint_pos: View,
+        outs: Sequence[View],
+        base: tuple[View, ...],
+        world: NDArray[np.float64] | None,
+    ) -> None:
+        self._frames, self._joint_pos, self._outs = frames, joint_pos, outs
+        self._base, self._world = base, world
+        if world is not None:
+            world[3] = 1.0
+
+    def __call__(self) -> None:
+        if self._base and self._world is not None:
+            self._world[:3], self._world[3:] = self._base
+        self._frames(self._joint_pos, self._outs, self._world)

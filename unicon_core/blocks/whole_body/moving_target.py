@@ -1,0 +1,151 @@
+"""Block `moving_target`: a target on a circle for an end effector, to try out what follows it.
+
+commands: [{moving_target: {effector: left_hand, radius: 0.08, frequency: 0.4}}]
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.blocks.robot_model import model_for
+from unicon_core.blocks.whole_body.frames import effector_of
+from unicon_core.bounds import DURATION, within
+from unicon_core.errors import WorkflowError
+from unicon_core.flow.block import Block, Reads
+from unicon_core.models.frames import Frames
+from unicon_core.robots import Robot
+from unicon_core.robots.places import wrong_numbers
+from unicon_core.states import StateSpec
+from unicon_core.states.effectors import target_of, target_states
+from unicon_core.workflow.autowire import BuildContext
+
+__all__ = ["MovingTarget", "moving_target"]
+
+LARGEST = 1.0
+"""Radius in [m]: an arm is no longer."""
+QUICKEST = 10.0
+"""In [Hz]: a person shakes a hand at 5 to 8."""
+PLANES = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
+
+
+def moving_target(
+    stamp_ns: Reads,
+    *,
+    context: BuildContext,
+    effector: str,
+    centre: Literal["default"] | Sequence[float] = "default",
+    radius: float = 0.08,
+    frequency: float = 0.4,
+    plane: Literal["xy", "xz", "yz"] = "yz",
+    ramp: float = 2.0,
+) -> Block:
+    """Move an end effector's target on a circle in the base frame, from its centre on.
+
+    The orientation is that of the end effector at the robot's default pose. Over `ramp` the radius
+    grows from 0, as half a cosine; velocity and stamp are told with the target.
+
+    Args:
+        stamp_ns: source time of the robot's data, shape ().
+        effector: of the robot file.
+        centre: x, y, z in [m], or `default`: where it is at the robot's default pose.
+        radius: in [m].
+        frequency: in [Hz].
+        plane: of the circle; it turns from the first axis to the second.
+        ramp: in [s].
+
+    Raises:
+        WorkflowError: no such end effector, an option is wrong, or the states are of a batch.
+        ModelError: there is no model, or it lacks the body.
+    """
+    if stamp_ns.ndim:
+        raise WorkflowError("it is for one robot; leave num_robots out, or leave it out")
+    if plane not in PLANES:
+        raise WorkflowError(f"plane is {plane!r}; give one of {', '.join(PLANES)}")
+    radius = within(radius, "radius", "m", LARGEST, above=False)
+    turn = 2.0 * math.pi * within(frequency, "frequency", "Hz", QUICKEST, above=False)
+    ramp = within(ramp, "ramp", "s", DURATION, above=False)
+    robot = context.robot
+    places = {effector: effector_of(effector, robot, "moving_target")}
+    pose = Frames(model_for("moving_target", context), robot, places).of(robot.default_joint_pos)
+    middle = pose[effector]
+    if centre != "default":
+        if wrong := wrong_numbers("centre", centre, 3):
+            raise WorkflowError(f"centre {wrong}, or default")
+        middle[:3] = centre
+    if not np.isfinite(middle).all():
+        raise WorkflowError(
+            f"robot {robot.name} does not say its default pose; give centre: [x, y, z], and the "
+            f"default of every joint in {robot.path}"
+        )
+    names = target_of(effector)
+    outs = [context.states[name] for name in names]
+    tick = MovingTarget(stamp_ns, outs, middle, radius, turn, PLANES[plane], ramp, context.period)
+    return Block("", tick, writes=names, reset=tick.reset, endless=True)
+
+
+def _declares(*, robot: Robot, effector: Any = None, **_: Any) -> dict[str, StateSpec]:
+    if effector is None:  # told when it is built, as of every option
+        return {}
+    effector_of(effector, robot, "moving_target")
+    return target_states(effector)
+
+
+setattr(moving_target, "declares", _declares)  # noqa: B010  a function has none to mypy
+
+
+class MovingTarget:
+    """The tick of `moving_target`.
+
+    Args:
+        stamp: state with the time of the robot's data in [ns].
+        outs: target, its velocity and its stamp.
+        middle: pose of the centre, shape (7,).
+        radius: in [m].
+        turn: in [rad/s].
+        axes: of the plane.
+        ramp: in [s].
+        period: of a tick in [s].
+    """
+
+    def __init__(
+        self,
+        stamp: NDArray[Any],
+        outs: Sequence[NDArray[Any]],
+        middle: NDArray[np.float64],
+        radius: float,
+        turn: float,
+        axes: tuple[int, int],
+        ramp: float,
+        period: float,
+    ) -> None:
+        self._stamp, (self._target, self._velocity, self._said) = stamp, outs
+        self._middle, self._radius, self._turn = middle, radius, turn
+        self._axes, self._ramp, self._period = axes, ramp, period
+        self._ticks = 0
+
+    def __call__(self) -> None:
+        time = self._ticks * self._period
+        self._ticks += 1
+        # r(t) = R (1 - cos πt/T) / 2, and its velocity.
+        radius, grows = self._radius, 0.0
+        if time < self._ramp:
+            angle = math.pi * time / self._ramp
+            grows = 0.5 * math.pi / self._ramp * radius * math.sin(angle)
+            radius *= 0.5 - 0.5 * math.cos(angle)
+        target, velocity, middle, (i, j) = self._target, self._velocity, self._middle, self._axes
+        c, s = math.cos(self._turn * time), math.sin(self._turn * time)
+        target[:] = middle
+        target[i], target[j] = middle[i] + radius * c, middle[j] + radius * s
+        velocity[:] = 0.0
+        velocity[i] = grows * c - radius * self._turn * s
+        velocity[j] = grows * s + radius * self._turn * c
+        self._said[...] = self._stamp
+
+    def reset(self) -> None:
+        """Begin at the centre again."""
+        self._ticks = 0
