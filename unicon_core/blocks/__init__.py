@@ -32,7 +32,7 @@ BUILTIN: dict[str, str] = {
         "forward_command": ("forward_command",),
         "odometry.leg_odometry": ("leg_odometry",),
         "projected_gravity": ("projected_gravity",),
-        "reach": ("reach",),
+        "whole_body.reach": ("reach",),
         "maps": ("copy", "linear_map"),
         "whole_body.frames": ("frames",),
         "whole_body.gravity": ("gravity",),

@@ -7,6 +7,8 @@ from itertools import combinations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from unicon_core.errors import RobotError, alternatives
 from unicon_core.models.load import load_model
 from unicon_core.models.loaded import LoadedModel, import_mujoco
@@ -58,9 +60,23 @@ def load_reaching(
         at = int(model.jnt_qposadr[loaded.base])
         model.qpos0[at : at + 7] = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
     else:
-        root = int(model.body_rootid[model.jnt_bodyid[loaded.joints[0]]])
-        model.body_pos[root], model.body_quat[root] = 0.0, (1.0, 0.0, 0.0, 0.0)
+        _put_base(model, loaded.joints[0], robot.base_frame)
     return loaded
+
+
+def _put_base(model: Any, joint: int, base_frame: str) -> None:
+    """Put a base that is fixed at the origin: the body of its name, or else the model's world."""
+    mujoco = import_mujoco()
+    base = int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, base_frame))
+    if base <= 0:
+        return
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    root = int(model.body_rootid[model.jnt_bodyid[joint]])
+    place, turn, back, away = np.zeros(3), np.zeros(4), np.zeros(3), np.zeros(4)
+    mujoco.mju_negPose(back, away, data.xpos[base], data.xquat[base])
+    mujoco.mju_mulPose(place, turn, back, away, data.xpos[root], data.xquat[root])
+    model.body_pos[root], model.body_quat[root] = place, turn
 
 
 def _pairs(robot: Robot) -> list[Pair]:

@@ -10,43 +10,13 @@ from numpy.typing import NDArray
 
 from unicon_core.ik.differential import Pose
 from unicon_core.ik.turns import turned_by
-from unicon_core.states import StateSpec
 
-__all__ = ["LONGEST", "Target", "target_states"]
+__all__ = ["LONGEST", "Target"]
 
 LONGEST = 0.3
 """In [s], over which a target's velocity is believed: a hand turns round in as much."""
 _UNIT = 0.05
 """By which the length of a quaternion may be off: float32 and averages of it are within 1e-3."""
-
-_POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
-
-
-def target_states(effector: str) -> dict[str, StateSpec]:
-    """Return the states of where an end effector shall be; NaN where nobody wants anything.
-
-    Args:
-        effector: of the robot file's `end_effectors`.
-    """
-    what = f"of {effector}"
-    return {
-        f"{effector}_target": StateSpec(
-            (7,),
-            frame="base",
-            names=_POSE,
-            description=f"position [m] and quaternion that are wanted {what}; NaN: none",
-            initial=math.nan,
-        ),
-        f"{effector}_target_velocity": StateSpec(
-            (6,),
-            frame="base",
-            names=("vx", "vy", "vz", "wx", "wy", "wz"),
-            description=f"[m/s] and [rad/s] of that target {what}; 0 where not known",
-        ),
-        f"{effector}_target_stamp_ns": StateSpec(
-            (), "int64", "ns", description=f"when that target {what} was true; 0: now"
-        ),
-    }
 
 
 class Target:

@@ -15,18 +15,20 @@ from numpy.typing import NDArray
 
 from unicon_core.blocks.forward_command import MAX_RATE
 from unicon_core.blocks.safety.limits import velocity_limits
+from unicon_core.blocks.whole_body.frames import effector_of
 from unicon_core.bounds import VELOCITY, within
-from unicon_core.errors import MissingDependencyError, WorkflowError, alternatives
+from unicon_core.errors import MissingDependencyError, WorkflowError
 from unicon_core.flow.block import Block, Reads, Writes
 from unicon_core.flow.stage import Stage
 from unicon_core.ik.chain import Chain
 from unicon_core.ik.differential import DifferentialIk, Pose
 from unicon_core.ik.pairs import Reaching, load_apart
 from unicon_core.ik.settings import APART, Settings, Weights
-from unicon_core.ik.targets import LONGEST, Target, target_states
+from unicon_core.ik.targets import LONGEST, Target
 from unicon_core.models.find import model_of
 from unicon_core.robots import Robot
 from unicon_core.states import StateSpec
+from unicon_core.states.effectors import target_of, target_states
 from unicon_core.states.standard import forwarded_states
 from unicon_core.workflow.autowire import BuildContext
 
@@ -105,7 +107,7 @@ def reach(
     reaching = _loaded(context, list(weights), moved, settings.apart)
     reads = ["joint_pos_target", "joint_stiffness"]  # those of the tick before
     for name in weights:
-        reads += target_states(name)
+        reads += target_of(name)
     outs = {"joint_pos_command": joint_pos_command, "joint_vel_command": joint_vel_command}
     outs |= {name: states[name] for effector in weights for name in _told(effector)}
     views = {"joint_pos": joint_pos, "stamp_ns": stamp_ns}
@@ -124,7 +126,7 @@ def reach(
             settings,
         )
         targets = [
-            Target(name, *(ins[s] for s in target_states(name)), w.orientation > 0, look_ahead, tell)
+            Target(name, *(ins[s] for s in target_of(name)), w.orientation > 0, look_ahead, tell)
             for name, w in weights.items()
         ]
         return Reach(ik, chain, list(weights), targets, ins, results, context.period)
@@ -181,16 +183,10 @@ def _weights(robot: Robot, effectors: Any) -> dict[str, Weights]:
     Raises:
         WorkflowError: one is unknown, or its weights are none.
     """
-    known = robot.end_effectors
     named = effectors if isinstance(effectors, (Mapping, list, tuple)) else [effectors]
     found = {}
     for name in named:
-        if name not in known:
-            what = alternatives(str(name), known) if known else "its robot file names none"
-            raise WorkflowError(
-                f"block 'reach': robot {robot.name} has no end effector {name!r}; {what}; add it "
-                f"under end_effectors in {robot.path}"
-            )
+        effector_of(str(name), robot, "reach")
         said = effectors[name] if isinstance(effectors, Mapping) else {}
         if not isinstance(said, Mapping) or not set(said) <= {"position", "orientation"}:
             raise WorkflowError(
@@ -210,8 +206,9 @@ def _loaded(
     context: BuildContext, effectors: Sequence[str], moved: NDArray[np.intp], apart: float
 ) -> Reaching:
     robot = context.robot
+    path = model_of(None if context.carried else context.platform, robot)
     try:
-        return load_apart(model_of(context.platform, robot), robot, effectors, moved, apart)
+        return load_apart(path, robot, effectors, moved, apart)
     except MissingDependencyError as error:
         raise MissingDependencyError(
             "block 'reach'", "mujoco", "pip install 'unicon_ros[sim]'"
