@@ -7,77 +7,92 @@ from numpy.typing import NDArray
 
 from unicon_core.ik.chain import Chain
 from unicon_core.models.loaded import import_mujoco
+from unicon_core.models.rows import index_of
 
 __all__ = ["Apart"]
 
 Float = NDArray[np.float64]
 
+# a × n = (a @ _CROSS).reshape(3, 3) @ n
+_CROSS = np.zeros((3, 9))
+for _i, _j, _k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+    _CROSS[_i, 3 * _k + _j], _CROSS[_i, 3 * _j + _k] = 1.0, -1.0
+
 
 class Apart:
     """Pairs of capsules that are kept apart, p of them.
 
-    MuJoCo computes the distances, in closed form and in one call for all pairs.
+    MuJoCo computes the distances, in closed form and in one call for all pairs: 2 µs for 74 of
+    them, where one call for each pair takes 1 µs.
 
     Args:
         chain: whose model has the pairs, by `load_apart`.
         near: distance in [m] within which pairs are looked at.
-
-    Attributes:
-        distance: of each pair in [m], negative where they overlap, at most `near`, shape (p,).
+        least: distance in [m] below which pairs are too near.
     """
 
-    def __init__(self, chain: Chain, near: float) -> None:
+    def __init__(self, chain: Chain, near: float, least: float) -> None:
         self._mujoco = import_mujoco()
         model, data = chain.loaded.model, chain.data
-        self._model, self._data = model, data
+        self._model, self._data, self._contact = model, data, data.contact
         model.pair_margin[:], model.pair_gap[:] = near, 0.0
-        self._pair = np.zeros((model.ngeom, model.ngeom), np.intp)
-        self._sign = np.zeros((model.ngeom, model.ngeom))
-        self._moves = np.zeros((model.npair, len(chain.moved)))
+        pairs = model.npair
+        self._row = np.zeros((model.ngeom, model.ngeom), np.intp)
+        self._moves = np.zeros((2 * pairs, len(chain.moved)))
         for pair, geoms in enumerate(zip(model.pair_geom1, model.pair_geom2)):
             one, other = map(int, geoms)
-            self._pair[one, other] = self._pair[other, one] = pair
-            self._sign[one, other], self._sign[other, one] = 1.0, -1.0
             moved = [chain.moved_by(int(model.geom_bodyid[geom])) for geom in (one, other)]
             self._moves[pair] = moved[1].astype(float) - moved[0]
-        self._near = near
-        self.distance = np.full(model.npair, near)
+            self._row[one, other], self._row[other, one] = pair, pair + pairs
+        self._moves[pairs:] = -self._moves[:pairs]
+        self._least, self._pairs = least, pairs
+        self._before, self._now = np.full(pairs, least), np.full(pairs, least)
         root = int(model.body_rootid[model.jnt_bodyid[chain.loaded.joints[0]]])
-        self._axes, self._dofs = data.cdof, chain.dofs
+        self._axes, self._dofs = data.cdof, index_of(chain.dofs.tolist())
         self._centre = data.subtree_com[root]
 
-    def look(self) -> bool:
-        """Bring `distance` up to date with where the chain stands; False where no pair is near."""
-        self._mujoco.mj_collision(self._model, self._data)
-        self.distance[:] = self._near
-        if not self._data.ncon:
-            return False
-        contact = self._data.contact
-        one, other = contact.geom.T
-        # Capsules that are parallel have two points.
-        np.minimum.at(self.distance, self._pair[one, other], contact.dist)
-        return True
-
     def rows(self) -> tuple[Float, Float]:
-        """Return the distances of the points that are near [m] and how moved joints change them.
+        """Return the distances of points that are near [m], and how moved joints change them.
 
-        The point between two bodies moves with each of them, and what counts is the difference
-        along the normal; where both move together there is none. After `look` and
-        `Chain.differentiate`.
+        Where a body turns about an axis, a point on it moves by the cross product; of the two
+        bodies at a point the difference along the normal counts, and none where both move
+        together. After `Chain.differentiate`.
 
         Returns:
             Shapes (c,) and (c, k), the latter in [m/rad].
         """
+        self._mujoco.mj_collision(self._model, self._data)
         contact = self._data.contact
-        one, other = contact.geom.T
-        normal = contact.frame[:, :3] * self._sign[one, other, None]
-        axes = self._axes[self._dofs]
-        change = np.cross(contact.pos - self._centre, normal) @ axes[:, :3].T
-        change += normal @ axes[:, 3:].T
-        change *= self._moves[self._pair[one, other]]
-        return contact.dist, change
+        count = len(contact)
+        distance = contact.dist
+        row = self._row[contact.geom[:, 0], contact.geom[:, 1]]
+        self._before[:] = self._least
+        if count and distance.min() < self._least:
+            np.minimum.at(self._before, row % self._pairs, distance)
+        twist = np.empty((count, 6))
+        normal = twist[:, 3:]
+        normal[:] = contact.frame[:, :3]
+        arm = contact.pos - self._centre
+        np.matmul((arm @ _CROSS).reshape(-1, 3, 3), normal[..., None], out=twist[:, :3, None])
+        change = twist @ self._axes[self._dofs].T
+        change *= self._moves[row]
+        return distance, change
 
-    def joints(self, pairs: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Return which moved joints move some of the pairs against each other, shape (k,)."""
-        moved: NDArray[np.bool_] = self._moves[pairs].any(axis=0)
+    def too_near(self) -> NDArray[np.bool_] | None:
+        """Return which moved joints bring pairs nearer than they may be, shape (k,), or None.
+
+        A pair that was too near in `rows` may be as near as it was.
+        """
+        self._mujoco.mj_collision(self._model, self._data)
+        contact = self._data.contact
+        distance = contact.dist
+        if not len(distance) or distance.min() >= self._least:
+            return None
+        row = self._row[contact.geom[:, 0], contact.geom[:, 1]] % self._pairs
+        self._now[:] = self._least
+        np.minimum.at(self._now, row, distance)
+        wrong = self._now < self._before
+        if not wrong.any():
+            return None
+        moved: NDArray[np.bool_] = self._moves[: self._pairs][wrong].any(axis=0)
         return moved

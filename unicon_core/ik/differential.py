@@ -13,46 +13,38 @@ from unicon_core.ik.apart import Apart
 from unicon_core.ik.chain import Chain
 from unicon_core.ik.quadratic import MOST_ROWS, Quadratic
 from unicon_core.ik.settings import Settings, Weights
-from unicon_core.ik.turns import turn_between
+from unicon_core.ik.tasks import Pose, Tasks
 from unicon_core.robots import Robot
 
-__all__ = ["DifferentialIk", "Pose"]
+__all__ = ["DifferentialIk"]
 
 Float = NDArray[np.float64]
-Pose = tuple[Sequence[float], Sequence[float]]
-"""Position in [m] and unit quaternion wxyz, in the base frame."""
 
-FARTHEST, WIDEST = 0.15, 0.8
-"""Errors in [m] and [rad] beyond which no farther step is asked for: what is linear ends there."""
-_OF_ERROR = 0.3
-"""Of the squared weighted error, as damping (Sugihara: Solvability-unconcerned inverse kinematics
-by the Levenberg-Marquardt method, IEEE T-RO 27(5), 2011): a target out of reach moves nothing."""
-_LEAST = 1e-4
+_LEAST = 1e-8
 """Damping that is always there, squared: keeps the problem definite."""
-_SINGULAR, _POOR = 0.03, 0.3
-"""Damping at a singularity, squared, and the share of the usual manipulability from which it grows
-(Nakamura, Hanafusa: Inverse kinematic solutions with singularity robustness, 1986)."""
 _AWAY = 8.0
-"""In [1/s]: the share of what two capsules are farther apart than wanted that they may come nearer
-in a second (Faverjon, Tournassoud: A local based approach for path planning, ICRA 1987)."""
+"""In [1/s]: of what two capsules are farther apart than wanted, how much they may come nearer in a
+second (Faverjon, Tournassoud, A local based approach for path planning of manipulators with a high
+number of degrees of freedom, ICRA 1987)."""
 _NEAR = 0.08
 """In [m], beyond what is wanted, within which pairs are looked at; or what 1 m moves in a tick."""
-_HALVINGS = 6
+_GUARD = 0.5
+"""Of the distance that is wanted, which no step goes below."""
+_HALVINGS = 5
 _HOME = 0.5
 """In [1/s], of the way to the default pose."""
-_SAMPLES = 200
 
 
 class DifferentialIk:
     """Moves k joints so that E end effectors come to their targets.
 
-    A step Δq minimises Σ |W (J Δq - e)|² + damping |Δq|² + posture² |Δq - home|², within joint limits
-    and the speed, with rows that hold capsules apart. What is linear about the rows ends with the
-    step: after it the true distances are looked at, and where two capsules would be nearer than half
-    of what is wanted, the step of the joints that move them is halved, until there is none.
+    A step Δq minimises Σ |W (J Δq - e)|² + damping |Δq|² + posture² |Δq - home|², within joint
+    limits and the speed, with rows that hold capsules apart. Where rows are linear no more, true
+    distances decide: a step after which two capsules were nearer than half of what is wanted is
+    halved for the joints that move them, until there is none.
 
     Args:
-        chain: the moved joints and the frames.
+        chain: the moved joints and the frames, of a model by `load_apart`.
         robot: says limits and default pose.
         weights: of each end effector, length E.
         rate: largest speed of each moved joint in [rad/s], shape (k,).
@@ -62,11 +54,11 @@ class DifferentialIk:
     Attributes:
         pos: where the moved joints are commanded, [rad], shape (k,).
         step: of the last tick in [rad], shape (k,).
-        error: between each target and what `pos` reaches, [m] and [rad], shape (E, 2); NaN without
-            a target.
+        error: between each target and what `pos` reaches, [m] and [rad], length E; NaN without a
+            target.
         reached: whether each target is reached within the tolerance, length E.
         failures: ticks in which the solver had no answer; the joints kept still.
-        apart: the pairs, or None.
+        halved: steps that the true distances have halved.
     """
 
     def __init__(
@@ -78,41 +70,33 @@ class DifferentialIk:
         period: float,
         settings: Settings,
     ) -> None:
-        k, count = len(chain.moved), len(weights)
+        k = len(chain.moved)
         self._chain, self._settings = chain, settings
         self._lower = np.nan_to_num(robot.lower[chain.moved].astype(np.float64), nan=-np.inf)
         self._upper = np.nan_to_num(robot.upper[chain.moved].astype(np.float64), nan=np.inf)
         self._most = rate * period
         self._least = -self._most
-        self._home = robot.default_joint_pos[chain.moved].astype(np.float64)
+        pose = robot.default_joint_pos.astype(np.float64)
+        self._home = pose[chain.moved]
         self._homing = settings.posture**2 * min(_HOME * period, 1.0)
         self._quadratic = Quadratic(k)
         self._diagonal = self._quadratic.square.reshape(-1)[:: k + 1]
-        self._weights = np.array([[w.position] * 3 + [w.orientation] * 3 for w in weights])
-        self._task, self._wanted = np.zeros((count, 6, k)), np.zeros((count, 6))
-        self._damping = np.zeros(k)
-        self._carries = chain.carries.astype(np.float64)
-        self.pos, self.step, self._next = np.zeros(k), np.zeros(k), np.zeros(k)
-        self.error = np.full((count, 2), np.nan)
+        self._tasks = Tasks(chain, weights, self._lower, self._upper, pose)
+        self._damping, self._next = np.zeros(k), np.zeros(k)
+        self.pos, self.step = np.zeros(k), np.zeros(k)
         near, straight = settings.tolerance
-        self._bounds = [
+        self._tolerances = [
             (near if w.position else math.inf, straight if w.orientation else math.inf)
             for w in weights
         ]
-        self.reached = [False] * count
-        self.failures = 0
-        self.apart: Apart | None = None
+        self.error = [(math.nan, math.nan)] * len(weights)
+        self.reached = [False] * len(weights)
+        self.failures = self.halved = 0
+        self._apart: Apart | None = None
         if settings.apart and chain.loaded.model.npair:
-            self.apart = Apart(chain, settings.apart + max(_NEAR, float(self._most.max())))
-        self._nearest = math.exp(-_AWAY * period)
-        self._gram, self._identity = np.zeros((count, 6, 6)), np.eye(6)
-        self._unused = np.array([np.diag((row == 0.0).astype(float)) for row in self._weights])
-        self._narrow = [
-            (i, np.flatnonzero(chain.carries[i]))
-            for i, row in enumerate(self._weights)
-            if (row > 0.0).sum() > chain.carries[i].sum()
-        ]
-        self._usual = self._usual_of(robot)
+            near = settings.apart + max(_NEAR, float(self._most.max()))
+            self._apart = Apart(chain, near, _GUARD * settings.apart)
+        self._approach = -math.expm1(-_AWAY * period)
 
     def begin(self, joint_pos: NDArray[Any], which: NDArray[np.bool_]) -> None:
         """Let some of the moved joints begin where they are, or at their limits.
@@ -131,143 +115,77 @@ class DifferentialIk:
         Args:
             joint_pos: measured, in the robot's order in [rad], shape (n,).
             targets: of each end effector, None where there is none.
-            active: 1 for each moved joint that is commanded, else 0: it stands where it is measured,
-                shape (k,).
+            active: 1 for each moved joint that is commanded, else 0: it stands where it is
+                measured, shape (k,).
         """
-        chain, problem = self._chain, self._quadratic
-        own = joint_pos[chain.moved]
-        np.copyto(self.pos, own, where=active == 0.0)
-        chain.put(joint_pos, self.pos)
+        chain, problem, pos, spare = self._chain, self._quadratic, self.pos, self._next
+        if not active.all():
+            np.copyto(pos, joint_pos[chain.moved], where=active == 0.0)
+        chain.put(joint_pos, pos)
         chain.differentiate()
-        self._assemble(targets, active)
-        np.subtract(self._lower, self.pos, out=self._next)
-        np.clip(self._next, self._least, self._most, out=problem.lower)
-        np.subtract(self._upper, self.pos, out=self._next)
-        np.clip(self._next, self._least, self._most, out=problem.upper)
-        problem.lower *= active
-        problem.upper *= active
-        rows = self._keep_apart(active) if self.apart is not None else 0
+        self._damping[:] = self._settings.posture**2 + _LEAST
+        self._tasks(targets, problem.square, problem.slope, self._damping)
+        self._diagonal += self._damping
+        np.subtract(pos, self._home, out=spare)
+        spare *= active
+        spare *= self._homing
+        problem.slope += spare
+        for limit, bound in ((self._lower, problem.lower), (self._upper, problem.upper)):
+            np.subtract(limit, pos, out=bound)
+            np.maximum(bound, self._least, out=bound)
+            np.minimum(bound, self._most, out=bound)
+            bound *= active
+        rows = 0 if self._apart is None else self._keep_apart(self._apart, active)
         if not problem.solve(rows):
             self.failures += 1
         self.step[:] = problem.solution
-        self._take_step()
-        self._tell(targets)
-
-    def _assemble(self, targets: Sequence[Pose | None], active: Float) -> None:
-        """Write H and f of the quadratic program."""
-        chain, problem, wanted = self._chain, self._quadratic, self._wanted
-        np.multiply(chain.jacobian, self._weights[..., None], out=self._task)
+        np.add(pos, self.step, out=spare)
+        chain.move(spare)
+        if self._apart is not None:
+            self._hold_back(self._apart)
+        pos[:] = spare
         for i, target in enumerate(targets):
-            if target is None:
-                wanted[i] = self._task[i] = 0.0
-                continue
-            position, turn = self._errors(i, target)
-            far, wide = math.hypot(*position), math.hypot(*turn)
-            most, widest = min(1.0, FARTHEST / max(far, 1e-9)), min(1.0, WIDEST / max(wide, 1e-9))
-            wanted[i] = [most * x for x in position] + [widest * x for x in turn]
-        wanted *= self._weights
-        task = self._task.reshape(-1, len(self.pos))
-        np.matmul(task.T, task, out=problem.square)
-        np.matmul(task.T, wanted.reshape(-1), out=problem.slope)
-        damping = (wanted * wanted).sum(axis=1)
-        damping *= _OF_ERROR
-        damping += self._poor(self._task)
-        np.matmul(damping, self._carries, out=self._damping)
-        self._damping += self._settings.posture**2 + _LEAST**2
-        self._diagonal += self._damping
-        np.subtract(self._home, self.pos, out=self._next)
-        self._next *= self._homing
-        self._next *= active
-        problem.slope += self._next
-        np.negative(problem.slope, out=problem.slope)
+            self._tell(i, target)
 
-    def _errors(self, effector: int, target: Pose) -> tuple[list[float], Sequence[float]]:
-        """Return what an end effector lacks to its target, in [m] and [rad], axes of the base."""
-        place, quat = self._chain.frame(effector)
-        position, wanted = target
-        return [a - b for a, b in zip(position, place)], turn_between(quat, wanted)
+    def _keep_apart(self, apart: Apart, active: Float) -> int:
+        """Write the rows that hold capsules apart; return how many there are.
 
-    def _poor(self, task: Float) -> Float:
-        """Return the damping near singularities of each end effector, squared, shape (E,)."""
-        found = self._measure(task)
-        found /= self._usual
-        np.subtract(1.0, found, out=found)
-        np.maximum(found, 0.0, out=found)
-        found *= found
-        found *= _SINGULAR**2
-        return found
-
-    def _measure(self, task: Float) -> Float:
-        """Return the manipulability √det(J Jᵀ) of each end effector by weighted rows, shape (E,).
-
-        Of one with fewer joints than rows it is √det(Jᵀ J) (Yoshikawa, IJRR 4(2), 1985).
+        What is nearer than wanted need not go away, but comes no nearer: no step at all is within
+        the rows always, and within the bounds.
         """
-        square = self._gram
-        np.matmul(task, task.transpose(0, 2, 1), out=square)
-        square += self._unused
-        for i, joints in self._narrow:
-            columns = task[i][:, joints]
-            square[i] = self._identity
-            square[i, : len(joints), : len(joints)] = columns.T @ columns
-        return np.sqrt(np.maximum(np.linalg.det(square), 0.0))
-
-    def _usual_of(self, robot: Robot) -> Float:
-        """Return the median manipulability over random poses, shape (E,)."""
-        chain, random = self._chain, np.random.default_rng(0)
-        lower, upper = np.maximum(self._lower, -math.pi), np.minimum(self._upper, math.pi)
-        default = robot.default_joint_pos.astype(np.float64)
-        found = np.zeros((_SAMPLES, len(self._weights)))
-        for row in found:
-            chain.put(default, random.uniform(lower, upper))
-            chain.differentiate()
-            row[:] = self._measure(chain.jacobian * self._weights[..., None])
-        return np.maximum(np.median(found, axis=0) * _POOR, 1e-12)
-
-    def _keep_apart(self, active: Float) -> int:
-        """Write the rows that hold capsules apart; return how many there are."""
-        apart, problem = self.apart, self._quadratic
-        assert apart is not None
-        if not apart.look():
-            return 0
         distance, change = apart.rows()
         if len(distance) > MOST_ROWS:
             nearest = np.argpartition(distance, MOST_ROWS)[:MOST_ROWS]
             distance, change = distance[nearest], change[nearest]
-        count = len(distance)
-        np.multiply(change, active, out=problem.rows[:count])
-        # What is nearer than wanted does not come nearer still; 0 is always a solution.
-        np.subtract(distance, self._settings.apart, out=problem.least[:count])
-        np.maximum(problem.least[:count], 0.0, out=problem.least[:count])
-        problem.least[:count] *= self._nearest - 1.0
+        count, problem = len(distance), self._quadratic
+        if count:
+            np.multiply(change, active, out=problem.rows[:count])
+            least = problem.least[:count]
+            np.subtract(self._settings.apart, distance, out=least)
+            np.minimum(least, 0.0, out=least)
+            least *= self._approach
         return count
 
-    def _take_step(self) -> None:
-        """Move `pos` by the step, or by as much of it as keeps all capsules apart."""
-        chain, apart, step = self._chain, self.apart, self.step
-        np.add(self.pos, step, out=self._next)
-        chain.move(self._next)
-        if apart is not None:
-            before = np.minimum(apart.distance, 0.5 * self._settings.apart)
-            for left in range(_HALVINGS, -1, -1):
-                apart.look()
-                wrong = apart.distance < before
-                if not wrong.any():
-                    break
-                step *= np.where(apart.joints(wrong), 0.5 if left > 1 else 0.0, 1.0)
-                if not left:
-                    step[:] = 0.0
-                np.add(self.pos, step, out=self._next)
-                chain.move(self._next)
-        self.pos[:] = self._next
+    def _hold_back(self, apart: Apart) -> None:
+        """Halve the step, and where it would lead, for joints that bring capsules too near."""
+        for left in range(_HALVINGS, -1, -1):
+            near = apart.too_near()
+            if near is None:
+                return
+            self.halved += 1
+            self.step[near] *= 0.5 if left > 1 else 0.0
+            if not left:
+                self.step[:] = 0.0
+            np.add(self.pos, self.step, out=self._next)
+            self._chain.move(self._next)
 
-    def _tell(self, targets: Sequence[Pose | None]) -> None:
-        """Write `error` and `reached`."""
-        for i, target in enumerate(targets):
-            if target is None:
-                self.error[i], self.reached[i] = np.nan, False
-                continue
-            position, turn = self._errors(i, target)
-            far, wide = math.hypot(*position), math.hypot(*turn)
-            self.error[i] = far, wide
-            near, straight = self._bounds[i]
-            self.reached[i] = far <= near and wide <= straight
+    def _tell(self, effector: int, target: Pose | None) -> None:
+        """Write `error` and `reached` of an end effector, whose chain stands where it shall."""
+        if target is None:
+            self.error[effector], self.reached[effector] = (math.nan, math.nan), False
+            return
+        position, turn = self._tasks.lack(effector, target)
+        far, wide = math.hypot(*position), math.hypot(*turn)
+        near, straight = self._tolerances[effector]
+        self.error[effector] = far, wide
+        self.reached[effector] = far <= near and wide <= straight

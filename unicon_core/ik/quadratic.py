@@ -15,7 +15,6 @@ Float = NDArray[np.float64]
 
 MOST_ROWS = 32
 """More pairs of capsules are not near each other at once; the nearest count."""
-_INFEASIBLE = -1
 
 
 class Quadratic:
@@ -74,8 +73,10 @@ class Quadratic:
             self._kinds[:end],
         )
         # A solution of daqp is within 1e-6; a NaN passes no comparison.
-        np.clip(found, self.lower, self.upper, out=self.solution)
-        if status > 0 and np.isfinite(self.solution).all():
+        np.maximum(found, self.lower, out=self.solution)
+        np.minimum(self.solution, self.upper, out=self.solution)
+        total = self.solution.sum()
+        if status > 0 and total - total == 0.0:
             return True
         self.solution[:] = 0.0
         return False

@@ -8,7 +8,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from unicon_core.ik.differential import Pose
+from unicon_core.ik.tasks import Pose
 from unicon_core.ik.turns import turned_by
 
 __all__ = ["LONGEST", "Target"]

@@ -21,7 +21,7 @@ from unicon_core.errors import MissingDependencyError, WorkflowError
 from unicon_core.flow.block import Block, Reads, Writes
 from unicon_core.flow.stage import Stage
 from unicon_core.ik.chain import Chain
-from unicon_core.ik.differential import DifferentialIk, Pose
+from unicon_core.ik.differential import DifferentialIk
 from unicon_core.ik.pairs import Reaching, load_apart
 from unicon_core.ik.settings import APART, Settings, Weights
 from unicon_core.ik.targets import LONGEST, Target

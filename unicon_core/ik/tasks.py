@@ -1,0 +1,143 @@
+"""Tasks: what end effectors lack to their targets, as the cost of a quadratic program."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.ik.chain import Chain
+from unicon_core.ik.settings import Weights
+from unicon_core.ik.turns import turn_between
+
+__all__ = ["Pose", "Tasks"]
+
+Float = NDArray[np.float64]
+Pose: TypeAlias = tuple[Sequence[float], Sequence[float]]
+"""Position in [m] and unit quaternion wxyz, in the base frame."""
+
+FARTHEST, WIDEST = 0.15, 0.8
+"""Errors in [m] and [rad] beyond which no farther step is asked for: what is linear ends there."""
+_OF_ERROR = 0.3
+"""Of the squared weighted error, as damping: a target out of reach moves nothing (Sugihara,
+Solvability-unconcerned inverse kinematics by the Levenberg-Marquardt method, IEEE T-RO 27(5), 2011)."""
+_SINGULAR, _POOR = 0.03, 0.3
+"""Damping at a singularity, and the share of the usual manipulability from which it grows
+(Nakamura, Hanafusa, Inverse kinematic solutions with singularity robustness for robot manipulator
+control, 1986)."""
+_SAMPLES = 200
+
+
+class Tasks:
+    """The cost Σ |W (J Δq - e)|² + damping |Δq|² of E end effectors and k joints.
+
+    Args:
+        chain: the joints and the frames.
+        weights: of each end effector, length E.
+        lower: limits of the joints in [rad], shape (k,).
+        upper: likewise.
+        pose: of all joints in the robot's order in [rad], where others stand to measure what is
+            usual, shape (n,).
+
+    Attributes:
+        damping: of each end effector's joints in the last tick, squared, length E.
+    """
+
+    def __init__(
+        self, chain: Chain, weights: Sequence[Weights], lower: Float, upper: Float, pose: Float
+    ) -> None:
+        self._chain = chain
+        self._plain = [(w.position, w.orientation) for w in weights]
+        count, k = len(weights), len(chain.moved)
+        self._weights = np.array([[w.position] * 3 + [w.orientation] * 3 for w in weights])
+        self._columns = self._weights[..., None]
+        self._task, self._wanted = np.zeros((count, 6, k)), np.zeros((count, 6))
+        self._rows, self._whole = self._task.reshape(-1, k), self._wanted.reshape(-1)
+        self._turned, self._back = self._rows.T, self._task.transpose(0, 2, 1)
+        self._carries = chain.carries.astype(np.float64)
+        self._gram, self._identity = np.zeros((count, 6, 6)), np.eye(6)
+        self._unused = np.array([np.diag((row == 0.0).astype(float)) for row in self._weights])
+        self._narrow = [
+            (i, np.flatnonzero(chain.carries[i]))
+            for i, row in enumerate(self._weights)
+            if (row > 0.0).sum() > chain.carries[i].sum()
+        ]
+        self.damping = [0.0] * count
+        self._usual = self._usual_of(lower, upper, pose)
+
+    def lack(self, effector: int, target: Pose) -> tuple[list[float], Sequence[float]]:
+        """Return what an end effector lacks to its target, in [m] and [rad], axes of the base."""
+        place, quat = self._chain.frame(effector)
+        position, wanted = target
+        return [a - b for a, b in zip(position, place)], turn_between(quat, wanted)
+
+    def __call__(
+        self, targets: Sequence[Pose | None], square: Float, slope: Float, damping: Float
+    ) -> None:
+        """Write the cost ½ Δqᵀ H Δq + fᵀ Δq, of a chain that is put and differentiated.
+
+        Args:
+            targets: of each end effector, None where there is none.
+            square: H without damping, shape (k, k).
+            slope: f, shape (k,).
+            damping: is added to, shape (k,).
+        """
+        wanted, task = self._wanted, self._task
+        np.multiply(self._chain.jacobian, self._columns, out=task)
+        for i, target in enumerate(targets):
+            if target is None:
+                wanted[i] = task[i] = self.damping[i] = 0.0
+                continue
+            position, turn = self.lack(i, target)
+            near, straight = self._plain[i]
+            far, wide = math.hypot(*position), math.hypot(*turn)
+            if far > FARTHEST:
+                near, far = near * FARTHEST / far, FARTHEST
+            if wide > WIDEST:
+                straight, wide = straight * WIDEST / wide, WIDEST
+            x, y, z = position
+            u, v, w = turn
+            wanted[i] = near * x, near * y, near * z, straight * u, straight * v, straight * w
+            near, straight = self._plain[i]
+            self.damping[i] = _OF_ERROR * ((near * far) ** 2 + (straight * wide) ** 2)
+        np.matmul(self._turned, self._rows, out=square)
+        np.matmul(self._whole, self._rows, out=slope)
+        np.negative(slope, out=slope)
+        for i, share in enumerate((self._manipulability(task) / self._usual).tolist()):
+            if share < 1.0 and targets[i] is not None:
+                self.damping[i] += (_SINGULAR * (1.0 - share)) ** 2
+            damping += self.damping[i] * self._carries[i]
+
+    def _manipulability(self, task: Float) -> Float:
+        """Return √det(J Jᵀ) of each end effector by its weighted rows, shape (E,).
+
+        Of one with fewer joints than rows it is √det(Jᵀ J) (Yoshikawa, Manipulability of robotic
+        mechanisms, IJRR 4(2), 1985).
+        """
+        square = self._gram
+        np.matmul(task, task.transpose(0, 2, 1), out=square)
+        square += self._unused
+        for i, joints in self._narrow:
+            columns = task[i][:, joints]
+            square[i] = self._identity
+            square[i, : len(joints), : len(joints)] = columns.T @ columns
+        found = np.linalg.det(square)
+        np.maximum(found, 0.0, out=found)
+        return np.sqrt(found, out=found)  # type: ignore[no-any-return]
+
+    def _usual_of(self, lower: Float, upper: Float, pose: Float) -> Float:
+        """Return the manipulability below which an end effector is near a singularity, shape (E,).
+
+        A share of the median over random poses: a scale of each arm's own.
+        """
+        chain, random = self._chain, np.random.default_rng(0)
+        lower, upper = np.maximum(lower, -math.pi), np.minimum(upper, math.pi)
+        found = np.zeros((_SAMPLES, len(self._weights)))
+        for row in found:
+            chain.put(pose, random.uniform(lower, upper))
+            chain.differentiate()
+            row[:] = self._manipulability(chain.jacobian * self._columns)
+        return np.maximum(np.median(found, axis=0) * _POOR, 1e-12)
