@@ -17,26 +17,26 @@ from unicon_core.robots import Robot, load_robot
 
 JOINTS = ("yaw", "lift", "elbow", "roll", "pitch", "twist")
 
-ROBOT = f"""
+ROBOT = """
 schema: unicon.robot/1
 name: welder
 description: An arm to test with
 manufacturer: Nobody
 kind: arm
-models: {{mjcf: welder.xml}}
+models: {mjcf: welder.xml}
 base_frame: plate
 joints:
-{{joints}}
+{joints}
 imu: null
-groups: {{arm: [yaw, lift, elbow, roll, pitch, twist], hand: [roll, pitch, twist]}}
+groups: {arm: [yaw, lift, elbow, roll, pitch, twist], hand: [roll, pitch, twist]}
 end_effectors:
-  tool: {{body: flange, position: [0.0, 0.0, 0.1], quat: [0.5, 0.5, 0.5, 0.5]}}
+  tool: {body: flange, position: [0.0, 0.0, 0.1], quat: [0.5, 0.5, 0.5, 0.5]}
 capsules:
-  pillar: {{body: plate, from: [0, 0, 0], to: [0, 0, 0.1], radius: 0.06}}
-  upper_arm: {{body: upper_arm, from: [0.05, 0, 0], to: [0.3, 0, 0], radius: 0.04}}
-  forearm: {{body: forearm, from: [0.05, 0, 0], to: [0.25, 0, 0], radius: 0.035}}
-  hand: {{body: flange, from: [0, 0, 0.06], radius: 0.05}}
-transport: {{protocol: fake, rate_hz: 500}}
+  pillar: {body: plate, from: [0, 0, 0], to: [0, 0, 0.1], radius: 0.06}
+  upper_arm: {body: upper_arm, from: [0.05, 0, 0], to: [0.3, 0, 0], radius: 0.04}
+  forearm: {body: forearm, from: [0.05, 0, 0], to: [0.25, 0, 0], radius: 0.035}
+  hand: {body: flange, from: [0, 0, 0.06], radius: 0.05}
+transport: {protocol: fake, rate_hz: 500}
 sources:
   joints: "made up"
   gains: "made up"
@@ -48,28 +48,26 @@ sources:
 unknown: []
 """
 
-MODEL = """
-<mujoco>
-  <worldbody>
-    <body name="plate" pos="0.4 -0.1 0.6" euler="0 30 90">
-      <geom type="box" size="0.05 0.05 0.05" mass="2"/>
-      <body name="post" pos="0 0 0.1"> <joint name="yaw" axis="0 0 1"/> <geom size="0.03" mass="1"/>
-        <body name="upper_arm" pos="0 0 0.1"> <joint name="lift" axis="0 1 0"/> <geom size="0.03" mass="1"/>
-          <body name="forearm" pos="0.35 0 0"> <joint name="elbow" axis="0 1 0"/> <geom size="0.03" mass="1"/>
-            <body name="wrist" pos="0.3 0 0"> <joint name="roll" axis="1 0 0"/> <geom size="0.03" mass="1"/>
-              <body name="knuckle"> <joint name="pitch" axis="0 1 0"/> <geom size="0.03" mass="1"/>
-                <body name="flange" pos="0.05 0 0" euler="0 90 0"> <joint name="twist" axis="0 0 1"/> <geom size="0.03" mass="1"/>
-                </body>
-              </body>
-            </body>
-          </body>
-        </body>
-      </body>
-    </body>
-  </worldbody>
-</mujoco>
-"""
-
+LINKS = (
+    ("post", "pos='0 0 0.1'", "yaw", "0 0 1"),
+    ("upper_arm", "pos='0 0 0.1'", "lift", "0 1 0"),
+    ("forearm", "pos='0.35 0 0'", "elbow", "0 1 0"),
+    ("wrist", "pos='0.3 0 0'", "roll", "1 0 0"),
+    ("knuckle", "", "pitch", "0 1 0"),
+    ("flange", "pos='0.05 0 0' euler='0 90 0'", "twist", "0 0 1"),
+)
+MODEL = "".join(
+    (
+        "<mujoco><worldbody><body name='plate' pos='0.4 -0.1 0.6' euler='0 30 90'>",
+        *(
+            f"<body name='{body}' {place}><joint name='{joint}' axis='{axis}'/>"
+            "<geom size='0.03' mass='1'/>"
+            for body, place, joint, axis in LINKS
+        ),
+        "</body>" * (1 + len(LINKS)),
+        "</worldbody></mujoco>",
+    )
+)
 DEFAULT = (0.3, -0.9, 1.4, 0.2, 0.6, 0.1)
 
 
@@ -148,9 +146,7 @@ class Solved:
 
     def random_pose(self, rng: np.random.Generator, share: float = 0.8) -> Any:
         """Return the moved joints somewhere within a share of their limits."""
-        lower, upper = (
-            a[self.moved].astype(float) for a in (self.robot.lower, self.robot.upper)
-        )
+        lower, upper = (a[self.moved].astype(float) for a in (self.robot.lower, self.robot.upper))
         return rng.uniform(share * lower, share * upper)
 
     def tick(self, *targets: Any) -> Any:

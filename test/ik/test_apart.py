@@ -18,7 +18,9 @@ from unicon_core.robots import Robot, load_robot
 
 Build = Callable[..., Any]
 
-points = st.lists(st.floats(-1, 1), min_size=12, max_size=12).map(lambda x: np.reshape(x, (2, 2, 3)))
+points = st.lists(st.floats(-1, 1), min_size=12, max_size=12).map(
+    lambda x: np.reshape(x, (2, 2, 3))
+)
 
 
 @given(points)
@@ -88,7 +90,10 @@ def test_neighbours_and_what_nothing_moves_are_no_pairs(arm: Robot, solved: Buil
         ("pillar", "hand"),
         ("upper_arm", "hand"),
     )
-    assert solved(arm, moves=("hand",)).reaching.pairs == (("pillar", "hand"), ("upper_arm", "hand"))
+    assert solved(arm, moves=("hand",)).reaching.pairs == (
+        ("pillar", "hand"),
+        ("upper_arm", "hand"),
+    )
     assert solved(arm, apart=0.0).reaching.pairs == ()
 
 

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from unicon_core.errors import RobotError, WorkflowError
 from unicon_core.ik.turns import turn_between, turned_by
-from unicon_core.models.frames import Frames
 from unicon_core.models.find import pick_model
+from unicon_core.models.frames import Frames
 from unicon_core.models.load import load_model
 from unicon_core.robots import Robot, load_robot
 
@@ -101,7 +101,8 @@ def test_a_body_that_the_model_lacks_is_named(
         solved(load_robot(arm_file))
     assert str(caught.value) == (
         f"robot welder: {what}, which model {arm_file.parent / 'welder.xml'} lacks; did you mean "
-        f"'flange'? known: flange, forearm, knuckle, plate, post, upper_arm, wrist; correct {arm_file}"
+        "'flange'? known: flange, forearm, knuckle, plate, post, upper_arm, wrist; correct "
+        f"{arm_file}"
     )
 
 

@@ -102,10 +102,11 @@ def test_limits_are_never_broken(
 
 
 def crossed(it: Any, seconds: float) -> float:
-    """Push both hands through each other and pull them back; return the smallest distance in [m]."""
+    """Push both hands through each other, slowly and by jumps; return the least distance in [m]."""
     homes, least = [it.at(it.ik.pos, i) for i in range(2)], np.inf
     for i in range(round(seconds / it.period)):
-        share = math.cos(math.pi * i * it.period) if i * it.period < 0.75 * seconds else 1 - 2 * (i // 25 % 2)
+        slowly = i * it.period < 0.75 * seconds
+        share = math.cos(math.pi * i * it.period) if slowly else 1 - 2 * (i // 25 % 2)
         targets = [((x, share * y, z), quat) for (x, y, z), quat in homes]
         before = it.ik.pos.copy()
         limits_hold(it, before, it.tick(*targets))

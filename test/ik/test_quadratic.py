@@ -39,7 +39,10 @@ def reference(problem: Quadratic, rows: int) -> Any:
 numbers = st.integers(-1000, 1000).map(lambda x: 1e-3 * x)
 
 
-@given(st.lists(numbers, min_size=K * K + K, max_size=K * K + K), st.lists(numbers, min_size=8, max_size=8))
+@given(
+    st.lists(numbers, min_size=K * K + K, max_size=K * K + K),
+    st.lists(numbers, min_size=8, max_size=8),
+)
 @settings(max_examples=150)
 def test_solutions_are_those_of_the_slow_twin(cost: list[float], bounds: list[float]) -> None:
     problem = Quadratic(K)

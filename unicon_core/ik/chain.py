@@ -75,7 +75,8 @@ class Chain:
 
     def moved_by(self, body: int) -> NDArray[np.bool_]:
         """Return which of the moved joints move a body of the model, shape (k,)."""
-        model, above = self._model, set()
+        model = self._model
+        above: set[int] = set()
         while body:
             first = int(model.body_dofadr[body])
             above.update(range(first, first + int(model.body_dofnum[body])))
