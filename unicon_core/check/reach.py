@@ -1,4 +1,4 @@
-"""What a robot reaches with: bodies that its file names, and what its arms do not keep away from."""
+"""What a robot reaches with: bodies that its file names, and what arms do not keep away from."""
 
 from __future__ import annotations
 

@@ -188,6 +188,9 @@ def _weights(robot: Robot, effectors: Any) -> dict[str, Weights]:
                 f"block 'reach': effectors.{name} is free; give it a weight above 0"
             )
         found[str(name)] = weights
+    if not found:
+        known = ", ".join(robot.end_effectors) or f"add some to {robot.path}"
+        raise WorkflowError(f"block 'reach': effectors names none; known: {known}")
     return found
 
 
