@@ -16,6 +16,7 @@ from unicon_core.check.observation import check_frames, check_observation
 from unicon_core.check.order import check_order
 from unicon_core.check.parts import check_parts
 from unicon_core.check.pose import check_pose
+from unicon_core.check.reach import check_bodies, check_reach
 from unicon_core.check.result import CheckResult
 from unicon_core.check.safety import check_safety
 from unicon_core.check.start import check_gates, check_start
@@ -128,10 +129,12 @@ def static_checks(subject: Subject, result: CheckResult) -> None:
     check_gates(subject, result)
     check_safety(subject, result)
     check_parts(subject, result)
+    check_reach(subject, result)
     check_robot(subject, result)
     if not subject.live:  # they read the platform, hash files, or repeat what the build has done
         check_frames(subject, result)
         check_files(subject, result)
+        check_bodies(subject, result)
         check_blocks(subject, result)
     result.sort()
 

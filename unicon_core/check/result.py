@@ -66,6 +66,8 @@ CODES = {
     "platform.open": "what only the opened platform can tell (a note)",
     "model.meshes": "mesh files of the model are absent (a note)",
     "model.collision": "the robot's model does not collide with the floor",
+    "model.bodies": "the model lacks a body that the robot file names",
+    "reach.apart": "capsules that are near at the default pose are not kept apart (a note)",
     "map.fit": "the message map does not fit the states, or could not be looked at",
     "robot.facts": "the robot file lacks what is needed to drive the robot",
     "check.settings": "the workflow's check: section is wrong",

@@ -1,4 +1,4 @@
-"""Differential inverse kinematics: joints that bring end effectors to targets, for block `reach`."""
+"""Inverse kinematics, step by step: joints that bring end effectors to targets, for `reach`."""
 
 from unicon_core.ik.chain import Chain
 from unicon_core.ik.differential import DifferentialIk

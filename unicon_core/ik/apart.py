@@ -34,7 +34,7 @@ class Apart:
     def __init__(self, chain: Chain, near: float, least: float) -> None:
         self._mujoco = import_mujoco()
         model, data = chain.loaded.model, chain.data
-        self._model, self._data, self._contact = model, data, data.contact
+        self._model, self._data = model, data
         model.pair_margin[:], model.pair_gap[:] = near, 0.0
         pairs = model.npair
         self._row = np.zeros((model.ngeom, model.ngeom), np.intp)
@@ -94,5 +94,4 @@ class Apart:
         wrong = self._now < self._before
         if not wrong.any():
             return None
-        moved: NDArray[np.bool_] = self._moves[: self._pairs][wrong].any(axis=0)
-        return moved
+        return np.asarray(self._moves[: self._pairs][wrong].any(axis=0))

@@ -71,13 +71,12 @@ class Chain:
         self._quats = [self.data.xquat[body] for body in bodies]
         self._whole = np.zeros((len(bodies), 6, model.nv))
         self._rows = [(each[:3], each[3:]) for each in self._whole]
-        taken = self._whole[..., self._columns]
-        self._is_view = taken.base is not None
-        self.jacobian = taken
+        self.jacobian = self._whole[..., self._columns]
 
     def moved_by(self, body: int) -> NDArray[np.bool_]:
         """Return which of the moved joints move a body of the model, shape (k,)."""
-        model, above = self._model, set()
+        model = self._model
+        above: set[int] = set()
         while body:
             first = int(model.body_dofadr[body])
             above.update(range(first, first + int(model.body_dofnum[body])))
@@ -110,5 +109,5 @@ class Chain:
         mujoco.mj_comPos(model, data)
         for body, (position, turn) in zip(self._bodies, self._rows):
             mujoco.mj_jacBody(model, data, position, turn, body)
-        if not self._is_view:
+        if not isinstance(self._columns, slice):
             np.take(self._whole, self._columns, axis=2, out=self.jacobian)

@@ -110,7 +110,8 @@ def _add_capsules(spec: Any, robot: Robot, path: Path) -> None:
 def _body(spec: Any, name: str, what: str, robot: Robot, path: Path) -> Any:
     body = spec.body(name)
     if body is None:
-        known = [each.name for each in spec.bodies if each.name and each.name != "world"]
+        ours = ("", "world", *(FRAME + effector for effector in robot.end_effectors))
+        known = [each.name for each in spec.bodies if each.name not in ours]
         raise RobotError(
             f"robot {robot.name}: {what} is on body {name!r}, which model {path} lacks; "
             f"{alternatives(name, known)}; correct {robot.path}"

@@ -85,9 +85,7 @@ def _distances(chain: Chain, robot: Robot) -> list[tuple[int, int, float]]:
     pose = robot.default_joint_pos.astype(np.float64)
     chain.put(pose, pose[chain.moved])
     import_mujoco().mj_collision(model, data)
-    found = {
-        (int(one), int(other)): _FAR for one, other in zip(model.pair_geom1, model.pair_geom2)
-    }
+    found = {(int(one), int(other)): _FAR for one, other in zip(model.pair_geom1, model.pair_geom2)}
     for (one, other), distance in zip(data.contact.geom.tolist(), data.contact.dist.tolist()):
         pair = (one, other) if (one, other) in found else (other, one)
         found[pair] = min(found[pair], distance)

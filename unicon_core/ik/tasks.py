@@ -21,13 +21,14 @@ Pose: TypeAlias = tuple[Sequence[float], Sequence[float]]
 
 FARTHEST, WIDEST = 0.15, 0.8
 """Errors in [m] and [rad] beyond which no farther step is asked for: what is linear ends there."""
-_OF_ERROR = 0.3
-"""Of the squared weighted error, as damping: a target out of reach moves nothing (Sugihara,
-Solvability-unconcerned inverse kinematics by the Levenberg-Marquardt method, IEEE T-RO 27(5), 2011)."""
-_SINGULAR, _POOR = 0.03, 0.3
+_OF_ERROR = 1.0
+"""Of the squared weighted error, as damping (Sugihara, Solvability-unconcerned inverse kinematics
+by the Levenberg-Marquardt method, IEEE T-RO 27(5), 2011): with a target 40 mm out of reach that
+shakes by 1 mm, the joints of a G1's arm move at 0.25 rad/s and not at 2.8."""
+_SINGULAR, _POOR = 0.1, 0.3
 """Damping at a singularity, and the share of the usual manipulability from which it grows
 (Nakamura, Hanafusa, Inverse kinematic solutions with singularity robustness for robot manipulator
-control, 1986)."""
+control, 1986): the stretched arm then moves a quarter less."""
 _SAMPLES = 200
 
 

@@ -1,4 +1,4 @@
-"""Turns of plain floats, for targets and their errors: a few in a tick, where NumPy takes longer."""
+"""Turns of plain floats, for targets and their errors: for so few NumPy takes longer."""
 
 from __future__ import annotations
 

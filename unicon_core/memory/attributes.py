@@ -64,7 +64,8 @@ def _names(kind: type) -> tuple[str, ...] | None:
     for each in kind.__mro__[:-1]:
         if "__getattr__" in vars(each) or "__getattribute__" in vars(each):
             return None
-        names.update(vars(each).get("__annotations__", {}))
+        said = vars(each).get("__annotations__", {})
+        names.update(said if isinstance(said, dict) else ())  # Cython's functions have a descriptor
         for value in vars(each).values():
             function = getattr(value, "__func__", getattr(value, "fget", value))
             if isinstance(function, FunctionType):

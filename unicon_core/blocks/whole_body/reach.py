@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from unicon_core.blocks.forward_command import MAX_RATE
 from unicon_core.blocks.safety.limits import velocity_limits
 from unicon_core.blocks.whole_body.frames import effector_of
+from unicon_core.blocks.whole_body.reaching import COMMANDED, HELD, Reach, told_of
 from unicon_core.bounds import VELOCITY, within
 from unicon_core.errors import MissingDependencyError, WorkflowError
 from unicon_core.flow.block import Block, Reads, Writes
@@ -32,7 +33,7 @@ from unicon_core.states.effectors import target_of, target_states
 from unicon_core.states.standard import forwarded_states
 from unicon_core.workflow.autowire import BuildContext
 
-__all__ = ["Reach", "reach"]
+__all__ = ["reach"]
 
 View = NDArray[Any]
 Effectors = Sequence[str] | Mapping[str, Mapping[str, float]]
@@ -105,13 +106,12 @@ def reach(
         rate = np.fmin(np.full(robot.num_joints, most, np.float32), robot.velocity_limit)
     moved = robot.group(list(moves))
     reaching = _loaded(context, list(weights), moved, settings.apart)
-    reads = ["joint_pos_target", "joint_stiffness"]  # those of the tick before
-    for name in weights:
-        reads += target_of(name)
-    outs = {"joint_pos_command": joint_pos_command, "joint_vel_command": joint_vel_command}
-    outs |= {name: states[name] for effector in weights for name in _told(effector)}
+    reads = [name for effector in weights for name in target_of(effector)]
+    writes = [name for effector in weights for name in told_of(effector)]
     views = {"joint_pos": joint_pos, "stamp_ns": stamp_ns}
-    views |= {name: states[name] for name in reads}
+    views |= {name: states[name] for name in (*HELD, *reads)}
+    outs = dict(zip(COMMANDED, (joint_pos_command, joint_vel_command)))
+    outs |= {name: states[name] for name in writes}
 
     def make(
         ins: Mapping[str, View], results: Mapping[str, View], tell: Callable[[str], None]
@@ -125,26 +125,25 @@ def reach(
             context.period,
             settings,
         )
-        targets = [
-            Target(name, *(ins[s] for s in target_of(name)), w.orientation > 0, look_ahead, tell)
-            for name, w in weights.items()
-        ]
+        targets = []
+        for name, weight in weights.items():
+            pose, velocity, stamp = (ins[state] for state in target_of(name))
+            turns = weight.orientation > 0.0
+            targets.append(Target(name, pose, velocity, stamp, turns, look_ahead, tell))
         return Reach(ik, chain, list(weights), targets, ins, results, context.period)
 
     tick = make(views, outs, context.tell)
     tick.moves = tuple(moves)
     tick.notes = tuple(
-        f"capsules {one} and {other} are {1e3 * distance:.0f} mm apart at the default pose, and are "
-        "not kept apart"
+        f"capsules {one} and {other} are not kept apart: at the default pose they are "
+        f"{1e3 * distance:.0f} mm from each other"
         for one, other, distance in reaching.left_out
     )
-    for note in tick.notes:
-        context.tell(f"reach: {note}")
     return Block(
         "",
         tick,
-        reads=tuple(reads[2:]),
-        writes=tuple(name for name in outs if name not in ("joint_pos_command", "joint_vel_command")),
+        reads=tuple(reads),
+        writes=tuple(writes),
         reset=tick.reset,
         warm_up=_warm_up(make, views, outs),
         stage=Stage.COMMAND,
@@ -152,25 +151,10 @@ def reach(
     )
 
 
-def _told(effector: str) -> dict[str, StateSpec]:
-    """Return the states that tell how an end effector fares."""
-    return {
-        f"{effector}_error": StateSpec(
-            (2,),
-            names=("position", "orientation"),
-            description=f"[m] and [rad] that the joints commanded leave of {effector}_target",
-            initial=float("nan"),
-        ),
-        f"{effector}_reachable": StateSpec(
-            (), "int32", description=f"1 while the joints commanded reach {effector}_target"
-        ),
-    }
-
-
 def _declares(robot: Robot, effectors: Effectors = (), **_: Any) -> dict[str, StateSpec]:
     specs = forwarded_states(robot.joint_names)
     for effector in _weights(robot, effectors):
-        specs |= target_states(effector) | _told(effector)
+        specs |= target_states(effector) | told_of(effector)
     return specs
 
 
@@ -194,11 +178,19 @@ def _weights(robot: Robot, effectors: Any) -> dict[str, Weights]:
                 "orientation: 0.3}, weights of 1 m and 1 rad"
             )
         weights = Weights(
-            **{key: within(w, f"effectors.{name}.{key}", "", 100.0, above=False) for key, w in said.items()}
+            **{
+                key: within(w, f"effectors.{name}.{key}", "", 100.0, above=False)
+                for key, w in said.items()
+            }
         )
         if not weights.position and not weights.orientation:
-            raise WorkflowError(f"block 'reach': effectors.{name} is free; give it a weight above 0")
+            raise WorkflowError(
+                f"block 'reach': effectors.{name} is free; give it a weight above 0"
+            )
         found[str(name)] = weights
+    if not found:
+        known = ", ".join(robot.end_effectors) or f"add some to {robot.path}"
+        raise WorkflowError(f"block 'reach': effectors names none; known: {known}")
     return found
 
 
@@ -231,80 +223,6 @@ def _warm_up(
         second()
 
     return warm_up
-
-
-class Reach:
-    """The tick of `reach`.
-
-    Attributes:
-        ik: what moves the joints.
-        moves: as the workflow says.
-        notes: what to know of it, one line each.
-    """
-
-    def __init__(
-        self,
-        ik: DifferentialIk,
-        chain: Chain,
-        effectors: Sequence[str],
-        targets: Sequence[Target],
-        views: Mapping[str, View],
-        outs: Mapping[str, View],
-        period: float,
-    ) -> None:
-        self.ik = ik
-        self.moves: tuple[str, ...] = ()
-        self.notes: tuple[str, ...] = ()
-        self._targets, self._moved = targets, chain.moved
-        self._joint_pos, self._stamp = views["joint_pos"], views["stamp_ns"]
-        self._held, self._stiffness = views["joint_pos_target"], views["joint_stiffness"]
-        self._pos, self._vel = outs["joint_pos_command"], outs["joint_vel_command"]
-        self._told = [tuple(outs[name] for name in _told(each)) for each in effectors]
-        self._carries, self._per_second = chain.carries, 1.0 / period
-        k = len(chain.moved)
-        self._active, self._silent = np.zeros(k), np.ones(k, np.bool_)
-        self._have = [False] * len(targets)
-        self._measured = np.zeros(len(self._joint_pos))
-        self._seen = False
-
-    def reset(self) -> None:
-        """Begin anew from wherever the joints are at the next tick."""
-        self._have = [False] * len(self._targets)
-        self._active[:], self._silent[:] = 0.0, True
-
-    def __call__(self) -> None:
-        measured, moved = self._joint_pos, self._moved
-        total = float(measured.sum())
-        if total - total == 0.0:  # finite; what is not is as it was
-            self._measured[:] = measured
-            self._seen = True
-        now = int(self._stamp)
-        targets = [target(now) for target in self._targets]
-        have = [self._seen and target is not None for target in targets]
-        if have != self._have:
-            self._change(have)
-        if not any(have):
-            self._pos[moved] = self._vel[moved] = np.nan
-            for error, reachable in self._told:
-                error[:], reachable[...] = np.nan, 0
-            return
-        ik = self.ik
-        ik(self._measured, targets, self._active)
-        pos, vel = ik.pos.astype(np.float32), (ik.step * self._per_second).astype(np.float32)
-        pos[self._silent] = vel[self._silent] = np.nan
-        self._pos[moved], self._vel[moved] = pos, vel
-        for i, (error, reachable) in enumerate(self._told):
-            error[:], reachable[...] = ik.error[i], ik.reached[i]
-
-    def _change(self, have: list[bool]) -> None:
-        """Take up the joints of targets that have come, and leave those of targets that went."""
-        wanted = self._carries[have].any(axis=0) if any(have) else np.zeros_like(self._silent)
-        begin = wanted & self._silent
-        stiff = self._stiffness[self._moved] > 0.0
-        held = np.where(stiff, self._held[self._moved], self._measured[self._moved])
-        self.ik.begin(held, begin)
-        self._have, self._active[:] = have, wanted
-        np.logical_not(wanted, out=self._silent)
 
 
 def _quiet(_: str) -> None:

@@ -1,0 +1,112 @@
+"""The tick of block `reach`: targets in, commands of joints out, silence without a target."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.ik.chain import Chain
+from unicon_core.ik.differential import DifferentialIk
+from unicon_core.ik.targets import Target
+from unicon_core.states import StateSpec
+
+__all__ = ["COMMANDED", "HELD", "Reach", "told_of"]
+
+View = NDArray[Any]
+
+COMMANDED = ("joint_pos_command", "joint_vel_command")
+"""States that it writes, each of the joints that it moves."""
+HELD = ("joint_pos_target", "joint_stiffness")
+"""States of the tick before: where a joint begins that is held."""
+
+
+def told_of(effector: str) -> dict[str, StateSpec]:
+    """Return the states that tell how an end effector fares."""
+    return {
+        f"{effector}_error": StateSpec(
+            (2,),
+            names=("position", "orientation"),
+            description=f"[m] and [rad] that the joints commanded leave of {effector}_target",
+            initial=float("nan"),
+        ),
+        f"{effector}_reachable": StateSpec(
+            (), "int32", description=f"1 while the joints commanded reach {effector}_target"
+        ),
+    }
+
+
+class Reach:
+    """The tick of `reach`.
+
+    Attributes:
+        ik: what moves the joints.
+        moves: as the workflow says.
+        notes: what to know of it, one line each.
+    """
+
+    def __init__(
+        self,
+        ik: DifferentialIk,
+        chain: Chain,
+        effectors: Sequence[str],
+        targets: Sequence[Target],
+        views: Mapping[str, View],
+        outs: Mapping[str, View],
+        period: float,
+    ) -> None:
+        self.ik = ik
+        self.moves: tuple[str, ...] = ()
+        self.notes: tuple[str, ...] = ()
+        self._targets, self._moved = targets, chain.moved
+        self._joint_pos, self._stamp = views["joint_pos"], views["stamp_ns"]
+        self._held, self._stiffness = views["joint_pos_target"], views["joint_stiffness"]
+        self._pos, self._vel = outs["joint_pos_command"], outs["joint_vel_command"]
+        self._told = [tuple(outs[name] for name in told_of(each)) for each in effectors]
+        self._carries, self._per_second = chain.carries, 1.0 / period
+        k = len(chain.moved)
+        self._active, self._silent = np.zeros(k), np.ones(k, np.bool_)
+        self._have = [False] * len(targets)
+        self._measured = np.zeros(len(self._joint_pos))
+        self._seen = False
+
+    def reset(self) -> None:
+        """Begin anew from wherever the joints are at the next tick."""
+        self._have = [False] * len(self._targets)
+        self._active[:], self._silent[:] = 0.0, True
+
+    def __call__(self) -> None:
+        measured, moved = self._joint_pos, self._moved
+        total = float(measured.sum())
+        if total - total == 0.0:  # finite; what is not is as it was
+            self._measured[:] = measured
+            self._seen = True
+        now = int(self._stamp)
+        targets = [target(now) for target in self._targets]
+        have = [self._seen and target is not None for target in targets]
+        if have != self._have:
+            self._change(have)
+        if not any(have):
+            self._pos[moved] = self._vel[moved] = np.nan
+            for error, reachable in self._told:
+                error[:], reachable[...] = np.nan, 0
+            return
+        ik = self.ik
+        ik(self._measured, targets, self._active)
+        pos, vel = ik.pos.astype(np.float32), (ik.step * self._per_second).astype(np.float32)
+        pos[self._silent] = vel[self._silent] = np.nan
+        self._pos[moved], self._vel[moved] = pos, vel
+        for i, (error, reachable) in enumerate(self._told):
+            error[:], reachable[...] = ik.error[i], ik.reached[i]
+
+    def _change(self, have: list[bool]) -> None:
+        """Take up the joints of targets that have come, and leave those of targets that went."""
+        wanted = self._carries[have].any(axis=0) if any(have) else np.zeros_like(self._silent)
+        begin = wanted & self._silent
+        stiff = self._stiffness[self._moved] > 0.0
+        held = np.where(stiff, self._held[self._moved], self._measured[self._moved])
+        self.ik.begin(held, begin)
+        self._have, self._active[:] = have, wanted
+        np.logical_not(wanted, out=self._silent)
