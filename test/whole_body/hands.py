@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.flow import Block, Stage
+from unicon_core.flow import Amends, Block, Reads, Stage, Tick
 from unicon_core.models.frames import Frames
 from unicon_core.models.load import load_model
 from unicon_core.platforms.sim.mujoco.platform import MujocoPlatform
@@ -20,13 +20,27 @@ from unicon_core.workflow.document import load_document
 HANDS = ("left_hand", "right_hand")
 BEGUN = 3.0
 """In [s]: arms have come to their targets, and circles have their size."""
-NOISE = "scene.noise={joint_pos: 0.002, joint_vel: 0.1, base_ang_vel: 0.05, projected_gravity: 0.02}"
+NOISE = (
+    "scene.noise={joint_pos: 0.002, joint_vel: 0.1, base_ang_vel: 0.05, projected_gravity: 0.02}"
+)
 
 
 def under(policy: str) -> list[str]:
     """Return what makes `g1_reach` walk under the policy of another workflow."""
     said = load_document(policy).values["policies"]["walk"]
     return [f"policies.walk={json.dumps(said)}"]
+
+
+def lost(
+    left_hand_target: Amends, right_hand_target: Amends, tick: Reads, *, begin: int, end: int
+) -> Tick:
+    """Take the targets away between two ticks."""
+
+    def lose() -> None:
+        if begin <= tick < end:
+            left_hand_target[...] = right_hand_target[...] = np.nan
+
+    return lose
 
 
 class TrueErrors:
