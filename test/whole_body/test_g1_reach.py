@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
+import subprocess
+import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -12,6 +15,7 @@ from hands import under, walk
 from numpy.typing import NDArray
 
 from unicon_core.flow import Block, Stage
+from unicon_core.resources import find_config
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import Program, load_workflow
 from unicon_core.workflow.document import load_document
@@ -105,3 +109,63 @@ def test_targets_that_are_lost_and_come_back_are_followed_again(assets: Path) ->
     assert np.isnan(errors[:50]).all()
     assert errors[51] > 0.03
     assert errors[150:].max() <= 0.02
+
+
+SPLIT = """
+store: {zmq: "ipc://SOCKET"}
+parts:
+  robot: {publishes: [joint_pos, stamp_ns, joint_pos_target, joint_stiffness], silent: {after: 0.2}}
+  workstation:
+    publishes: [joint_pos_command, joint_vel_command, left_hand_target, right_hand_target]
+    silent: {after: 1.0}
+commands:
+"""
+
+
+@pytest.fixture
+def split(tmp_path: Path) -> Path:
+    """The workflow with targets and inverse kinematics on a workstation, over zmq."""
+    text = find_config("workflows", "g1_reach").read_text("utf-8")
+    text = text.replace("\ncommands:\n", SPLIT.replace("SOCKET", str(tmp_path / "socket")))
+    text = re.sub(
+        r"- ((?:moving_target|reach): .*\})( *#.*)?\n", r"- {\1, on: workstation}\n", text
+    )
+    path = tmp_path / "g1_split.yaml"
+    path.write_text(text.replace("name: g1_reach", "name: g1_split"))
+    return path
+
+
+@pytest.mark.slow
+def test_a_workstation_that_is_killed_lets_the_arms_go_home(split: Path, assets: Path) -> None:
+    command = [sys.executable, "-m", "unicon_ros", "run", str(split), "--part", "workstation"]
+    pipe = subprocess.DEVNULL
+    workstation = subprocess.Popen(command, stdout=pipe, stderr=pipe)
+    targets: list[NDArray[np.float32]] = []
+    commanded: list[bool] = []
+
+    def hook(program: Program) -> Mapping[Stage, Sequence[Block]]:
+        states = program.states
+
+        def look() -> None:
+            if states["tick"] == 400:
+                workstation.kill()
+            targets.append(states["joint_pos_target"][ARMS].copy())
+            commanded.append(bool(np.isfinite(states["joint_pos_command"][ARMS]).all()))
+
+        return {Stage.INPUT: [Block("look", look, endless=True)]}
+
+    try:
+        program = Program(load_document(split), part="robot", hooks=[hook])
+        report = Runner(program, RunOptions(duration=12.0, warn=lambda _: None)).run()
+    finally:
+        workstation.kill()
+        workstation.wait()
+    assert not report.faults
+    assert report.base_displacement_m[0] > 5.0
+    heard = np.flatnonzero(commanded)
+    assert heard[0] < 350  # a Python that starts on a busy machine
+    assert 400 <= heard[-1] < 420  # silent: {after: 0.2}
+    home = program.robot.default_joint_pos[ARMS]
+    np.testing.assert_allclose(targets[-1], home, atol=1e-5)
+    steps = np.abs(np.diff(targets[heard[-1] + 2 :], axis=0))
+    assert steps.max() <= program.period * 1.001  # home_rate
