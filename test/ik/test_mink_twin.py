@@ -1,4 +1,4 @@
-"""An optional twin: mink, of the same model, weights and limits, brings hands to the same places."""
+"""An optional twin: mink, with the same model and weights, brings hands to the same places."""
 
 from __future__ import annotations
 

@@ -64,7 +64,7 @@ class MinkArms:
         self._all = [*self._tasks, posture]
         self._limits = [
             mink.ConfigurationLimit(model),
-            mink.VelocityLimit(model, {name: rate for name in names}),
+            mink.VelocityLimit(model, dict.fromkeys(names, rate)),
         ]
         if pairs:
             self._limits.append(
