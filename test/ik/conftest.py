@@ -136,7 +136,6 @@ class Solved:
         each = [weights or Weights()] * len(effectors)
         self.ik = DifferentialIk(self.chain, robot, each, np.full(k, rate), period, chosen)
         self.pose = robot.default_joint_pos.astype(np.float64)
-        self.active = np.ones(k)
         self.ik.begin(self.pose[self.moved], np.ones(k, np.bool_))
 
     def at(self, own: Any, effector: int = 0) -> tuple[list[float], list[float]]:
@@ -151,7 +150,7 @@ class Solved:
 
     def tick(self, *targets: Any) -> Any:
         """Make a step; return the moved joints."""
-        self.ik(self.pose, targets, self.active)
+        self.ik(self.pose, targets)
         return self.ik.pos.copy()
 
     def distance(self) -> float:

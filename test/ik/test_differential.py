@@ -203,7 +203,7 @@ def test_an_arm_of_fewer_joints_than_its_target_has_rows(arm: Robot, solved: Bui
 def test_who_is_not_commanded_stands_where_it_is_measured(g1: Robot, solved: Build) -> None:
     it = solved(g1, HANDS, ("arms",))
     (x, y, z), quat = it.at(it.pose[it.moved])
-    it.active[7:] = 0.0
+    it.ik.activate(np.arange(14) < 7)
     it.pose[it.moved[7:]] = 0.1
     for _ in range(60):
         it.tick(((x + 0.05, y, z + 0.1), quat), None)

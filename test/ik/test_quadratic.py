@@ -22,7 +22,7 @@ K, ROWS = 3, 2
 def reference(problem: Quadratic, rows: int) -> Any:
     """Return the solution by trying each set of bounds that may be active (KKT conditions)."""
     normals = np.vstack([np.eye(K), -np.eye(K), problem.rows[:rows]])
-    least = np.concatenate([problem.lower, -problem.upper, problem.least[:rows]])
+    least = np.concatenate([problem.bounds[0], -problem.bounds[1], problem.least[:rows]])
     best, lowest = None, np.inf
     for chosen in product((False, True), repeat=len(normals)):
         active = normals[list(chosen)]
@@ -49,19 +49,19 @@ def test_solutions_are_those_of_the_slow_twin(cost: list[float], bounds: list[fl
     factor = np.reshape(cost[: K * K], (K, K))
     problem.square[:] = factor @ factor.T + 0.01 * np.eye(K)
     problem.slope[:] = cost[K * K :]
-    problem.lower[:], problem.upper[:] = -0.1, 0.2
+    problem.bounds[0], problem.bounds[1] = -0.1, 0.2
     problem.rows[:ROWS] = np.reshape(bounds[:6], (ROWS, K))
     problem.least[:ROWS] = -np.abs(bounds[6:])
     assert problem.solve(ROWS)
-    assert (problem.solution >= problem.lower).all()
-    assert (problem.solution <= problem.upper).all()
+    assert (problem.solution >= problem.bounds[0]).all()
+    assert (problem.solution <= problem.bounds[1]).all()
     np.testing.assert_allclose(problem.solution, reference(problem, ROWS), atol=1e-5)
 
 
 def test_rows_that_do_not_count_are_not_looked_at() -> None:
     problem = Quadratic(K)
     problem.square[:], problem.slope[:] = np.eye(K), -1.0
-    problem.lower[:], problem.upper[:] = -5.0, 5.0
+    problem.bounds[0], problem.bounds[1] = -5.0, 5.0
     problem.rows[:], problem.least[:] = np.nan, np.nan
     assert problem.solve()
     np.testing.assert_allclose(problem.solution, 1.0)
@@ -71,7 +71,7 @@ def test_rows_that_do_not_count_are_not_looked_at() -> None:
 def test_where_there_is_no_answer_nothing_moves(wrong: str) -> None:
     problem = Quadratic(K)
     problem.square[:], problem.slope[:] = np.eye(K), -1.0
-    problem.lower[:], problem.upper[:] = -5.0, 5.0
+    problem.bounds[0], problem.bounds[1] = -5.0, 5.0
     problem.rows[:1], problem.least[:1] = 1.0, 0.0
     getattr(problem, wrong)[...] = 1e3 if wrong == "least" else np.nan
     assert not problem.solve(1)
@@ -83,11 +83,11 @@ def test_the_same_problem_has_the_same_answer_whatever_came_before() -> None:
     for _ in range(20):
         factor = rng.normal(size=(K, K))
         problem.square[:], problem.slope[:] = factor @ factor.T + np.eye(K), rng.normal(size=K)
-        problem.lower[:], problem.upper[:] = -0.1, 0.1
+        problem.bounds[0], problem.bounds[1] = -0.1, 0.1
         problem.solve()
         fresh = Quadratic(K)
         fresh.square[:], fresh.slope[:] = problem.square, problem.slope
-        fresh.lower[:], fresh.upper[:] = -0.1, 0.1
+        fresh.bounds[:] = problem.bounds
         fresh.solve()
         assert problem.solution.tobytes() == fresh.solution.tobytes()
 

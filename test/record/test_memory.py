@@ -322,3 +322,29 @@ def test_where_not_all_are_found_it_is_the_dictionary() -> None:
         assert attributes_of(each) is None
     content = Memory({"a": given}, states).take().content()
     assert ["from outside", 5] in content["owners"]["a"]
+
+
+class Compiled:
+    """As a function of Cython: its class has a descriptor in the place of annotations."""
+
+    __annotations__ = property(lambda self: {})  # type: ignore[assignment]
+
+    def __call__(self) -> None:
+        return
+
+
+def test_what_has_no_plain_annotations_is_looked_into() -> None:
+    class Holder:
+        def __init__(self) -> None:
+            self.solve, self.count = Compiled(), 3
+
+        def __call__(self) -> None:
+            self.count += 1
+            self.solve()
+
+    holder = Holder()
+    memory = Memory({"it": holder}, States({"x": StateSpec(())}))
+    taken = memory.take()
+    holder()
+    memory.restore(taken.content())
+    assert holder.count == 3

@@ -37,13 +37,15 @@ class Apart:
         self._model, self._data = model, data
         model.pair_margin[:], model.pair_gap[:] = near, 0.0
         pairs = model.npair
-        self._row = np.zeros((model.ngeom, model.ngeom), np.intp)
+        self._row = np.zeros(model.ngeom**2, np.intp)
+        self._code = np.array((model.ngeom, 1))
         self._moves = np.zeros((2 * pairs, len(chain.moved)))
         for pair, geoms in enumerate(zip(model.pair_geom1, model.pair_geom2)):
             one, other = map(int, geoms)
             moved = [chain.moved_by(int(model.geom_bodyid[geom])) for geom in (one, other)]
             self._moves[pair] = moved[1].astype(float) - moved[0]
-            self._row[one, other], self._row[other, one] = pair, pair + pairs
+            self._row[self._code @ (one, other)] = pair
+            self._row[self._code @ (other, one)] = pair + pairs
         self._moves[pairs:] = -self._moves[:pairs]
         self._least, self._pairs = least, pairs
         self._before, self._now = np.full(pairs, least), np.full(pairs, least)
@@ -65,7 +67,7 @@ class Apart:
         contact = self._data.contact
         count = len(contact)
         distance = contact.dist
-        row = self._row[contact.geom[:, 0], contact.geom[:, 1]]
+        row = self._row[contact.geom @ self._code]
         self._before[:] = self._least
         if count and distance.min() < self._least:
             np.minimum.at(self._before, row % self._pairs, distance)
@@ -88,7 +90,7 @@ class Apart:
         distance = contact.dist
         if not len(distance) or distance.min() >= self._least:
             return None
-        row = self._row[contact.geom[:, 0], contact.geom[:, 1]] % self._pairs
+        row = self._row[contact.geom @ self._code] % self._pairs
         self._now[:] = self._least
         np.minimum.at(self._now, row, distance)
         wrong = self._now < self._before

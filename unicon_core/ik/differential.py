@@ -72,18 +72,23 @@ class DifferentialIk:
     ) -> None:
         k = len(chain.moved)
         self._chain, self._settings = chain, settings
-        self._lower = np.nan_to_num(robot.lower[chain.moved].astype(np.float64), nan=-np.inf)
-        self._upper = np.nan_to_num(robot.upper[chain.moved].astype(np.float64), nan=np.inf)
+        self._limits = np.array(
+            [
+                np.nan_to_num(robot.lower[chain.moved].astype(np.float64), nan=-np.inf),
+                np.nan_to_num(robot.upper[chain.moved].astype(np.float64), nan=np.inf),
+            ]
+        )
         self._most = rate * period
         self._least = -self._most
         pose = robot.default_joint_pos.astype(np.float64)
         self._home = pose[chain.moved]
         self._homing = settings.posture**2 * min(_HOME * period, 1.0)
         self._quadratic = Quadratic(k)
-        self._diagonal = self._quadratic.square.reshape(-1)[:: k + 1]
-        self._tasks = Tasks(chain, weights, self._lower, self._upper, pose)
-        self._damping, self._next = np.zeros(k), np.zeros(k)
-        self.pos, self.step = np.zeros(k), np.zeros(k)
+        least = settings.posture**2 + _LEAST
+        self._tasks = Tasks(chain, weights, least, self._limits, pose)
+        self._active, self._next = np.ones(k), np.zeros(k)
+        self._waiting: NDArray[np.bool_] | None = None
+        self.pos, self.step = np.zeros(k), self._quadratic.solution
         near, straight = settings.tolerance
         self._tolerances = [
             (near if w.position else math.inf, straight if w.orientation else math.inf)
@@ -105,40 +110,39 @@ class DifferentialIk:
             joint_pos: of the moved joints in [rad], shape (k,).
             which: of them, shape (k,).
         """
-        np.copyto(self.pos, np.clip(joint_pos, self._lower, self._upper), where=which)
+        np.copyto(self.pos, np.clip(joint_pos, *self._limits), where=which)
 
-    def __call__(
-        self, joint_pos: NDArray[Any], targets: Sequence[Pose | None], active: Float
-    ) -> None:
+    def activate(self, which: NDArray[np.bool_]) -> None:
+        """Command some of the moved joints, shape (k,); others stand where they are measured."""
+        self._active[:] = which
+        self._waiting = None if which.all() else ~which
+
+    def __call__(self, joint_pos: NDArray[Any], targets: Sequence[Pose | None]) -> None:
         """Move `pos` on by one step.
 
         Args:
             joint_pos: measured, in the robot's order in [rad], shape (n,).
             targets: of each end effector, None where there is none.
-            active: 1 for each moved joint that is commanded, else 0: it stands where it is
-                measured, shape (k,).
         """
         chain, problem, pos, spare = self._chain, self._quadratic, self.pos, self._next
-        if not active.all():
-            np.copyto(pos, joint_pos[chain.moved], where=active == 0.0)
+        if self._waiting is not None:
+            np.copyto(pos, joint_pos[chain.moved], where=self._waiting)
         chain.put(joint_pos, pos)
         chain.differentiate()
-        self._damping[:] = self._settings.posture**2 + _LEAST
-        self._tasks(targets, problem.square, problem.slope, self._damping)
-        self._diagonal += self._damping
+        self._tasks(targets, problem.square, problem.slope)
         np.subtract(pos, self._home, out=spare)
-        spare *= active
         spare *= self._homing
         problem.slope += spare
-        for limit, bound in ((self._lower, problem.lower), (self._upper, problem.upper)):
-            np.subtract(limit, pos, out=bound)
-            np.maximum(bound, self._least, out=bound)
-            np.minimum(bound, self._most, out=bound)
-            bound *= active
-        rows = 0 if self._apart is None else self._keep_apart(self._apart, active)
+        bounds = problem.bounds
+        np.subtract(self._limits, pos, out=bounds)
+        np.maximum(bounds, self._least, out=bounds)
+        np.minimum(bounds, self._most, out=bounds)
+        if self._waiting is not None:
+            problem.slope *= self._active
+            bounds *= self._active
+        rows = 0 if self._apart is None else self._keep_apart(self._apart)
         if not problem.solve(rows):
             self.failures += 1
-        self.step[:] = problem.solution
         np.add(pos, self.step, out=spare)
         chain.move(spare)
         if self._apart is not None:
@@ -147,7 +151,7 @@ class DifferentialIk:
         for i, target in enumerate(targets):
             self._tell(i, target)
 
-    def _keep_apart(self, apart: Apart, active: Float) -> int:
+    def _keep_apart(self, apart: Apart) -> int:
         """Write the rows that hold capsules apart; return how many there are.
 
         What is nearer than wanted need not go away, but comes no nearer: no step at all is within
@@ -159,7 +163,7 @@ class DifferentialIk:
             distance, change = distance[nearest], change[nearest]
         count, problem = len(distance), self._quadratic
         if count:
-            np.multiply(change, active, out=problem.rows[:count])
+            np.multiply(change, self._active, out=problem.rows[:count])
             least = problem.least[:count]
             np.subtract(self._settings.apart, distance, out=least)
             np.minimum(least, 0.0, out=least)

@@ -14,7 +14,7 @@ from unicon_core.models.load import load_model
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.robots import Robot
 
-__all__ = ["CAPSULE", "FRAME", "Pair", "load_reaching"]
+__all__ = ["CAPSULE", "FRAME", "Pair", "add_reaching", "load_reaching"]
 
 FRAME, CAPSULE = "unicon_frame_", "unicon_capsule_"
 """In front of the names of bodies and geoms that are added."""
@@ -45,11 +45,7 @@ def load_reaching(
     """
 
     def prepare(spec: Any) -> None:
-        for effector in effectors:
-            place = robot.end_effectors[effector]
-            body = _body(spec, place.body, f"end effector {effector!r}", robot, path)
-            body.add_body(name=FRAME + effector, pos=place.position, quat=place.quat)
-        _add_capsules(spec, robot, path)
+        add_reaching(spec, robot, effectors, path)
         for one, other in _pairs(robot) if pairs is None else pairs:
             spec.add_pair(geomname1=CAPSULE + one, geomname2=CAPSULE + other, condim=1)
 
@@ -84,7 +80,22 @@ def _pairs(robot: Robot) -> list[Pair]:
     return [(a, b) for a, b in each if robot.capsules[a].body != robot.capsules[b].body]
 
 
-def _add_capsules(spec: Any, robot: Robot, path: Path) -> None:
+def add_reaching(spec: Any, robot: Robot, effectors: Sequence[str], path: Path) -> None:
+    """Add end effectors and capsules to a model; of what it has itself nothing touches anything.
+
+    Args:
+        spec: the `MjSpec`, changed.
+        robot: says where they are.
+        effectors: names of its `end_effectors`.
+        path: of the model, for messages.
+
+    Raises:
+        RobotError: the model lacks a body that the robot file names.
+    """
+    for effector in effectors:
+        place = robot.end_effectors[effector]
+        body = _body(spec, place.body, f"end effector {effector!r}", robot, path)
+        body.add_body(name=FRAME + effector, pos=place.position, quat=place.quat)
     kinds = import_mujoco().mjtGeom
     for pair in list(spec.pairs):
         spec.delete(pair)

@@ -30,7 +30,7 @@ class Quadratic:
     Attributes:
         square: H, positive definite, shape (k, k).
         slope: f, shape (k,).
-        lower, upper: bounds, shape (k,); 0 is within.
+        bounds: lower and upper ones, shape (2, k); 0 is within.
         rows: shape (MOST_ROWS, k).
         least: shape (MOST_ROWS,).
         solution: x after `solve`, shape (k,).
@@ -50,9 +50,10 @@ class Quadratic:
         most = size + MOST_ROWS
         self.square, self.slope = np.zeros((size, size)), np.zeros(size)
         self.rows = np.zeros((MOST_ROWS, size))
-        self._above, self._below = np.full(most, 1e30), np.zeros(most)
-        self.lower, self.upper = self._below[:size], self._above[:size]
-        self.least = self._below[size:]
+        self._sides = np.zeros((2, most))
+        self._below, self._above = self._sides
+        self._above[:] = 1e30
+        self.bounds, self.least = self._sides[:, :size], self._below[size:]
         self._kinds = np.zeros(most, np.intc)
         self.solution = np.zeros(size)
         self._size = size
@@ -73,8 +74,8 @@ class Quadratic:
             self._kinds[:end],
         )
         # A solution of daqp is within 1e-6; a NaN passes no comparison.
-        np.maximum(found, self.lower, out=self.solution)
-        np.minimum(self.solution, self.upper, out=self.solution)
+        np.maximum(found, self.bounds[0], out=self.solution)
+        np.minimum(self.solution, self.bounds[1], out=self.solution)
         total = self.solution.sum()
         if status > 0 and total - total == 0.0:
             return True

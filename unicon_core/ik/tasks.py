@@ -38,17 +38,19 @@ class Tasks:
     Args:
         chain: the joints and the frames.
         weights: of each end effector, length E.
-        lower: limits of the joints in [rad], shape (k,).
-        upper: likewise.
+        damping: that is always there, squared.
+        limits: lowest and highest position of each joint in [rad], shape (2, k).
         pose: of all joints in the robot's order in [rad], where others stand to measure what is
             usual, shape (n,).
-
-    Attributes:
-        damping: of each end effector's joints in the last tick, squared, length E.
     """
 
     def __init__(
-        self, chain: Chain, weights: Sequence[Weights], lower: Float, upper: Float, pose: Float
+        self,
+        chain: Chain,
+        weights: Sequence[Weights],
+        damping: float,
+        limits: Float,
+        pose: Float,
     ) -> None:
         self._chain = chain
         self._plain = [(w.position, w.orientation) for w in weights]
@@ -57,17 +59,20 @@ class Tasks:
         self._columns = self._weights[..., None]
         self._task, self._wanted = np.zeros((count, 6, k)), np.zeros((count, 6))
         self._rows, self._whole = self._task.reshape(-1, k), self._wanted.reshape(-1)
-        self._turned, self._back = self._rows.T, self._task.transpose(0, 2, 1)
-        self._carries = chain.carries.astype(np.float64)
+        self._turned = self._rows.T
+        # The damping of each joint is that of the end effectors that it carries, and the least.
+        self._carried = np.vstack([chain.carries.astype(np.float64), np.ones(k)])
+        self._damping, self._each = np.zeros(k), np.zeros(count + 1)
+        self._each[-1] = damping
         self._gram, self._identity = np.zeros((count, 6, 6)), np.eye(6)
         self._unused = np.array([np.diag((row == 0.0).astype(float)) for row in self._weights])
+        self._some_unused = bool(self._unused.any())
         self._narrow = [
             (i, np.flatnonzero(chain.carries[i]))
             for i, row in enumerate(self._weights)
             if (row > 0.0).sum() > chain.carries[i].sum()
         ]
-        self.damping = [0.0] * count
-        self._usual = self._usual_of(lower, upper, pose)
+        self._usual = self._usual_of(limits, pose)
 
     def lack(self, effector: int, target: Pose) -> tuple[list[float], Sequence[float]]:
         """Return what an end effector lacks to its target, in [m] and [rad], axes of the base."""
@@ -75,70 +80,69 @@ class Tasks:
         position, wanted = target
         return [a - b for a, b in zip(position, place)], turn_between(quat, wanted)
 
-    def __call__(
-        self, targets: Sequence[Pose | None], square: Float, slope: Float, damping: Float
-    ) -> None:
+    def __call__(self, targets: Sequence[Pose | None], square: Float, slope: Float) -> None:
         """Write the cost ½ Δqᵀ H Δq + fᵀ Δq, of a chain that is put and differentiated.
 
         Args:
             targets: of each end effector, None where there is none.
-            square: H without damping, shape (k, k).
+            square: H, shape (k, k).
             slope: f, shape (k,).
-            damping: is added to, shape (k,).
         """
-        wanted, task = self._wanted, self._task
+        wanted, task, each = self._wanted, self._task, self._each
         np.multiply(self._chain.jacobian, self._columns, out=task)
         for i, target in enumerate(targets):
             if target is None:
-                wanted[i] = task[i] = self.damping[i] = 0.0
+                wanted[i] = task[i] = each[i] = 0.0
                 continue
             position, turn = self.lack(i, target)
             near, straight = self._plain[i]
             far, wide = math.hypot(*position), math.hypot(*turn)
-            if far > FARTHEST:
-                near, far = near * FARTHEST / far, FARTHEST
-            if wide > WIDEST:
-                straight, wide = straight * WIDEST / wide, WIDEST
+            each[i] = _OF_ERROR * (
+                (near * min(far, FARTHEST)) ** 2 + (straight * min(wide, WIDEST)) ** 2
+            )
+            near *= FARTHEST / far if far > FARTHEST else 1.0
+            straight *= WIDEST / wide if wide > WIDEST else 1.0
             x, y, z = position
             u, v, w = turn
             wanted[i] = near * x, near * y, near * z, straight * u, straight * v, straight * w
-            near, straight = self._plain[i]
-            self.damping[i] = _OF_ERROR * ((near * far) ** 2 + (straight * wide) ** 2)
+        for i, determinant in enumerate(self._determinants(task).tolist()):
+            share = math.sqrt(max(determinant, 0.0)) / self._usual[i]
+            if share < 1.0 and targets[i] is not None:
+                each[i] += (_SINGULAR * (1.0 - share)) ** 2
+        np.matmul(each, self._carried, out=self._damping)
         np.matmul(self._turned, self._rows, out=square)
+        square.reshape(-1)[:: len(slope) + 1] += self._damping
         np.matmul(self._whole, self._rows, out=slope)
         np.negative(slope, out=slope)
-        for i, share in enumerate((self._manipulability(task) / self._usual).tolist()):
-            if share < 1.0 and targets[i] is not None:
-                self.damping[i] += (_SINGULAR * (1.0 - share)) ** 2
-            damping += self.damping[i] * self._carries[i]
 
-    def _manipulability(self, task: Float) -> Float:
-        """Return √det(J Jᵀ) of each end effector by its weighted rows, shape (E,).
+    def _determinants(self, task: Float) -> Float:
+        """Return det(J Jᵀ) of each end effector by its weighted rows, shape (E,).
 
-        Of one with fewer joints than rows it is √det(Jᵀ J) (Yoshikawa, Manipulability of robotic
-        mechanisms, IJRR 4(2), 1985).
+        Of one with fewer joints than rows it is det(Jᵀ J). Its root is the manipulability
+        (Yoshikawa, Manipulability of robotic mechanisms, IJRR 4(2), 1985).
         """
         square = self._gram
         np.matmul(task, task.transpose(0, 2, 1), out=square)
-        square += self._unused
+        if self._some_unused:
+            square += self._unused
         for i, joints in self._narrow:
             columns = task[i][:, joints]
             square[i] = self._identity
             square[i, : len(joints), : len(joints)] = columns.T @ columns
-        found = np.linalg.det(square)
-        np.maximum(found, 0.0, out=found)
-        return np.sqrt(found, out=found)  # type: ignore[no-any-return]
+        found: Float = np.linalg.det(square)
+        return found
 
-    def _usual_of(self, lower: Float, upper: Float, pose: Float) -> Float:
-        """Return the manipulability below which an end effector is near a singularity, shape (E,).
+    def _usual_of(self, limits: Float, pose: Float) -> list[float]:
+        """Return the manipulability below which each end effector is near a singularity.
 
         A share of the median over random poses: a scale of each arm's own.
         """
         chain, random = self._chain, np.random.default_rng(0)
-        lower, upper = np.maximum(lower, -math.pi), np.minimum(upper, math.pi)
-        found = np.zeros((_SAMPLES, len(self._weights)))
+        lower, upper = np.clip(limits, -math.pi, math.pi)
+        found = np.zeros((_SAMPLES, len(self._plain)))
         for row in found:
             chain.put(pose, random.uniform(lower, upper))
             chain.differentiate()
-            row[:] = self._manipulability(chain.jacobian * self._columns)
-        return np.maximum(np.median(found, axis=0) * _POOR, 1e-12)
+            row[:] = self._determinants(chain.jacobian * self._columns)
+        usual = np.sqrt(np.maximum(np.median(found, axis=0), 0.0))
+        return [max(_POOR * each, 1e-12) for each in usual.tolist()]

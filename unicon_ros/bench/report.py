@@ -18,7 +18,7 @@ from unicon_core.aligned import aligned
 
 __all__ = ["Bench", "machine"]
 
-PACKAGES = ("numpy", "mujoco", "onnxruntime", "rosbags", "rclpy", "pyzmq", "numba")
+PACKAGES = ("numpy", "mujoco", "onnxruntime", "rosbags", "rclpy", "pyzmq", "numba", "daqp", "mink")
 """Packages whose version may move a number."""
 
 

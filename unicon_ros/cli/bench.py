@@ -17,6 +17,7 @@ BENCHES = {
     "faults": "unicon_ros.bench.faults.bench_faults",
     "latency": "unicon_ros.bench.latency",
     "policy": "unicon_ros.bench.policy",
+    "reach": "unicon_ros.bench.reach",
     "record": "unicon_ros.bench.record",
     "safety": "unicon_ros.bench.safety",
     "simulators": "unicon_ros.bench.simulators",

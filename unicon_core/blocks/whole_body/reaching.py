@@ -67,7 +67,7 @@ class Reach:
         self._told = [tuple(outs[name] for name in told_of(each)) for each in effectors]
         self._carries, self._per_second = chain.carries, 1.0 / period
         k = len(chain.moved)
-        self._active, self._silent = np.zeros(k), np.ones(k, np.bool_)
+        self._silent = np.ones(k, np.bool_)
         self._have = [False] * len(targets)
         self._measured = np.zeros(len(self._joint_pos))
         self._seen = False
@@ -75,7 +75,7 @@ class Reach:
     def reset(self) -> None:
         """Begin anew from wherever the joints are at the next tick."""
         self._have = [False] * len(self._targets)
-        self._active[:], self._silent[:] = 0.0, True
+        self._silent[:] = True
 
     def __call__(self) -> None:
         measured, moved = self._joint_pos, self._moved
@@ -94,7 +94,7 @@ class Reach:
                 error[:], reachable[...] = np.nan, 0
             return
         ik = self.ik
-        ik(self._measured, targets, self._active)
+        ik(self._measured, targets)
         pos, vel = ik.pos.astype(np.float32), (ik.step * self._per_second).astype(np.float32)
         pos[self._silent] = vel[self._silent] = np.nan
         self._pos[moved], self._vel[moved] = pos, vel
@@ -108,5 +108,6 @@ class Reach:
         stiff = self._stiffness[self._moved] > 0.0
         held = np.where(stiff, self._held[self._moved], self._measured[self._moved])
         self.ik.begin(held, begin)
-        self._have, self._active[:] = have, wanted
+        self.ik.activate(wanted)
+        self._have = have
         np.logical_not(wanted, out=self._silent)
