@@ -254,6 +254,32 @@ def test_look_ahead_and_age_bring_a_target_on(arm: Robot) -> None:
     assert turned == pytest.approx(0.03, abs=2e-3)
 
 
+def test_garbage_in_every_state_breaks_no_limit(g1: Robot) -> None:
+    it, rng = Reaching(g1, effectors=HANDS, moves=["arms"]), np.random.default_rng(0)
+    read = [*(name for name in it.reach.reads), "joint_pos", "joint_pos_target", "joint_stiffness"]
+    arms, commanded = it.robot.group(["arms"]), 0
+    lower, upper = it.robot.lower[arms], it.robot.upper[arms]
+    for _ in range(300):
+        for name in read:
+            view = it.states[name]
+            if rng.random() < 0.1:
+                wrong = [np.nan, np.inf, -1e30, 1e30, 7.0] if view.dtype.kind == "f" else [-1, 5]
+                view[...] = rng.choice(wrong)
+            elif name.endswith("hand_target") and rng.random() < 0.3:
+                it.aim(name.removesuffix("_target"), 0.2 * rng.normal(size=3))
+            elif name.startswith("joint_pos") and rng.random() < 0.3:
+                view[...] = it.robot.default_joint_pos + 0.1 * rng.normal(size=29)
+        it.reach.tick()
+        own = it.states.joint_pos_command[arms]
+        there = ~np.isnan(own)
+        commanded += bool(there.any())
+        assert (own[there] >= lower[there]).all()
+        assert (own[there] <= upper[there]).all()
+        assert np.abs(it.states.joint_vel_command[arms][there]).max(initial=0.0) <= 2.0001
+    assert commanded > 100
+    assert it.reach.tick.ik.failures == 0  # type: ignore[attr-defined]
+
+
 @pytest.mark.parametrize("stamp", [1, 5 * 10**9, -(10**15)])
 def test_no_stamp_brings_a_target_farther_than_is_believed(arm: Robot, stamp: int) -> None:
     it = Reaching(arm)

@@ -22,6 +22,9 @@ COMMANDED = ("joint_pos_command", "joint_vel_command")
 HELD = ("joint_pos_target", "joint_stiffness")
 """States of the tick before: where a joint begins that is held."""
 
+_SENSE = 1e6
+"""Squared norm of joint positions in [rad²]: no robot has so much."""
+
 
 def told_of(effector: str) -> dict[str, StateSpec]:
     """Return the states that tell how an end effector fares."""
@@ -69,7 +72,7 @@ class Reach:
         k = len(chain.moved)
         self._silent = np.ones(k, np.bool_)
         self._have = [False] * len(targets)
-        self._measured = np.zeros(len(self._joint_pos))
+        self._measured, self._new = np.zeros((2, len(self._joint_pos)))
         self._seen = False
 
     def reset(self) -> None:
@@ -78,9 +81,9 @@ class Reach:
         self._silent[:] = True
 
     def __call__(self) -> None:
-        measured, moved = self._joint_pos, self._moved
-        total = float(measured.sum())
-        if total - total == 0.0:  # finite; what is not is as it was
+        measured, moved = self._new, self._moved
+        measured[:] = self._joint_pos
+        if measured.dot(measured) < _SENSE:  # nor NaN: what makes no sense is as it was
             self._measured[:] = measured
             self._seen = True
         now = int(self._stamp)
@@ -105,9 +108,9 @@ class Reach:
         """Take up the joints of targets that have come, and leave those of targets that went."""
         wanted = self._carries[have].any(axis=0) if any(have) else np.zeros_like(self._silent)
         begin = wanted & self._silent
-        stiff = self._stiffness[self._moved] > 0.0
-        held = np.where(stiff, self._held[self._moved], self._measured[self._moved])
-        self.ik.begin(held, begin)
+        held = self._held[self._moved]
+        known = (self._stiffness[self._moved] > 0.0) & np.isfinite(held)
+        self.ik.begin(np.where(known, held, self._measured[self._moved]), begin)
         self.ik.activate(wanted)
         self._have = have
         np.logical_not(wanted, out=self._silent)
