@@ -15,6 +15,7 @@ OLDEST = (3, 10)
 EXTRAS = [
     "sim",
     "sim-pybullet",
+    "ik",
     "bags",
     "zmq",
     "plots",
