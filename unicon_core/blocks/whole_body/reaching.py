@@ -106,7 +106,7 @@ class Reach:
 
     def _change(self, have: list[bool]) -> None:
         """Take up the joints of targets that have come, and leave those of targets that went."""
-        wanted = self._carries[have].any(axis=0) if any(have) else np.zeros_like(self._silent)
+        wanted = np.asarray(self._carries[have].any(axis=0))
         begin = wanted & self._silent
         held = self._held[self._moved]
         known = (self._stiffness[self._moved] > 0.0) & np.isfinite(held)
