@@ -20,6 +20,7 @@ EXTRAS = [
     "plots",
     "view",
     "foxglove",
+    "ik",
     "webxr",
     "hw-unitree",
     "hw-arx",
