@@ -21,6 +21,7 @@ EXTRAS = [
     "plots",
     "view",
     "foxglove",
+    "ik",
     "webxr",
     "hw-unitree",
     "hw-arx",
