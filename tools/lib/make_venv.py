@@ -15,7 +15,6 @@ OLDEST = (3, 10)
 EXTRAS = [
     "sim",
     "sim-pybullet",
-    "ik",
     "bags",
     "zmq",
     "plots",
