@@ -159,6 +159,8 @@ def model_elbow(model: Any, side: str) -> int:
     ("options", "message"),
     [
         ({"of": ["tol"]}, "no end effector 'tol'; did you mean 'tool'"),
+        ({"of": [{}]}, "no end effector {}; known: tool"),
+        ({"of": 3}, "of is 3; give names of end effectors, or {NAME: BODY}"),
         ({"of": {"tip": "forarm"}}, "end effector 'tip': no body 'forarm'"),
         ({"of": {"a tip": "forearm"}}, "'a tip' is not an identifier"),
         ({"frame": "map"}, "frame is 'map'; give base or world"),
