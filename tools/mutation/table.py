@@ -31,6 +31,7 @@ CLOSED = "test/attack/test_c24_threads.py", *HANGS
 CHILD = "test/platforms/test_child.py", "test/attack/test_child_processes.py"
 CHILD_POLICY = ("test/policies/test_child_policy.py",)
 FOLLOWED = ("test/blocks/test_forward_command.py",)
+CARRIED = ("test/whole_body/test_gravity.py",)
 PLAYED = "test/trajectory/test_accepted.py", "test/trajectory/test_player.py"
 SETS = ("test/workflow/test_safety_set.py",)
 
@@ -607,6 +608,14 @@ ROWS = [
             "goes &= np.isnan(said[at]).all(axis=-1, keepdims=True)",
             "pass",
         ),
+    ),
+    *_rows(
+        "blocks/whole_body/gravity.py",
+        CARRIED,
+        ("Gravity.__call__", "self.torque[:] = asked", "pass"),
+        ("Gravity.__call__", "if math.isfinite(float(asked.sum())):", "if True:"),
+        ("Gravity.__call__", "np.maximum(total, self._least, out=total)", "pass"),
+        ("_carried", "if bears.any():", "if False:"),
     ),
     *_rows(
         "trajectory/accepted.py",

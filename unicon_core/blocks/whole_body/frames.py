@@ -73,7 +73,7 @@ def frames(
     return Block("", tick, reads=base, writes=names, endless=True)
 
 
-def effector_of(name: Any, robot: Robot, block: str) -> Place:
+def effector_of(name: str, robot: Robot, block: str) -> Place:
     """Return an end effector of a robot file.
 
     Args:
@@ -85,30 +85,25 @@ def effector_of(name: Any, robot: Robot, block: str) -> Place:
         WorkflowError: it has none of that name.
     """
     known = robot.end_effectors
-    if isinstance(name, str) and name in known:
+    if name in known:
         return known[name]
-    remedy = alternatives(str(name), known) if known else "it names none"
+    remedy = alternatives(name, known) if known else "it names none"
     raise WorkflowError(
-        f"block {block!r}: robot {robot.name} has no end effector {name!r:.60}; {remedy}; name one "
+        f"block {block!r}: robot {robot.name} has no end effector {name!r}; {remedy}; name one "
         f"under end_effectors in {robot.path}"
     )
 
 
-def _places(of: Any, robot: Robot) -> dict[str, Place]:
+def _places(of: Of, robot: Robot) -> dict[str, Place]:
     if isinstance(of, Mapping):
-        return {check_name(name): Place(str(body)) for name, body in of.items()}
-    words = (of,) if isinstance(of, str) else of
-    if not isinstance(words, (list, tuple)):
-        raise WorkflowError(
-            f"block 'frames': of is {of!r:.60}; give names of end effectors, or {{NAME: BODY}}"
-        )
-    words = words or tuple(robot.end_effectors)
+        return {check_name(name): Place(body) for name, body in of.items()}
+    words = (of,) if isinstance(of, str) else tuple(of) or tuple(robot.end_effectors)
     if not words:
         raise WorkflowError(
             f"block 'frames': robot {robot.name} names no end effectors; give of: {{NAME: BODY}}, "
             f"or name them under end_effectors in {robot.path}"
         )
-    return {str(word): effector_of(word, robot, "frames") for word in words}
+    return {word: effector_of(word, robot, "frames") for word in words}
 
 
 def _declares(*, robot: Robot, of: Of = (), frame: str = "base", **_: Any) -> dict[str, StateSpec]:
