@@ -130,7 +130,7 @@ def reach(
             pose, velocity, stamp = (ins[state] for state in target_of(name))
             turns = weight.orientation > 0.0
             targets.append(Target(name, pose, velocity, stamp, turns, look_ahead, tell))
-        return Reach(ik, chain, list(weights), targets, ins, results, context.period)
+        return Reach(ik, chain, list(weights), targets, ins, results, context.period, tell)
 
     tick = make(views, outs, context.tell)
     tick.moves = tuple(moves)
