@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.blocks.forward_command import MAX_RATE
-from unicon_core.blocks.safety.limits import velocity_limits
+from unicon_core.blocks.safety.limits import rates_of
 from unicon_core.blocks.whole_body.frames import effector_of
 from unicon_core.blocks.whole_body.reaching import COMMANDED, HELD, Reach, told_of
-from unicon_core.bounds import VELOCITY, within
+from unicon_core.bounds import within
 from unicon_core.errors import MissingDependencyError, WorkflowError
 from unicon_core.flow.block import Block, Reads, Writes
 from unicon_core.flow.stage import Stage
@@ -97,13 +97,7 @@ def reach(
         ),
     )
     look_ahead = within(look_ahead, "look_ahead", "s", LONGEST, above=False)
-    if max_rate == "robot":
-        rate = velocity_limits(robot, "give reach a max_rate in [rad/s]")
-    elif isinstance(max_rate, str):
-        raise WorkflowError(f"max_rate is {max_rate!r}; give [rad/s] above 0, or robot")
-    else:
-        most = within(max_rate, "max_rate", "rad/s", VELOCITY)
-        rate = np.fmin(np.full(robot.num_joints, most, np.float32), robot.velocity_limit)
+    rate = rates_of(max_rate, robot, "reach")
     moved = robot.group(list(moves))
     reaching = _loaded(context, list(weights), moved, settings.apart)
     reads = [name for effector in weights for name in target_of(effector)]
