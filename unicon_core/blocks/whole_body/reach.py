@@ -20,7 +20,6 @@ from unicon_core.blocks.whole_body.reaching import COMMANDED, HELD, Reach, told_
 from unicon_core.bounds import within
 from unicon_core.errors import MissingDependencyError, WorkflowError
 from unicon_core.flow.block import Block, Reads, Writes
-from unicon_core.flow.stage import Stage
 from unicon_core.ik.chain import Chain
 from unicon_core.ik.differential import DifferentialIk
 from unicon_core.ik.pairs import Reaching, load_apart
@@ -140,7 +139,6 @@ def reach(
         writes=tuple(writes),
         reset=tick.reset,
         warm_up=_warm_up(make, views, outs),
-        stage=Stage.COMMAND,
         endless=True,
     )
 
