@@ -31,7 +31,7 @@ SECONDS = 10.0  # of each run
 NONE, ALONE, LOOKED_AT = "no viewer", "viewer", "viewer, 3 clients"
 TICK, WHOLE = "recv to send", "whole tick"
 COPY, EARS = "the copy", "what hears it"
-OURS = {COPY: ("view",), EARS: ("viewer", "viewer e-stop")}
+OURS = {COPY: ("view",), EARS: ("viewer", "viewer e-stop", "viewer is heard")}
 CLIENTS = ("reads", "reads", "stalled")
 
 

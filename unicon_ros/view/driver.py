@@ -77,6 +77,7 @@ class Driver:
         self._heard_acts = self._heard_estop = self._lapsed = self._driven = self._started = 0
         self._replaces = False
         self._left = memoryview(np.zeros(1, np.int32).data)  # ticks until the viewer is heard
+        self._drives = memoryview(np.zeros(1, np.int8).data)  # each tick has to look
         self._often = max(1, round(OFTEN / program.period))
         self.interval = self._often * program.period
         self._is_pressed = memoryview(np.zeros(1, np.int8).data)
@@ -91,34 +92,48 @@ class Driver:
         peripheral.heard = self._act
 
     def blocks(self) -> dict[Stage, list[Block]]:
-        """Return the blocks: one before the flow, one right before `send`."""
+        """Return the blocks: before the flow, right before `send`, and after it.
+
+        A viewer that does not drive is heard after `send`: no command waits for it.
+        """
         contested = COMMAND in given_by_blocks(self._program)
         amends, writes = ((COMMAND,), ()) if contested else ((), (COMMAND,))
         hear = Block("viewer", self.hear, amends=amends, writes=writes, endless=True)
-        hear.inline = "left[0] -= 1\nleft[0] > 0 or hear()"
-        hear.inline_names = {"left": self._left, "hear": self.hear}
+        hear.inline = "drives[0] and hear()"
+        hear.inline_names = {"drives": self._drives, "hear": self.hear}
         stop = Block("viewer e-stop", self.stop_if_pressed, endless=True)
         stop.inline = "pressed[0] and stop()"
         stop.inline_names = {"pressed": self._is_pressed, "stop": self.stop_if_pressed}
-        return {Stage.INPUT: [hear], Stage.SAFETY: [stop]}
+        listen = Block("viewer is heard", self.listen, endless=True)
+        listen.inline = "left[0] -= 1\nleft[0] > 0 or listen()"
+        listen.inline_names = {"left": self._left, "listen": self.listen}
+        return {Stage.INPUT: [hear], Stage.SAFETY: [stop], Stage.OBSERVE: [listen]}
 
     def hear(self) -> None:
-        """Take what the viewer tells.
+        """Take what a viewer that drives tells, and let it drive."""
+        peripheral = self._peripheral
+        if peripheral is None:
+            return
+        if peripheral():
+            self._take(peripheral)
+        self._drive()
+        self._drives[0] = self._replaces or self._mode[0] == DRIVING
+
+    def listen(self) -> None:
+        """Take what a viewer tells; one that drives does so from the next tick on.
 
         Raises:
             Fault: the emergency stop was pressed, and nothing is sent yet.
         """
         self._left[0] = self._often
         peripheral, runner = self._peripheral, self._runner
-        if peripheral is None or runner is None:
+        if peripheral is None or runner is None or not peripheral():
             return
-        if peripheral():
-            self._take(peripheral)
-            if self._is_pressed[0] and runner.phase is Phase.WAIT:
-                raise Fault(FAULT)
-        if self._replaces or self._mode[0] == DRIVING:
-            self._left[0] = 1  # others write the command in each tick
-            self._drive()
+        self._take(peripheral)
+        if self._mode[0] == DRIVING:
+            self._drives[0] = 1  # others write the command in each tick
+        if self._is_pressed[0] and runner.phase is Phase.WAIT:
+            raise Fault(FAULT)
 
     def look(self) -> None:
         """Take it in a pause, in which nobody is driven.

@@ -86,8 +86,8 @@ class View:
         stages = {stage: list(blocks) for stage, blocks in self._tuning.hook(program).items()}
         for stage, blocks in self._driver.blocks().items():
             stages[stage] = blocks + stages.get(stage, [])
-        shows = Block(NAME, self._show, endless=True)
-        return stages | {Stage.OBSERVE: [shows]}
+        stages[Stage.OBSERVE] = [Block(NAME, self._show, endless=True), *stages[Stage.OBSERVE]]
+        return stages
 
     def attach(self, runner: Runner) -> None:
         """Start the viewer's process, before the first tick.
