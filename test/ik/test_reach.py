@@ -239,17 +239,20 @@ def test_position_alone_needs_no_quaternion(arm: Robot) -> None:
 def test_look_ahead_and_age_bring_a_target_on(arm: Robot) -> None:
     """A target that moves at 0.2 m/s is met where it will be, whether told so or by its age."""
     plain, ahead, aged = Reaching(arm), Reaching(arm, look_ahead=0.1), Reaching(arm)
-    for it in (plain, ahead, aged):
+    future = Reaching(arm, look_ahead=0.1)  # a clock that is ahead takes nothing back
+    for it in (plain, ahead, aged, future):
         it.states.stamp_ns[...] = 10**9
         it.aim()
         it.states.tool_target_velocity[...] = (0.0, 0.2, 0.0, 0.0, 0.0, 0.3)
     aged.states.tool_target_stamp_ns[...] = 9 * 10**8
-    for it in (plain, ahead, aged):
+    future.states.tool_target_stamp_ns[...] = 2 * 10**9
+    for it in (plain, ahead, aged, future):
         for _ in range(60):
             it.reach.tick()
-    at = [it.where(it.states.joint_pos_command)["tool"] for it in (plain, ahead, aged)]
+    at = [it.where(it.states.joint_pos_command)["tool"] for it in (plain, ahead, aged, future)]
     np.testing.assert_allclose(at[1][:3] - at[0][:3], [0.0, 0.02, 0.0], atol=5e-4)
     np.testing.assert_allclose(at[2], at[1], atol=1e-5)
+    np.testing.assert_array_equal(at[3], at[1])
     turned = 2.0 * np.arccos(np.clip(abs(at[0][3:] @ at[1][3:]), 0.0, 1.0))
     assert turned == pytest.approx(0.03, abs=2e-3)
 
