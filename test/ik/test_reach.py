@@ -163,6 +163,37 @@ def test_one_hand_alone_leaves_the_other_arm_to_itself(g1: Robot) -> None:
     assert it.states.right_hand_reachable == 1
 
 
+def test_joints_that_nobody_needs_are_not_commanded(arm: Robot) -> None:
+    it = Reaching(arm, effectors={"elbow": {"orientation": 0}, "tool": {}})
+    it.aim("elbow", (0.0, 0.02, 0.02))
+    it.states.joint_pos_command[...] = 7.0
+    command = it.run(20)
+    assert not np.isnan(command[:3]).any()
+    assert np.isnan(command[3:]).all()
+    assert np.isnan(it.states.joint_vel_command[3:]).all()
+    assert it.states.elbow_error[0] < 0.01
+
+
+def test_what_is_no_position_holds_no_joint(arm: Robot) -> None:
+    it = Reaching(arm)
+    it.states.joint_pos_target[...] = (np.nan, np.inf, 0.0, 0.0, 0.0, -np.inf)
+    it.aim()
+    assert np.isfinite(it.run(1)).all()
+    assert it.reach.tick.ik.failures == 0  # type: ignore[attr-defined]
+
+
+def test_a_flow_that_enters_anew_begins_where_joints_are_held(welder: Reaching) -> None:
+    welder.aim()
+    welder.run(5)
+    welder.states.joint_pos_target[...] = welder.robot.default_joint_pos - 0.5
+    went_on = welder.run(1) - welder.robot.default_joint_pos
+    assert np.abs(went_on).max() <= 0.04
+    assert welder.reach.reset is not None
+    welder.reach.reset()
+    begun = welder.run(1) - welder.robot.default_joint_pos
+    assert np.abs(begun + 0.5).max() <= 0.04 * 1.0001
+
+
 def test_other_joints_stand_where_they_are_measured(g1: Robot) -> None:
     it = Reaching(g1, effectors=["left_hand"], moves=["left_arm"])
     waist = it.robot.joint_names.index("waist_yaw_joint")
@@ -355,9 +386,9 @@ def test_warm_ups_change_nothing_and_tell_nothing(welder: Reaching) -> None:
         (
             {"effectors": ["tol"]},
             "block 'reach': robot welder has no end effector 'tol'; did you mean 'tool'? known: "
-            "tool; name one under end_effectors in {file}",
+            "elbow, tool; name one under end_effectors in {file}",
         ),
-        ({"effectors": []}, "block 'reach': effectors names none; known: tool"),
+        ({"effectors": []}, "block 'reach': effectors names none; known: elbow, tool"),
         (
             {"effectors": {"tool": {"turn": 1}}},
             "block 'reach': effectors.tool is {'turn': 1}; give {position: 1.0, orientation: 0.3}, "
