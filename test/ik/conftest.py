@@ -30,6 +30,7 @@ joints:
 imu: null
 groups: {arm: [yaw, lift, elbow, roll, pitch, twist], hand: [roll, pitch, twist]}
 end_effectors:
+  elbow: {body: forearm, position: [0.3, 0.0, 0.0]}
   tool: {body: flange, position: [0.0, 0.0, 0.1], quat: [0.5, 0.5, 0.5, 0.5]}
 capsules:
   pillar: {body: plate, from: [0, 0, 0], to: [0, 0, 0.1], radius: 0.06}

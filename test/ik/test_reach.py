@@ -163,6 +163,37 @@ def test_one_hand_alone_leaves_the_other_arm_to_itself(g1: Robot) -> None:
     assert it.states.right_hand_reachable == 1
 
 
+def test_joints_that_nobody_needs_are_not_commanded(arm: Robot) -> None:
+    it = Reaching(arm, effectors={"elbow": {"orientation": 0}, "tool": {}})
+    it.aim("elbow", (0.0, 0.02, 0.02))
+    it.states.joint_pos_command[...] = 7.0
+    command = it.run(20)
+    assert not np.isnan(command[:3]).any()
+    assert np.isnan(command[3:]).all()
+    assert np.isnan(it.states.joint_vel_command[3:]).all()
+    assert it.states.elbow_error[0] < 0.01
+
+
+def test_what_is_no_position_holds_no_joint(arm: Robot) -> None:
+    it = Reaching(arm)
+    it.states.joint_pos_target[...] = (np.nan, np.inf, 0.0, 0.0, 0.0, -np.inf)
+    it.aim()
+    assert np.isfinite(it.run(1)).all()
+    assert it.reach.tick.ik.failures == 0  # type: ignore[attr-defined]
+
+
+def test_a_flow_that_enters_anew_begins_where_joints_are_held(welder: Reaching) -> None:
+    welder.aim()
+    welder.run(5)
+    welder.states.joint_pos_target[...] = welder.robot.default_joint_pos - 0.5
+    went_on = welder.run(1) - welder.robot.default_joint_pos
+    assert np.abs(went_on).max() <= 0.04
+    assert welder.reach.reset is not None
+    welder.reach.reset()
+    begun = welder.run(1) - welder.robot.default_joint_pos
+    assert np.abs(begun + 0.5).max() <= 0.04 * 1.0001
+
+
 def test_other_joints_stand_where_they_are_measured(g1: Robot) -> None:
     it = Reaching(g1, effectors=["left_hand"], moves=["left_arm"])
     waist = it.robot.joint_names.index("waist_yaw_joint")
@@ -239,17 +270,20 @@ def test_position_alone_needs_no_quaternion(arm: Robot) -> None:
 def test_look_ahead_and_age_bring_a_target_on(arm: Robot) -> None:
     """A target that moves at 0.2 m/s is met where it will be, whether told so or by its age."""
     plain, ahead, aged = Reaching(arm), Reaching(arm, look_ahead=0.1), Reaching(arm)
-    for it in (plain, ahead, aged):
+    future = Reaching(arm, look_ahead=0.1)  # a clock that is ahead takes nothing back
+    for it in (plain, ahead, aged, future):
         it.states.stamp_ns[...] = 10**9
         it.aim()
         it.states.tool_target_velocity[...] = (0.0, 0.2, 0.0, 0.0, 0.0, 0.3)
     aged.states.tool_target_stamp_ns[...] = 9 * 10**8
-    for it in (plain, ahead, aged):
+    future.states.tool_target_stamp_ns[...] = 2 * 10**9
+    for it in (plain, ahead, aged, future):
         for _ in range(60):
             it.reach.tick()
-    at = [it.where(it.states.joint_pos_command)["tool"] for it in (plain, ahead, aged)]
+    at = [it.where(it.states.joint_pos_command)["tool"] for it in (plain, ahead, aged, future)]
     np.testing.assert_allclose(at[1][:3] - at[0][:3], [0.0, 0.02, 0.0], atol=5e-4)
     np.testing.assert_allclose(at[2], at[1], atol=1e-5)
+    np.testing.assert_array_equal(at[3], at[1])
     turned = 2.0 * np.arccos(np.clip(abs(at[0][3:] @ at[1][3:]), 0.0, 1.0))
     assert turned == pytest.approx(0.03, abs=2e-3)
 
@@ -301,6 +335,24 @@ def test_a_velocity_that_is_not_known_is_none(arm: Robot) -> None:
     assert it.states.tool_reachable == 1
 
 
+def test_a_solver_without_an_answer_keeps_the_joints_still(welder: Reaching) -> None:
+    welder.aim(shift=(0.1, 0.0, 0.0))
+    before = welder.run(5)
+    problem = welder.reach.tick.ik._quadratic  # type: ignore[attr-defined]
+    solve = problem._solve
+    for told in (1, 2):
+        problem._solve = lambda *_: (np.full(6, np.nan), 0.0, -1, {})
+        np.testing.assert_array_equal(welder.run(3), before)
+        assert not welder.states.joint_vel_command.any()
+        problem._solve = solve
+        before = welder.run(3)
+        assert (
+            welder.heard
+            == ["reach: the solver has no answer; the joints keep still until it has"] * told
+        )
+    assert welder.reach.tick.ik.failures == 6  # type: ignore[attr-defined]
+
+
 def test_a_memory_goes_on_to_the_bit(arm: Robot) -> None:
     one, other = Reaching(arm), Reaching(arm)
     memories = [Memory({"reach": it.reach.tick}, it.states) for it in (one, other)]
@@ -334,9 +386,9 @@ def test_warm_ups_change_nothing_and_tell_nothing(welder: Reaching) -> None:
         (
             {"effectors": ["tol"]},
             "block 'reach': robot welder has no end effector 'tol'; did you mean 'tool'? known: "
-            "tool; name one under end_effectors in {file}",
+            "elbow, tool; name one under end_effectors in {file}",
         ),
-        ({"effectors": []}, "block 'reach': effectors names none; known: tool"),
+        ({"effectors": []}, "block 'reach': effectors names none; known: elbow, tool"),
         (
             {"effectors": {"tool": {"turn": 1}}},
             "block 'reach': effectors.tool is {'turn': 1}; give {position: 1.0, orientation: 0.3}, "

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from unicon_core.errors import RobotError, alternatives
+from unicon_core.models.absent import delete
 from unicon_core.models.load import load_model
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.robots import Robot
@@ -98,7 +99,7 @@ def add_reaching(spec: Any, robot: Robot, effectors: Sequence[str], path: Path) 
         body.add_body(name=FRAME + effector, pos=place.position, quat=place.quat)
     kinds = import_mujoco().mjtGeom
     for pair in list(spec.pairs):
-        spec.delete(pair)
+        delete(spec, pair)
     for geom in spec.geoms:
         geom.contype = geom.conaffinity = 0
     for name, capsule in robot.capsules.items():

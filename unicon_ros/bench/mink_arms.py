@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from unicon_core.ik.model import CAPSULE, FRAME, Pair, add_reaching
 from unicon_core.ik.tasks import Pose
+from unicon_core.models.absent import delete
 from unicon_core.models.loaded import import_mujoco
 from unicon_core.robots import Robot
 
@@ -111,14 +112,14 @@ def _arms_of(path: Path, robot: Robot, effectors: Sequence[str], names: Sequence
     root = spec.worldbody.first_body()
     root.pos, root.quat = [0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]
     for each in (*spec.actuators, *spec.sensors, *spec.keys):
-        spec.delete(each)
+        delete(spec, each)
     default = dict(zip(robot.joint_names, robot.default_joint_pos.tolist()))
     for joint in list(spec.joints):
         if joint.name in names:
             continue
         if joint.name in default:
             _turn(mujoco, joint.parent, joint.axis, default[joint.name])
-        spec.delete(joint)
+        delete(spec, joint)
     return spec.compile()
 
 
