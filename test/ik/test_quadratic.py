@@ -43,7 +43,7 @@ numbers = st.integers(-1000, 1000).map(lambda x: 1e-3 * x)
     st.lists(numbers, min_size=K * K + K, max_size=K * K + K),
     st.lists(numbers, min_size=8, max_size=8),
 )
-@settings(max_examples=150)
+@settings(max_examples=80)
 def test_solutions_are_those_of_the_slow_twin(cost: list[float], bounds: list[float]) -> None:
     problem = Quadratic(K)
     factor = np.reshape(cost[: K * K], (K, K))

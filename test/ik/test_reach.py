@@ -301,6 +301,24 @@ def test_a_velocity_that_is_not_known_is_none(arm: Robot) -> None:
     assert it.states.tool_reachable == 1
 
 
+def test_a_solver_without_an_answer_keeps_the_joints_still(welder: Reaching) -> None:
+    welder.aim(shift=(0.1, 0.0, 0.0))
+    before = welder.run(5)
+    problem = welder.reach.tick.ik._quadratic  # type: ignore[attr-defined]
+    solve = problem._solve
+    for told in (1, 2):
+        problem._solve = lambda *_: (np.full(6, np.nan), 0.0, -1, {})
+        np.testing.assert_array_equal(welder.run(3), before)
+        assert not welder.states.joint_vel_command.any()
+        problem._solve = solve
+        before = welder.run(3)
+        assert (
+            welder.heard
+            == ["reach: the solver has no answer; the joints keep still until it has"] * told
+        )
+    assert welder.reach.tick.ik.failures == 6  # type: ignore[attr-defined]
+
+
 def test_a_memory_goes_on_to_the_bit(arm: Robot) -> None:
     one, other = Reaching(arm), Reaching(arm)
     memories = [Memory({"reach": it.reach.tick}, it.states) for it in (one, other)]

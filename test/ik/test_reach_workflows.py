@@ -73,6 +73,25 @@ def test_a_member_of_a_robot_is_moved_alone(tmp_path: Path) -> None:
     assert states.tool_reachable == 1
 
 
+def test_nobody_has_to_tell_how_fast_a_target_is(tmp_path: Path) -> None:
+    """A topic that writes a pose alone, or nobody at all: NaN, and the arm is not commanded."""
+    alone = WORKFLOW.replace(
+        "  - moving_target: {effector: tool, radius: 0.05, frequency: 0.4}\n", ""
+    )
+    states = ticked(written(tmp_path, alone), 3)
+    assert np.isnan(states.joint_pos_command).all()
+    assert check_workflow(tmp_path / "welding.yaml").findings == []
+
+
+def test_in_the_flow_it_reaches_what_came_in_the_same_tick(tmp_path: Path) -> None:
+    inside = WORKFLOW.replace("  - reach: {effectors: [tool], moves: [arm]}\n", "").replace(
+        "flow: {forward_command: {max_rate: 2.0}}",
+        "flow:\n  zip:\n    - reach: {effectors: [tool], moves: [arm]}\n"
+        "    - forward_command: {max_rate: 2.0}",
+    )
+    assert ticked(written(tmp_path, inside), 150).tool_reachable == 1
+
+
 def test_two_blocks_that_move_a_joint_are_refused(tmp_path: Path) -> None:
     twice = WORKFLOW.replace("flow:", "  - reach: {effectors: [tool], moves: [hand]}\nflow:")
     with pytest.raises(WorkflowError) as caught:

@@ -31,6 +31,11 @@ CLOSED = "test/attack/test_c24_threads.py", *HANGS
 CHILD = "test/platforms/test_child.py", "test/attack/test_child_processes.py"
 CHILD_POLICY = ("test/policies/test_child_policy.py",)
 FOLLOWED = ("test/blocks/test_forward_command.py",)
+REACHED = (
+    "test/ik/test_quadratic.py",
+    "test/ik/test_differential.py",
+    "test/ik/test_reach.py",
+)
 PLAYED = "test/trajectory/test_accepted.py", "test/trajectory/test_player.py"
 SETS = ("test/workflow/test_safety_set.py",)
 
@@ -607,6 +612,36 @@ ROWS = [
             "goes &= np.isnan(said[at]).all(axis=-1, keepdims=True)",
             "pass",
         ),
+    ),
+    *_rows(
+        "ik/differential.py",
+        REACHED,
+        ("DifferentialIk.begin", "np.clip(joint_pos, *self._limits)", "joint_pos"),
+        ("DifferentialIk.__call__", "np.maximum(bounds, self._least, out=bounds)", "pass"),
+        ("DifferentialIk.__call__", "np.minimum(bounds, self._most, out=bounds)", "pass"),
+        ("DifferentialIk._keep_apart", "", "0"),
+        ("DifferentialIk._hold_back", REMOVED),
+    ),
+    *_rows(
+        "ik/quadratic.py",
+        REACHED,
+        ("Quadratic.solve", "total - total == 0.0", "True"),
+        ("Quadratic.solve", "self.solution[:] = 0.0", "pass"),
+    ),
+    *_rows(
+        "ik/targets.py",
+        REACHED,
+        ("Target.__call__", "abs(length - 1.0) <= _UNIT", "True"),
+        ("Target.__call__", "not all(map(math.isfinite, velocity))", "False"),
+        ("Target.__call__", "self._look_ahead + max(age, 0.0)", "self._look_ahead + age"),
+    ),
+    *_rows(
+        "blocks/whole_body/reaching.py",
+        REACHED,
+        ("Reach.__call__", "measured.dot(measured) < _SENSE", "True"),
+        ("Reach.__call__", "pos[self._silent] = vel[self._silent] = np.nan", "pass"),
+        ("Reach._change", "& np.isfinite(held)", ""),
+        ("Reach.reset", REMOVED),
     ),
     *_rows(
         "trajectory/accepted.py",

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.blocks.joint_command import Gain, JointCommand, robot_gains, ticks_of
-from unicon_core.blocks.safety.limits import velocity_limits
+from unicon_core.blocks.safety.limits import rates_of
 from unicon_core.bounds import DURATION, POSITION, VELOCITY, within
 from unicon_core.errors import RobotError, WorkflowError
 from unicon_core.flow.block import Bundle, Reads
@@ -103,13 +103,7 @@ def forward_command(
         RobotError: the robot file lacks a gain or the pose to go home to, or a word means no joint.
         WorkflowError: an option is wrong.
     """
-    if max_rate == "robot":
-        rate = velocity_limits(robot, "give forward_command a max_rate in [rad/s]")
-    elif isinstance(max_rate, str):
-        raise WorkflowError(f"max_rate is {max_rate!r}; give [rad/s] above 0, or robot")
-    else:
-        most = np.float32(within(max_rate, "max_rate", "rad/s", VELOCITY))
-        rate = np.fmin(np.full(robot.num_joints, most), robot.velocity_limit)
+    rate = rates_of(max_rate, robot, "forward_command")
     if start_tolerance is not None:
         start_tolerance = within(start_tolerance, "start_tolerance", "rad", POSITION)
     if duration is not None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from unicon_core.check.result import CheckResult
 from unicon_core.check.subject import Subject
 from unicon_core.flow.checks import check_graph
-from unicon_core.workflow.tick_tree import GIVEN
+from unicon_core.workflow.tick_tree import given_in
 
 __all__ = ["check_blocks"]
 
@@ -28,5 +28,5 @@ def check_blocks(subject: Subject, result: CheckResult) -> None:
     ]
     columns = ["block", "stage", "runs", "reads", "writes (* amends)"]
     result.table("Blocks", columns, rows)
-    for found in check_graph(program.root, program.states, given=GIVEN):
+    for found in check_graph(program.root, program.states, given=given_in(program.states)):
         result.find("graph", found.culprit, found.evidence, found.remedy, found.where)

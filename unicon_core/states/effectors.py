@@ -6,10 +6,11 @@ left_hand_target, left_hand_target_velocity, left_hand_target_stamp_ns, left_han
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 
 from unicon_core.states.spec import StateSpec
 
-__all__ = ["POSE_NAMES", "pose_of", "pose_states", "target_of", "target_states"]
+__all__ = ["POSE_NAMES", "pose_of", "pose_states", "target_of", "target_states", "unsaid_states"]
 
 POSE_NAMES = ("x", "y", "z", "qw", "qx", "qy", "qz")
 """Elements of a pose: position in [m], orientation as a unit quaternion."""
@@ -68,3 +69,14 @@ def pose_states(effector: str, frame: str = "base") -> dict[str, StateSpec]:
     said = f"position [m] and orientation of {effector}; NaN: not known"
     spec = StateSpec((7,), frame=frame, names=POSE_NAMES, description=said, initial=math.nan)
     return {pose_of(effector): spec}
+
+
+def unsaid_states(names: Collection[str]) -> list[str]:
+    """Return the states of targets that nobody has to write: 0 is a velocity, and a stamp, unknown.
+
+    Args:
+        names: of all states.
+    """
+    ends = ("_velocity", "_stamp_ns")
+    targets = [name for name in names if name.endswith("_target")]
+    return [name + end for name in targets for end in ends if name + end in names]

@@ -10,17 +10,23 @@ from unicon_core.flow.critical_path import critical_path, is_patient
 from unicon_core.flow.fuse import fuse
 from unicon_core.flow.stage import Stage
 from unicon_core.states import States
+from unicon_core.states.effectors import unsaid_states
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_core.workflow.command_bounds import COMMAND
 from unicon_core.workflow.live_twin import TWIN_STATES
 
-__all__ = ["GIVEN", "tick_tree", "with_flow"]
+__all__ = ["GIVEN", "given_in", "tick_tree", "with_flow"]
 
 Stages = Mapping[Stage, Sequence[Node]]
 
 GIVEN = ("tick", COMMAND, "joint_vel_target", "joint_effort_ff", *TWIN_STATES)
 """States that may be read though no block writes them before: the runner does, zero is meant, or a
 twin tells what it saw a tick ago."""
+
+
+def given_in(states: States) -> list[str]:
+    """Return those of the states that may be read though no block writes them before."""
+    return [*GIVEN, *unsaid_states(states.layout.specs)]
 
 
 def tick_tree(stages: Stages, states: States) -> tuple[Node, frozenset[Block]]:
@@ -32,7 +38,7 @@ def tick_tree(stages: Stages, states: States) -> tuple[Node, frozenset[Block]]:
     acting = [n for stage, nodes in stages.items() if stage is not Stage.OBSERVE for n in nodes]
     # Observers only look: what they would find missing is no reason not to run.
     observing = [Deferred(node) for node in stages[Stage.OBSERVE]]
-    raise_first(check_graph(Zip(*acting, *observing), states, given=GIVEN))
+    raise_first(check_graph(Zip(*acting, *observing), states, given=given_in(states)))
     patient = [node for node in acting if is_patient(node)]
     sent = [node for node in acting if not is_patient(node)]
     path = critical_path(Zip(*sent, *observing, *map(Deferred, patient)))

@@ -29,6 +29,7 @@ __all__ = [
     "first_of",
     "joint_limits",
     "rate_limit",
+    "rates_of",
     "trips",
     "velocity_limits",
 ]
@@ -224,6 +225,27 @@ def velocity_limits(robot: Robot, remedy: str, hands: float | None = None) -> Fl
             f"robot {robot.name} does not say the velocity limit of joint {joint}; {remedy}"
         )
     return robot.velocity_limit
+
+
+def rates_of(max_rate: float | Literal["robot"], robot: Robot, block: str) -> NDArray[np.float32]:
+    """Return how fast each joint may go by the option `max_rate` of a block, [rad/s], shape (n,).
+
+    Args:
+        max_rate: in [rad/s], never above the robot file's limit of a joint, or `robot` for those.
+        robot: says them.
+        block: for the message.
+
+    Raises:
+        RobotError: `robot` is asked for, and its file does not say them.
+        WorkflowError: it is no speed.
+    """
+    if max_rate == "robot":
+        return velocity_limits(robot, f"give {block} a max_rate in [rad/s]")
+    if isinstance(max_rate, str):
+        raise WorkflowError(f"max_rate is {max_rate!r}; give [rad/s] above 0, or robot")
+    most = np.float32(within(max_rate, "max_rate", "rad/s", VELOCITY))
+    found: Float = np.fmin(np.full(robot.num_joints, most), robot.velocity_limit)
+    return found
 
 
 def rate_limit(

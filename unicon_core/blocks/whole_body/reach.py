@@ -14,13 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.blocks.forward_command import MAX_RATE
-from unicon_core.blocks.safety.limits import velocity_limits
+from unicon_core.blocks.safety.limits import rates_of
 from unicon_core.blocks.whole_body.frames import effector_of
 from unicon_core.blocks.whole_body.reaching import COMMANDED, HELD, Reach, told_of
-from unicon_core.bounds import VELOCITY, within
+from unicon_core.bounds import within
 from unicon_core.errors import MissingDependencyError, WorkflowError
 from unicon_core.flow.block import Block, Reads, Writes
-from unicon_core.flow.stage import Stage
 from unicon_core.ik.chain import Chain
 from unicon_core.ik.differential import DifferentialIk
 from unicon_core.ik.pairs import Reaching, load_apart
@@ -97,13 +96,7 @@ def reach(
         ),
     )
     look_ahead = within(look_ahead, "look_ahead", "s", LONGEST, above=False)
-    if max_rate == "robot":
-        rate = velocity_limits(robot, "give reach a max_rate in [rad/s]")
-    elif isinstance(max_rate, str):
-        raise WorkflowError(f"max_rate is {max_rate!r}; give [rad/s] above 0, or robot")
-    else:
-        most = within(max_rate, "max_rate", "rad/s", VELOCITY)
-        rate = np.fmin(np.full(robot.num_joints, most, np.float32), robot.velocity_limit)
+    rate = rates_of(max_rate, robot, "reach")
     moved = robot.group(list(moves))
     reaching = _loaded(context, list(weights), moved, settings.apart)
     reads = [name for effector in weights for name in target_of(effector)]
@@ -130,7 +123,7 @@ def reach(
             pose, velocity, stamp = (ins[state] for state in target_of(name))
             turns = weight.orientation > 0.0
             targets.append(Target(name, pose, velocity, stamp, turns, look_ahead, tell))
-        return Reach(ik, chain, list(weights), targets, ins, results, context.period)
+        return Reach(ik, chain, list(weights), targets, ins, results, context.period, tell)
 
     tick = make(views, outs, context.tell)
     tick.moves = tuple(moves)
@@ -146,7 +139,6 @@ def reach(
         writes=tuple(writes),
         reset=tick.reset,
         warm_up=_warm_up(make, views, outs),
-        stage=Stage.COMMAND,
         endless=True,
     )
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -59,8 +59,9 @@ class Reach:
         views: Mapping[str, View],
         outs: Mapping[str, View],
         period: float,
+        tell: Callable[[str], None],
     ) -> None:
-        self.ik = ik
+        self.ik, self._tell, self._failures, self._failing = ik, tell, 0, False
         self.moves: tuple[str, ...] = ()
         self.notes: tuple[str, ...] = ()
         self._targets, self._moved = targets, chain.moved
@@ -98,6 +99,11 @@ class Reach:
             return
         ik = self.ik
         ik(self._measured, targets)
+        if (ik.failures != self._failures) is not self._failing:
+            self._failing = not self._failing
+            if self._failing:
+                self._tell("reach: the solver has no answer; the joints keep still until it has")
+        self._failures = ik.failures
         pos, vel = ik.pos.astype(np.float32), (ik.step * self._per_second).astype(np.float32)
         pos[self._silent] = vel[self._silent] = np.nan
         self._pos[moved], self._vel[moved] = pos, vel
