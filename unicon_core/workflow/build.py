@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from unicon_core.blocks.safety.stops import Finite
@@ -231,6 +232,9 @@ def specs_of(
         if declares is not None:
             own = member_robot(robot, use.of)
             for name, spec in declares(robot=own, **_options(factory, use)).items():
+                if spec.names == own.joint_names:  # each member has its share of the whole's
+                    names = robot.joint_names
+                    spec = replace(spec, shape=(len(names),), names=names)
                 specs.setdefault(use.rename.get(name, name), spec)
     return specs
 
