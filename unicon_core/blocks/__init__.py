@@ -33,6 +33,7 @@ BUILTIN: dict[str, str] = {
         "odometry.leg_odometry": ("leg_odometry",),
         "projected_gravity": ("projected_gravity",),
         "whole_body.reach": ("reach",),
+        "retarget": ("retarget",),
         "maps": ("copy", "linear_map"),
         "whole_body.frames": ("frames",),
         "whole_body.gravity": ("gravity",),
