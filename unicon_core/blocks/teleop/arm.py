@@ -47,7 +47,7 @@ class Arm:
         pose = pose_state(name)
         if pose not in states.layout.specs:
             raise WorkflowError(
-                f"teleop: no state {pose!r}, where the robot's hand is; write estimate: [{{frames: "
+                f"no state {pose!r}, where the robot's hand is; write estimate: [{{frames: "
                 f"{{of: [{name}]}}}}]"
             )
         self.reads = (pose,)

@@ -91,7 +91,7 @@ class Headset:
         state = f"{self.name}_{what}"
         if state not in self._states.layout.specs:
             raise WorkflowError(
-                f"teleop: no state {state!r}; list the device that writes it, such as webxr, "
+                f"no state {state!r}; list the device that writes it, such as webxr, "
                 "before teleop (commands:), or name yours: device: PREFIX"
             )
         self.reads.append(state)
@@ -105,7 +105,7 @@ class Headset:
         """Return which element of a state has a name."""
         names = self._states.spec(f"{self.name}_{what}").names
         if element not in names:
-            raise WorkflowError(f"teleop: no {element!r}; {alternatives(element, names)}")
+            raise WorkflowError(f"no {element!r}; {alternatives(element, names)}")
         return names.index(element)
 
     def look(self, stale: float) -> bool:
