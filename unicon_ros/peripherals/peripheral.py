@@ -115,6 +115,7 @@ def peripheral_block(
     stale: float = 0.2,
     data: Mapping[str, Any] | None = None,
     environment: Mapping[str, str] | None = None,
+    kind: type[Peripheral] | None = None,
 ) -> Block:
     """Return the block of a peripheral, in stage recv: records have what it told.
 
@@ -130,6 +131,7 @@ def peripheral_block(
         stale: so long nothing may come, in [s].
         data: further objects for the device, which can be pickled.
         environment: of the process; None for ours.
+        kind: class of the tick; None for `Peripheral` itself.
 
     Raises:
         UniconError: what the process says when it cannot begin.
@@ -141,7 +143,7 @@ def peripheral_block(
         return Block(name, _nothing, writes=names, endless=True, stage=Stage.RECV)
     layout = subset(context.states.layout, names)
     given = {"name": name, "options": dict(options), "data": dict(data or {})}
-    tick = Peripheral(
+    tick = (kind or Peripheral)(
         context.states,
         layout,
         module,
