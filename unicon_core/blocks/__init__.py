@@ -32,6 +32,7 @@ BUILTIN: dict[str, str] = {
         "forward_command": ("forward_command",),
         "odometry.leg_odometry": ("leg_odometry",),
         "projected_gravity": ("projected_gravity",),
+        "retarget": ("retarget",),
         "maps": ("copy", "linear_map"),
     }.items()
     for name in names

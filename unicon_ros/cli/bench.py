@@ -18,6 +18,7 @@ BENCHES = {
     "latency": "unicon_ros.bench.latency",
     "policy": "unicon_ros.bench.policy",
     "record": "unicon_ros.bench.record",
+    "retarget": "unicon_ros.bench.retarget",
     "safety": "unicon_ros.bench.safety",
     "simulators": "unicon_ros.bench.simulators",
     "sloc": "unicon_ros.bench.sloc",
