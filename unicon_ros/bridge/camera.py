@@ -60,6 +60,7 @@ class Camera:
         peripheral: its process.
         ring: the frames, each a whole message.
         message: layout of a frame.
+        sources: as of `Peripheral`.
     """
 
     name = "camera"
@@ -87,7 +88,7 @@ class Camera:
                 subset(states.layout, self.writes),
                 PROCESS,
                 {"name": name, "options": options, "data": data},
-                {"": len(self.message.template)},
+                {"": self.message},
                 stale,
                 context.period,
                 context.tell,
@@ -96,7 +97,7 @@ class Camera:
         except BaseException:
             self._poses.close()
             raise
-        self.ring = self.peripheral.rings[""]
+        self.ring, self.sources = self.peripheral.rings[""], self.peripheral.sources
 
     def __call__(self) -> None:
         """Take the newest handle, and hand over the pose when it is due."""
