@@ -1,0 +1,201 @@
+"""Pictures of a recording as pixels, PNG and JPEG; for data sets."""
+
+from __future__ import annotations
+
+import io
+import struct
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.errors import MissingDependencyError, UniconError
+from unicon_ros.recording import Record
+from unicon_ros.recording.frames import Frames
+
+__all__ = ["Pictures", "Shown", "pictures_of", "png", "sizes"]
+
+IMAGE, JPEG = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
+RGB = "rgb8"
+_FRAME = 12
+"""Where the header's frame_id stands in these messages: behind encapsulation and stamp."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pictures:
+    """The colour pictures of one camera of a recording.
+
+    Attributes:
+        frames: the messages.
+        height: of each in pixels.
+        width: of each in pixels.
+    """
+
+    frames: Frames
+    height: int
+    width: int
+
+    def rgb(self, index: int) -> NDArray[np.uint8]:
+        """Return the pixels of a picture, shape (height, width, 3).
+
+        Raises:
+            UniconError: it is damaged, or of another size than the first one.
+        """
+        raw = self.frames.message(index)
+        if self.frames.type == IMAGE:
+            _, height, width, data = _image(raw)
+            seen = np.frombuffer(data, np.uint8)[: height * width * 3]
+            shape = (height, width, 3)
+            seen = seen.reshape(shape) if len(seen) == height * width * 3 else seen
+        else:
+            seen = _decoded(_compressed(raw)[1])
+        if seen.shape != (self.height, self.width, 3):
+            raise UniconError(
+                f"a picture has shape {seen.shape}, the first one ({self.height}, {self.width}, "
+                "3); leave that camera out: --cameras"
+            )
+        return seen
+
+    def encoded(self, index: int) -> bytes:
+        """Return a picture as the bytes of a file: JPEG where it was recorded so, else PNG."""
+        if self.frames.type == JPEG:
+            return bytes(_compressed(self.frames.message(index))[1])
+        return png(self.rgb(index))
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """The pictures of a camera, one for each frame of an episode.
+
+    Attributes:
+        pictures: of the whole recording.
+        indexes: of that of each frame, shape (frames,).
+    """
+
+    pictures: Pictures
+    indexes: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.indexes)
+
+    def rgb(self, frame: int) -> NDArray[np.uint8]:
+        """Return the pixels at a frame, shape (height, width, 3)."""
+        return self.pictures.rgb(int(self.indexes[frame]))
+
+    def encoded(self, frame: int) -> bytes:
+        """Return the picture at a frame as the bytes of a file, JPEG or PNG."""
+        return self.pictures.encoded(int(self.indexes[frame]))
+
+
+def pictures_of(record: Record) -> tuple[dict[str, Pictures], dict[str, str]]:
+    """Return the cameras of a recording, and of other frames why they are none.
+
+    Raises:
+        UniconError: a message is damaged.
+        MissingDependencyError: a JPEG is to be read, and Pillow is not installed.
+    """
+    found: dict[str, Pictures] = {}
+    others: dict[str, str] = {}
+    for name in record.frame_names:
+        frames = record.frames(name)
+        if frames.type not in (IMAGE, JPEG):
+            others[name] = frames.type
+            continue
+        if f"{name}_handle" not in record.layout.specs:
+            others[name] = f"no state {name}_handle"
+            continue
+        raw = frames.message(0)
+        try:
+            if frames.type == IMAGE:
+                encoding, height, width, _ = _image(raw)
+            else:
+                encoding, (height, width, _) = RGB, _decoded(_compressed(raw)[1]).shape
+        except (struct.error, UnicodeDecodeError) as error:
+            raise UniconError(
+                f"{record.paths[0]}: a picture of {name!r} is damaged: {error}; leave that camera "
+                "out: --cameras"
+            ) from error
+        if encoding != RGB:
+            others[name] = encoding
+            continue
+        found[name] = Pictures(frames, height, width)
+    return found, others
+
+
+def sizes(pictures: Mapping[str, Pictures]) -> dict[str, tuple[int, int]]:
+    """Return camera to height and width in pixels."""
+    return {name: (each.height, each.width) for name, each in pictures.items()}
+
+
+def _text(raw: memoryview, at: int) -> tuple[str, int]:
+    (length,) = struct.unpack_from("<I", raw, at)
+    text = bytes(raw[at + 4 : at + 4 + length]).rstrip(b"\0").decode()
+    end = at + 4 + length
+    return text, end + -end % 4
+
+
+def _image(raw: memoryview) -> tuple[str, int, int, memoryview]:
+    """Return encoding, height, width and data of a sensor_msgs/Image in little-endian CDR."""
+    _, at = _text(raw, _FRAME)
+    height, width = struct.unpack_from("<II", raw, at)
+    (length,) = struct.unpack_from("<I", raw, at + 8)
+    encoding = bytes(raw[at + 12 : at + 12 + length]).rstrip(b"\0").decode()
+    at += 12 + length + 1  # is_bigendian
+    at += -at % 4
+    _, length = struct.unpack_from("<II", raw, at)
+    return encoding, height, width, raw[at + 8 : at + 8 + length]
+
+
+def _compressed(raw: memoryview) -> tuple[str, memoryview]:
+    """Return format and data of a sensor_msgs/CompressedImage in little-endian CDR."""
+    _, at = _text(raw, _FRAME)
+    kind, at = _text(raw, at)
+    (length,) = struct.unpack_from("<I", raw, at)
+    return kind, raw[at + 4 : at + 4 + length]
+
+
+@lru_cache(maxsize=1)
+def _pillow() -> Any:
+    try:
+        from PIL import Image
+    except ModuleNotFoundError as error:
+        raise MissingDependencyError(
+            "a data set of JPEGs", "pillow", "pip install 'unicon_ros[lerobot]'"
+        ) from error
+    return Image
+
+
+def _decoded(data: memoryview) -> NDArray[np.uint8]:
+    try:
+        picture = _pillow().open(io.BytesIO(data))
+        return np.asarray(picture.convert("RGB"))
+    except (OSError, SyntaxError, ValueError) as error:  # what Pillow raises for garbage
+        raise UniconError(
+            f"a picture is not a JPEG: {error}; leave that camera out: --cameras"
+        ) from error
+
+
+def png(pixels: NDArray[np.uint8]) -> bytes:
+    """Return a picture as PNG (https://www.w3.org/TR/png-3/), each row less the one above it.
+
+    Args:
+        pixels: shape (height, width, 3).
+    """
+    height, width, _ = pixels.shape
+    rows = np.empty((height, 1 + 3 * width), np.uint8)
+    rows[:, 0] = 2  # filter "Up"
+    flat = pixels.reshape(height, -1)
+    rows[0, 1:] = flat[0]
+    np.subtract(flat[1:], flat[:-1], out=rows[1:, 1:])
+
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        crc = zlib.crc32(kind + data)
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", crc)
+
+    head = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+    parts = chunk(b"IHDR", head), chunk(b"IDAT", zlib.compress(rows.data, 1)), chunk(b"IEND", b"")
+    return b"\x89PNG\r\n\x1a\n" + b"".join(parts)
