@@ -1,22 +1,30 @@
-"""A camera for tests: a block that fills a ring of pictures, each of which can be computed."""
+"""A camera for tests, each picture of which can be computed, and runs that record it."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from test_recorded_runs import written
 
 from unicon_core.flow import Tick
 from unicon_core.handles import FrameRing
 from unicon_core.robots import Robot
+from unicon_core.runtime import Runner, RunOptions
 from unicon_core.states import StateSpec
+from unicon_core.workflow import Program, load_document
 from unicon_core.workflow.autowire import BuildContext
 from unicon_ros.bridge.images import frame_message, jpeg_message
+from unicon_ros.fault_record import FaultRecord
 from unicon_ros.peripherals.peripheral import FrameSource, peripheral_states
+from unicon_ros.recorder import Recording
+from unicon_ros.recording import Record, open_record
 
-__all__ = ["Camera", "camera", "picture"]
+__all__ = ["Camera", "camera", "picture", "run"]
 
 
 def picture(handle: int, height: int, width: int) -> NDArray[np.uint8]:
@@ -24,6 +32,10 @@ def picture(handle: int, height: int, width: int) -> NDArray[np.uint8]:
     rows, columns = np.mgrid[:height, :width]
     bands = (rows * 2 + handle, columns + 2 * handle, rows + columns)
     return np.stack([band % 200 for band in bands], axis=-1).astype(np.uint8)
+
+
+SLOTS = 64
+"""So many that none is overwritten in a run at full speed."""
 
 
 class Camera:
@@ -39,7 +51,7 @@ class Camera:
             if jpeg
             else frame_message(options["kind"], *reversed(self.size), f"{name}_optical_frame")
         )
-        self.ring = FrameRing.create(len(self.message.template))
+        self.ring = FrameRing.create(len(self.message.template), options["slots"])
         self.ring.touch(self.message.template)
         self.sources = {name: FrameSource(self.ring, self.message)}
         self._handle, self._every, self._tick = handle, options["every"], 0
@@ -72,6 +84,7 @@ def camera(
     kind: str = "color",
     height: int = 48,
     width: int = 64,
+    slots: int = SLOTS,
 ) -> Tick:
     """Take pictures.
 
@@ -83,8 +96,16 @@ def camera(
         kind: `color`, `depth`, or `jpeg`, which is none.
         height: in pixels.
         width: in pixels.
+        slots: of the ring.
     """
-    options = {"every": every, "first": first, "kind": kind, "height": height, "width": width}
+    options = {
+        "slots": slots,
+        "every": every,
+        "first": first,
+        "kind": kind,
+        "height": height,
+        "width": width,
+    }
     made = Camera(context.states[f"{prefix}_handle"], context, prefix, options)
     made.writes = (f"{prefix}_handle",)  # type: ignore[attr-defined]
     return made
@@ -95,3 +116,38 @@ def _declares(robot: Robot, prefix: str = "front", **_: Any) -> dict[str, StateS
 
 
 camera.declares = _declares  # type: ignore[attr-defined]
+
+
+def run(
+    folder: Path,
+    *cameras: dict[str, Any],
+    name: str = "run.mcap",
+    hooks: tuple[Callable[[Program], Any], ...] = (),
+    workflow: dict[str, Any] | None = None,
+    **options: Any,
+) -> tuple[Record, dict[str, Any]]:
+    """Record half a second of a robot with cameras at 100 Hz, as fast as it can.
+
+    Args:
+        folder: where the workflow and the recording go.
+        cameras: options of each.
+        name: of the recording.
+        hooks: of the program, before the recording's.
+        workflow: other keys.
+        options: of the recording.
+
+    Returns:
+        The recording, and what its report says of it.
+    """
+    calls = [{"call": {"function": "picturing:camera", **each}} for each in cameras]
+    values = {"rate": 100, "duration": 0.5, "flow": "hold", "start": "none", "commands": calls}
+    path = written(folder, **values | (workflow or {}))
+    warnings: list[str] = []
+    recording = Recording(folder / name, warn=warnings.append, **options)
+    record = FaultRecord("off", warnings.append, recording)
+    program = Program(load_document(path), hooks=[*hooks, recording.hook, record.hook])
+    runner = Runner(program, RunOptions(speed="max", warn=str))
+    record.attach(runner)
+    runner.run()
+    assert warnings == []
+    return open_record(folder / name), recording.counts()

@@ -17,7 +17,7 @@ import pytest
 
 pytest.importorskip("rosbags")
 
-from picturing import picture
+from picturing import picture, run
 from replaying import replay
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
@@ -25,35 +25,15 @@ from test_recorded_runs import written
 
 from unicon_core.errors import StateError, UniconError
 from unicon_core.handles import FrameRing
-from unicon_core.runtime import Runner, RunOptions
-from unicon_core.workflow import Program, load_document
 from unicon_ros.bridge.images import frame_message
 from unicon_ros.cli.main import main
-from unicon_ros.fault_record import FaultRecord
 from unicon_ros.peripherals.peripheral import FrameSource
 from unicon_ros.recorded_frames import RecordedFrames
-from unicon_ros.recorder import Recorder, Recording
-from unicon_ros.recording import Record, open_record
+from unicon_ros.recorder import Recorder
+from unicon_ros.recording import open_record
 from unicon_ros.recording.large import Large
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
-
-
-def run(
-    folder: Path, *cameras: dict[str, Any], name: str = "run.mcap", **options: Any
-) -> tuple[Record, dict[str, Any]]:
-    """Record half a second of a robot with cameras, in real time at 100 Hz."""
-    values = {"commands": [{"call": {"function": "picturing:camera", **each}} for each in cameras]}
-    path = written(folder, rate=100, duration=0.5, flow="hold", start="none", **values)
-    warnings: list[str] = []
-    recording = Recording(folder / name, warn=warnings.append, **options)
-    record = FaultRecord("off", warnings.append, recording)
-    program = Program(load_document(path), hooks=[recording.hook, record.hook])
-    runner = Runner(program, RunOptions(warn=str))
-    record.attach(runner)
-    runner.run()
-    assert warnings == []
-    return open_record(folder / name), recording.counts()
 
 
 def test_a_ticks_handle_finds_its_frame_to_the_bit(
@@ -231,7 +211,8 @@ def test_what_goes_wrong_with_frames_leaves_the_run(tmp_path: Path) -> None:
 
 def started(folder: Path, *arguments: str, limit: int = 0) -> subprocess.Popen[str]:
     """Start a run at 100 Hz with a camera of 33 pictures a second."""
-    call = {"function": "picturing:camera", "every": 3, "height": 120, "width": 160}
+    size = {"height": 120, "width": 160, "slots": 16}
+    call = {"function": "picturing:camera", "every": 3, **size}
     path = written(folder, rate=100, flow="hold", start="none", commands=[{"call": call}])
 
     def bounded() -> None:

@@ -115,7 +115,7 @@ def export_dataset(paths: Sequence[Path], out: Path, wanted: Wanted) -> list[str
 
 
 def _cameras(path: Path, record: Record, wanted: Wanted, told: list[str]) -> dict[str, Pictures]:
-    found, others = pictures_of(record)
+    found, others = pictures_of(record, wanted.cameras)
     if wanted.cameras is None:
         lines = [
             f"{name}: {why}, left out: a picture is rgb8 or JPEG" for name, why in others.items()
@@ -125,10 +125,9 @@ def _cameras(path: Path, record: Record, wanted: Wanted, told: list[str]) -> dic
     for name in wanted.cameras:
         if name not in found:
             why = f" is {others[name]}, and a picture is rgb8 or JPEG" if name in others else ""
-            raise UniconError(
-                f"{path}: camera {name!r}{why or ' was not recorded'}; {alternatives(name, found)}"
-            )
-    return {name: found[name] for name in found if name in wanted.cameras}
+            known = alternatives(name, record.frame_names)
+            raise UniconError(f"{path}: camera {name!r}{why or ' was not recorded'}; {known}")
+    return found
 
 
 def _refuse_others(

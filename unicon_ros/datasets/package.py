@@ -30,7 +30,7 @@ def import_lerobot() -> Any:
         MissingDependencyError: it is not installed.
         UniconError: it writes another version of the format, or cannot be imported.
     """
-    os.environ.setdefault("SVT_LOG", "1")  # else its encoder tells its settings
+    os.environ.setdefault("SVT_LOG", "0")  # else its encoder tells its settings
     try:
         module = import_module(MODULE)
     except ModuleNotFoundError as error:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import struct
 import zlib
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -91,8 +91,14 @@ class Shown:
         return self.pictures.encoded(int(self.indexes[frame]))
 
 
-def pictures_of(record: Record) -> tuple[dict[str, Pictures], dict[str, str]]:
+def pictures_of(
+    record: Record, wanted: Collection[str] | None = None
+) -> tuple[dict[str, Pictures], dict[str, str]]:
     """Return the cameras of a recording, and of other frames why they are none.
+
+    Args:
+        record: it.
+        wanted: names of frames that are looked at; None for all.
 
     Raises:
         UniconError: a message is damaged.
@@ -101,6 +107,8 @@ def pictures_of(record: Record) -> tuple[dict[str, Pictures], dict[str, str]]:
     found: dict[str, Pictures] = {}
     others: dict[str, str] = {}
     for name in record.frame_names:
+        if wanted is not None and name not in wanted:
+            continue
         frames = record.frames(name)
         if frames.type not in (IMAGE, JPEG):
             others[name] = frames.type
@@ -175,7 +183,7 @@ def _decoded(data: memoryview) -> NDArray[np.uint8]:
         return np.asarray(picture.convert("RGB"))
     except (OSError, SyntaxError, ValueError) as error:  # what Pillow raises for garbage
         raise UniconError(
-            f"a picture is not a JPEG: {error}; leave that camera out: --cameras"
+            "a picture is not a JPEG that can be read; leave that camera out: --cameras"
         ) from error
 
 

@@ -56,7 +56,7 @@ class Video:
     def __init__(self, path: Path, fps: int, height: int, width: int) -> None:
         import av
 
-        os.environ.setdefault("SVT_LOG", "1")  # else the encoder tells its settings
+        os.environ.setdefault("SVT_LOG", "0")  # else the encoder tells its settings
         self._av: Any = av
         self.path, self.frames = path, 0
         with _told(av):
