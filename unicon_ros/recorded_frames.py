@@ -96,11 +96,13 @@ class RecordedFrames:
         self._thread = threading.Thread(target=self._work, name="recorder frames", daemon=True)
 
     def counts(self) -> dict[str, dict[str, int]]:
-        """Return for each ring the frames that were taken, and those that were missed."""
-        return {
-            name: {"frames": stream.taken, "missed": stream.missed + stream.large.lost}
-            for name, stream in self._streams.items()
-        }
+        """Return for each ring the frames that are in the file, and those that are not."""
+        found = {}
+        for name, stream in self._streams.items():
+            large = stream.large
+            missed = stream.missed + large.crowded + large.lost
+            found[name] = {"frames": large.written, "missed": missed}
+        return found
 
     def start(self) -> None:
         """Start the thread; safe to call twice."""
@@ -140,7 +142,7 @@ class _Stream:
         self.large: Large = recorder.large_channel(FRAMES + name, kind, self.ring.nbytes)
         self.seen = self.ring.latest  # of frames before the run, the newest
         self.seen -= self.seen > 0
-        self.taken = self.missed = 0
+        self.missed = 0
 
     def take(self, now: int) -> None:
         """Take the frames that are new."""
@@ -165,7 +167,6 @@ class _Stream:
                 self.missed += 1
                 continue
             self.large.put(length, handle, now, stamp_ns)
-            self.taken += 1
         self.seen = latest
 
 

@@ -144,7 +144,7 @@ class Background:
 
     def _lost(self) -> int:
         """Return the messages that had no room in memory."""
-        return self._overflow + sum(large.lost for large in self._large)
+        return self._overflow + sum(large.crowded for large in self._large)
 
     def close(self) -> None:
         """Write the rest, finish the file; at most 5 s. Never raises, and safe to call twice.
@@ -261,8 +261,7 @@ class Background:
                 self._free.append(_Block(BLOCK_BYTES))
         for large in self._large:
             for _ in range(len(large.waiting)):  # new ones wait: ticks come first
-                self._write(*large.waiting[0])
-                large.free()
+                large.free(self._write(*large.waiting[0]))
 
     def _upto(self, block: _Block, begin: int, first: int, last: int) -> int:
         """Return behind which message a chunk ends that begins with message `first`."""
@@ -275,10 +274,11 @@ class Background:
         rows["offset"] -= np.uint64(begin)
         self._write(memoryview(block.data)[begin:end], rows)
 
-    def _write(self, records: memoryview, rows: NDArray[np.void]) -> None:
+    def _write(self, records: memoryview, rows: NDArray[np.void]) -> bool:
+        """Write messages; return whether they are in the file."""
         if not self._open:
             self._discarded += len(rows)
-            return
+            return False
         before = self._file.messages - self._file.again
         try:
             self._file.write(records, rows)
@@ -289,6 +289,7 @@ class Background:
             written = max(self._file.messages - self._file.again - before, 0)
             reason = str(getattr(error, "strerror", None) or error)
             self._stop(reason, len(rows) - written)
+        return self._open
 
     def _stop(self, reason: str, lost: int) -> None:
         """Finish the file as far as it is whole; what comes after is dropped and counted."""

@@ -36,7 +36,9 @@ class Large:
     Attributes:
         waiting: records of a message and their rows, as `McapFile.write` takes them; the oldest
             first. The thread that writes calls `free` behind each.
-        lost: messages that had no room.
+        written: messages that are in the file.
+        crowded: messages that had no room here.
+        lost: messages that the file did not take.
     """
 
     def __init__(self, channel: int, nbytes: int, wake: Callable[[], object]) -> None:
@@ -47,7 +49,7 @@ class Large:
         self._made = 0
         self._used: deque[NDArray[np.uint8]] = deque()
         self.waiting: deque[tuple[memoryview, NDArray[np.void]]] = deque()
-        self.lost = 0
+        self.written = self.crowded = self.lost = 0
 
     def room(self) -> NDArray[np.uint8] | None:
         """Return where to copy the next message to, shape (nbytes,); None where none is left.
@@ -56,7 +58,7 @@ class Large:
         """
         if not self._spare:
             if self._made == self._most:
-                self.lost += 1
+                self.crowded += 1
                 return None
             self._made += 1
             self._spare.append(np.empty(self._size, np.uint8))
@@ -81,7 +83,9 @@ class Large:
         if len(self.waiting) >= self._soon:
             self._wake()
 
-    def free(self) -> None:
-        """Let go of the oldest message, which was written."""
+    def free(self, written: bool) -> None:
+        """Let go of the oldest message, which is in the file or is not."""
         self.waiting.popleft()
+        self.written += written
+        self.lost += not written
         self._spare.append(self._used.popleft())
