@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from unicon_ros.recorded_topics import RecordedTopics
     from unicon_ros.recording.large import Large
 
-__all__ = ["Recorder", "Recording"]
+__all__ = ["Recorder", "Recording", "names_in"]
 
 
 class Recorder(Background):
@@ -202,7 +202,7 @@ class Recording:
 
     Raises:
         MissingDependencyError: rosbags is not installed.
-        UniconError: nothing can be split so.
+        UniconError: nothing can be split so, or that is no quality.
     """
 
     def __init__(
@@ -224,6 +224,8 @@ class Recording:
             raise MissingDependencyError(
                 "--record", "rosbags", "pip install 'unicon_ros[bags]'"
             ) from error
+        if not 0 <= jpeg <= 100:
+            raise UniconError(f"{jpeg} is no quality of a JPEG; give 1 to 100, or 0 for none")
         self._path, self._map_name, self._session = path, map_name, session
         self._namespace, self._frame_prefix = namespace, frame_prefix
         self._warn, self._patient = warn, patient
@@ -295,3 +297,8 @@ class Recording:
         self._recorder.start()
         if self._frames is not None:
             self._frames.start()
+
+
+def names_in(text: str) -> list[str]:
+    """Return the names that stand in a text with commas between them."""
+    return [name.strip() for name in text.split(",") if name.strip()]

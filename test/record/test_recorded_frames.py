@@ -29,7 +29,7 @@ from unicon_ros.bridge.images import frame_message
 from unicon_ros.cli.main import main
 from unicon_ros.peripherals.peripheral import FrameSource
 from unicon_ros.recorded_frames import RecordedFrames
-from unicon_ros.recorder import Recorder
+from unicon_ros.recorder import Recorder, Recording
 from unicon_ros.recording import open_record
 from unicon_ros.recording.large import Large
 
@@ -133,6 +133,11 @@ def test_a_quality_that_is_none_is_refused(text: str, capsys: pytest.CaptureFixt
     with pytest.raises(SystemExit):
         main(["run", "go2_walk", "--record-jpeg", text])
     assert "--record-jpeg" in capsys.readouterr().err
+
+
+def test_a_quality_that_python_gives_is_checked_too(tmp_path: Path) -> None:
+    with pytest.raises(UniconError, match="101 is no quality of a JPEG; give 1 to 100, or 0"):
+        Recording(tmp_path / "run.mcap", frames=["all"], jpeg=101)
 
 
 class Rig:

@@ -217,7 +217,7 @@ def _run(
         if arguments.record_jpeg and not arguments.record_frames:
             raise UniconError("--record-jpeg goes with --record-frames all; add it")
         if arguments.record:
-            from unicon_ros.recorder import Recording
+            from unicon_ros.recorder import Recording, names_in
 
             map_name = arguments.map or document.get("map", str)
             patient = arguments.speed == "max"
@@ -230,7 +230,7 @@ def _run(
                 arguments.record_split,
                 arguments.namespace or "",
                 arguments.frame_prefix,
-                [name.strip() for name in arguments.record_frames.split(",") if name.strip()],
+                names_in(arguments.record_frames),
                 arguments.record_jpeg,
             )
             hooks.append(recording.hook)
