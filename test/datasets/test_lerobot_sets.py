@@ -29,7 +29,8 @@ from unicon_core.flow import Block, Stage
 from unicon_core.robots import load_robot
 from unicon_core.workflow import Program
 from unicon_ros.cli.main import main
-from unicon_ros.datasets.export import Wanted, export_dataset
+from unicon_ros.datasets.export import export_dataset
+from unicon_ros.datasets.fit import Wanted
 from unicon_ros.recording import open_record
 
 OWN = Wanted(writer="own", video=False)

@@ -9,6 +9,7 @@ from typing import Any
 
 from unicon_core.errors import UniconError
 from unicon_ros.cli.workflow_arguments import positive
+from unicon_ros.datasets import WRITERS
 
 __all__ = ["add"]
 
@@ -94,7 +95,7 @@ def _add_dataset_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--writer",
         default="auto",
-        choices=("auto", "own", "lerobot"),
+        choices=WRITERS,
         help="who writes: the package lerobot where it is installed (auto)",
     )
 
@@ -143,7 +144,8 @@ def _export(arguments: argparse.Namespace) -> int:
 
 
 def _export_dataset(arguments: argparse.Namespace) -> int:
-    from unicon_ros.datasets.export import Wanted, export_dataset
+    from unicon_ros.datasets.export import export_dataset
+    from unicon_ros.datasets.fit import Wanted
 
     if arguments.out is None:
         raise UniconError("--lerobot: give the folder of the data set: --out DIR")

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from unicon_core.errors import MissingDependencyError
 from unicon_ros.datasets.episodes import Episode
 from unicon_ros.datasets.features import DEFAULTS, Feature, info_of
+from unicon_ros.datasets.files import CHUNK, Files, task_index, write_json
 from unicon_ros.datasets.statistics import Statistics, joined, of_pictures, of_values
 from unicon_ros.datasets.video import Video
 
@@ -31,8 +32,8 @@ VERSION = "v3.0"
 DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 EPISODES = "meta/episodes/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 VIDEO = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
-CHUNK, DATA_MB, VIDEO_MB = 1000, 100, 200
-"""Files of a chunk, and where a next file begins in [MiB]: behind the episode that goes beyond."""
+DATA_MB, VIDEO_MB = 100, 200
+"""Where a next file begins in [MiB]: behind the episode that goes beyond."""
 
 
 def import_pyarrow() -> Any:
@@ -71,9 +72,9 @@ class DatasetWriter:
         self._arrow = import_pyarrow()
         self._root, self._fps, self._robot = root, fps, robot
         self._features = {**features, **DEFAULTS}
-        self._data = _Files(root, DATA, DATA_MB)
+        self._data = Files(root, DATA, DATA_MB)
         self._videos = {
-            key: _Files(root, VIDEO.replace("{video_key}", key), VIDEO_MB)
+            key: Files(root, VIDEO.replace("{video_key}", key), VIDEO_MB)
             for key, feature in features.items()
             if feature.dtype == "video"
         }
@@ -139,12 +140,12 @@ class DatasetWriter:
         arrow.parquet.write_table(arrow.Table.from_pylist(self._rows), episodes)
         tasks = arrow.table(
             {"task_index": [*self._tasks.values()], "__index_level_0__": [*self._tasks]},
-            metadata={"pandas": json.dumps(_indexed())},
+            metadata={"pandas": json.dumps(task_index())},
         )
         arrow.parquet.write_table(tasks, self._root / "meta/tasks.parquet")
         found = joined(self._statistics)
         plain = {k: {name: v.tolist() for name, v in each.items()} for k, each in found.items()}
-        _write_json(self._root / "meta/stats.json", plain)
+        write_json(self._root / "meta/stats.json", plain)
         totals = {
             "codebase_version": VERSION,
             "robot_type": self._robot,
@@ -160,7 +161,7 @@ class DatasetWriter:
             "video_path": VIDEO if self._videos else None,
             "features": info_of(self._features, self._fps),
         }
-        _write_json(self._root / "meta/info.json", totals)
+        write_json(self._root / "meta/info.json", totals)
 
     def _write_table(self, episode: Episode, every: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
         """Write the numbers as one row group; return where they are."""
@@ -212,50 +213,3 @@ class DatasetWriter:
             "to_timestamp": video.frames / self._fps,
         }
         return {f"videos/{key}/{name}": value for name, value in place.items()}
-
-
-class _Files:
-    """Files of one kind, one after the other.
-
-    Attributes:
-        began: the last `next_path` was that of another file than before.
-    """
-
-    def __init__(self, root: Path, pattern: str, largest: int) -> None:
-        self._root, self._pattern, self._largest = root, pattern, largest << 20
-        self._number, self.began = -1, False
-        self._path = root
-
-    def next_path(self) -> tuple[Path, dict[str, Any]]:
-        """Return the file for the next episode, and its place for `meta/episodes`."""
-        self.began = self._number < 0 or self._size() >= self._largest
-        self._number += self.began
-        chunk, file = divmod(self._number, CHUNK)
-        place = {"chunk_index": chunk, "file_index": file}
-        if self.began:
-            self._path = self._root / self._pattern.format(**place)
-            self._path.parent.mkdir(parents=True, exist_ok=True)
-        return self._path, place
-
-    def _size(self) -> int:
-        # An encoder looks far ahead before it writes its first byte.
-        return self._path.stat().st_size if self._path.exists() else 0
-
-
-def _indexed() -> dict[str, Any]:
-    """Return what lets pandas take the tasks for the index of their numbers."""
-    column = {"name": None, "field_name": "__index_level_0__", "metadata": None}
-    number = {"name": "task_index", "field_name": "task_index", "metadata": None}
-    return {
-        "index_columns": ["__index_level_0__"],
-        "column_indexes": [],
-        "columns": [
-            {**number, "pandas_type": "int64", "numpy_type": "int64"},
-            {**column, "pandas_type": "unicode", "numpy_type": "object"},
-        ],
-    }
-
-
-def _write_json(path: Path, content: Mapping[str, Any]) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(content, indent=4, ensure_ascii=False), encoding="utf-8")
