@@ -24,7 +24,7 @@ from unicon_ros.peripherals.peripheral import FrameSource, peripheral_states
 from unicon_ros.recorder import Recording
 from unicon_ros.recording import Record, open_record
 
-__all__ = ["Camera", "camera", "picture", "run"]
+__all__ = ["Camera", "camera", "clock", "picture", "run"]
 
 
 def picture(handle: int, height: int, width: int) -> NDArray[np.uint8]:
@@ -116,6 +116,21 @@ def _declares(robot: Robot, prefix: str = "front", **_: Any) -> dict[str, StateS
 
 
 camera.declares = _declares  # type: ignore[attr-defined]
+
+
+def clock(*, context: BuildContext) -> Tick:
+    """Write what no replay can compute."""
+    handle = context.states["front_handle"]
+
+    def tick() -> None:
+        handle[...] = time.monotonic_ns()
+
+    tick.outside = True  # type: ignore[attr-defined]
+    tick.writes = ("front_handle",)  # type: ignore[attr-defined]
+    return tick
+
+
+clock.declares = _declares  # type: ignore[attr-defined]
 
 
 def run(

@@ -67,6 +67,13 @@ def test_a_ticks_handle_finds_its_frame_to_the_bit(
         record.frames("fron")
 
 
+def test_a_device_behind_send_is_not_asked_of_a_replay(tmp_path: Path) -> None:
+    deferred = [{"call": {"function": "picturing:clock"}}]
+    record, _ = run(tmp_path, workflow={"deferred": deferred})
+    assert "front_handle" in json.loads(record.facts["outside"])["sent"]
+    assert replay(record) == []
+
+
 def test_frames_that_are_not_asked_for_are_not_recorded(tmp_path: Path) -> None:
     record, counts = run(tmp_path, {}, {"prefix": "rear"}, frames=["rear"])
     assert [*counts["frames"]] == ["rear"]

@@ -58,6 +58,7 @@ class Camera:
 
     Attributes:
         peripheral: its process.
+        outside: what it tells comes from its process, so that no replay computes it.
         ring: the frames, each a whole message.
         message: layout of a frame.
         sources: as of `Peripheral`.
@@ -66,6 +67,7 @@ class Camera:
     name = "camera"
     reads: tuple[str, ...] = ("joint_pos", "base_pos_w", "base_quat", "stamp_ns")
     endless = True
+    outside = True
 
     def __init__(
         self, context: BuildContext, name: str, every: int, stale: float, options: dict[str, Any]
