@@ -154,7 +154,7 @@ def _platform_facts(program: Program) -> dict[str, Any]:
 def _outside(program: Program) -> dict[str, list[str]]:
     """Return the states that hooks and devices write, by the moment that follows.
 
-    A device listed in `deferred` says by an attribute `outside` that what it tells comes from there.
+    A device behind `send` says by an attribute `outside` that what it tells comes from there.
     """
     moments = {Stage.INPUT: "input", Stage.TUNE: "tuned", Stage.OBSERVE: "sent"}
     given: dict[str, list[str]] = {}
