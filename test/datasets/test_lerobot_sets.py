@@ -409,3 +409,10 @@ def test_a_state_of_other_numbers_is_refused(bags: list[Path], tmp_path: Path) -
         patch.setattr("unicon_ros.datasets.columns._TYPES", ("int8",))
         with pytest.raises(StateError, match="state 'joint_pos' is float32, which a data set does"):
             made(bags, tmp_path / "set", states=["joint_pos"])
+
+
+def test_commands_that_never_came_are_what_was_sent(tmp_path: Path) -> None:
+    run(tmp_path, workflow={"flow": {"forward_command": {"max_rate": 2.0}}})
+    assert "joint_pos_command" in open_record(tmp_path / "run.mcap").kept["sent"]
+    _, _, told = made([tmp_path / "run.mcap"], tmp_path / "set")
+    assert told[1:] == ["action: joint_pos_target (12), velocity_command (3)"]

@@ -11,8 +11,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from unicon_core.errors import UniconError
+from unicon_ros.bridge.images import frame_message, jpeg_message
 from unicon_ros.datasets.episodes import _stretches, rate_of, sampled
-from unicon_ros.datasets.pictures import png
+from unicon_ros.datasets.pictures import IMAGE, JPEG, Pictures, png
 from unicon_ros.datasets.statistics import joined, of_pictures, of_values
 from unicon_ros.recording.frames import Frames
 
@@ -163,3 +165,24 @@ def test_a_png_has_the_pixels(height: int, width: int, seed: int) -> None:
     file = image.open(io.BytesIO(png(pixels)))
     assert file.format == "PNG"
     assert np.array_equal(np.asarray(file), pixels)
+
+
+@settings(max_examples=150)
+@given(st.data())
+def test_a_picture_that_is_damaged_is_one_clear_error(data: st.DataObject) -> None:
+    kind = data.draw(st.sampled_from([IMAGE, JPEG]))
+    layout = frame_message("color", 8, 6, "front") if kind == IMAGE else jpeg_message(80, "front")
+    raw = bytearray(layout.template)
+    for _ in range(data.draw(st.integers(1, 4))):
+        raw[data.draw(st.integers(4, len(raw) - 1))] = data.draw(st.integers(0, 255))
+    cut = bytes(raw[: data.draw(st.integers(0, len(raw)))])
+    places = [(np.frombuffer(cut, np.uint8), 0, len(cut))]
+    frames = Frames(kind, np.array([1]), np.array([1]), places)
+    pictures, told = Pictures(frames, 6, 8, "run.mcap, camera 'front'"), ""
+    try:
+        assert pictures.rgb(0).shape == (6, 8, 3)
+        pictures.encoded(0)
+    except UniconError as error:
+        told = str(error)
+    assert not told or told.startswith("run.mcap, camera 'front': a picture ")
+    assert not told or told.endswith("; leave that camera out: --cameras")

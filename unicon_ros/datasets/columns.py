@@ -13,7 +13,7 @@ from unicon_core.states.standard import FORWARDED_STATES
 from unicon_ros.datasets.episodes import Episode
 from unicon_ros.recording import Record
 
-__all__ = ["ACTION", "Column", "default_actions", "default_states", "made_columns"]
+__all__ = ["ACTION", "COMMANDS", "Column", "default_actions", "default_states", "made_columns"]
 
 ACTION = "action"
 OBSERVED = {
@@ -27,6 +27,10 @@ BASE = ("base_quat", "base_ang_vel", "projected_gravity")
 COMMANDED = FORWARDED_STATES[0]
 INSTEAD = {COMMANDED: "joint_pos_target"}
 """What stands for an element that is NaN: nothing was commanded, and this was sent."""
+ALSO = ("velocity_command",)
+"""What is commanded besides."""
+COMMANDS = (*INSTEAD, *INSTEAD.values(), *ALSO)
+"""All that an action may be made of unless told."""
 _TYPES = ("float32", "float64", "int32", "int64", "bool")
 
 
@@ -65,11 +69,14 @@ def default_states(record: Record) -> list[str]:
     return [name for name in (*OBSERVED, *BASE) if name in there] + poses
 
 
-def default_actions(record: Record) -> list[str]:
+def default_actions(episodes: Sequence[Episode]) -> list[str]:
     """Return the states of the action unless told: what was commanded, else what was sent."""
-    there = record.kept["sent"]
-    first = COMMANDED if COMMANDED in there else INSTEAD[COMMANDED]
-    return [name for name in (first, "velocity_command") if name in there]
+    there = episodes[0].record.kept["sent"]
+    commanded = COMMANDED in there and any(
+        not np.isnan(_flat(each, COMMANDED)).all() for each in episodes
+    )
+    first = COMMANDED if commanded else INSTEAD[COMMANDED]
+    return [name for name in (first, *ALSO) if name in there]
 
 
 def made_columns(

@@ -69,7 +69,8 @@ def export_dataset(paths: Sequence[Path], out: Path, wanted: Wanted) -> list[str
         episodes += found
     first = records[0][1]
     states = wanted.states or default_states(first)
-    columns, missing = made_columns(episodes, states, wanted.actions or default_actions(first))
+    actions = wanted.actions or default_actions(episodes)
+    columns, missing = made_columns(episodes, states, actions)
     told += missing
     if not columns:
         raise UniconError(f"{paths[0]}: none of its states is ever a number; give --states")

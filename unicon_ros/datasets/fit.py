@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from unicon_core.errors import UniconError, alternatives
-from unicon_ros.datasets.columns import default_actions, default_states
+from unicon_ros.datasets.columns import COMMANDS, default_states
 from unicon_ros.datasets.episodes import rate_of
 from unicon_ros.datasets.pictures import Pictures, pictures_of, sizes
 from unicon_ros.recording import Record
@@ -99,7 +99,7 @@ def refuse_others(
                 f"{other} has {rate_of(record):g} ticks a second, {path} {rate_of(first):g}; say "
                 "how many frames a second are meant: --fps"
             )
-        for name in (*default_states(first), *default_actions(first), *wanted.states):
+        for name in (*default_states(first), *COMMANDS, *wanted.states, *wanted.actions):
             if name not in first.layout.specs:
                 continue
             here = record.layout.elements(name) if name in record.layout.specs else None

@@ -8,7 +8,7 @@ import zlib
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,11 +33,13 @@ class Pictures:
         frames: the messages.
         height: of each in pixels.
         width: of each in pixels.
+        what: names the camera and its recording, for messages.
     """
 
     frames: Frames
     height: int
     width: int
+    what: str
 
     def rgb(self, index: int) -> NDArray[np.uint8]:
         """Return the pixels of a picture, shape (height, width, 3).
@@ -47,23 +49,23 @@ class Pictures:
         """
         raw = self.frames.message(index)
         if self.frames.type == IMAGE:
-            _, height, width, data = _image(raw)
-            seen = np.frombuffer(data, np.uint8)[: height * width * 3]
-            shape = (height, width, 3)
-            seen = seen.reshape(shape) if len(seen) == height * width * 3 else seen
+            found = _image(raw, self.what)
+            seen = np.frombuffer(found.data, np.uint8)
+            if len(seen) == found.height * found.width * 3:
+                seen = seen.reshape(found.height, found.width, 3)
         else:
-            seen = _decoded(_compressed(raw)[1])
+            seen = _decoded(_compressed(raw, self.what), self.what)
         if seen.shape != (self.height, self.width, 3):
             raise UniconError(
-                f"a picture has shape {seen.shape}, the first one ({self.height}, {self.width}, "
-                "3); leave that camera out: --cameras"
+                f"{self.what}: a picture has shape {seen.shape}, the first one ({self.height}, "
+                f"{self.width}, 3); leave that camera out: --cameras"
             )
         return seen
 
     def encoded(self, index: int) -> bytes:
         """Return a picture as the bytes of a file: JPEG where it was recorded so, else PNG."""
         if self.frames.type == JPEG:
-            return bytes(_compressed(self.frames.message(index))[1])
+            return bytes(_compressed(self.frames.message(index), self.what))
         return png(self.rgb(index))
 
 
@@ -116,21 +118,14 @@ def pictures_of(
         if f"{name}_handle" not in record.layout.specs:
             others[name] = f"no state {name}_handle"
             continue
-        raw = frames.message(0)
-        try:
-            if frames.type == IMAGE:
-                encoding, height, width, _ = _image(raw)
-            else:
-                encoding, (height, width, _) = RGB, _decoded(_compressed(raw)[1]).shape
-        except (struct.error, UnicodeDecodeError) as error:
-            raise UniconError(
-                f"{record.paths[0]}: a picture of {name!r} is damaged: {error}; leave that camera "
-                "out: --cameras"
-            ) from error
-        if encoding != RGB:
-            others[name] = encoding
-            continue
-        found[name] = Pictures(frames, height, width)
+        raw, what = frames.message(0), f"{record.paths[0]}, camera {name!r}"
+        if frames.type == JPEG:
+            height, width, _ = _decoded(_compressed(raw, what), what).shape
+            found[name] = Pictures(frames, height, width, what)
+        elif (first := _image(raw, what)).encoding == RGB:
+            found[name] = Pictures(frames, first.height, first.width, what)
+        else:
+            others[name] = first.encoding
     return found, others
 
 
@@ -139,31 +134,47 @@ def sizes(pictures: Mapping[str, Pictures]) -> dict[str, tuple[int, int]]:
     return {name: (each.height, each.width) for name, each in pictures.items()}
 
 
-def _text(raw: memoryview, at: int) -> tuple[str, int]:
-    (length,) = struct.unpack_from("<I", raw, at)
-    text = bytes(raw[at + 4 : at + 4 + length]).rstrip(b"\0").decode()
-    end = at + 4 + length
-    return text, end + -end % 4
+class _Image(NamedTuple):
+    """What is read of a sensor_msgs/Image."""
+
+    encoding: str
+    height: int
+    width: int
+    data: memoryview
 
 
-def _image(raw: memoryview) -> tuple[str, int, int, memoryview]:
-    """Return encoding, height, width and data of a sensor_msgs/Image in little-endian CDR."""
-    _, at = _text(raw, _FRAME)
-    height, width = struct.unpack_from("<II", raw, at)
-    (length,) = struct.unpack_from("<I", raw, at + 8)
-    encoding = bytes(raw[at + 12 : at + 12 + length]).rstrip(b"\0").decode()
-    at += 12 + length + 1  # is_bigendian
-    at += -at % 4
-    _, length = struct.unpack_from("<II", raw, at)
-    return encoding, height, width, raw[at + 8 : at + 8 + length]
+def _damaged(what: str, error: Exception) -> UniconError:
+    return UniconError(f"{what}: a picture is damaged: {error}; leave that camera out: --cameras")
 
 
-def _compressed(raw: memoryview) -> tuple[str, memoryview]:
-    """Return format and data of a sensor_msgs/CompressedImage in little-endian CDR."""
-    _, at = _text(raw, _FRAME)
-    kind, at = _text(raw, at)
-    (length,) = struct.unpack_from("<I", raw, at)
-    return kind, raw[at + 4 : at + 4 + length]
+def _skipped(raw: memoryview, at: int) -> int:
+    """Return where what stands behind a text is aligned to 4 bytes."""
+    end = at + 4 + int(struct.unpack_from("<I", raw, at)[0])
+    return end + -end % 4
+
+
+def _image(raw: memoryview, what: str) -> _Image:
+    """Read a sensor_msgs/Image in little-endian CDR."""
+    try:
+        at = _skipped(raw, _FRAME)
+        height, width, length = struct.unpack_from("<III", raw, at)
+        encoding = bytes(raw[at + 12 : at + 12 + length]).rstrip(b"\0").decode()
+        at += 12 + length + 1  # behind is_bigendian
+        at += -at % 4
+        _, length = struct.unpack_from("<II", raw, at)
+    except (struct.error, UnicodeDecodeError) as error:
+        raise _damaged(what, error) from error
+    return _Image(encoding, height, width, raw[at + 8 : at + 8 + length])
+
+
+def _compressed(raw: memoryview, what: str) -> memoryview:
+    """Return the data of a sensor_msgs/CompressedImage in little-endian CDR."""
+    try:
+        at = _skipped(raw, _skipped(raw, _FRAME))
+        (length,) = struct.unpack_from("<I", raw, at)
+    except struct.error as error:
+        raise _damaged(what, error) from error
+    return raw[at + 4 : at + 4 + length]
 
 
 @lru_cache(maxsize=1)
@@ -177,13 +188,13 @@ def _pillow() -> Any:
     return Image
 
 
-def _decoded(data: memoryview) -> NDArray[np.uint8]:
+def _decoded(data: memoryview, what: str) -> NDArray[np.uint8]:
     try:
         picture = _pillow().open(io.BytesIO(data))
         return np.asarray(picture.convert("RGB"))
     except (OSError, SyntaxError, ValueError) as error:  # what Pillow raises for garbage
         raise UniconError(
-            "a picture is not a JPEG that can be read; leave that camera out: --cameras"
+            f"{what}: a picture is not a JPEG that can be read; leave that camera out: --cameras"
         ) from error
 
 
