@@ -402,6 +402,11 @@ def test_what_is_missing_is_named(
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     with pytest.raises(UniconError, match="a LeRobot data set needs pyarrow: pip install"):
         export_dataset(bags, tmp_path / "set", OWN)
+    monkeypatch.undo()
+    monkeypatch.setitem(sys.modules, "PIL", None)
+    with pytest.raises(UniconError, match="a data set of JPEGs needs pillow: pip install"):
+        export_dataset(bags, tmp_path / "set", OWN)
+    export_dataset(bags[1:], tmp_path / "set", OWN)  # raw pictures need none
 
 
 def test_a_state_of_other_numbers_is_refused(bags: list[Path], tmp_path: Path) -> None:

@@ -7,7 +7,6 @@ import struct
 import zlib
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -177,7 +176,6 @@ def _compressed(raw: memoryview, what: str) -> memoryview:
     return raw[at + 4 : at + 4 + length]
 
 
-@lru_cache(maxsize=1)
 def _pillow() -> Any:
     try:
         from PIL import Image
@@ -189,10 +187,10 @@ def _pillow() -> Any:
 
 
 def _decoded(data: memoryview, what: str) -> NDArray[np.uint8]:
+    image = _pillow()
     try:
-        picture = _pillow().open(io.BytesIO(data))
-        return np.asarray(picture.convert("RGB"))
-    except (OSError, SyntaxError, ValueError) as error:  # what Pillow raises for garbage
+        return np.asarray(image.open(io.BytesIO(data)).convert("RGB"))
+    except Exception as error:  # whatever Pillow raises for garbage
         raise UniconError(
             f"{what}: a picture is not a JPEG that can be read; leave that camera out: --cameras"
         ) from error
