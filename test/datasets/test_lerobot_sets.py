@@ -409,6 +409,46 @@ def test_what_is_missing_is_named(
     export_dataset(bags[1:], tmp_path / "set", OWN)  # raw pictures need none
 
 
+@pytest.mark.parametrize(
+    ("code", "told"),
+    [
+        ("CODEBASE_VERSION = 'v2.1'", "the installed lerobot writes v2.1, not v3.0: pip install"),
+        ("import not_there", "lerobot lacks not_there: pip install not_there, or --writer own"),
+        ("1 / 0", "lerobot cannot be imported: division by zero; mend it, or give --writer own"),
+        (
+            "CODEBASE_VERSION = 'v3.0'\nclass LeRobotDataset:\n"
+            "    def create(*_, **__):\n        raise KeyError('x')",
+            "lerobot cannot write .*: 'x'; give --writer own",
+        ),
+    ],
+)
+def test_a_package_that_cannot_write_is_told_and_done_without(
+    code: str, told: str, bags: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, text in (
+        ("lerobot/__init__.py", ""),
+        ("lerobot/datasets/__init__.py", ""),
+        ("lerobot/datasets/lerobot_dataset.py", code),
+        ("datasets.py", "def disable_progress_bars(): pass"),
+    ):
+        path = tmp_path / "site" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, "utf-8")
+    monkeypatch.syspath_prepend(tmp_path / "site")
+    out = tmp_path / "set"
+    try:
+        with pytest.raises(UniconError, match=told):
+            made(bags, out, writer="lerobot")
+        assert not out.exists()
+        if "cannot write" not in told:
+            _, _, lines = made(bags, out, writer="auto")
+            assert "written by pyarrow" in lines[0]
+            assert lines[-1].startswith("not written by lerobot: ")
+    finally:
+        for name in [n for n in sys.modules if n.partition(".")[0] in ("lerobot", "datasets")]:
+            del sys.modules[name]
+
+
 def test_a_state_of_other_numbers_is_refused(bags: list[Path], tmp_path: Path) -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("unicon_ros.datasets.columns._TYPES", ("int8",))

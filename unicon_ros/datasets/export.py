@@ -25,7 +25,7 @@ from unicon_ros.datasets.columns import (
 from unicon_ros.datasets.episodes import Episode, episodes_of
 from unicon_ros.datasets.features import TICK, features_of
 from unicon_ros.datasets.fit import Wanted, cameras_of, fps_of, refuse_others
-from unicon_ros.datasets.package import PackageWriter
+from unicon_ros.datasets.package import PackageWriter, import_lerobot
 from unicon_ros.datasets.writer import DatasetWriter, import_pyarrow
 from unicon_ros.recording import Record, open_record
 
@@ -75,7 +75,7 @@ def export_dataset(paths: Sequence[Path], out: Path, wanted: Wanted) -> list[str
     if not columns:
         raise UniconError(f"{paths[0]}: none of its states is ever a number; give --states")
     features = features_of(columns, cameras[0], wanted.video)
-    writer = _writer(wanted, _count_nan(episodes, columns, told))
+    writer = _writer(wanted, _count_nan(episodes, columns, told), told)
     name = _written(writer, out, fps, features, first, episodes, columns, wanted)
     frames = sum(len(episode.rows) for episode in episodes)
     line = f"{out}: {len(episodes)} episodes, {frames} frames at {fps} fps, written by {name}"
@@ -100,7 +100,8 @@ def _count_nan(episodes: Sequence[Episode], columns: Sequence[Column], told: lis
     return found
 
 
-def _writer(wanted: Wanted, nan: bool) -> Any:
+def _writer(wanted: Wanted, nan: bool, told: list[str]) -> Any:
+    """Return the class of who writes; tell why the package does not where it is installed."""
     if wanted.writer == "own":
         return DatasetWriter
     if wanted.writer == "lerobot":
@@ -110,7 +111,14 @@ def _writer(wanted: Wanted, nan: bool) -> Any:
                 "--states and --actions without"
             )
         return PackageWriter
-    return DatasetWriter if nan or find_spec("lerobot") is None else PackageWriter
+    if nan or find_spec("lerobot") is None:
+        return DatasetWriter
+    try:
+        import_lerobot()
+    except UniconError as error:
+        told.append(f"not written by lerobot: {error}")
+        return DatasetWriter
+    return PackageWriter
 
 
 def _written(
