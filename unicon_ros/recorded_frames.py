@@ -13,7 +13,6 @@ import os
 import struct
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
@@ -21,6 +20,7 @@ from numpy.typing import NDArray
 
 from unicon_core.errors import MissingDependencyError, UniconError, alternatives, one_line
 from unicon_ros.bridge.images import JPEG, STAMP, FrameMessage, jpeg_message
+from unicon_ros.recording.background import calm
 from unicon_ros.recording.frames import FRAMES
 
 if TYPE_CHECKING:
@@ -116,8 +116,7 @@ class RecordedFrames:
             self._thread.join(1.0)
 
     def _work(self) -> None:
-        with suppress(OSError, AttributeError):  # as the recorder's own threads
-            os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+        calm()
         streams = tuple(self._streams.values())
         ending = False
         while not ending:
@@ -136,7 +135,7 @@ class _Stream:
 
     def __init__(self, recorder: Recorder, name: str, source: FrameSource, jpeg: int) -> None:
         self.ring, message = source.ring, source.message
-        self._jpeg = _Jpeg(message, jpeg) if jpeg and is_color(message) else None
+        self._jpeg = _Jpeg(message, jpeg) if jpeg and _is_color(message) else None
         self._cut = message.offset if message.type == JPEG else 0
         kind = message.type if self._jpeg is None else JPEG
         self.large: Large = recorder.large_channel(FRAMES + name, kind, self.ring.nbytes)
@@ -170,7 +169,7 @@ class _Stream:
         self.seen = latest
 
 
-def is_color(message: FrameMessage) -> bool:
+def _is_color(message: FrameMessage) -> bool:
     """Tell whether frames are pictures of 8 bits for red, green and blue."""
     return message.dtype == "|u1" and len(message.shape) == 3
 

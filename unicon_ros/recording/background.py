@@ -33,7 +33,7 @@ from unicon_ros.recording.large import Large
 from unicon_ros.recording.mcap_file import Buffer, McapFile
 from unicon_ros.recording.records import MESSAGE, MESSAGE_HEAD, ROW, Channel
 
-__all__ = ["Background"]
+__all__ = ["Background", "calm"]
 
 FLUSH_S = 0.7
 SYNC_S = 0.5
@@ -213,7 +213,7 @@ class Background:
     # -- the threads' side ----------------------------------------------------------------------
 
     def _work(self) -> None:
-        _calm()
+        calm()
         lost = 0
         while True:
             self._wake.wait(FLUSH_S)
@@ -322,7 +322,7 @@ class Background:
         return ""
 
     def _sync(self) -> None:
-        _calm()
+        calm()
         while not self._ended.wait(SYNC_S):
             self._flushed.wait()
             self._flushed.clear()
@@ -347,7 +347,7 @@ def _offset(block: _Block, row: int) -> int:
     return int(_ROW.unpack_from(block.rows, row * _ROW.size)[2])
 
 
-def _calm() -> None:
+def calm() -> None:
     """Let this thread preempt no other when it wakes: sched(7)."""
     with suppress(OSError, AttributeError):  # a sandbox forbids it, or it is not Linux
         if os.sched_getscheduler(0) == os.SCHED_OTHER:
