@@ -132,6 +132,14 @@ class Builder:
         factory = policy_factory(use, self._context.policies) if is_policy else factory_of(use)
         options = _options(factory, use)
 
+        robots = self._program.states.num_robots
+        if use.of and robots is not None:
+            raise WorkflowError(
+                f"block {use.name!r}: of: {use.of} gives it a part of the states of one robot, and "
+                f"num_robots is {robots}; leave out num_robots, or of: {use.of}",
+                use.where,
+            )
+
         def build(context: BuildContext) -> Block:
             own = member_context(context, use.of) if use.of else context
             name = f"{use.name} of {use.of}" if use.of and not use.label else use.name
