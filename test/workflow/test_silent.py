@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from unicon_core import Chain, Program, Zip, block, policy, pose
+from unicon_core import Chain, Program, Zip, block, on, policy, pose
 from unicon_core.errors import PlatformError, WorkflowError
 from unicon_core.platforms.fake import FakeRobot
 from unicon_core.runtime import Runner, RunOptions
@@ -169,6 +169,7 @@ def test_a_divided_workflow_cannot_be_silent() -> None:
             robot="go2",
             platform="fake",
             rate=50,
+            commands=[on("desk", block("velocity_command", constant=[0.0, 0.0, 0.0]))],
             flow=block("hold"),
             store="shm",
             parts={
