@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from unicon_core import Chain, Program, Zip, block, on, policy, pose
+from unicon_core import Chain, Program, Zip, block, policy, pose
 from unicon_core.errors import PlatformError, WorkflowError
 from unicon_core.platforms.fake import FakeRobot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.states import States
+from unicon_core.workflow.uses import on
 from unicon_ros.cli.main import main
 
 SENT: list[str] = []
