@@ -63,8 +63,9 @@ def start(path: Path, seconds: float, *more: str) -> subprocess.Popen[str]:
 
 
 def put_on(port: int, seconds: float, *more: str) -> subprocess.Popen[str]:
-    """Show up with a headset, and take hold after 2 s."""
+    """Show up with a headset, and take hold after 5 s: ticks have begun by then."""
     command = [sys.executable, str(HEADSET), "--address", f"http://127.0.0.1:{port}/"]
+    command += ["--begin", "5"]
     return subprocess.Popen([*command, "--seconds", str(seconds), *more], start_new_session=True)
 
 
