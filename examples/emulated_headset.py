@@ -38,22 +38,30 @@ class Operator:
         frequency: of the circles in [Hz].
         forward: push of the left thumbstick, 0 to 1, a second behind `begin`.
         begin: when the clutch is closed, in [s].
+        ahead: how far the hands are put ahead, and by half of it lifted, first, off the robot's thighs, in [m].
     """
 
     def __init__(
-        self, hands: bool, radius: float, frequency: float, forward: float, begin: float = 2.0
+        self,
+        hands: bool,
+        radius: float,
+        frequency: float,
+        forward: float,
+        begin: float = 2.0,
+        ahead: float = 0.0,
     ) -> None:
         self.hands, self.radius, self.frequency = hands, radius, frequency
-        self.forward, self.begin = forward, begin
+        self.forward, self.begin, self.ahead = forward, begin, ahead
 
     def place(self, side: int, t: float) -> tuple[float, float, float]:
-        """Return where a hand is at a time, in [m]: it circles in the plane across, out of rest."""
+        """Return where a hand is at a time, in [m]: ahead of the thighs it circles across."""
         beyond = max(0.0, t - self.begin - 0.5)
+        ahead = self.ahead * min(1.0, 0.5 * beyond)
         radius = self.radius * min(1.0, 0.5 * beyond)
         phase = 2.0 * math.pi * self.frequency * beyond
         sign = 1.0 - 2.0 * side
         y, z = radius * math.sin(phase), radius * (1.0 - math.cos(phase))
-        return 0.35, sign * (0.2 + y), 1.1 + z
+        return 0.35 + ahead, sign * (0.2 + y), 1.1 + 0.5 * ahead + z
 
     def closed(self, t: float) -> bool:
         """Return whether the clutch is; bare hands close it for a moment, for `toggle`."""
@@ -159,13 +167,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="An operator of arithmetic for block webxr.")
     parser.add_argument("--address", default="http://127.0.0.1:8443/")
     parser.add_argument("--hands", action="store_true", help="bare hands, not controllers")
-    parser.add_argument("--radius", type=float, default=0.08, help="of the circles in [m]")
+    parser.add_argument("--radius", type=float, default=0.06, help="of the circles in [m]")
     parser.add_argument("--frequency", type=float, default=0.4, help="of the circles in [Hz]")
     parser.add_argument("--forward", type=float, default=0.0, help="left thumbstick, 0 to 1")
     parser.add_argument("--begin", type=float, default=2.0, help="when it takes hold, in [s]")
+    parser.add_argument("--ahead", type=float, default=0.22, help="hands before that, in [m]")
     parser.add_argument("--seconds", type=float, default=20.0)
     given = parser.parse_args()
-    operator = Operator(given.hands, given.radius, given.frequency, given.forward, given.begin)
+    shape = given.radius, given.frequency, given.forward, given.begin, given.ahead
+    operator = Operator(given.hands, *shape)
     sent = asyncio.run(show_up(given.address, operator, given.seconds))
     print(f"{sent} frames were sent")
 

@@ -58,7 +58,7 @@ def test_a_session_of_the_arm_replays_to_the_same_commands(tmp_path: Path) -> No
 def test_a_session_by_the_headsets_own_bytes_replays_too(tmp_path: Path) -> None:
     port, recording = free_ports(1), tmp_path / "session.mcap"
     run = start(workflow(tmp_path, port, name="arx_vr"), 14.0, "--record", str(recording))
-    headset = put_on(port, 10.0)
+    headset = put_on(port, 10.0, "--ahead", "0")
     try:
         text = run.communicate(timeout=60.0)[0]
         assert run.returncode == 0, text
