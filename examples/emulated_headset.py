@@ -38,7 +38,7 @@ class Operator:
         frequency: of the circles in [Hz].
         forward: push of the left thumbstick, 0 to 1, a second behind `begin`.
         begin: when the clutch is closed, in [s].
-        ahead: how far the hands are put ahead, and by half of it lifted, first, off the robot's thighs, in [m].
+        ahead: how far hands go ahead first, off the robot's thighs, and up by half of it, in [m].
     """
 
     def __init__(
