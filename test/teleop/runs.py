@@ -22,6 +22,8 @@ from unicon_ros.recording import open_record
 ROOT = Path(__file__).resolve().parents[2]
 HEADSET = ROOT / "examples" / "emulated_headset.py"
 SIDES = ("left_hand", "right_hand")
+WITH_DATA = ("--set", "pacing.trigger=state")
+"""A workstation that ticks when the robot's states come is never two ticks behind."""
 HOME = 1.0
 """Of an arm on its way home in [rad/s]."""
 
@@ -153,7 +155,7 @@ def divided(
     at_desk.rename(desk / robot.name)
     processes = [
         start(robot, seconds, "--part", "robot", "--record", str(folder / "robot.mcap")),
-        start(desk / robot.name, seconds + 60.0, "--part", "workstation"),
+        start(desk / robot.name, seconds + 60.0, "--part", "workstation", *WITH_DATA),
         put_on(ports, seconds + 60.0, "--forward", "0.6"),
     ]
     try:

@@ -16,9 +16,16 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "examples"))
 from emulated_headset import Operator
 
 
-def scripted(context: BuildContext, *, begin: float = 1.0, hands: bool = False) -> Block:
+def scripted(
+    context: BuildContext,
+    *,
+    begin: float = 1.0,
+    hands: bool = False,
+    ahead: float = 0.0,
+    radius: float = 0.08,
+) -> Block:
     """Write what `webxr` would, of the operator's arithmetic."""
-    states, operator = context.states, Operator(hands, 0.08, 0.4, 0.5, begin)
+    states, operator = context.states, Operator(hands, radius, 0.4, 0.5, begin, ahead)
     number = 0
 
     def tick() -> None:
