@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from unicon_core.blocks.whole_body.reach import reach
-from unicon_core.blocks.whole_body.reaching import LEAD
 from unicon_core.errors import MissingDependencyError, RobotError, UniconError, WorkflowError
 from unicon_core.memory import Memory
 from unicon_core.models.find import pick_model
@@ -219,7 +218,7 @@ def test_on_a_workstation_it_is_a_tick_ahead_of_what_it_is_told(g1: Robot) -> No
         it.states.left_hand_target_velocity[:3] = speed
         it.states.left_hand_target[:3] += ticks * period * speed
         for i in range(30):
-            it.states.joint_pos[waist] = turn * period * (i + LEAD * ticks)
+            it.states.joint_pos[waist] = turn * period * (i + ticks)
             it.run(1)
     arms = g1.group(["left_arm"])
     commands = [it.states.joint_pos_command[arms] for it in (late, soon)]

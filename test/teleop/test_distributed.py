@@ -34,24 +34,21 @@ def local(folder: Path, seconds: float) -> Seen:
     return Seen(folder / "robot.mcap")
 
 
-def test_hands_are_as_near_to_their_targets_as_on_the_robot(tmp_path: Path) -> None:
-    tries = []
-    for number in range(3):  # of a machine that others use
-        here = local(tmp_path / f"local_{number}", 16.0)
-        away = tmp_path / f"away_{number}"
-        away.mkdir()
-        with divided(away, 18.0) as (robot, _, _):
-            assert robot.wait(80.0) == 0
-        there = Seen(away / "robot.mcap")
-        p50, p95 = np.percentile(here.errors(), [50, 95]), np.percentile(there.errors(), [50, 95])
-        age = float(np.median(there.ages()))
-        print("error local and away [mm]:", (1e3 * p50).round(1), (1e3 * p95).round(1))
-        print(f"age {1e3 * age:.1f} ms, latency of the headset {1e3 * here.latency():.1f} ms")
-        assert np.abs(there.states("base_pos_w")[-1, 2]) > 0.6
-        tries.append((float((p95 / p50).max()), age))
-        if tries[-1][0] <= 1.5 and age <= 0.0205:
-            return
-    raise AssertionError(f"ratio of the errors and age, in three tries: {tries}")
+def test_what_comes_from_the_workstation_is_a_tick_old(tmp_path: Path) -> None:
+    """The errors of a machine that is not busy are held in test_a_tick_away.py."""
+    here = local(tmp_path / "local", 16.0)
+    away = tmp_path / "away"
+    away.mkdir()
+    with divided(away, 18.0) as (robot, _, _):
+        assert robot.wait(80.0) == 0
+    there = Seen(away / "robot.mcap")
+    here_far, there_far = (np.percentile(each.errors(), [50, 95]) for each in (here, there))
+    age = float(np.median(there.ages()))
+    print("error local and away [mm]:", (1e3 * here_far).round(1), (1e3 * there_far).round(1))
+    print(f"age {1e3 * age:.1f} ms, latency of the headset {1e3 * here.latency():.1f} ms")
+    assert age <= 0.0205
+    assert there_far[0] < 2.0 * here_far[0]
+    assert there.states("base_pos_w")[:, 2].min() > 0.6
 
 
 def told(robot: object) -> str:
