@@ -83,6 +83,8 @@ EXTRAS["realsense"] = ["pyrealsense2>=2.56"]
 EXTRAS["torch"] = ["torch"]
 # Nor this: 130 MB installed, for exports to Parquet alone.
 EXTRAS["parquet"] = ["pyarrow"]
+# Nor this: 300 MB installed, for LeRobot data sets alone. Its own package (6 GB) is not needed.
+EXTRAS["lerobot"] = ["pyarrow", "av", "pillow"]
 # Nor what a vendor's protocol needs: a computer on a robot wants that of its robot alone.
 EXTRAS["hw-arx"] = ["python-can>=4.3"]
 for _robot in ("unitree", "pnd", "dobot", "inspire", "booster"):  # they speak DDS

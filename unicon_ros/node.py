@@ -299,11 +299,20 @@ class UniconNode(LifecycleNode):
         hooks: list[Hook] = [session.hook, self.tuning.hook]
         recording = None
         if settings["record"]:
-            from unicon_ros.recorder import Recording
+            from unicon_ros.recorder import Recording, names_in
 
             patient = settings.speed == "max"
             split = settings["record_split"]
-            recording = Recording(settings["record"], map_name, session, warn, patient, split)
+            recording = Recording(
+                settings["record"],
+                map_name,
+                session,
+                warn,
+                patient,
+                split,
+                frames=names_in(settings["record_frames"]),
+                jpeg=settings["record_jpeg"],
+            )
             hooks.append(recording.hook)
         self._record = FaultRecord(warn=warn, recording=recording)
         hooks.append(self._record.hook)  # the last one: it looks behind the others

@@ -48,6 +48,8 @@ AT_CONFIGURE: tuple[tuple[str, Any, str], ...] = (
     ("frame_prefix", "", "stands before the names of all frames, such as robot1/"),
     ("record", "", "file (.mcap) or folder/ to record every state and message to; empty: none"),
     ("record_split", "", "size or length of a file of a recording, such as 1GB or 60s"),
+    ("record_frames", "", "all, or names of handles with commas: pictures and clouds to record"),
+    ("record_jpeg", 0, "quality of JPEGs that raw pictures are recorded as, 0: as they are"),
     ("speed", "real", "real: by the wall clock; max: as fast as it can"),
     ("rate", 0.0, "ticks per second in [Hz], 0: the workflow's own"),
     *FRAMES,

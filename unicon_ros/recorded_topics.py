@@ -151,7 +151,7 @@ class RecordedTopics:
         return write
 
     def _tap(self, topic: str, spec: TopicSpec) -> Callable[[bytes], object]:
-        return partial(_stamped, self._channel(topic, spec), self._now)
+        return partial(_stamped, self._channel(topic, spec), self.now)
 
     def _encode(
         self, topic: str, encoder: Encoder, prepare: Callable[[], None] | None = None
@@ -174,7 +174,8 @@ class RecordedTopics:
             return topic
         return "/".join(["", *filter(None, [self._namespace]), topic.replace("~", "unicon", 1)])
 
-    def _now(self) -> int:
+    def now(self) -> int:
+        """Return the time of a message that is recorded now, [ns]."""
         return int(self._stamp[0]) if self._simulated else time.time_ns()
 
     def _record(self) -> None:
@@ -182,10 +183,10 @@ class RecordedTopics:
         if not tick:
             self._recorder.start()  # where nobody attached it to a runner
             for write, message in self._latched:
-                write(self._now(), message)
+                write(self.now(), message)
         for every, encode, write in self._due:
             if tick % every == 0:
-                write(self._now(), encode())
+                write(self.now(), encode())
         self._tick = tick + 1
 
 

@@ -8,7 +8,7 @@ grows it is called `FILE.partial`; what a killed run left of that name is finish
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,9 +29,13 @@ if TYPE_CHECKING:
     from unicon_core.runtime.tick_ring import TickRing
     from unicon_core.states import Layout
     from unicon_core.workflow import Program
+    from unicon_msgs_map.layout.messages import MessageDefinition
     from unicon_ros.bridge import RosSession
+    from unicon_ros.recorded_frames import RecordedFrames
+    from unicon_ros.recorded_topics import RecordedTopics
+    from unicon_ros.recording.large import Large
 
-__all__ = ["Recorder", "Recording"]
+__all__ = ["Recorder", "Recording", "names_in"]
 
 
 class Recorder(Background):
@@ -130,20 +134,39 @@ class Recorder(Background):
             UniconError: it cannot be written.
         """
         known = (messages or shared_messages()).definition(kind)
-        number = self._file.channels + 1
-        channel = Channel(
-            number,
+        channel = self._described(topic, known, offered_qos(qos) if qos is not None else "")
+        if latched and isinstance(self._file, BagFolder):
+            self._file.latch(channel.number, latched)
+        try:
+            return self.add(channel)
+        except OSError as error:
+            raise self._cannot(error) from error
+
+    def _described(self, topic: str, known: MessageDefinition, qos: str = "") -> Channel:
+        return Channel(
+            self._file.channels + 1,
             f"/{topic.lstrip('/')}",
             known.name,
             known.text,
             known.encoding,
             known.rihs,
-            offered_qos(qos) if qos is not None else "",
+            qos,
         )
-        if latched and isinstance(self._file, BagFolder):
-            self._file.latch(number, latched)
+
+    def large_channel(self, topic: str, kind: str, nbytes: int) -> Large:
+        """Add a topic of large messages, before `start`, and return what takes them.
+
+        Args:
+            topic: its name.
+            kind: its message type.
+            nbytes: of the largest message.
+
+        Raises:
+            UniconError: it cannot be written.
+        """
         try:
-            return self.add(channel)
+            known = shared_messages().definition(kind)
+            return self.add_large(self._described(topic, known), nbytes)
         except OSError as error:
             raise self._cannot(error) from error
 
@@ -174,10 +197,12 @@ class Recording:
         split: where a next file of a bag folder begins, such as `1GB` or `60s`; "" for nowhere.
         namespace: of relative topics, where there is no session.
         frame_prefix: of the names of frames, where there is no session.
+        frames: handles whose pictures and clouds are recorded, without `_handle`, or `all`.
+        jpeg: quality from 1 to 100 of pictures that are raw, 0 to leave them as they are.
 
     Raises:
         MissingDependencyError: rosbags is not installed.
-        UniconError: nothing can be split so.
+        UniconError: nothing can be split so, or that is no quality.
     """
 
     def __init__(
@@ -190,6 +215,8 @@ class Recording:
         split: str = "",
         namespace: str = "",
         frame_prefix: str = "",
+        frames: Sequence[str] = (),
+        jpeg: int = 0,
     ) -> None:
         try:
             import rosbags  # noqa: F401  (the texts of the message types are its)
@@ -197,16 +224,24 @@ class Recording:
             raise MissingDependencyError(
                 "--record", "rosbags", "pip install 'unicon_ros[bags]'"
             ) from error
+        if not 0 <= jpeg <= 100:
+            raise UniconError(f"{jpeg} is no quality of a JPEG; give 1 to 100, or 0 for none")
         self._path, self._map_name, self._session = path, map_name, session
         self._namespace, self._frame_prefix = namespace, frame_prefix
         self._warn, self._patient = warn, patient
         self._split = Split.of(split) if split else None
         self._recorder: Recorder | None = None
         self._ticks: RecordedTicks | None = None
+        self._wanted, self._jpeg = tuple(frames), jpeg
+        self._frames: RecordedFrames | None = None
 
     def counts(self) -> dict[str, Any]:
-        """Return messages in the file, those dropped, bytes, and the error or ""."""
-        return {} if self._recorder is None else self._recorder.counts()
+        """Return messages in the file, those dropped, bytes, and the error or "".
+
+        Where frames are recorded, `frames` tells of each ring how many were taken and missed.
+        """
+        counts = {} if self._recorder is None else self._recorder.counts()
+        return counts if self._frames is None else counts | {"frames": self._frames.counts()}
 
     def summary(self) -> str:
         """Return what became of it, for the end of a run."""
@@ -214,6 +249,9 @@ class Recording:
         text = f"{self._path}: {counts['messages']} messages"
         if counts["dropped"]:
             text += f", {counts['dropped']} lost"
+        for name, frames in counts.get("frames", {}).items():
+            missed = f", {frames['missed']} missed" if frames["missed"] else ""
+            text += f", {frames['frames']} frames of {name}{missed}"
         return text + (f" ({counts['error']})" if counts["error"] else "")
 
     def hook(self, program: Program) -> dict[Stage, list[Block]]:
@@ -226,11 +264,25 @@ class Recording:
         try:
             names = (self._namespace, self._frame_prefix)
             topics = RecordedTopics(recorder, program, self._map_name, self._session, *names)
+            if self._wanted:
+                self._add_frames(recorder, program, topics)
         except BaseException:
             recorder.close()
             raise
         self._recorder = recorder
         return {Stage.OBSERVE: [topics.block]}
+
+    def _add_frames(self, recorder: Recorder, program: Program, topics: RecordedTopics) -> None:
+        from unicon_ros.recorded_frames import RecordedFrames, chosen_sources
+
+        sources = chosen_sources(program, self._wanted)
+        frames = RecordedFrames(recorder, sources, topics.now, self._jpeg, self._warn)
+
+        def close() -> None:
+            frames.close()
+            recorder.close()
+
+        self._frames, topics.block.close = frames, close
 
     def keep(self, ring: TickRing) -> None:
         """Record the ticks that a ring keeps; behind the hook."""
@@ -243,3 +295,10 @@ class Recording:
         if self._ticks is not None:
             self._ticks.attach(facts)
         self._recorder.start()
+        if self._frames is not None:
+            self._frames.start()
+
+
+def names_in(text: str) -> list[str]:
+    """Return the names that stand in a text with commas between them."""
+    return [name.strip() for name in text.split(",") if name.strip()]

@@ -203,6 +203,18 @@ def test_in_silence_it_goes_home_slowly_and_comes_back_without_a_jump(following:
     assert not states.joint_vel_target.any()
 
 
+def test_home_may_be_another_pose(following: Bench) -> None:
+    states, robot = following.states, following.robot
+    block = following.block("forward_command", silent="home", home={"*_hip_joint": 0.2})
+    states.joint_pos_command[...] = np.nan
+    wanted = [
+        0.2 if "hip" in name else x for name, x in zip(robot.joint_names, robot.default_joint_pos)
+    ]
+    np.testing.assert_allclose(ticked(following, block, 500), wanted, atol=1e-6)
+    block = following.block("forward_command", silent="home", home="rest")
+    np.testing.assert_allclose(ticked(following, block, 500), robot.rest_joint_pos, atol=1e-6)
+
+
 def test_one_joint_or_torque_that_is_commanded_is_no_silence(following: Bench) -> None:
     states = following.states
     block = following.block("forward_command", silent="home")
@@ -264,6 +276,8 @@ def test_gains_may_be_given_in_place_of_the_robots(following: Bench) -> None:
     [
         ({"moves": ["wings"]}, "no group or joint 'wings'"),
         ({"silent": "sleep"}, "silent is 'sleep'; give hold or home"),
+        ({"silent": "home", "home": "bed"}, "no pose 'bed'; "),
+        ({"silent": "home", "home": {"*_hip_joint": 3.0}}, "is beyond the limits of joint"),
         ({"silent": "home", "home_rate": 0}, "home_rate is 0; give a number above 0"),
         ({"stiffness": -1}, "stiffness is -1; give a number from 0 to 2000 [N·m/rad]"),
         ({"damping": {"*_hip_joint": 1e9}}, "damping of '*_hip_joint' is 1000000000.0"),

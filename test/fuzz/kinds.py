@@ -63,6 +63,7 @@ def seeds_of(folder: str) -> tuple[tuple[str, str], ...]:
 
 def workflow(dice: random.Random, folder: Path) -> Reader:
     path = folder / "workflow.yaml"
+    import_mujoco()  # by which blocks compute kinematics
     seed = dice.choice(WORKFLOWS)
     write(path, seed, dice)
     return lambda: whole(path, platform=platform_of(seed, dice))
@@ -70,6 +71,7 @@ def workflow(dice: random.Random, folder: Path) -> Reader:
 
 def set_values(dice: random.Random, folder: Path) -> Reader:
     path = folder / "workflow.yaml"
+    import_mujoco()  # by which blocks compute kinematics
     seed = dice.choice(WORKFLOWS)
     path.write_text(seed, "utf-8")
     overrides = []

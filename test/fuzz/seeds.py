@@ -107,6 +107,25 @@ flow:
     - loop: {do: {policy: walk}, until: {elapsed: 10.0}}
 """
 
+FOLLOWS = """\
+robot: go2
+platform: fake
+rate: 50
+estimate: [{frames: {of: {toe: FR_calf, hip: FR_hip}, frame: world}}, leg_odometry]
+flow:
+  zip:
+    - forward_command:
+        moves: ["F*"]
+        max_rate: 6.0
+        silent: home
+        home_rate: 0.5
+        stiffness: {"*_hip_joint": 30.0}
+        damping: 1.0
+        start_tolerance: 0.5
+    - forward_command: {moves: ["R*"], silent: hold, integral: 1.0, name: rear}
+safety: [finite, joint_limits]
+"""
+
 STARTS = """\
 robot: go2
 platform: fake_robot
@@ -332,6 +351,7 @@ safety: [finite, {joint_limits: {margin: 0.01}, of: left_hand}, joint_limits]
 
 WORKFLOWS = (
     STARTS,
+    FOLLOWS,
     POSTURES,
     CALLS,
     WALK,

@@ -39,7 +39,8 @@ class Reaching(Bench):
         super().__init__(robot, states=specs)
         self.stand()
         self.heard: list[str] = []
-        context = BuildContext(self.states, robot, self.period, tell=self.heard.append)
+        lag = options.pop("lag", 0.0)
+        context = BuildContext(self.states, robot, self.period, tell=self.heard.append, lag=lag)
         self.reach = autowire(reach, "reach", context, options)
         frames = Frames(
             load_model(pick_model(robot), robot, quiet=True), robot, robot.end_effectors
@@ -203,6 +204,25 @@ def test_other_joints_stand_where_they_are_measured(g1: Robot) -> None:
         it.run(1)
     found = it.where(it.states.joint_pos)["left_hand"]
     np.testing.assert_allclose(found[:3], it.states.left_hand_target[:3], atol=3e-3)
+
+
+def test_on_a_workstation_it_is_a_tick_ahead_of_what_it_is_told(g1: Robot) -> None:
+    period = Reaching(g1, effectors=HANDS, moves=["arms"]).period
+    late = Reaching(g1, effectors=HANDS, moves=["arms"], lag=period)
+    soon = Reaching(g1, effectors=HANDS, moves=["arms"])
+    waist, turn, speed = g1.joint_names.index("waist_yaw_joint"), 0.5, np.array([0.0, 0.1, 0.2])
+    late.states.joint_vel[waist] = turn  # of its waist, which the robot tells a tick late
+    late.states.joint_vel[g1.group(["arms"])] = 3.0  # of arms that it knows better
+    for it, ticks in ((late, -1.0), (soon, 0.0)):
+        it.aim("left_hand", (0.05, 0.0, 0.1))
+        it.states.left_hand_target_velocity[:3] = speed
+        it.states.left_hand_target[:3] += ticks * period * speed
+        for i in range(30):
+            it.states.joint_pos[waist] = turn * period * (i + ticks)
+            it.run(1)
+    arms = g1.group(["left_arm"])
+    commands = [it.states.joint_pos_command[arms] for it in (late, soon)]
+    np.testing.assert_allclose(*commands, atol=1e-5)
 
 
 def test_joints_that_are_not_measured_are_where_they_were(g1: Robot) -> None:

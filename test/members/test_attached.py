@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from unicon_core.check.collision import check_collision
+from unicon_core.check.result import CheckResult
 from unicon_core.errors import ModelError, RobotError, UniconError
 from unicon_core.located_yaml import read_yaml
 from unicon_core.models.find import pick_model
@@ -224,3 +226,15 @@ def test_g1_walks_with_hands_that_open_and_close(assets: Path) -> None:
     assert driven.max() > 1.2
     assert driven[driven.argmax() :].min() < 0.5  # it opens again
     np.testing.assert_allclose(following, driven, atol=0.05)  # the mimic joint holds
+
+
+def test_what_a_hand_lacks_is_told_with_the_hands_own_file(
+    inspired: tuple[Robot, LoadedModel],
+) -> None:
+    robot, loaded = inspired
+    result = CheckResult("g1_hands")
+    check_collision(loaded, robot, result, None)
+    hands = {pick_model(robot.members[f"{side}_hand"]) for side in ("left", "right")}
+    assert hands & {*loaded.absent}
+    culprits = {note.culprit for note in result.notes if note.code == "model.meshes"}
+    assert culprits == {f"model {path}" for path in loaded.absent}

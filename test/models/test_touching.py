@@ -124,7 +124,7 @@ def test_pairs_of_absent_meshes_go_with_them(tmp_path: Path) -> None:
         warnings.simplefilter("error")
         loaded = load(path)
     assert names(loaded, on_floor(loaded)) == {*FEET} - {"FR"}
-    assert "1 geoms left out, 1 of them may collide" in loaded.absent[0]
+    assert "1 geoms left out, 1 of them may collide" in loaded.absent[loaded.path]
 
 
 def checked(path: Path, *, twin: bool = False, platform: str = "mujoco") -> CheckResult:

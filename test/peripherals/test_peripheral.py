@@ -18,6 +18,7 @@ from unicon_core.robots import load_robot
 from unicon_core.states import States, StateSpec
 from unicon_core.states.backends.shm import segments
 from unicon_core.workflow.autowire import BuildContext
+from unicon_ros.bridge.images import FrameMessage
 from unicon_ros.peripherals.peripheral import Peripheral, peripheral_block, peripheral_states, short
 
 SPECS = peripheral_states(
@@ -41,7 +42,7 @@ class Rig:
             "counting_device",
             {"plug": str(plug), **options},
             values=["count", "wished"],
-            frames={"picture": 16},
+            frames={"picture": FrameMessage("", bytes(16), 0, (16,), "|u1")},
         )
 
     @property

@@ -93,7 +93,7 @@ def test_absent_meshes_are_left_out_with_one_line(
     platform = make(states_of(robot), robot, 0.01, scene=Scene(model=path))
     line = "1 mesh files are absent (first: skin.stl): 2 geoms left out, 1 of them may collide"
     assert platform.info()["notes"][0] == line
-    assert load_model(path, robot).absent == (line,)
+    assert load_model(path, robot).absent == {path: line}
 
 
 def test_body_that_weighs_nothing_without_its_mesh_is_an_error(

@@ -30,6 +30,8 @@ BEYOND_A_SCHEMA = {
     "default_outside",
     "feet_empty_not_in_unknown",
     "group_of_no_joint",
+    "hand_without_fingers",
+    "palm_turned",
     "imu_null_not_in_unknown",
     "joint_twice",
     "key_twice",

@@ -230,3 +230,15 @@ def test_a_map_with_a_trajectory_needs_a_flow_that_follows(
             load_workflow(sway, hooks=[session.hook])
     finally:
         session.close()
+
+
+def test_trajectories_are_refused_where_some_joints_alone_follow(
+    follow: Callable[..., Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = follow("joint_trajectory")
+    front = "{forward_command: {moves: ['F*'], name: front}}"
+    rear = "{forward_command: {moves: ['R*'], name: rear}}"
+    whole = "{forward_command: {max_rate: 2.0}}"
+    path.write_text(path.read_text().replace(whole, f"{{zip: [{front}, {rear}]}}"))
+    assert main(["check", str(path)]) == 1
+    assert "trajectories are followed by all joints" in capsys.readouterr().out

@@ -152,17 +152,12 @@ def test_a_batch_and_a_carried_member_are_refused(assets: Path, reacher: Robot) 
         )
 
 
-def test_unless_told_a_walker_carries_what_bears_no_foot(assets: Path) -> None:
-    bench = Bench("g1_29dof")
-    robot = bench.robot
-    made = bench.block("gravity")
-    bench.states.joint_pos = robot.default_joint_pos
-    made.tick()
-    moved = {robot.joint_names[i] for i in np.flatnonzero(bench.states.joint_effort_ff)}
-    assert moved <= {*robot.groups["arms"], *robot.groups["waist"]}
-    assert made.tick.moves == tuple(
-        name for name in robot.joint_names if name not in robot.groups["legs"]
-    )
+def test_what_a_walker_carries_has_to_be_said(assets: Path, reacher: Robot) -> None:
+    with pytest.raises(WorkflowError, match=r"name the joints that others move: moves: \[arms\]"):
+        Bench("g1_29dof").block("gravity")
+    with pytest.raises(WorkflowError, match="every joint of inspire_rh56_left takes positions"):
+        Bench("inspire_rh56_left").block("gravity")
+    assert Bench(reacher).block("gravity").tick.moves == ("yaw", "lift", "elbow")
 
 
 WITHOUT_TORQUES = """

@@ -101,6 +101,26 @@ def test_without_a_part_all_of_it_runs_in_one_process(workflow):
     assert program.states.velocity_command[0] == np.float32(0.7)
 
 
+def test_parts_that_no_block_is_on_are_only_named(tmp_path):
+    text = WORKFLOW.replace(", on: desk", "")
+    path = write(tmp_path, text, store="store: {zmq: tcp://127.0.0.1:5600}")
+    assert not [f for f in check_workflow(path).findings if f.code.startswith("parts.")]
+    program = Program(load_document(path), silent=True)
+    tick(program)
+    assert program.context.lag == 0.0
+    program.close()
+    moved = write(tmp_path)
+    with pytest.raises(WorkflowError, match="a divided workflow cannot be run silently"):
+        Program(load_document(moved), silent=True)
+
+
+def test_a_part_without_the_robot_knows_that_it_is_a_tick_away(build):
+    robot = build("robot")
+    assert robot.context.lag == 0.0
+    tick(robot)
+    assert build("desk").context.lag == 0.01
+
+
 def test_each_part_has_its_own_blocks_and_they_exchange_states(build):
     told: list[str] = []
     robot = build("robot", tell=told.append)

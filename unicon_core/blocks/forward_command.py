@@ -24,6 +24,7 @@ from unicon_core.errors import RobotError, WorkflowError
 from unicon_core.flow.block import Bundle, Reads
 from unicon_core.models.rows import index_of
 from unicon_core.robots import Robot
+from unicon_core.robots.poses import named_pose
 from unicon_core.states import StateSpec
 from unicon_core.states.standard import forwarded_states
 from unicon_core.workflow.autowire import BuildContext
@@ -68,6 +69,7 @@ def forward_command(
     moves: Sequence[str] = (),
     silent: Literal["hold", "home"] = "hold",
     home_rate: float = HOME_RATE,
+    home: str | Mapping[str, float] = "default",
     start_tolerance: float | None = None,
     integral: float = 0.0,
     stiffness_scale: float = 1.0,
@@ -86,8 +88,11 @@ def forward_command(
         max_rate: of a target in [rad/s], or `robot` for the robot file's velocity limits.
         moves: groups, joints or patterns that it moves, all unless told; others are left alone.
         silent: where nothing at all is commanded of these joints, they `hold`, or go `home`, to the
-            robot file's default pose; when commands come back they go there from where they are.
+            robot file's default pose unless told; when commands come back they go there from where
+            they are.
         home_rate: in [rad/s], on the way home.
+        home: pose to go to instead, as of block `pose`; joints that it does not say go to the
+            default one.
         start_tolerance: how far from the present target in [rad] the first command after silence
             may be; one that is farther off is told once and not followed. None: any.
         integral: gain in [1/s] by which a target is moved on, by 0.25 rad at most, against what
@@ -115,7 +120,7 @@ def forward_command(
     words = (moves,) if isinstance(moves, str) else tuple(moves)
     made = ForwardCommand(command, commanded, robot, period, rate, gains, integral, ticks, words)
     if silent == "home":
-        made.go_home(within(home_rate, "home_rate", "rad/s", VELOCITY))
+        made.go_home(within(home_rate, "home_rate", "rad/s", VELOCITY), home)
     elif silent != "hold":
         raise WorkflowError(f"silent is {silent!r}; give hold or home")
     if start_tolerance is not None:
@@ -179,13 +184,17 @@ class ForwardCommand:
         """Follow the first command after silence only within a tolerance in [rad]."""
         self._tolerance, self._tell = tolerance, tell
 
-    def go_home(self, rate: float) -> None:
-        """Let joints of which nothing is commanded go to the default pose, at a rate in [rad/s].
+    def go_home(self, rate: float, to: str | Mapping[str, float] = "default") -> None:
+        """Let joints of which nothing is commanded go to a pose, at a rate in [rad/s].
 
         Raises:
             RobotError: the robot file does not say that pose.
+            WorkflowError: there is no such pose or joint, or it is beyond a limit.
         """
         robot, home = self._robot, self._robot.default_joint_pos
+        if to != "default":
+            pose, said = named_pose(to, robot, "block 'forward_command'")
+            home = np.where(said, pose, home).astype(np.float32)
         for place in self._places:
             if np.isnan(home[place]):
                 joint = robot.joint_names[place]

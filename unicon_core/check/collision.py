@@ -23,9 +23,8 @@ def check_collision(loaded: LoadedModel, robot: Robot, result: CheckResult, wher
         result: is added to.
         where: `file:line` of what chose the model.
     """
-    culprit = f"model {loaded.path}"
-    for line in loaded.absent:
-        result.note("model.meshes", culprit, line, "add the files", where)
+    for path, line in loaded.absent.items():
+        result.note("model.meshes", f"model {path}", line, "add the files", where)
     if loaded.base is None or not floors(loaded.model):
         return
     touching = on_floor(loaded)
@@ -39,7 +38,7 @@ def check_collision(loaded: LoadedModel, robot: Robot, result: CheckResult, wher
         return
     result.find(
         "model.collision",
-        f"{culprit}, collision geometry",
+        f"model {loaded.path}, collision geometry",
         what,
         "add the mesh files, or give the feet geoms with contype and conaffinity or a <pair>",
         where,

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from unicon_core.check.result import CheckResult
 from unicon_core.check.subject import Subject
 from unicon_core.states.standard import COMMAND_STATES
-from unicon_core.workflow.division import owner_of
+from unicon_core.workflow.division import is_divided, owner_of
 from unicon_core.workflow.parts import Parts
 
 __all__ = ["check_parts"]
@@ -22,6 +22,8 @@ def check_parts(subject: Subject, result: CheckResult) -> None:
     parts = subject.program.parts
     if parts is None:
         return
+    if not subject.program.part and not is_divided(subject.program.blocks, parts):
+        return  # all of it is in one process, until a block says `on:`
     given = {s: part.name for part in parts.parts.values() for s in part.publishes}
     _check_silence(subject, result, parts, given)
     if subject.program.part:  # the others' blocks are not here

@@ -59,14 +59,15 @@ def load_model(
     """
     mujoco = import_mujoco()
     notes: list[str] = []
-    absent: list[str] = []
+    absent: dict[Path, str] = {}
 
     def read(path: Path, notes: list[str], floats: bool) -> Any:
         spec = _read(mujoco, path, notes)
         lacking = drop_absent_meshes(spec, path, floats)
-        for note in () if quiet else lacking:
-            _log.info("model %s: %s", path, note)
-        absent.extend(lacking)
+        for note in lacking:
+            absent[path] = note
+            if not quiet:
+                _log.info("model %s: %s", path, note)
         notes += [*lacking, *drop_absent_textures(spec, path)]
         return spec
 
@@ -104,7 +105,7 @@ def load_model(
     arm = np.zeros(3)
     if robot.imu is not None:
         arm[...] = np.nan_to_num(robot.imu.position)
-    return LoadedModel(model, path, joints, notes, welded, tuple(absent), arm)
+    return LoadedModel(model, path, joints, notes, welded, absent, arm)
 
 
 def _read(mujoco: Any, path: Path, notes: list[str]) -> Any:

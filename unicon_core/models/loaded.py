@@ -6,6 +6,7 @@ import importlib
 import logging
 import os
 import sys
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -80,7 +81,8 @@ class LoadedModel:
         joints: joint id of each robot joint, in the robot's order, length n.
         notes: what was changed or left out, one line each.
         welded: joints of the robot that the model lacks and that stand still.
-        absent: what was left out since mesh files are absent, one line or none.
+        absent: file of the model, or of a member's, to a line that says what was left out of it
+            since mesh files are absent.
         imu_position: where the robot's IMU is, from the base's origin along its axes in [m], shape
             (3,); 0 where the robot file does not say.
     """
@@ -90,7 +92,7 @@ class LoadedModel:
     joints: list[int]
     notes: list[str] = field(default_factory=list)
     welded: tuple[str, ...] = ()
-    absent: tuple[str, ...] = ()
+    absent: Mapping[Path, str] = field(default_factory=dict)
     imu_position: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
 
     @property

@@ -11,7 +11,7 @@ from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.models.rows import index_of
 from unicon_core.models.touching import floors, may_touch, on_floor
 
-__all__ = ["PosedModel", "foot_bodies", "foot_geoms"]
+__all__ = ["PosedModel", "followers", "foot_bodies", "foot_geoms"]
 
 _FAR = 100.0  # [m]
 _ENDINGS = ("_foot", "_link", "_sphere", "_toe")
@@ -34,7 +34,7 @@ class PosedModel:
         self._qpos, base = self.data.qpos, loaded.base
         self._joints = index_of(loaded.addresses.tolist())
         self._base = None if base is None else int(loaded.model.jnt_qposadr[base])
-        self._mimics = _mimics(loaded, int(self._mujoco.mjtEq.mjEQ_JOINT))
+        self._followers = followers(loaded)
 
     def put(self, joint_pos: ArrayLike, base: ArrayLike | None = None) -> Any:
         """Put the robot somewhere; return `data`.
@@ -46,7 +46,7 @@ class PosedModel:
         """
         data, model, qpos = self.data, self.loaded.model, self._qpos
         qpos[self._joints] = joint_pos
-        for joint, driver, offset, start, (a, b, c, d, e) in self._mimics:
+        for joint, driver, offset, start, (a, b, c, d, e) in self._followers:
             turned = float(qpos[driver]) - start if driver >= 0 else 0.0
             # Numbers: polyval takes 5 µs, and two hands have twelve such joints.
             qpos[joint] = offset + a + turned * (b + turned * (c + turned * (d + turned * e)))
@@ -72,13 +72,13 @@ class PosedModel:
         return found
 
 
-def _mimics(loaded: LoadedModel, kind: int) -> list[tuple[int, int, float, float, list[float]]]:
+def followers(loaded: LoadedModel) -> list[tuple[int, int, float, float, list[float]]]:
     """Return the joints that others pull along, drivers before what they drive.
 
     Each is its place in `qpos`, that of its driver or -1, both at rest, and the polynomial by which
     it follows (MuJoCo, XML reference, `equality/joint`).
     """
-    model = loaded.model
+    model, kind = loaded.model, int(import_mujoco().mjtEq.mjEQ_JOINT)
     driven, found = {int(place) for place in loaded.addresses}, []
     left = [i for i in range(model.neq) if model.eq_type[i] == kind and model.eq_active0[i]]
     followers = {int(model.jnt_qposadr[model.eq_obj1id[i]]) for i in left} - driven

@@ -53,10 +53,13 @@ class Weight:
 
 
 def bearing_joints(loaded: LoadedModel, robot: Robot) -> NDArray[np.bool_]:
-    """Return which joints stand between the base and a foot, in the robot's order, shape (n,)."""
+    """Return which joints stand between the base and a foot, in the robot's order, shape (n,).
+
+    Those of a robot that does not walk, such as the fingertips of a hand, bear nothing.
+    """
     model = loaded.model
     bodies: set[int] = set()
-    for foot in foot_bodies(model, robot.feet).values():
+    for foot in foot_bodies(model, robot.feet if robot.walks else ()).values():
         body = foot
         while body:
             bodies.add(body)

@@ -78,6 +78,7 @@ def compose(members: Mapping[str, Robot], mounts: Mapping[str, Place] | None = N
         unknown=tuple(f"{m}: {fact}" for m, robot in members.items() for fact in robot.unknown),
         simulated=simulated,
         mounts=_mounted(members, {**base.mounts, **(mounts or {})}),
+        hand=None,
         overlay=None,
         members=dict(members),
         groups={group: joints for group, joints in base.groups.items() if group not in members},

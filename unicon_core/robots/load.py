@@ -14,6 +14,7 @@ from unicon_core.errors import RobotError, WorkflowError
 from unicon_core.located_yaml import Located, read_yaml
 from unicon_core.resources import find_config, list_config
 from unicon_core.robots.capsules import capsules_of
+from unicon_core.robots.hand import hand_of
 from unicon_core.robots.places import places_of
 from unicon_core.robots.poses import joints_like
 from unicon_core.robots.robot import JOINT_FIELDS, Imu, Robot
@@ -81,6 +82,7 @@ def _robot(located: Located) -> Robot:
         mounts=places_of(document.get("mounts") or {}),
         end_effectors=places_of(document.get("end_effectors") or {}),
         capsules=capsules_of(document.get("capsules") or {}),
+        hand=hand_of(document.get("hand")),
     )
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from unicon_core.errors import RobotError, alternatives
 from unicon_core.robots.capsules import Capsule
+from unicon_core.robots.hand import Hand
 from unicon_core.robots.places import Place
 
 __all__ = ["JOINT_FIELDS", "MODEL_FORMATS", "Imu", "Robot"]
@@ -113,6 +114,9 @@ class Robot:
 
     capsules: Mapping[str, Capsule] = field(default_factory=dict)
     """Name to the capsule that stands for a link, or a part of one, where links are kept apart."""
+
+    hand: Hand | None = None
+    """Of a hand: its side, its palm and its fingers; of a robot made of members each says its."""
 
     weldable: frozenset[str] = frozenset()
     """Joints that no policy of the workflow moves: a simulated model may lack them."""

@@ -10,6 +10,7 @@ import numpy as np
 
 from unicon_core.aligned import aligned
 from unicon_core.errors import RobotError, one_line
+from unicon_core.robots.hand import Hand
 from unicon_core.robots.load import load_robot, robot_names
 from unicon_core.robots.places import Place
 from unicon_core.robots.robot import JOINT_FIELDS, Robot
@@ -67,6 +68,8 @@ def robot_table(robot: Robot) -> str:
         head.append(("commands", ", ".join(ranges)))
     head += [(f"group {group}", ", ".join(names)) for group, names in robot.groups.items()]
     head += [(f"end effector {name}", _place(place)) for name, place in robot.end_effectors.items()]
+    if robot.hand is not None:
+        head += _hand(robot.hand)
     if robot.capsules:
         head.append(("capsules", ", ".join(robot.capsules)))
     if robot.overlay is not None:
@@ -111,6 +114,11 @@ def _imu(robot: Robot) -> str:
 def _place(place: Place) -> str:
     position, quat = (" ".join(f"{x:.4g}" for x in part) for part in (place.position, place.quat))
     return f"on {place.body}, position [{position}] m, quat wxyz [{quat}]"
+
+
+def _hand(hand: Hand) -> list[tuple[str, str]]:
+    rows = [("hand", hand.side or "left or right"), ("palm", _place(hand.palm))]
+    return rows + [(f"tip of the {name}", _place(place)) for name, place in hand.fingers.items()]
 
 
 def _missing(robot: Robot) -> str:

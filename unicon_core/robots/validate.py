@@ -28,6 +28,7 @@ from unicon_core.robots.checks import (
     check_text,
     wrong,
 )
+from unicon_core.robots.hand import wrong_hand
 from unicon_core.robots.joint_physics import wrong_physics
 from unicon_core.robots.places import wrong_places
 from unicon_core.robots.robot import JOINT_FIELDS, MODEL_FORMATS
@@ -54,7 +55,7 @@ _REQUIRED = (
 )
 _OPTIONAL = (
     *("feet", "fingertips", "command_ranges", "groups", "mounts", "end_effectors", "capsules"),
-    *("simulated", "unknown"),
+    *("hand", "simulated", "unknown"),
 )
 _OVERLAY = ("schema", "extends", "simulated")
 
@@ -206,6 +207,14 @@ def _placed(key: str, wrong_ones: Callable[[Any], Iterable[tuple[Where, str]]]) 
     return check
 
 
+def _hand(located: Located, said: Any) -> Problems:
+    kind = located.value.get("kind")
+    if said is not None and kind in KINDS and kind != "hand":
+        yield located.error(("hand",), f"a robot of kind {kind} has no 'hand'; remove it")
+    else:
+        yield from _placed("hand", wrong_hand)(located, said)
+
+
 def _one_of(located: Located, where: Where, value: Any, known: tuple[str, ...]) -> Problems:
     if value not in known:
         yield wrong(located, where, f"{value!r} is not known; {alternatives(str(value), known)}")
@@ -301,6 +310,7 @@ _CHECKS: dict[str, Check] = {
     "mounts": _placed("mounts", wrong_places),
     "end_effectors": _placed("end_effectors", wrong_places),
     "capsules": _placed("capsules", wrong_capsules),
+    "hand": _hand,
     "simulated": _simulated,
     "groups": _groups,
 }
@@ -391,6 +401,7 @@ def _sources(located: Located, document: dict[str, Any]) -> Problems:
         "mounts": bool(document.get("mounts")),
         "end_effectors": bool(document.get("end_effectors")),
         "capsules": bool(document.get("capsules")),
+        "hand": bool(document.get("hand")),
         "transport": True,
     }
     for group, needed in given.items():

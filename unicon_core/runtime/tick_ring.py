@@ -273,7 +273,8 @@ def _changed(nodes: Sequence[Node], more: Sequence[str] = ()) -> frozenset[str] 
 def memory_of(program: Program, runner: Runner) -> Memory:
     """Return the memory of a program's own blocks and of the flow's nodes, all phases together.
 
-    What came from outside is left out: the platform and the hooks, whose doing is in the ticks.
+    What came from outside is left out: the platform, devices and the hooks, whose doing is in the
+    ticks. A camera's frames would be felt: four of 640 x 480 take 0.2 ms to copy.
     """
     trees = [tree for tree in (program.root, program.wind_down) if tree is not None]
     nodes = list(dict.fromkeys(node for tree in trees for node in _nodes(tree)))
@@ -286,7 +287,8 @@ def memory_of(program: Program, runner: Runner) -> Memory:
         if isinstance(node, Block):
             # Of the observers those count that write states, which a safety block may read.
             seen = node.stage is Stage.OBSERVE and not node.writes
-            if node.stage in foreign or seen or node in program.outside:
+            device = getattr(node.tick, "outside", False)
+            if node.stage in foreign or seen or device or node in program.outside:
                 leave.append(node.tick)
             else:
                 roots[_label(node.name, roots)] = node.tick

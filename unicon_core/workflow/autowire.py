@@ -43,6 +43,8 @@ class BuildContext:
         sent: what has left last, or None where nothing is ever sent.
         paced: whether the clock paces ticks just now.
         networks: those in processes of their own; all mentions of a policy share one.
+        lag: how much older what a block reads is when the robot gets what it writes, in [s]: a tick
+            on another part than the robot, else 0.
         models: those that blocks compute with, by robot and file; all blocks share one.
         carried: it is the share of a member that another one carries, such as a hand: the platform
             simulates, and the IMU tells of, the one that carries it.
@@ -62,6 +64,7 @@ class BuildContext:
     sent: LastSent | None = None
     paced: Callable[[], bool] = lambda: False
     networks: dict[tuple[str, str], Any] = field(default_factory=dict)
+    lag: float = 0.0
     models: dict[tuple[str, Path], Any] = field(default_factory=dict)
     carried: bool = False
 

@@ -19,7 +19,12 @@ from unicon_core.signals import SIGNALS
 from unicon_core.states import StateSpec, standard_states
 from unicon_core.states.spec import check_name
 from unicon_core.states.standard import COMMAND_STATES, control_states, hardware_states
-from unicon_core.workflow.autowire import BuildContext, autowire, option_names
+from unicon_core.workflow.autowire import (
+    BuildContext,
+    autowire,
+    option_names,
+    refuse_options,
+)
 from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.expression import expression
 from unicon_core.workflow.flow_yaml import FlowReader
@@ -126,6 +131,14 @@ class Builder:
         is_policy = use.word == "policy"
         factory = policy_factory(use, self._context.policies) if is_policy else factory_of(use)
         options = _options(factory, use)
+
+        robots = self._program.states.num_robots
+        if use.of and robots is not None:
+            raise WorkflowError(
+                f"block {use.name!r}: of: {use.of} gives it a part of the states of one robot, and "
+                f"num_robots is {robots}; leave out num_robots, or of: {use.of}",
+                use.where,
+            )
 
         def build(context: BuildContext) -> Block:
             own = member_context(context, use.of) if use.of else context
@@ -235,8 +248,9 @@ def specs_of(
         factory = factory_of(use)
         declares = getattr(factory, "declares", None)
         if declares is not None:
-            own = member_robot(robot, use.of)
-            for name, spec in declares(robot=own, **_options(factory, use)).items():
+            own, options = member_robot(robot, use.of), _options(factory, use)
+            _refuse_options(factory, use, options)
+            for name, spec in declares(robot=own, **options).items():
                 specs.setdefault(use.rename.get(name, name), of_whole(spec, own, robot))
     return specs
 
@@ -262,6 +276,13 @@ def factory_of(use: Use) -> Factory:
         return find_factory("blocks", str(name), WorkflowError)
     except WorkflowError as error:
         raise WorkflowError(str(error), use.where) from error
+
+
+def _refuse_options(factory: Factory, use: Use, options: Mapping[str, Any]) -> None:
+    def wrong(text: str, *_: str) -> WorkflowError:
+        return WorkflowError(f"block {use.name!r}{text}", use.where)
+
+    refuse_options(factory, options, wrong)
 
 
 def _options(factory: Factory, use: Use) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 from unicon_core.errors import WorkflowError, alternatives
 from unicon_core.flow import Block, Node, Zip, as_block, blocks_of, children_of
@@ -15,7 +15,7 @@ from unicon_core.workflow.build import Sections
 from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.parts import Parts
 
-__all__ = ["check_places", "of_part", "owner_of", "publishers"]
+__all__ = ["check_places", "is_divided", "of_part", "owner_of", "publishers"]
 
 
 def of_part(
@@ -51,6 +51,11 @@ def _idle() -> None:
 def owner_of(block: Block, parts: Parts) -> str:
     """Return the part that a block belongs to."""
     return block.part or parts.first
+
+
+def is_divided(blocks: Iterable[Block], parts: Parts | None) -> bool:
+    """Return whether a block belongs to another part than the first; else parts are only named."""
+    return parts is not None and any(owner_of(block, parts) != parts.first for block in blocks)
 
 
 def check_places(

@@ -34,7 +34,7 @@ from unicon_core.workflow.build import (
     specs_of,
 )
 from unicon_core.workflow.command_bounds import CommandBound, bound_commands
-from unicon_core.workflow.division import check_places, of_part, publishers
+from unicon_core.workflow.division import check_places, is_divided, of_part, publishers
 from unicon_core.workflow.document import WorkflowDocument, document_of, load_document
 from unicon_core.workflow.gate import Gate
 from unicon_core.workflow.live_twin import build_twin, twin_of
@@ -154,7 +154,7 @@ class Program:
         if self.parts is not None:
             self.parts.check(self.states.layout, document)
         check_places(sections, ending, self.parts)
-        if silent:
+        if silent and (part or is_divided(mentioned, self.parts)):
             refuse_parts(self.parts, document)
         if part:
             sections, ending = of_part(part, self.parts, sections, ending, document)
@@ -171,6 +171,7 @@ class Program:
             driving=lambda: self.gate.sent.any,
             sent=self.gate.sent,
             paced=lambda: self.paced,
+            lag=0.0 if self.has_platform else self.period,
         )
         # Imported here: the runner's package imports this one.
         from unicon_core.runtime.report import Monitor

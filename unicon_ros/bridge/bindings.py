@@ -7,14 +7,12 @@ from typing import Any
 from numpy.typing import NDArray
 
 from unicon_core.errors import UniconError
-from unicon_core.flow import blocks_of
 from unicon_core.robots import Robot
 from unicon_core.workflow import Program
 
 __all__ = [
     "arrays_of",
     "checked_prefix",
-    "given_by_blocks",
     "names_of",
     "robot_variables",
     "told_states",
@@ -68,12 +66,10 @@ def checked_prefix(prefix: str) -> str:
     return prefix
 
 
-def given_by_blocks(program: Program) -> set[str]:
-    """Return the states that blocks write or amend: a topic amends these, and writes all others."""
-    return {state for block in program.blocks for state in (*block.writes, *block.amends)}
-
-
 def told_states(program: Program) -> frozenset[str]:
-    """Return the states that somebody tells: the platform, or any block of the tick."""
-    blocks = blocks_of(program.root)
-    return frozenset(state for block in blocks for state in (*block.writes, *block.amends))
+    """Return the states that somebody tells: the platform, or a block, one of the wind-down too.
+
+    A topic amends these, and writes all others.
+    """
+    blocks = {state for block in program.blocks for state in (*block.writes, *block.amends)}
+    return frozenset({*blocks, *program.platform.facts.writes})

@@ -58,13 +58,16 @@ class Camera:
 
     Attributes:
         peripheral: its process.
+        outside: what it tells comes from its process, so that no replay computes it.
         ring: the frames, each a whole message.
         message: layout of a frame.
+        sources: as of `Peripheral`.
     """
 
     name = "camera"
     reads: tuple[str, ...] = ("joint_pos", "base_pos_w", "base_quat", "stamp_ns")
     endless = True
+    outside = True
 
     def __init__(
         self, context: BuildContext, name: str, every: int, stale: float, options: dict[str, Any]
@@ -87,7 +90,7 @@ class Camera:
                 subset(states.layout, self.writes),
                 PROCESS,
                 {"name": name, "options": options, "data": data},
-                {"": len(self.message.template)},
+                {"": self.message},
                 stale,
                 context.period,
                 context.tell,
@@ -96,7 +99,7 @@ class Camera:
         except BaseException:
             self._poses.close()
             raise
-        self.ring = self.peripheral.rings[""]
+        self.ring, self.sources = self.peripheral.rings[""], self.peripheral.sources
 
     def __call__(self) -> None:
         """Take the newest handle, and hand over the pose when it is due."""

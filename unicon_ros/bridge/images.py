@@ -20,7 +20,9 @@ from unicon_core.models.camera import Intrinsics
 
 __all__ = [
     "CLOUD",
+    "IMAGE",
     "INFO",
+    "JPEG",
     "KINDS",
     "STAMP",
     "FrameMessage",

@@ -31,7 +31,7 @@ from unicon_msgs_map import (
 )
 from unicon_msgs_map.spec import TopicSpec
 from unicon_ros import compat
-from unicon_ros.bridge.bindings import arrays_of, given_by_blocks, names_of, variables_of
+from unicon_ros.bridge.bindings import arrays_of, names_of, told_states, variables_of
 
 if TYPE_CHECKING:
     from unicon_core.check import CheckResult
@@ -216,7 +216,7 @@ def mirror_hook(program: Program, name: str | None = None) -> dict[Stage, list[B
         return {}
     if not states or not states.isdisjoint(program.platform.facts.writes):
         return {}
-    written = given_by_blocks(program)
+    written = told_states(program)
     writes, amends = tuple(sorted(states - written)), tuple(sorted(states & written))
     inputs = Block("ros inputs", bool, writes=writes, amends=amends, endless=True)
     return {Stage.INPUT: [inputs]}

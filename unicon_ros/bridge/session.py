@@ -30,8 +30,8 @@ from unicon_ros import compat
 from unicon_ros.bridge.bindings import (
     arrays_of,
     checked_prefix,
-    given_by_blocks,
     names_of,
+    told_states,
     variables_of,
 )
 from unicon_ros.bridge.diagnostics import Diagnostics
@@ -158,7 +158,7 @@ class RosSession:
 
     def _inputs(self, program: Program) -> Block:
         bindings = arrays_of(program), names_of(program), variables_of(program, self.frame_prefix)
-        written = given_by_blocks(program)
+        written = told_states(program)
         facts = program.platform.facts
 
         def build(spec: SubscribeSpec) -> Decoder:

@@ -52,7 +52,7 @@ def followers(spec: TrajectorySpec, program: Program) -> list[ForwardCommand]:
             "trajectories; put one into its flow, or take another map"
         )
     for each in found:
-        if each.max_rate.shape != (program.robot.num_joints,):
+        if each.moves or each.max_rate.shape != (program.robot.num_joints,):
             raise UniconError(
                 f"{spec.where}: trajectories are followed by all joints; give forward_command of "
                 f"workflow {program.name} the whole robot"

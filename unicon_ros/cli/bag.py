@@ -9,6 +9,7 @@ from typing import Any
 
 from unicon_core.errors import UniconError
 from unicon_ros.cli.workflow_arguments import positive
+from unicon_ros.datasets import WRITERS
 
 __all__ = ["add"]
 
@@ -31,13 +32,22 @@ def add(commands: Any) -> None:
     )
     recover.set_defaults(function=_recover)
 
-    export = kinds.add_parser("export", help="write states to .npz, .csv or .parquet")
-    export.add_argument("path", type=Path, metavar="BAG", help="a recording or fault record")
-    export.add_argument("out", type=Path, metavar="OUT", help="ends in .npz, .csv or .parquet")
+    export = kinds.add_parser(
+        "export", help="write states to .npz, .csv or .parquet, or recordings as a data set"
+    )
+    export.add_argument(
+        "paths",
+        type=Path,
+        nargs="+",
+        metavar="BAG",
+        help="a recording or fault record, then the name of what is written, which ends in .npz, "
+        ".csv or .parquet; with --lerobot any number of recordings",
+    )
     export.add_argument("--states", nargs="+", default=[], metavar="STATE", help="these alone")
     export.add_argument(
         "--moment", default="sent", help="received, input, tuned or sent (default: sent)"
     )
+    _add_dataset_options(export)
     export.set_defaults(function=_export)
 
     read = kinds.add_parser("import", help="make a recording of ticks of a bag or an .npz")
@@ -54,6 +64,40 @@ def add(commands: Any) -> None:
         "--rate", type=positive, metavar="HZ", help="ticks a second (default: as it was recorded)"
     )
     read.set_defaults(function=_import)
+
+
+def _add_dataset_options(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("data sets for learning")
+    group.add_argument("--lerobot", action="store_true", help="one LeRobot data set, format v3.0")
+    group.add_argument("--out", type=Path, metavar="DIR", help="folder of the data set")
+    group.add_argument(
+        "--fps", type=int, default=0, metavar="N", help="frames a second (default: the camera's)"
+    )
+    group.add_argument(
+        "--task", default="", help="what is done, in words (default: the workflow's name)"
+    )
+    group.add_argument(
+        "--actions",
+        nargs="+",
+        default=[],
+        metavar="STATE",
+        help="states that make up the action (default: what was commanded)",
+    )
+    group.add_argument(
+        "--cameras", nargs="*", metavar="NAME", help="pictures of these alone (default: all)"
+    )
+    group.add_argument(
+        "--phases", nargs="+", default=["run"], metavar="PHASE", help="whose ticks (default: run)"
+    )
+    group.add_argument(
+        "--no-video", action="store_true", help="pictures in the Parquet files, as PNG or JPEG"
+    )
+    group.add_argument(
+        "--writer",
+        default="auto",
+        choices=WRITERS,
+        help="who writes: the package lerobot where it is installed (auto)",
+    )
 
 
 def _info(arguments: argparse.Namespace) -> int:
@@ -81,12 +125,45 @@ def _recover(arguments: argparse.Namespace) -> int:
 
 
 def _export(arguments: argparse.Namespace) -> int:
+    if arguments.lerobot:
+        return _export_dataset(arguments)
     from unicon_ros.recording import open_record
     from unicon_ros.recording.export import export
 
-    record = open_record(arguments.path)
-    ticks = export(record, arguments.out, arguments.states, arguments.moment)
-    print(f"{arguments.out}: {ticks} ticks")
+    if arguments.out is not None:
+        raise UniconError("--out goes with --lerobot; add it, or give BAG and OUT alone")
+    if len(arguments.paths) != 2:
+        raise UniconError(
+            f"{len(arguments.paths)} names; give BAG and OUT, or any number of recordings with "
+            "--lerobot --out DIR"
+        )
+    path, out = arguments.paths
+    ticks = export(open_record(path), out, arguments.states, arguments.moment)
+    print(f"{out}: {ticks} ticks")
+    return 0
+
+
+def _export_dataset(arguments: argparse.Namespace) -> int:
+    from unicon_ros.datasets.export import export_dataset
+    from unicon_ros.datasets.fit import Wanted
+
+    if arguments.out is None:
+        raise UniconError("--lerobot: give the folder of the data set: --out DIR")
+    if arguments.moment != "sent":
+        raise UniconError("--moment goes without --lerobot: a data set has what was sent")
+    if arguments.fps < 0:
+        raise UniconError(f"--fps {arguments.fps}: give 1 or more frames a second")
+    wanted = Wanted(
+        arguments.fps,
+        arguments.task,
+        arguments.states,
+        arguments.actions,
+        arguments.cameras,
+        arguments.phases,
+        not arguments.no_video,
+        arguments.writer,
+    )
+    print("\n".join(export_dataset(arguments.paths, arguments.out, wanted)))
     return 0
 
 

@@ -19,6 +19,7 @@ BENCHES = {
     "policy": "unicon_ros.bench.policy",
     "reach": "unicon_ros.bench.reach",
     "record": "unicon_ros.bench.record",
+    "retarget": "unicon_ros.bench.retarget",
     "safety": "unicon_ros.bench.safety",
     "simulators": "unicon_ros.bench.simulators",
     "sloc": "unicon_ros.bench.sloc",

@@ -20,6 +20,7 @@ from unicon_ros.cli.workflow_arguments import (
     add_workflow,
     port,
     positive,
+    quality,
     view_options,
 )
 from unicon_ros.view import LOCAL, SINKS
@@ -77,6 +78,19 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar="1GB|60s",
         default="",
         help="record to a bag folder whose files are that large or long, or both: 1GB,10min",
+    )
+    parser.add_argument(
+        "--record-frames",
+        metavar="all|NAME,…",
+        default="",
+        help="record pictures and clouds too: of all cameras and scanners, or of these handles",
+    )
+    parser.add_argument(
+        "--record-jpeg",
+        metavar="QUALITY",
+        type=quality,
+        default=0,
+        help="record raw pictures as JPEG of that quality, 1 to 100 (default: as they are)",
     )
     parser.add_argument(
         "--faults",
@@ -198,8 +212,12 @@ def _run(
             raise UniconError("--record has no name; give FILE.mcap or FOLDER/")
         if arguments.record_split and not arguments.record:
             raise UniconError("--record-split goes with --record FOLDER/; add it")
+        if arguments.record_frames and not arguments.record:
+            raise UniconError("--record-frames goes with --record FILE.mcap; add it")
+        if arguments.record_jpeg and not arguments.record_frames:
+            raise UniconError("--record-jpeg goes with --record-frames all; add it")
         if arguments.record:
-            from unicon_ros.recorder import Recording
+            from unicon_ros.recorder import Recording, names_in
 
             map_name = arguments.map or document.get("map", str)
             patient = arguments.speed == "max"
@@ -212,6 +230,8 @@ def _run(
                 arguments.record_split,
                 arguments.namespace or "",
                 arguments.frame_prefix,
+                names_in(arguments.record_frames),
+                arguments.record_jpeg,
             )
             hooks.append(recording.hook)
         with_page = bool(arguments.report) and arguments.report.lower().endswith(".html")

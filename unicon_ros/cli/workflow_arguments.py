@@ -7,7 +7,15 @@ from typing import Any
 
 from unicon_ros.view import LOCAL, PORT
 
-__all__ = ["add_overrides", "add_view_options", "add_workflow", "port", "positive", "view_options"]
+__all__ = [
+    "add_overrides",
+    "add_view_options",
+    "add_workflow",
+    "port",
+    "positive",
+    "quality",
+    "view_options",
+]
 
 
 def add_workflow(parser: argparse.ArgumentParser) -> None:
@@ -35,6 +43,14 @@ def positive(text: str) -> float:
     if not 0.0 < value < float("inf"):
         raise argparse.ArgumentTypeError(f"{text} is not a number > 0")
     return value
+
+
+def quality(text: str) -> int:
+    """Return an argument that is the quality of a JPEG."""
+    number = int(text)
+    if not 1 <= number <= 100:
+        raise argparse.ArgumentTypeError(f"{text} is no quality of a JPEG; give 1 to 100")
+    return number
 
 
 def port(text: str) -> int:

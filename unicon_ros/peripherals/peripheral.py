@@ -16,7 +16,8 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
-from typing import Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 from unicon_core.errors import Fault, UniconError
 from unicon_core.flow import Block, Stage
@@ -29,7 +30,11 @@ from unicon_core.states.groups import Copies, subset
 from unicon_core.workflow.autowire import BuildContext
 from unicon_ros.peripherals.child import GROUP, START, handle_state
 
+if TYPE_CHECKING:
+    from unicon_ros.bridge.images import FrameMessage
+
 __all__ = [
+    "FrameSource",
     "Peripheral",
     "check_positive",
     "check_stale",
@@ -111,10 +116,11 @@ def peripheral_block(
     options: Mapping[str, Any],
     *,
     values: Iterable[str],
-    frames: Mapping[str, int] | None = None,
+    frames: Mapping[str, FrameMessage] | None = None,
     stale: float = 0.2,
     data: Mapping[str, Any] | None = None,
     environment: Mapping[str, str] | None = None,
+    kind: type[Peripheral] | None = None,
 ) -> Block:
     """Return the block of a peripheral, in stage recv: records have what it told.
 
@@ -126,33 +132,47 @@ def peripheral_block(
         module: that its process runs, which calls `serve`.
         options: for the device, as of JSON.
         values: names of its states besides those that every peripheral has.
-        frames: ring to the size of a frame in [B].
+        frames: ring to the layout of its frames.
         stale: so long nothing may come, in [s].
         data: further objects for the device, which can be pickled.
         environment: of the process; None for ours.
+        kind: class of the tick; None for `Peripheral` itself.
 
     Raises:
         UniconError: what the process says when it cannot begin.
     """
     check_stale(name, stale)
-    rings = dict(frames or {})
-    names = (*peripheral_states(name, {}, rings), *values)
+    frames = frames or {}
+    names = (*peripheral_states(name, {}, frames), *values)
     if context.dry:
         return Block(name, _nothing, writes=names, endless=True, stage=Stage.RECV)
     layout = subset(context.states.layout, names)
     given = {"name": name, "options": dict(options), "data": dict(data or {})}
-    tick = Peripheral(
+    tick = (kind or Peripheral)(
         context.states,
         layout,
         module,
         given,
-        rings,
+        frames,
         stale,
         context.period,
         context.tell,
         environment,
     )
     return Block(name, tick, writes=names, endless=True, stage=Stage.RECV, close=tick.close)
+
+
+@dataclass(frozen=True, eq=False)
+class FrameSource:
+    """Where frames come from.
+
+    Attributes:
+        ring: they lie in it.
+        message: layout of each.
+    """
+
+    ring: FrameRing
+    message: FrameMessage
 
 
 class Peripheral:
@@ -163,7 +183,7 @@ class Peripheral:
         layout: of what the device tells, some of these states.
         module: that its process runs.
         given: name, options and data.
-        rings: ring to the size of a frame in [B].
+        frames: ring to the layout of its frames.
         stale: so long nothing may come, in [s].
         period: of a tick in [s].
         tell: takes a line for the operator.
@@ -172,6 +192,7 @@ class Peripheral:
     Attributes:
         first: what the process told when it began; another one once it was started again.
         rings: of its frames, by name.
+        sources: the same by the name of a ring's handle without `_handle`, such as `front`.
         process: it.
         started: how often it was.
         heard: takes what the process says besides notes.
@@ -186,7 +207,7 @@ class Peripheral:
         layout: Layout,
         module: str,
         given: Mapping[str, Any],
-        rings: Mapping[str, int],
+        frames: Mapping[str, FrameMessage],
         stale: float,
         period: float,
         tell: Callable[[str], None],
@@ -204,12 +225,15 @@ class Peripheral:
         self._pairs = Copies(states, layout, memoryview(self._neutral.buffer.data).cast("B")).pairs
         self.heard: Callable[[dict[str, Any]], object] = bool
         self.rings: dict[str, FrameRing] = {}
+        self.sources: dict[str, FrameSource] = {}
         self._watcher: ShmWatcher | None = None
         self._take: Callable[[], bool] = bool
         self._thread: threading.Thread | None = None
         try:
-            for ring, nbytes in rings.items():
-                self.rings[ring] = FrameRing.create(nbytes)
+            for ring, message in frames.items():
+                made = self.rings[ring] = FrameRing.create(len(message.template))
+                stem = handle_state(self._name, ring).removesuffix("_handle")
+                self.sources[stem] = FrameSource(made, message)
             paths = {ring: str(made.path) for ring, made in self.rings.items()}
             self._given = {**given, "layout": layout.to_json(), "rings": paths}
             self.first = self._start()

@@ -87,14 +87,13 @@ def realsense(
         "ros": topic_options(name, node or name, namespace, ros_args, reliability),
         "device": device,
     }
-    frames = {ring: len(each.template) for ring, each in messages(name, options).items()}
     return peripheral_block(
         context,
         name,
         PROCESS,
         options,
         values=(),
-        frames=frames,
+        frames=messages(name, options),
         stale=stale,
         environment=large_data(),
     )

@@ -99,7 +99,7 @@ def webcam(
         PROCESS,
         options,
         values=(),
-        frames={"": len(message_of(options).template)},
+        frames={"": message_of(options)},
         stale=stale,
         environment=large_data(),
     )

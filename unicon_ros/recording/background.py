@@ -7,6 +7,9 @@ for 0.1 ms at most. The threads are of SCHED_BATCH: waking they do not push the 
 Every 0.7 s what is there goes to the kernel, so that a kill loses no more, and is brought to the
 medium at once: a power loss loses up to 1 s, and longer where the medium is slow. More often would
 be felt: each time takes 1 ms of a core.
+
+Large messages, such as pictures, come from another thread than the tick's, in memory of their own,
+and each is a chunk of its own.
 """
 
 from __future__ import annotations
@@ -23,12 +26,14 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from unicon_ros.recording.bag_folder import BagFolder
+from unicon_ros.recording.large import Large
 from unicon_ros.recording.mcap_file import Buffer, McapFile
 from unicon_ros.recording.records import MESSAGE, MESSAGE_HEAD, ROW, Channel
 
-__all__ = ["Background"]
+__all__ = ["Background", "calm"]
 
 FLUSH_S = 0.7
 SYNC_S = 0.5
@@ -76,6 +81,7 @@ class Background:
         self._queue = deque([self._block])
         self._free = deque(_Block(BLOCK_BYTES) for _ in range(BLOCKS - 1))
         self._others: deque[Callable[[], bytes]] = deque()
+        self._large: list[Large] = []
         self._overflow = self._discarded = 0
         self._error = ""
         self._open = True
@@ -98,6 +104,21 @@ class Background:
         self._file.add(channel)
         return partial(self._put, channel.number)
 
+    def add_large(self, channel: Channel, nbytes: int) -> Large:
+        """Add a topic of large messages, before `start`, and return what takes them.
+
+        Args:
+            channel: of the topic.
+            nbytes: of the largest message.
+
+        Raises:
+            OSError: it cannot be written.
+        """
+        self._file.add(channel)
+        large = Large(channel.number, nbytes, self._wake.set)
+        self._large.append(large)
+        return large
+
     def add_record(self, make: Callable[[], bytes]) -> None:
         """Add an attachment or metadata, from the tick too: it is made and written by the thread.
 
@@ -116,10 +137,14 @@ class Background:
         """Return messages in the file, those dropped, bytes of the file, and the error or ""."""
         return {
             "messages": self._file.messages,
-            "dropped": self._overflow + self._discarded,
+            "dropped": self._lost() + self._discarded,
             "bytes": self._file.size,
             "error": self._error,
         }
+
+    def _lost(self) -> int:
+        """Return the messages that had no room in memory."""
+        return self._overflow + sum(large.crowded for large in self._large)
 
     def close(self) -> None:
         """Write the rest, finish the file; at most 5 s. Never raises, and safe to call twice.
@@ -188,7 +213,7 @@ class Background:
     # -- the threads' side ----------------------------------------------------------------------
 
     def _work(self) -> None:
-        _calm()
+        calm()
         lost = 0
         while True:
             self._wake.wait(FLUSH_S)
@@ -196,8 +221,7 @@ class Background:
             ending = self._ending
             self._drain()
             self._flushed.set()
-            if self._overflow and not lost:
-                lost = self._overflow
+            if not lost and (lost := self._lost()):
                 self._fail(
                     "the medium is too slow; messages are dropped, the report tells how many",
                     over=False,
@@ -209,7 +233,7 @@ class Background:
                 self._fail(trouble)
 
     def _drain(self) -> None:
-        """Write what the tick has completed; blocks that it has left become free."""
+        """Write what the tick and others have completed; blocks that are left become free."""
         while self._others:
             make = self._others.popleft()
             if self._open:
@@ -228,13 +252,16 @@ class Background:
                 self._chunk(block, begin, until, first, upto)
                 block.taken = begin, first = (until, upto)
             if not left:
-                return
+                break
             self._queue.popleft()
             if len(block.data) == BLOCK_BYTES:
                 block.mark = block.taken = (0, 0)
                 self._free.append(block)
             else:
                 self._free.append(_Block(BLOCK_BYTES))
+        for large in self._large:
+            for _ in range(len(large.waiting)):  # new ones wait: ticks come first
+                large.free(self._write(*large.waiting[0]))
 
     def _upto(self, block: _Block, begin: int, first: int, last: int) -> int:
         """Return behind which message a chunk ends that begins with message `first`."""
@@ -243,21 +270,26 @@ class Background:
         return rows[0] + bisect_right(rows, begin + CHUNK_BYTES, key=key) if rows else last
 
     def _chunk(self, block: _Block, begin: int, end: int, first: int, last: int) -> None:
-        if not self._open:
-            self._discarded += last - first
-            return
         rows = np.frombuffer(block.rows, ROW, last - first, first * _ROW.size).copy()
         rows["offset"] -= np.uint64(begin)
+        self._write(memoryview(block.data)[begin:end], rows)
+
+    def _write(self, records: memoryview, rows: NDArray[np.void]) -> bool:
+        """Write messages; return whether they are in the file."""
+        if not self._open:
+            self._discarded += len(rows)
+            return False
         before = self._file.messages - self._file.again
         try:
-            self._file.write(memoryview(block.data)[begin:end], rows)
+            self._file.write(records, rows)
             if self._file.gone():
                 self._stop("", 0)
         except Exception as error:  # whatever it is, the run goes on
             # Where some of them had room.
             written = max(self._file.messages - self._file.again - before, 0)
-            lost = last - first - written
-            self._stop(str(getattr(error, "strerror", None) or error), lost)
+            reason = str(getattr(error, "strerror", None) or error)
+            self._stop(reason, len(rows) - written)
+        return self._open
 
     def _stop(self, reason: str, lost: int) -> None:
         """Finish the file as far as it is whole; what comes after is dropped and counted."""
@@ -290,7 +322,7 @@ class Background:
         return ""
 
     def _sync(self) -> None:
-        _calm()
+        calm()
         while not self._ended.wait(SYNC_S):
             self._flushed.wait()
             self._flushed.clear()
@@ -315,7 +347,7 @@ def _offset(block: _Block, row: int) -> int:
     return int(_ROW.unpack_from(block.rows, row * _ROW.size)[2])
 
 
-def _calm() -> None:
+def calm() -> None:
     """Let this thread preempt no other when it wakes: sched(7)."""
     with suppress(OSError, AttributeError):  # a sandbox forbids it, or it is not Linux
         if os.sched_getscheduler(0) == os.SCHED_OTHER:

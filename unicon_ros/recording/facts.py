@@ -152,10 +152,14 @@ def _platform_facts(program: Program) -> dict[str, Any]:
 
 
 def _outside(program: Program) -> dict[str, list[str]]:
-    """Return the states that hooks write, such as topics, by the moment that follows."""
+    """Return the states that hooks and devices write, by the moment that follows.
+
+    A device behind `send` says by an attribute `outside` that what it tells comes from there.
+    """
     moments = {Stage.INPUT: "input", Stage.TUNE: "tuned", Stage.OBSERVE: "sent"}
     given: dict[str, list[str]] = {}
-    for block in program.outside:
+    devices = [each for each in program.blocks if getattr(each.tick, "outside", False)]
+    for block in (*program.outside, *devices):
         if block.stage in moments:
             moment = moments[block.stage]
             given[moment] = sorted({*given.get(moment, ()), *block.writes, *block.amends})

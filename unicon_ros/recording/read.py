@@ -16,10 +16,11 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.errors import StateError, UniconError
+from unicon_core.errors import StateError, UniconError, alternatives
 from unicon_core.runtime.tick_ring import DONE, HEAD
 from unicon_core.states import Layout, States
 from unicon_ros.recording.facts import SCHEMA
+from unicon_ros.recording.frames import FRAMES, Frames, frames_in
 from unicon_ros.recording.scan import Scan, gather, scan
 from unicon_ros.recording.tick_message import Kept, Moment, kept_moments
 
@@ -152,6 +153,28 @@ class Record:
         ]
         packed = np.concatenate(parts)
         return packed.view(slot.dtype).reshape(-1, *slot.shape)
+
+    @property
+    def frame_names(self) -> tuple[str, ...]:
+        """Names of the handles whose frames were recorded, without `_handle`."""
+        topics = {topic: None for each in self._scans for topic in each.frames}
+        return tuple(topic.removeprefix(FRAMES) for topic in topics)
+
+    def frames(self, name: str) -> Frames:
+        """Return the pictures or clouds of one ring, by their handles.
+
+        Args:
+            name: of `frame_names`.
+
+        Raises:
+            StateError: no such frames.
+        """
+        found = frames_in(name, self._scans)
+        if found is None:
+            raise StateError(
+                f"no frames {name!r} in {self.paths[0]}; {alternatives(name, self.frame_names)}"
+            )
+        return found
 
     def feed(self, moment: str, row: int, states: States) -> None:
         """Put what came from outside at a moment of a tick into live states.

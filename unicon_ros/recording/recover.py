@@ -40,8 +40,9 @@ __all__ = ["recover", "recover_aside", "recover_folder", "salvage"]
 LONGEST = 1 << 30
 """No record of ours is longer; a length beyond is rubble of a power loss."""
 
-REST = 1 << 24
-"""More than a kill or a power loss leaves torn, in [bytes]: what is behind it may be worth more."""
+REST = 1 << 26
+"""More than a kill or a power loss leaves torn, in [bytes], a 4K picture of 25 MB among it: what is
+behind it may be worth more."""
 
 _OURS = (HEADER, SCHEMA, CHANNEL, CHUNK, ATTACHMENT, METADATA)
 

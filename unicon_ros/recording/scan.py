@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from unicon_ros.recording.frames import FRAMES
 from unicon_ros.recording.records import (
     ATTACHMENT,
     CHANNEL,
@@ -51,6 +52,7 @@ class Scan:
         counts: number of a channel to its messages.
         ticks: where the bytes of each tick stand in the file, shape (ticks,).
         sizes: of each in [bytes], shape (ticks,).
+        frames: topic of frames to where the bytes of each stand in the file, shape (frames,).
         span: first and last time of all messages in [ns], or None.
         ended: it has its end, so that nobody cut it off.
     """
@@ -63,6 +65,7 @@ class Scan:
     counts: Counter[int] = field(default_factory=Counter)
     ticks: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
     sizes: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    frames: dict[str, NDArray[np.int64]] = field(default_factory=dict)
     span: tuple[int, int] | None = None
     ended: bool = False
 
@@ -103,14 +106,15 @@ def scan(path: Path) -> Scan:
         raise ValueError("it does not begin as MCAP does")
     found = Scan(np.frombuffer(raw, np.uint8))
     torn = path.suffix == ".partial"
-    places: list[NDArray[np.int64]] = []
+    places: dict[str, list[NDArray[np.int64]]] = {}
     types: dict[int, str] = {}
     chunk: tuple[int, int] | None = None  # whose message indexes follow
     indexes: dict[int, tuple[int, int]] = {}
 
     def settle() -> None:
         if chunk is not None:
-            places.append(_messages(found, chunk, indexes))
+            for topic, begins in _messages(found, chunk, indexes):
+                places.setdefault(topic, []).append(begins)
 
     for opcode, begin, end in _records(raw, len(MAGIC), len(raw)):
         if opcode == MESSAGE_INDEX:
@@ -148,8 +152,9 @@ def scan(path: Path) -> Scan:
             found.ended = True
             break
     settle()
-    if places:
-        found.ticks = np.concatenate(places)
+    joined = {topic: np.concatenate(each) for topic, each in places.items()}
+    found.ticks = joined.pop(TOPIC, found.ticks)
+    found.frames = joined
     lengths = gather(found.data, found.ticks - _BODY - 8, 8).reshape(-1).view("<i8")
     found.sizes = lengths.astype(np.int64) - _BODY
     if (found.ticks + found.sizes > len(found.data)).any():
@@ -159,32 +164,32 @@ def scan(path: Path) -> Scan:
 
 def _messages(
     found: Scan, chunk: tuple[int, int], indexes: dict[int, tuple[int, int]]
-) -> NDArray[np.int64]:
-    """Count the messages of a chunk; return where those of the ticks stand."""
-    ours = next((number for number, (topic, _) in found.topics.items() if topic == TOPIC), -1)
+) -> Iterator[tuple[str, NDArray[np.int64]]]:
+    """Count the messages of a chunk; yield where those of ticks and frames stand."""
+    offsets: dict[int, Any] = {}
     if indexes:
-        for number, (_, size) in indexes.items():
+        for number, (begin, size) in indexes.items():
             found.counts[number] += size // 16
-        begin, size = indexes.get(ours, (0, 0))
-        offsets = found.data[begin : begin + size].view("<i8")[1::2].astype(np.int64)
+            offsets[number] = found.data[begin : begin + size].view("<i8")[1::2]
     else:  # cut off behind it
-        told: list[int] = []
         raw = found.data.data
         for opcode, begin, _ in _records(raw, *chunk):
             if opcode == MESSAGE:
                 (number,) = struct.unpack_from("<H", raw, begin)
                 found.counts[number] += 1
-                if number == ours:
-                    told.append(begin - 9 - chunk[0])
-        offsets = np.array(told, np.int64)
-    begins = chunk[0] + offsets
-    if len(begins) and (
-        begins.min() < chunk[0]
-        or begins.max() + MESSAGE_HEAD.size > chunk[1]
-        or (found.data[begins] != MESSAGE).any()
-    ):
-        raise ValueError("a message index is damaged")
-    return begins + MESSAGE_HEAD.size
+                offsets.setdefault(number, []).append(begin - 9 - chunk[0])
+    for number, there in offsets.items():
+        topic, _ = found.topics.get(number, ("", ""))
+        if topic != TOPIC and not topic.startswith(FRAMES):
+            continue
+        begins = chunk[0] + np.array(there, np.int64)
+        if len(begins) and (
+            begins.min() < chunk[0]
+            or begins.max() + MESSAGE_HEAD.size > chunk[1]
+            or (found.data[begins] != MESSAGE).any()
+        ):
+            raise ValueError("a message index is damaged")
+        yield topic, begins + MESSAGE_HEAD.size
 
 
 def _records(raw: memoryview, position: int, until: int) -> Iterator[tuple[int, int, int]]:

@@ -19,7 +19,7 @@ from unicon_core.runtime.phases import Phase
 from unicon_core.states import States
 from unicon_core.workflow import Program
 from unicon_core.workflow.skills import skills_of
-from unicon_ros.bridge.bindings import given_by_blocks
+from unicon_ros.bridge.bindings import told_states
 from unicon_ros.bridge.tuning import Tuning, too_little_damping
 from unicon_ros.controls import Answer, Controls
 from unicon_ros.parameter_table import LIMITS, RANGES
@@ -96,7 +96,7 @@ class Driver:
 
         A viewer that does not drive is heard after `send`: no command waits for it.
         """
-        contested = COMMAND in given_by_blocks(self._program)
+        contested = COMMAND in told_states(self._program)
         amends, writes = ((COMMAND,), ()) if contested else ((), (COMMAND,))
         hear = Block("viewer", self.hear, amends=amends, writes=writes, endless=True)
         hear.inline = "drives[0] and hear()"

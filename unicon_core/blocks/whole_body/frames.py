@@ -84,10 +84,10 @@ def effector_of(name: str, robot: Robot, block: str) -> Place:
     Raises:
         WorkflowError: it has none of that name.
     """
-    if name in robot.end_effectors:
-        return robot.end_effectors[name]
     known = robot.end_effectors
-    remedy = alternatives(str(name), known) if known else "it names none"
+    if name in known:
+        return known[name]
+    remedy = alternatives(name, known) if known else "it names none"
     raise WorkflowError(
         f"block {block!r}: robot {robot.name} has no end effector {name!r}; {remedy}; name one "
         f"under end_effectors in {robot.path}"
@@ -96,7 +96,7 @@ def effector_of(name: str, robot: Robot, block: str) -> Place:
 
 def _places(of: Of, robot: Robot) -> dict[str, Place]:
     if isinstance(of, Mapping):
-        return {check_name(name): Place(str(body)) for name, body in of.items()}
+        return {check_name(name): Place(body) for name, body in of.items()}
     words = (of,) if isinstance(of, str) else tuple(of) or tuple(robot.end_effectors)
     if not words:
         raise WorkflowError(

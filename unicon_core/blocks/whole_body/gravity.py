@@ -40,12 +40,12 @@ def gravity(
     Args:
         joint_pos: in [rad] or [m], shape (n,).
         joint_effort_ff: in [N·m] or [N], shape (n,).
-        moves: groups, joints or patterns of joints that are carried; all those that bear no foot
-            and whose vendor takes torques, unless told.
+        moves: groups, joints or patterns of joints that are carried; of a robot without feet all
+            whose vendor takes torques, unless told.
 
     Raises:
-        WorkflowError: a joint bears a foot or takes no torques; the states are of a batch, or of a
-            member that another one carries.
+        WorkflowError: a joint bears a foot or takes no torques, or a robot with feet is not told
+            which to carry; the states are of a batch, or of a member that another one carries.
         RobotError: a word means no joint.
         ModelError: there is no model, or it lacks a joint.
     """
@@ -71,10 +71,17 @@ def _carried(robot: Robot, words: tuple[str, ...], bears: NDArray[np.bool_]) -> 
     """Return the joints that are carried, in the robot's order."""
     servo = robot.by_position
     if not words:
-        places = np.flatnonzero(~bears & ~servo)
-        if len(places):
-            return places
-        raise WorkflowError(f"robot {robot.name} has no joint to carry; leave it out")
+        if bears.any():  # with the waist carried, too, the G1 falls under its asset policy in 3 s
+            raise WorkflowError(
+                "a policy that walks was trained without it; name the joints that others move: "
+                "moves: [arms]"
+            )
+        if servo.all():
+            raise WorkflowError(
+                f"every joint of {robot.name} takes positions alone: its vendor closes the loop; "
+                "leave it out"
+            )
+        return np.flatnonzero(~servo)
     places = robot.group(words)
     for wrong, why in (
         (bears, "bears a foot: what it carries depends on the ground"),

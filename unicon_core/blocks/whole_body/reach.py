@@ -42,6 +42,7 @@ _ARMS = "arms"
 
 def reach(
     joint_pos: Reads,
+    joint_vel: Reads,
     stamp_ns: Reads,
     joint_pos_command: Writes,
     joint_vel_command: Writes,
@@ -63,6 +64,8 @@ def reach(
 
     Args:
         joint_pos: measured, in [rad], shape (n,).
+        joint_vel: measured, in [rad/s], shape (n,): on another part than the robot's, joints that
+            it does not move are brought on by a tick, and targets too.
         stamp_ns: time of the robot's data.
         joint_pos_command: in [rad], shape (n,); NaN of what is not commanded.
         joint_vel_command: in [rad/s], likewise.
@@ -95,13 +98,13 @@ def reach(
             within(angle_tolerance, "angle_tolerance", "rad", 3.2),
         ),
     )
-    look_ahead = within(look_ahead, "look_ahead", "s", LONGEST, above=False)
+    look_ahead = within(look_ahead, "look_ahead", "s", LONGEST, above=False) + context.lag
     rate = rates_of(max_rate, robot, "reach")
     moved = robot.group(list(moves))
     reaching = _loaded(context, list(weights), moved, settings.apart)
     reads = [name for effector in weights for name in target_of(effector)]
     writes = [name for effector in weights for name in told_of(effector)]
-    views = {"joint_pos": joint_pos, "stamp_ns": stamp_ns}
+    views = {"joint_pos": joint_pos, "joint_vel": joint_vel, "stamp_ns": stamp_ns}
     views |= {name: states[name] for name in (*HELD, *reads)}
     outs = dict(zip(COMMANDED, (joint_pos_command, joint_vel_command)))
     outs |= {name: states[name] for name in writes}
@@ -123,7 +126,8 @@ def reach(
             pose, velocity, stamp = (ins[state] for state in target_of(name))
             turns = weight.orientation > 0.0
             targets.append(Target(name, pose, velocity, stamp, turns, look_ahead, tell))
-        return Reach(ik, chain, list(weights), targets, ins, results, context.period, tell)
+        told = context.period, tell, context.lag
+        return Reach(ik, chain, list(weights), targets, ins, results, *told)
 
     tick = make(views, outs, context.tell)
     tick.moves = tuple(moves)

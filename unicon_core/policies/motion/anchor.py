@@ -1,65 +1,23 @@
 """Where a robot has the body by which motions are compared: forward kinematics from its base.
 
 A humanoid measures the orientation of its pelvis, and motions are compared by the torso: three
-joints are between. In a tick these are plain floats: NumPy takes longer for arrays so small.
+joints are between.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeAlias
 
 from unicon_core.errors import PolicyError, alternatives
 from unicon_core.models.kinematic_tree import BASE, frame_of, read_tree
 from unicon_core.models.load import load_model
+from unicon_core.models.plain_turns import Quat, Vector, multiply, rotate, turned
 from unicon_core.policies.motion.spec import AXES
 from unicon_core.robots import Robot
 
-__all__ = ["Chain", "Quat", "Step", "Vector", "chain_in_model", "chain_of_axes"]
-__all__ += ["conjugate", "multiply", "rotate", "turned", "yaw_of"]
-
-Quat: TypeAlias = tuple[float, float, float, float]
-Vector: TypeAlias = tuple[float, float, float]
-
-
-def multiply(a: Quat, b: Quat) -> Quat:
-    """Return the product of two quaternions wxyz."""
-    aw, ax, ay, az = a
-    bw, bx, by, bz = b
-    return (
-        aw * bw - ax * bx - ay * by - az * bz,
-        aw * bx + ax * bw + ay * bz - az * by,
-        aw * by - ax * bz + ay * bw + az * bx,
-        aw * bz + ax * by - ay * bx + az * bw,
-    )
-
-
-def conjugate(a: Quat) -> Quat:
-    """Return the inverse of a unit quaternion wxyz."""
-    return a[0], -a[1], -a[2], -a[3]
-
-
-def rotate(a: Quat, v: Vector) -> Vector:
-    """Return a vector turned by a unit quaternion wxyz."""
-    _, x, y, z = multiply(multiply(a, (0.0, *v)), conjugate(a))
-    return x, y, z
-
-
-def turned(axis: Vector, angle: float) -> Quat:
-    """Return the quaternion wxyz of a turn by an angle in [rad] about a unit vector."""
-    half = 0.5 * angle
-    s = math.sin(half) if math.isfinite(half) else math.nan
-    c = math.cos(half) if math.isfinite(half) else math.nan
-    return c, s * axis[0], s * axis[1], s * axis[2]
-
-
-def yaw_of(a: Quat) -> float:
-    """Return the heading of a unit quaternion wxyz in [rad]: the last of roll, pitch and yaw."""
-    w, x, y, z = a
-    return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+__all__ = ["Chain", "Step", "chain_in_model", "chain_of_axes"]
 
 
 @dataclass(frozen=True)

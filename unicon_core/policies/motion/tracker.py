@@ -22,9 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import PolicyError
-from unicon_core.policies.contract import PolicyContract
-from unicon_core.policies.motion.anchor import (
-    Chain,
+from unicon_core.models.plain_turns import (
     Quat,
     Vector,
     conjugate,
@@ -33,6 +31,8 @@ from unicon_core.policies.motion.anchor import (
     turned,
     yaw_of,
 )
+from unicon_core.policies.contract import PolicyContract
+from unicon_core.policies.motion.anchor import Chain
 from unicon_core.policies.motion.clip import Clip
 from unicon_core.policies.prefixed import PackedStates
 from unicon_core.robots import joint_index

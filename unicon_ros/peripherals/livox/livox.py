@@ -105,7 +105,7 @@ def livox(
         MODULE,
         options,
         values=_values(prefix),
-        frames={"cloud": len(livox_message(frame_id).template)},
+        frames={"cloud": livox_message(frame_id)},
         environment=large_data() if topic else None,
     )
 

@@ -7,6 +7,7 @@ commands:
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
 from importlib.util import find_spec
 from typing import Any
@@ -15,7 +16,7 @@ from unicon_core.errors import MissingDependencyError, WorkflowError
 from unicon_core.flow import Block
 from unicon_core.states import StateSpec
 from unicon_core.workflow.autowire import BuildContext
-from unicon_ros.peripherals.peripheral import peripheral_block, peripheral_states
+from unicon_ros.peripherals.peripheral import Peripheral, peripheral_block, peripheral_states
 from unicon_ros.peripherals.webxr.frames import AXES, BUTTONS, PARTS
 from unicon_ros.view.front import LOOPBACK
 
@@ -81,8 +82,27 @@ def webxr(
         "stale": float(stale),
     }
     return peripheral_block(
-        context, prefix, MODULE, options, values=_values(prefix), stale=float(stale)
+        context,
+        prefix,
+        MODULE,
+        options,
+        values=_values(prefix),
+        stale=float(stale),
+        kind=Headset,
     )
+
+
+class Headset(Peripheral):
+    """The tick of `webxr`: tells also how old the poses are in it, for records and replays."""
+
+    def __call__(self) -> bool:
+        news = super().__call__()
+        states, name = self._states, self._name
+        age = 0.0
+        if states[f"{name}_alive"]:
+            age = 1e-9 * (time.monotonic_ns() - int(states[f"{name}_stamp_ns"]))
+        states[f"{name}_age"][...] = age
+        return news
 
 
 def _values(name: str) -> Mapping[str, StateSpec]:
@@ -98,6 +118,7 @@ def _values(name: str) -> Mapping[str, StateSpec]:
             (len(PARTS),), "int32", names=tuple(PARTS), description="1 where it is tracked"
         ),
         f"{name}_latency": StateSpec((), unit="s", description="from the headset's frame to us"),
+        f"{name}_age": StateSpec((), unit="s", description="from the headset's frame to this tick"),
         f"{name}_number": StateSpec((), "int64", description="number of the headset's frame"),
         f"{name}_missed": StateSpec((), "int64", description="frames that were not sent"),
         f"{name}_refused": StateSpec((), "int64", description="messages that were not taken"),

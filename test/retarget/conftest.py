@@ -1,0 +1,34 @@
+"""Robot hands, with the vendors' models where the assets are, else with models of our own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from hands import rohand_model, xhand_model
+
+from unicon_core.retarget.hand_model import HandModel
+from unicon_core.robots import load_robot
+
+OWN = {"xhand1": xhand_model, "rohand": rohand_model}
+HANDS = (
+    *("inspire_rh56_left", "inspire_rh56_right", "dex3_left", "dex3_right"),
+    *("xhand1_left", "xhand1_right", "rohand_left", "rohand_right"),
+)
+
+
+@pytest.fixture
+def hand_model(request: pytest.FixtureRequest, tmp_path: Path) -> Callable[[str], HandModel]:
+    """Builds the model of a hand by the robot's name; of ROHand with the side behind it."""
+    pytest.importorskip("mujoco")
+
+    def build(name: str) -> HandModel:
+        kind, _, side = name.rpartition("_")
+        if kind not in OWN:
+            request.getfixturevalue("assets")
+            return HandModel(load_robot(name))
+        robot = load_robot(kind if kind == "rohand" else name)
+        return HandModel(robot, side, str(OWN[kind](tmp_path, side)))
+
+    return build

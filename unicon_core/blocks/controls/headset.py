@@ -1,0 +1,130 @@
+"""Block `headset_controls`: a headset's controllers as sticks and buttons, as a game pad has them.
+
+    commands: [webxr, headset_controls, {drive: {speed: [0.5, 0.3, 0.8]}}]
+
+Buttons are named by place, as on a Unitree remote: A and B of the right controller, X and Y of the
+left one; L1 and R1 are squeezed, L2 and R2 the triggers, F1 and F2 the sticks that are pressed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.blocks.controls.device import declares_controls
+from unicon_core.errors import WorkflowError
+from unicon_core.flow.block import Writes
+from unicon_core.states import States
+from unicon_core.states.standard import BUTTONS
+
+__all__ = ["HeadsetControls", "headset_controls"]
+
+PRESSED = 0.5
+"""How far a button is pressed that counts, 0 to 1."""
+
+_BUTTONS: Mapping[str, Mapping[str, str]] = {
+    "left": {"squeeze": "L1", "trigger": "L2", "thumbstick": "F1", "a": "X", "b": "Y"},
+    "right": {"squeeze": "R1", "trigger": "R2", "thumbstick": "F2", "a": "A", "b": "B"},
+}
+"""Side to the controller's button and ours."""
+_STICKS = {"left": (0, 1), "right": (2, 3)}
+"""Side to the elements of `sticks`: thumbstick x and y, of which y is positive to the back."""
+
+
+def headset_controls(
+    sticks: Writes,
+    buttons: Writes,
+    controls_alive: Writes,
+    *,
+    states: States,
+    device: str = "webxr",
+) -> HeadsetControls:
+    """Write sticks and buttons of a headset's controllers; all zero while none is tracked.
+
+    A robot that tells its own remote writes these states itself: rename them here and in the blocks
+    that read them (`states: {sticks: headset_sticks}`).
+
+    Args:
+        device: prefix of the headset's states.
+
+    Raises:
+        WorkflowError: there is no such device.
+    """
+    needed = [f"{device}_{what}" for what in _needed()]
+    for state in needed:
+        if state not in states.layout.specs:
+            raise WorkflowError(
+                f"no state {state!r}; list the device that writes it, such as webxr, before "
+                "headset_controls (commands:), or name yours: device: PREFIX"
+            )
+    return HeadsetControls((sticks, buttons, controls_alive), states, device, needed)
+
+
+setattr(headset_controls, "declares", declares_controls)  # noqa: B010  mypy: a function has none
+
+
+def _needed() -> tuple[str, ...]:
+    return (
+        "alive",
+        "valid",
+        *(f"{side}_{what}" for side in _BUTTONS for what in ("buttons", "axes")),
+    )
+
+
+class HeadsetControls:
+    """The tick of `headset_controls`."""
+
+    endless = True
+
+    def __init__(
+        self,
+        out: tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.int32]],
+        states: States,
+        device: str,
+        reads: list[str],
+    ) -> None:
+        self._sticks, self._buttons, self._heard = out
+        self.reads = tuple(reads)
+        self._alive, self._valid = states[f"{device}_alive"], states[f"{device}_valid"]
+        parts = states.spec(f"{device}_valid").names
+        self._sides = []
+        for side, named in _BUTTONS.items():
+            names = states.spec(f"{device}_{side}_buttons").names
+            axes = states.spec(f"{device}_{side}_axes").names
+            self._sides.append(
+                (
+                    parts.index(f"{side}_controller"),
+                    states[f"{device}_{side}_axes"],
+                    [axes.index(f"thumbstick_{axis}") for axis in "xy"],
+                    _STICKS[side],
+                    states[f"{device}_{side}_buttons"],
+                    [names.index(name) for name in named],
+                    [BUTTONS.index(name) for name in named.values()],
+                )
+            )
+
+    def __call__(self) -> None:
+        self._sticks[...] = 0.0
+        self._buttons[...] = 0
+        self._heard[...] = self._alive
+        if not self._alive:
+            return
+        for part, axes, (across, along), (x, y), pressed, theirs, ours in self._sides:
+            if not self._valid[part]:
+                continue
+            self._sticks[x], self._sticks[y] = _share(axes[across]), -_share(axes[along])
+            for button, element in zip(theirs, ours):
+                self._buttons[element] = pressed[button] > PRESSED
+
+    def reset(self) -> None:
+        """Let go of what was pressed before."""
+        self._sticks[...] = 0.0
+        self._buttons[...] = 0
+        self._heard[...] = 0
+
+
+def _share(value: Any) -> float:
+    return max(-1.0, min(float(value), 1.0)) if value == value else 0.0

@@ -1,0 +1,249 @@
+"""Block `retarget`: a robot's hand does what a human's does, as a headset tells it.
+
+commands:
+  - webxr
+  - {of: left_hand, retarget: {hand: webxr_left_hand}}
+flow: {zip: [{policy: walk}, {of: left_hand, forward_command: {max_rate: 6.0}}]}
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.blocks.safety.limits import velocity_limits
+from unicon_core.bounds import VELOCITY, within
+from unicon_core.errors import WorkflowError, alternatives
+from unicon_core.flow.block import Reads, Writes
+from unicon_core.retarget.hand_model import HandModel, told_hand
+from unicon_core.retarget.human_hand import ABSENT, JOINTS, HumanHand
+from unicon_core.retarget.retargeting import NEAR, Retargeting
+from unicon_core.robots import Robot
+from unicon_core.robots.hand import SIDES
+from unicon_core.states import StateSpec
+from unicon_core.states.standard import forwarded_states
+from unicon_core.workflow.autowire import BuildContext
+
+__all__ = ["Retarget", "retarget"]
+
+SCALES = 0.2, 5.0
+FASTEST = 1000.0
+"""In [Hz]: what cuts off there cuts nothing."""
+SETTLED = 2.0
+"""In [s]: over which a human's lengths are averaged, and after which a hand that cannot be one is
+told of again."""
+
+
+def retarget(
+    joint_pos: Reads,
+    joint_pos_command: Writes,
+    *,
+    context: BuildContext,
+    hand: str = "",
+    side: str = "",
+    scale: float | None = None,
+    contact: float = 0.0,
+    filter: float | None = None,
+    max_rate: float | str | None = None,
+    model: str | None = None,
+) -> Retarget:
+    """Command the joints at which the fingers point as those of a human hand, and pinch as they do.
+
+    Nothing is commanded (NaN) while the hand is not tracked, or cannot be one, which is told.
+
+    Args:
+        context: of the robot's hand.
+        hand: state of the human's 25 poses, shape (25, 7), as `webxr` writes them;
+            `webxr_left_hand` or `webxr_right_hand` unless given, by the side.
+        side: of the human's hand, left or right; the robot's unless given. One of the other side is
+            mirrored.
+        scale: length of the robot's fingers for one of the human's; measured of each finger unless
+            given.
+        contact: fingertips that should be so near to the thumb's close wholly, in [m] of the
+            robot's hand. Of a human's pinch headsets tell 0.01 to 0.02.
+        filter: where a low pass of first order cuts off, in [Hz]; None for none.
+        max_rate: of a commanded position in [rad/s], or `robot` for the robot file's velocity
+            limits; None for none.
+        model: MJCF or URDF instead of the robot file's.
+
+    Raises:
+        WorkflowError: an option is wrong, or there is no such state.
+        RobotError: the robot file says nothing of a hand.
+        ModelError: there is no model of it.
+        MissingDependencyError: mujoco is not installed.
+    """
+    robot, period = context.robot, context.period
+    human = side_of(robot, side)
+    hands = HandModel(robot, human, model, context.relative_to)
+    name = hand or f"webxr_{human}_hand"
+    if scale is not None:
+        scale = within(scale, "scale", "", SCALES[1], SCALES[0], above=False)
+    within(contact, "contact", "m", 0.5 * NEAR, above=False)
+    mirrored = told_hand(robot).side not in ("", human)
+    made = Retarget(
+        HumanHand(_poses(context, name), hands.fingers, human, mirrored=mirrored),
+        Retargeting(hands, contact),
+        joint_pos,
+        joint_pos_command,
+        context.states[_error(human)],
+        period=period,
+        scale=scale,
+        cut=within(FASTEST if filter is None else filter, "filter", "Hz", FASTEST),
+        rate=_rate(robot, max_rate),
+    )
+    made.reads, made.writes = (name,), (_error(human),)
+    tell, who = context.tell, f"retarget of {robot.name}"
+    made.tell = lambda found: tell(f"{who}: {found}")
+    if not hands.moved.all():
+        made.moves = tuple(np.array(robot.joint_names)[hands.moved].tolist())
+    return made
+
+
+def side_of(robot: Robot, side: str = "") -> str:
+    """Return the side of the human's hand: the one that is given, else the robot's.
+
+    Raises:
+        WorkflowError: it is none, or nobody says it.
+        RobotError: the robot file says nothing of a hand.
+    """
+    if side and side not in SIDES:
+        raise WorkflowError(f"side is {side!r}; give left or right")
+    found = side or told_hand(robot).side
+    if not found:
+        raise WorkflowError(
+            f"robot {robot.name} may be a left or a right hand; say which: side: left"
+        )
+    return found
+
+
+def _poses(context: BuildContext, name: str) -> NDArray[np.float32]:
+    specs = context.states.layout.specs
+    if name not in specs:
+        hands = [each for each, spec in specs.items() if spec.shape == (JOINTS, 7)]
+        raise WorkflowError(
+            f"no state {name!r} of a human hand; {alternatives(name, hands)}; put a block that "
+            "writes it, such as webxr, before, and name it: hand: STATE"
+        )
+    if specs[name].shape != (JOINTS, 7):
+        raise WorkflowError(
+            f"state {name!r} has shape {list(specs[name].shape)}; a human hand has [{JOINTS}, 7], "
+            "position and quaternion wxyz of each joint"
+        )
+    if context.states.num_robots is not None:
+        raise WorkflowError("it is for one robot; leave num_robots out")
+    return context.states[name]
+
+
+def _rate(robot: Robot, said: float | str | None) -> NDArray[np.float64]:
+    if said is None:
+        return np.full(robot.num_joints, np.inf)
+    if said == "robot":
+        return velocity_limits(robot, "give retarget a max_rate in [rad/s]").astype(np.float64)
+    if isinstance(said, str):
+        raise WorkflowError(f"max_rate is {said!r}; give [rad/s] above 0, or robot")
+    return np.full(robot.num_joints, within(said, "max_rate", "rad/s", VELOCITY))
+
+
+def _error(side: str) -> str:
+    return f"{side}_hand_retarget_error"
+
+
+def _declares(*, robot: Robot, side: str = "", **_: Any) -> Mapping[str, StateSpec]:
+    specs = forwarded_states(robot.joint_names)
+    told = side or (robot.hand.side if robot.hand is not None else "")
+    if robot.hand is not None and told in SIDES:
+        fingers = tuple(robot.hand.fingers)
+        specs[_error(told)] = StateSpec(
+            (len(fingers),),
+            unit="m",
+            names=fingers,
+            description="of each tip from where the human's finger leads it; NaN: no hand",
+            initial=math.nan,
+        )
+    return specs
+
+
+setattr(retarget, "declares", _declares)  # noqa: B010  a function has none to mypy
+
+
+class Retarget:
+    """The tick of `retarget`.
+
+    Args:
+        human: the human's hand.
+        retargeting: to the robot's.
+        joint_pos: measured in [rad], shape (n,).
+        command: gets positions in [rad], shape (n,).
+        error: gets how far each tip is from where it should be in [m], shape (f,).
+        period: of the tick in [s].
+        scale: length of the robot's fingers for one of the human's, or None to measure it.
+        cut: of the low pass in [Hz].
+        rate: largest of each joint of the robot in [rad/s], shape (n,).
+
+    Attributes:
+        scale: the robot's length for one of the human's, of each finger, shape (f,).
+    """
+
+    reads: tuple[str, ...] = ()
+    writes: tuple[str, ...] = ()
+    moves: tuple[str, ...] = ()
+    tell: Callable[[str], None] = print
+
+    def __init__(
+        self,
+        human: HumanHand,
+        retargeting: Retargeting,
+        joint_pos: NDArray[np.float32],
+        command: NDArray[np.float32],
+        error: NDArray[np.float32],
+        *,
+        period: float,
+        scale: float | None,
+        cut: float,
+        rate: NDArray[np.float64],
+    ) -> None:
+        self._human, self._retargeting = human, retargeting
+        self._joint_pos, self._command, self._error = joint_pos, command, error
+        model = retargeting.model
+        self._moved, self._step = model.moved, rate * period
+        self._given, self.scale = scale, np.full(len(model.fingers), scale or 1.0)
+        self._lengths = np.ones(len(model.fingers))
+        self._share = 1.0 if cut >= FASTEST else 1.0 - math.exp(-2.0 * math.pi * cut * period)
+        self._slow = 1.0 - math.exp(-period / SETTLED)
+        self._again = max(1, round(SETTLED / period))
+        self._smooth, self._sent = (np.zeros(len(rate)) for _ in range(2))
+        self._follows, self._told = False, 0
+
+    def __call__(self) -> None:
+        human, retargeting = self._human, self._retargeting
+        found = human.look()
+        wrong = bool(found) and found != ABSENT
+        if wrong and self._told == 0:
+            self.tell(f"{found}; nothing is commanded until it can be a hand")
+        self._told = self._again if wrong else max(self._told - 1, 0)
+        if found:
+            self.reset()
+            self._command[...] = self._error[...] = np.nan
+            return
+        anew, self._follows = not self._follows, True
+        self._lengths += (1.0 if anew else self._slow) * (human.lengths - self._lengths)
+        if self._given is None:
+            np.divide(retargeting.model.reach, self._lengths, out=self.scale)
+        retargeting.solve(human, self.scale, anew=anew)
+        smooth, sent = self._smooth, self._sent
+        if anew:
+            smooth[...] = retargeting.q
+            measured = np.where(np.isfinite(self._joint_pos), self._joint_pos, smooth)
+            np.clip(measured, retargeting.model.lower, retargeting.model.upper, out=sent)
+        smooth += self._share * (retargeting.q - smooth)
+        np.clip(smooth, sent - self._step, sent + self._step, out=sent)
+        np.copyto(self._command, sent, where=self._moved, casting="same_kind")
+        self._error[...] = retargeting.errors
+
+    def reset(self) -> None:
+        """Follow the next hand as one that has just come."""
+        self._follows = False

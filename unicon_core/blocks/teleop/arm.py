@@ -1,0 +1,116 @@
+"""Arm: writes the target of one end effector, as one of the operator's hands moves it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from unicon_core.blocks.teleop.clutch import Clutch
+from unicon_core.blocks.teleop.hand import Hand
+from unicon_core.blocks.teleop.operator import Headset, Side, pose_of
+from unicon_core.errors import WorkflowError
+from unicon_core.models.plain_turns import Quat, Vector
+from unicon_core.states import States
+from unicon_core.states.effectors import pose_of as pose_state
+from unicon_core.states.effectors import target_of
+
+__all__ = ["Arm"]
+
+
+class Arm:
+    """One hand of the operator and the end effector that it moves.
+
+    Args:
+        element: of `teleop_engaged`.
+        theirs: the operator's hand.
+        clutches: kind of what is tracked, `controller` or `hand`, to its clutch.
+        hand: computes the target.
+        states: of the workflow.
+        name: of the end effector.
+
+    Raises:
+        WorkflowError: nobody says where the end effector is.
+    """
+
+    def __init__(
+        self,
+        element: int,
+        theirs: Side,
+        clutches: Mapping[str, Clutch],
+        hand: Hand,
+        states: States,
+        name: str,
+    ) -> None:
+        self.element, self.theirs, self.hand, self.name = element, theirs, hand, name
+        self._clutches = clutches
+        pose = pose_state(name)
+        if pose not in states.layout.specs:
+            raise WorkflowError(
+                f"no state {pose!r}, where the robot's hand is; write estimate: [{{frames: "
+                f"{{of: [{name}]}}}}]"
+            )
+        self.reads = (pose,)
+        self.writes = target_of(name)
+        self._ours = states[pose]
+        self._target, self._velocity, self._stamp = (states[state] for state in self.writes)
+        self._kind, self._home = "", False
+
+    def lose(self) -> None:
+        """Have no target: nobody sees the operator's hand."""
+        self.theirs.forget()
+        self._drop("")
+
+    def _drop(self, kind: str) -> None:
+        for clutch in self._clutches.values():
+            clutch.drop()
+        self._kind = kind
+        if self.hand.live:
+            self.hand.drop()
+        self._target[...] = np.nan
+        self._velocity[...] = 0.0
+        self._stamp[...] = 0
+
+    def follow(self, headset: Headset, stamp: int) -> bool:
+        """Write the target; return whether the clutch is engaged.
+
+        Args:
+            headset: which is heard.
+            stamp: when its frame was, in [ns] of `stamp_ns`.
+        """
+        kind, hand, ours = self.theirs.look(), self.hand, pose_of(self._ours)
+        if not kind or self.theirs.home or ours is None:  # a robot that is silent has no hand
+            self._drop(kind)
+            return False
+        if kind != self._kind:  # a controller that is laid down, or taken up
+            self._clutches[kind].drop()
+            self._kind = kind
+        clutch = self._clutches[kind]
+        was = clutch.engaged
+        if clutch(self.theirs.closed) and not was and not self._engage(headset, ours):
+            clutch.drop()
+        if clutch.engaged:
+            if was:
+                hand.follow(self.theirs.position, self.theirs.quat, headset.dt)
+        else:
+            hand.hold()
+        if hand.live:
+            self._write(stamp)
+        return clutch.engaged
+
+    def _engage(self, headset: Headset, ours: tuple[Vector, Quat]) -> bool:
+        yaw = headset.heading()
+        if yaw is None:
+            return False
+        self.hand.engage(self.theirs.position, self.theirs.quat, yaw, ours)
+        return True
+
+    def _write(self, stamp: int) -> None:
+        hand = self.hand
+        self._target[:3], self._target[3:] = hand.position, hand.quat
+        self._velocity[:3], self._velocity[3:] = hand.velocity, hand.spin
+        self._stamp[...] = stamp
+
+    def reset(self) -> None:
+        """Begin anew."""
+        self.lose()

@@ -1,0 +1,154 @@
+"""Hand: where one of the robot's hands is to be, as one of the operator's moves.
+
+At the moment at which the clutch is engaged the two are taken as equal; from then on the robot's
+moves as the operator's does, in the axes in which he looks ahead: his forward is the robot's.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from unicon_core.blocks.teleop.workspace import Workspace
+from unicon_core.models.plain_turns import (
+    Quat,
+    Vector,
+    conjugate,
+    multiply,
+    rotate,
+    towards,
+    turned,
+    vector_of,
+)
+
+__all__ = ["Hand", "Pace"]
+
+SMOOTHED = 0.03
+"""Time constant of a target's velocity in [s]: two frames of a headset."""
+
+_UP: Vector = (0.0, 0.0, 1.0)
+_STILL: Vector = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Pace:
+    """How a hand follows.
+
+    Attributes:
+        scale: way of the robot's hand for that of the operator's.
+        speed: of a target at most, in [m/s].
+        turn: of a target at most, in [rad/s].
+    """
+
+    scale: float
+    speed: float
+    turn: float
+
+
+class Hand:
+    """The target of one end effector.
+
+    Args:
+        workspace: where it may be.
+        pace: how it follows.
+        period: of a tick in [s].
+
+    Attributes:
+        live: there is a target.
+        position: of the target in the base's frame in [m].
+        quat: of the target to the base's frame, unit quaternion wxyz.
+        velocity: of the target in [m/s], base's frame.
+        spin: angular velocity of the target in [rad/s], base's frame.
+    """
+
+    def __init__(self, workspace: Workspace, pace: Pace, period: float) -> None:
+        self._workspace, self._pace = workspace, pace
+        self._way, self._turn = pace.speed * period, pace.turn * period
+        self.live = False
+        self.position: Vector = _STILL
+        self.quat: Quat = (1.0, 0.0, 0.0, 0.0)
+        self.velocity: Vector = _STILL
+        self.spin: Vector = _STILL
+        self._theirs: tuple[Vector, Quat] = self.position, self.quat
+        self._ours: tuple[Vector, Quat] = self.position, self.quat
+        self._seen: tuple[Vector, Quat] = self.position, self.quat
+        self._level: Quat = self.quat
+
+    def engage(self, position: Vector, quat: Quat, yaw: float, ours: tuple[Vector, Quat]) -> None:
+        """Take the operator's hand and the robot's as equal.
+
+        Args:
+            position: of the operator's hand in the headset's floor in [m].
+            quat: of it, unit quaternion wxyz.
+            yaw: where the operator looks to, in [rad].
+            ours: position [m] and quaternion wxyz of the robot's hand in the base's frame; of no
+                matter while a target is held, from which it then goes on.
+        """
+        if not self.live:
+            self.position, self.quat = ours
+            self.live = True
+        self._theirs, self._level = (position, quat), turned(_UP, -yaw)
+        self._ours = self._seen = self.position, self.quat
+        self.velocity = self.spin = _STILL
+
+    def follow(self, position: Vector, quat: Quat, dt: float) -> None:
+        """Move the target on, as the operator's hand is now.
+
+        Args:
+            position: of the operator's hand in the headset's floor in [m].
+            quat: of it, unit quaternion wxyz.
+            dt: since the headset's frame before in [s], 0 for the same frame.
+        """
+        (start, begin), (ours, facing) = self._theirs, self._ours
+        scale = self._pace.scale
+        x, y, z = (scale * (b - a) for a, b in zip(start, position))
+        dx, dy, dz = rotate(self._level, (x, y, z))
+        change = multiply(self._level, multiply(quat, conjugate(begin)))
+        change = multiply(change, conjugate(self._level))
+        self._go((ours[0] + dx, ours[1] + dy, ours[2] + dz), multiply(change, facing))
+        if dt > 0.0:
+            self._estimate(dt)
+
+    def _go(self, wanted: Vector, facing: Quat) -> None:
+        last = self.position
+        x, y, z = self._workspace.inside(wanted, last)
+        far = math.dist((x, y, z), last)
+        if far > self._way:
+            share = self._way / far
+            x, y, z = (a + share * (b - a) for a, b in zip(last, (x, y, z)))
+        self.position = x, y, z
+        angle = math.hypot(*vector_of(multiply(facing, conjugate(self.quat))))
+        share = 1.0 if angle <= self._turn else self._turn / angle
+        self.quat = towards(self.quat, facing, share)
+
+    def _estimate(self, dt: float) -> None:
+        """Estimate the velocity of what was seen in two frames of the headset."""
+        position, quat = self._seen
+        self._seen = self.position, self.quat
+        new = dt / (dt + SMOOTHED)
+        vx, vy, vz = (
+            v + new * ((b - a) / dt - v) for v, a, b in zip(self.velocity, position, self.position)
+        )
+        wx, wy, wz = (
+            w + new * (r / dt - w)
+            for w, r in zip(self.spin, vector_of(multiply(self.quat, conjugate(quat))))
+        )
+        self.velocity = _within((vx, vy, vz), self._pace.speed)
+        self.spin = _within((wx, wy, wz), self._pace.turn)
+
+    def hold(self) -> None:
+        """Keep the target where it is: the clutch is open."""
+        self.velocity = self.spin = _STILL
+
+    def drop(self) -> None:
+        """Have no target any more."""
+        self.live = False
+        self.velocity = self.spin = _STILL
+
+
+def _within(vector: Vector, most: float) -> Vector:
+    length = math.hypot(*vector)
+    if length <= most:
+        return vector
+    x, y, z = (most / length * v for v in vector)
+    return x, y, z

@@ -1,0 +1,75 @@
+"""Turns of plain floats: quaternions wxyz and vectors as tuples, for what computes a few in a tick.
+
+NumPy takes longer for arrays so small: one product is 0.6 us here and 20 us in `quaternions`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TypeAlias
+
+__all__ = ["Quat", "Vector", "conjugate", "multiply", "rotate", "towards", "turned", "vector_of"]
+__all__ += ["yaw_of"]
+
+Quat: TypeAlias = tuple[float, float, float, float]
+Vector: TypeAlias = tuple[float, float, float]
+
+
+def multiply(a: Quat, b: Quat) -> Quat:
+    """Return the product of two quaternions wxyz."""
+    aw, ax, ay, az = a
+    bw, bx, by, bz = b
+    return (
+        aw * bw - ax * bx - ay * by - az * bz,
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx,
+        aw * bz + ax * by - ay * bx + az * bw,
+    )
+
+
+def conjugate(a: Quat) -> Quat:
+    """Return the inverse of a unit quaternion wxyz."""
+    return a[0], -a[1], -a[2], -a[3]
+
+
+def rotate(a: Quat, v: Vector) -> Vector:
+    """Return a vector turned by a unit quaternion wxyz."""
+    _, x, y, z = multiply(multiply(a, (0.0, *v)), conjugate(a))
+    return x, y, z
+
+
+def turned(axis: Vector, angle: float) -> Quat:
+    """Return the quaternion wxyz of a turn by an angle in [rad] about a unit vector."""
+    half = 0.5 * angle
+    s = math.sin(half) if math.isfinite(half) else math.nan
+    c = math.cos(half) if math.isfinite(half) else math.nan
+    return c, s * axis[0], s * axis[1], s * axis[2]
+
+
+def yaw_of(a: Quat) -> float:
+    """Return the heading of a unit quaternion wxyz in [rad]: the last of roll, pitch and yaw."""
+    w, x, y, z = a
+    return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+
+
+def vector_of(a: Quat) -> Vector:
+    """Return the rotation vector of a unit quaternion wxyz in [rad], the shorter way round."""
+    w, x, y, z = a if a[0] >= 0.0 else (-a[0], -a[1], -a[2], -a[3])
+    s = math.sqrt(x * x + y * y + z * z)
+    factor = 2.0 * math.atan2(s, w) / s if s > 1e-9 else 2.0
+    return factor * x, factor * y, factor * z
+
+
+def towards(a: Quat, b: Quat, share: float) -> Quat:
+    """Return the unit quaternion wxyz that is a share of the shorter way from one to another.
+
+    Shoemake 1985, "Animating rotation with quaternion curves", as a turn about one axis. Its sign
+    is that of the first one.
+    """
+    x, y, z = vector_of(multiply(b, conjugate(a)))
+    angle = math.sqrt(x * x + y * y + z * z)
+    if angle < 1e-9:
+        return a
+    w, i, j, k = multiply(turned((x / angle, y / angle, z / angle), share * angle), a)
+    length = math.sqrt(w * w + i * i + j * j + k * k)
+    return w / length, i / length, j / length, k / length

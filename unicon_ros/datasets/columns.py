@@ -1,0 +1,150 @@
+"""Columns of a data set: which states of a recording become which feature, element by element."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.errors import StateError, alternatives
+from unicon_core.states.standard import FORWARDED_STATES
+from unicon_ros.datasets.episodes import Episode
+from unicon_ros.recording import Record
+
+__all__ = ["ACTION", "COMMANDS", "Column", "default_actions", "default_states", "made_columns"]
+
+ACTION = "action"
+OBSERVED = {
+    "joint_pos": "observation.state",
+    "joint_vel": "observation.velocity",
+    "joint_effort": "observation.effort",
+}
+"""States whose feature LeRobot's policies know by another name."""
+BASE = ("base_quat", "base_ang_vel", "projected_gravity")
+"""What is observed besides where a recording has it, as are the `_pose` of end effectors."""
+COMMANDED = FORWARDED_STATES[0]
+INSTEAD = {COMMANDED: "joint_pos_target"}
+"""What stands for an element that is NaN: nothing was commanded, and this was sent."""
+ALSO = ("velocity_command",)
+"""What is commanded besides."""
+COMMANDS = (*INSTEAD, *INSTEAD.values(), *ALSO)
+"""All that an action may be made of unless told."""
+_TYPES = ("float32", "float64", "int32", "int64", "bool")
+
+
+@dataclass(frozen=True, eq=False)
+class Column:
+    """One feature.
+
+    Attributes:
+        key: of the feature.
+        dtype: of its elements.
+        states: names of states, with the places of those of their elements that it has.
+        names: of its elements.
+    """
+
+    key: str
+    dtype: str
+    states: tuple[tuple[str, NDArray[np.intp]], ...]
+    names: tuple[str, ...]
+
+    def values(self, episode: Episode) -> NDArray[np.generic]:
+        """Return what a tick had when its command was sent, shape (frames, elements)."""
+        parts = []
+        for state, places in self.states:
+            part = _flat(episode, state)[:, places]
+            if state in INSTEAD and self.key == ACTION:
+                sent = _flat(episode, INSTEAD[state])[:, places]
+                part = np.where(np.isnan(part), sent, part)
+            parts.append(part)
+        return np.concatenate(parts, axis=1).astype(self.dtype)
+
+
+def default_states(record: Record) -> list[str]:
+    """Return the states that are observed unless told."""
+    there = record.kept["sent"]
+    poses = [name for name in there if name.endswith("_pose")]
+    return [name for name in (*OBSERVED, *BASE) if name in there] + poses
+
+
+def default_actions(episodes: Sequence[Episode]) -> list[str]:
+    """Return the states of the action unless told: what was commanded, else what was sent."""
+    there = episodes[0].record.kept["sent"]
+    commanded = COMMANDED in there and any(
+        not np.isnan(_flat(each, COMMANDED)).all() for each in episodes
+    )
+    first = COMMANDED if commanded else INSTEAD[COMMANDED]
+    return [name for name in (first, *ALSO) if name in there]
+
+
+def made_columns(
+    episodes: Sequence[Episode], states: Sequence[str], actions: Sequence[str]
+) -> tuple[list[Column], list[str]]:
+    """Return the features of some episodes, and a line for each element that is left out.
+
+    An element that is NaN in every frame of every episode is left out: nobody measures or commands
+    it.
+
+    Args:
+        episodes: all of one layout; at least one.
+        states: that are observed, each a feature of its own.
+        actions: that make up the action.
+
+    Raises:
+        StateError: no such state, or one whose numbers LeRobot does not have.
+    """
+    record = episodes[0].record
+    for name in (*states, *actions):
+        if name not in record.kept["sent"]:
+            raise StateError(
+                f"{episodes[0].path} has no state {name!r}; "
+                f"{alternatives(name, record.kept['sent'])}"
+            )
+        if record.layout.specs[name].dtype not in _TYPES:
+            raise StateError(
+                f"state {name!r} is {record.layout.specs[name].dtype}, which a data set does not "
+                f"have; name other states: {', '.join(_TYPES)}"
+            )
+    told: list[str] = []
+    columns = []
+    for name in states:
+        key, places = OBSERVED.get(name, f"observation.{name}"), _known(episodes, name, told)
+        if len(places):
+            names = _names(record, name, places)
+            columns.append(Column(key, record.layout.specs[name].dtype, ((name, places),), names))
+    parts = [(name, _known(episodes, name, told)) for name in actions]
+    parts = [(name, places) for name, places in parts if len(places)]
+    names = tuple(each for name, places in parts for each in _names(record, name, places))
+    if parts:
+        columns.append(Column(ACTION, "float32", tuple(parts), names))
+    return columns, told
+
+
+def _flat(episode: Episode, state: str) -> NDArray[np.generic]:
+    first, last = int(episode.rows[0]), int(episode.rows[-1])
+    values = episode.record.states(state, "sent", slice(first, last + 1))
+    return values.reshape(len(values), -1)[episode.rows - first]
+
+
+def _known(episodes: Sequence[Episode], state: str, told: list[str]) -> NDArray[np.intp]:
+    """Return the elements of a state that are ever a number."""
+    elements = episodes[0].record.layout.elements(state)
+    known = np.zeros(len(elements), bool)
+    for episode in episodes:
+        known |= ~np.isnan(_flat(episode, state).astype(np.float64)).all(axis=0)
+    if not known.all():
+        missing = [name for name, there in zip(elements, known) if not there]
+        more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
+        told.append(f"{missing[0]}{more}: never a number, left out")
+    return np.flatnonzero(known)
+
+
+def _names(record: Record, state: str, places: NDArray[np.intp]) -> tuple[str, ...]:
+    """Return the names of elements; those of joints without the state in front."""
+    elements = record.layout.elements(state)
+    joints = record.layout.specs["joint_pos"].names if "joint_pos" in record.layout.specs else ()
+    if joints and record.layout.specs[state].names == joints:
+        elements = [name.removeprefix(f"{state}.") for name in elements]
+    return tuple(elements[place] for place in places)

@@ -1,0 +1,218 @@
+"""Pictures of a recording as pixels, PNG and JPEG; for data sets."""
+
+from __future__ import annotations
+
+import io
+import struct
+import zlib
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.errors import MissingDependencyError, UniconError
+from unicon_ros.recording import Record
+from unicon_ros.recording.frames import Frames
+
+__all__ = ["Pictures", "Shown", "pictures_of", "png", "sizes"]
+
+IMAGE, JPEG = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
+RGB = "rgb8"
+_FRAME = 12
+"""Where the header's frame_id stands in these messages: behind encapsulation and stamp."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pictures:
+    """The colour pictures of one camera of a recording.
+
+    Attributes:
+        frames: the messages.
+        height: of each in pixels.
+        width: of each in pixels.
+        what: names the camera and its recording, for messages.
+    """
+
+    frames: Frames
+    height: int
+    width: int
+    what: str
+
+    def rgb(self, index: int) -> NDArray[np.uint8]:
+        """Return the pixels of a picture, shape (height, width, 3).
+
+        Raises:
+            UniconError: it is damaged, or of another size than the first one.
+        """
+        raw = self.frames.message(index)
+        if self.frames.type == IMAGE:
+            found = _image(raw, self.what)
+            seen = np.frombuffer(found.data, np.uint8)
+            if len(seen) == found.height * found.width * 3:
+                seen = seen.reshape(found.height, found.width, 3)
+        else:
+            seen = _decoded(_compressed(raw, self.what), self.what)
+        if seen.shape != (self.height, self.width, 3):
+            raise UniconError(
+                f"{self.what}: a picture has shape {seen.shape}, the first one ({self.height}, "
+                f"{self.width}, 3); leave that camera out: --cameras"
+            )
+        return seen
+
+    def encoded(self, index: int) -> bytes:
+        """Return a picture as the bytes of a file: JPEG where it was recorded so, else PNG."""
+        if self.frames.type == JPEG:
+            return bytes(_compressed(self.frames.message(index), self.what))
+        return png(self.rgb(index))
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """The pictures of a camera, one for each frame of an episode.
+
+    Attributes:
+        pictures: of the whole recording.
+        indexes: of that of each frame, shape (frames,).
+    """
+
+    pictures: Pictures
+    indexes: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.indexes)
+
+    def rgb(self, frame: int) -> NDArray[np.uint8]:
+        """Return the pixels at a frame, shape (height, width, 3)."""
+        return self.pictures.rgb(int(self.indexes[frame]))
+
+    def encoded(self, frame: int) -> bytes:
+        """Return the picture at a frame as the bytes of a file, JPEG or PNG."""
+        return self.pictures.encoded(int(self.indexes[frame]))
+
+
+def pictures_of(
+    record: Record, wanted: Collection[str] | None = None
+) -> tuple[dict[str, Pictures], dict[str, str]]:
+    """Return the cameras of a recording, and of other frames why they are none.
+
+    Args:
+        record: it.
+        wanted: names of frames that are looked at; None for all.
+
+    Raises:
+        UniconError: a message is damaged.
+        MissingDependencyError: a JPEG is to be read, and Pillow is not installed.
+    """
+    found: dict[str, Pictures] = {}
+    others: dict[str, str] = {}
+    for name in record.frame_names:
+        if wanted is not None and name not in wanted:
+            continue
+        frames = record.frames(name)
+        if frames.type not in (IMAGE, JPEG):
+            others[name] = frames.type
+            continue
+        if f"{name}_handle" not in record.layout.specs:
+            others[name] = f"no state {name}_handle"
+            continue
+        raw, what = frames.message(0), f"{record.paths[0]}, camera {name!r}"
+        if frames.type == JPEG:
+            height, width, _ = _decoded(_compressed(raw, what), what).shape
+            found[name] = Pictures(frames, height, width, what)
+        elif (first := _image(raw, what)).encoding == RGB:
+            found[name] = Pictures(frames, first.height, first.width, what)
+        else:
+            others[name] = first.encoding
+    return found, others
+
+
+def sizes(pictures: Mapping[str, Pictures]) -> dict[str, tuple[int, int]]:
+    """Return camera to height and width in pixels."""
+    return {name: (each.height, each.width) for name, each in pictures.items()}
+
+
+class _Image(NamedTuple):
+    """What is read of a sensor_msgs/Image."""
+
+    encoding: str
+    height: int
+    width: int
+    data: memoryview
+
+
+def _damaged(what: str, error: Exception) -> UniconError:
+    return UniconError(f"{what}: a picture is damaged: {error}; leave that camera out: --cameras")
+
+
+def _skipped(raw: memoryview, at: int) -> int:
+    """Return where what stands behind a text is aligned to 4 bytes."""
+    end = at + 4 + int(struct.unpack_from("<I", raw, at)[0])
+    return end + -end % 4
+
+
+def _image(raw: memoryview, what: str) -> _Image:
+    """Read a sensor_msgs/Image in little-endian CDR."""
+    try:
+        at = _skipped(raw, _FRAME)
+        height, width, length = struct.unpack_from("<III", raw, at)
+        encoding = bytes(raw[at + 12 : at + 12 + length]).rstrip(b"\0").decode()
+        at += 12 + length + 1  # behind is_bigendian
+        at += -at % 4
+        _, length = struct.unpack_from("<II", raw, at)
+    except (struct.error, UnicodeDecodeError) as error:
+        raise _damaged(what, error) from error
+    return _Image(encoding, height, width, raw[at + 8 : at + 8 + length])
+
+
+def _compressed(raw: memoryview, what: str) -> memoryview:
+    """Return the data of a sensor_msgs/CompressedImage in little-endian CDR."""
+    try:
+        at = _skipped(raw, _skipped(raw, _FRAME))
+        (length,) = struct.unpack_from("<I", raw, at)
+    except struct.error as error:
+        raise _damaged(what, error) from error
+    return raw[at + 4 : at + 4 + length]
+
+
+def _pillow() -> Any:
+    try:
+        from PIL import Image
+    except ModuleNotFoundError as error:
+        raise MissingDependencyError(
+            "a data set of JPEGs", "pillow", "pip install 'unicon_ros[lerobot]'"
+        ) from error
+    return Image
+
+
+def _decoded(data: memoryview, what: str) -> NDArray[np.uint8]:
+    image = _pillow()
+    try:
+        return np.asarray(image.open(io.BytesIO(data)).convert("RGB"))
+    except Exception as error:  # whatever Pillow raises for garbage
+        raise UniconError(
+            f"{what}: a picture is not a JPEG that can be read; leave that camera out: --cameras"
+        ) from error
+
+
+def png(pixels: NDArray[np.uint8]) -> bytes:
+    """Return a picture as PNG (https://www.w3.org/TR/png-3/), each row less the one above it.
+
+    Args:
+        pixels: shape (height, width, 3).
+    """
+    height, width, _ = pixels.shape
+    rows = np.empty((height, 1 + 3 * width), np.uint8)
+    rows[:, 0] = 2  # filter "Up"
+    flat = pixels.reshape(height, -1)
+    rows[0, 1:] = flat[0]
+    np.subtract(flat[1:], flat[:-1], out=rows[1:, 1:])
+
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        crc = zlib.crc32(kind + data)
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", crc)
+
+    head = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+    parts = chunk(b"IHDR", head), chunk(b"IDAT", zlib.compress(rows.data, 1)), chunk(b"IEND", b"")
+    return b"\x89PNG\r\n\x1a\n" + b"".join(parts)

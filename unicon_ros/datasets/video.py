@@ -1,0 +1,100 @@
+"""Videos of a data set, encoded by PyAV as LeRobot does it: AV1, a key frame in every second one.
+
+https://github.com/huggingface/lerobot, src/lerobot/datasets/video_utils.py
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["CODEC", "PIXELS", "Video", "can_encode"]
+
+CODEC, NAME, PIXELS = "libsvtav1", "av1", "yuv420p"
+OPTIONS = {"g": "2", "crf": "30", "preset": "12"}
+SMALLEST = 64
+"""Shorter sides SVT-AV1 does not encode."""
+
+
+def can_encode(height: int, width: int) -> bool:
+    """Tell whether pictures of a size can be a video here: PyAV is installed, and both are even."""
+    if height % 2 or width % 2 or min(height, width) < SMALLEST:
+        return False
+    try:
+        import av
+    except ModuleNotFoundError:
+        return False
+    try:
+        av.Codec(CODEC, "w")
+    except ValueError:  # a build without it
+        return False
+    return True
+
+
+class Video:
+    """A video that is being written.
+
+    Args:
+        path: of the file; its folder exists.
+        fps: frames a second.
+        height: in pixels.
+        width: in pixels.
+
+    Attributes:
+        frames: that are in it.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+
+    def __init__(self, path: Path, fps: int, height: int, width: int) -> None:
+        import av
+
+        os.environ.setdefault("SVT_LOG", "0")  # else the encoder tells its settings
+        self._av: Any = av
+        self.path, self.frames = path, 0
+        with _told(av):
+            self._container = av.open(str(path), "w")
+        self._stream: Any = self._container.add_stream(CODEC, fps, options=OPTIONS)
+        self._stream.pix_fmt = PIXELS
+        self._stream.height, self._stream.width = height, width
+
+    def add(self, pixels: NDArray[np.uint8]) -> None:
+        """Add a frame.
+
+        Args:
+            pixels: shape (height, width, 3).
+
+        Raises:
+            OSError: it cannot be written.
+        """
+        frame = self._av.VideoFrame.from_ndarray(np.ascontiguousarray(pixels), format="rgb24")
+        frame.pts = self.frames
+        with _told(self._av):
+            self._container.mux(self._stream.encode(frame))
+        self.frames += 1
+
+    def close(self) -> None:
+        """Finish it.
+
+        Raises:
+            OSError: it cannot be written.
+        """
+        with _told(self._av):
+            self._container.mux(self._stream.encode())
+            self._container.close()
+
+
+@contextmanager
+def _told(av: Any) -> Iterator[None]:
+    """Tell what FFmpeg finds wrong as an OSError."""
+    try:
+        yield
+    except av.FFmpegError as error:
+        raise OSError(error.errno, error.strerror) from error
