@@ -11,6 +11,7 @@ import numpy as np
 
 from unicon_core.errors import MissingDependencyError
 from unicon_core.models.physical import physical_urdf
+from unicon_core.platforms.kit.bodies import BODY_PHYSICS
 from unicon_core.platforms.kit.base import Float, WorldPose
 from unicon_core.platforms.kit.joint_model import (
     JointModel,
@@ -35,7 +36,7 @@ class PybulletPlatform(SteppedSimulator):
         simulated=True,
         batch=True,
         writes=SIMULATED,
-        physics=("strength", "friction", "delay"),
+        physics=("strength", "friction", "delay", *BODY_PHYSICS),
     )
     represents = frozenset({"damping", "friction", "limits"})
 
