@@ -65,7 +65,7 @@ class Rollouts:
 
     Args:
         program: on a simulator, not run before; its first rollout needs no `begin`.
-        look: as of `Look`, or None.
+        look: makes what looks at a rollout, anew for each; or None.
 
     Attributes:
         why_not: why it cannot begin anew, "" where it can.
@@ -81,7 +81,7 @@ class Rollouts:
             )
         self.program = program
         self._graph = compile_graph(program.root)
-        self._look = None if look is None else look(program.states)
+        self._look = look
         self._float = program.states.buffer_of(np.float32)
         self._rows = np.zeros((256, self._float.size), np.float32)
         self._memory = memory_of(program, self)
@@ -132,7 +132,8 @@ class Rollouts:
         Args:
             limit: most ticks.
         """
-        program, graph, look = self.program, self._graph, self._look
+        program, graph = self.program, self._graph
+        look = None if self._look is None else self._look(program.states)
         step, deferred, tick = graph.step, graph.deferred, program.states["tick"]
         rows, values = self._rows, self._float
         ended, fault, block, count = "duration", "", "", 0
