@@ -98,6 +98,7 @@ class Folder:
             if any(self.path.glob("*.parquet")) or (self.path / JOURNAL).exists():
                 raise UniconError(f"{self.path} has results without {SWEEP}; give another --out")
             facts = {**here, "identity": self._plan.identity(), "programs": {}}
+            facts["run"] = self._plan.sweep.workflow
             self._tell(facts)
             return facts
         differs = changes(there, here, self._plan.identity())

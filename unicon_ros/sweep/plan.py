@@ -160,23 +160,6 @@ class Plan:
             "reference": None if reference is None else str(reference.absolute()),
         }
 
-    def command(self, row: Row, ticks: int | None, period: float | None) -> list[str]:
-        """Return the command that runs a row again, to the bit.
-
-        Args:
-            row: of the plan.
-            ticks: whole ones that it had, None for what the plan says.
-            period: of a tick in [s], where `ticks` is told.
-        """
-        duration = self.duration
-        if ticks and period:
-            duration = ticks * period
-        workflow = self.sweep.workflow
-        words = ["unicon", "run", workflow, "--speed", "max", "--duration", f"{duration:.9g}"]
-        for setting in row.settings:
-            words += ["--set", setting]
-        return words
-
 
 def document_with(located: Located, settings: Sequence[str]) -> WorkflowDocument:
     """Return the document of a workflow that was read once, with `--set` of a row.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-__all__ = ["fisher", "wilson"]
+__all__ = ["fisher", "mcnemar", "wilson"]
 
 Z95 = 1.959963984540054
 """Of the normal distribution, for 95 %."""
@@ -53,3 +53,16 @@ def fisher(hits_a: int, count_a: int, hits_b: int, count_b: int) -> float:
     # Equal tables differ in their last digits only: 1e-7 as of R's fisher.test.
     within = [p for a in range(least, most + 1) if (p := log_p(a)) <= here + 1e-7]
     return min(1.0, math.fsum(map(math.exp, within)))
+
+
+def mcnemar(only_a: int, only_b: int) -> float:
+    """Return the two-sided p-value of McNemar's exact test on pairs that differ.
+
+    Twice the smaller tail of a binomial distribution with one half; 1 where no pair differs.
+
+    Args:
+        only_a, only_b: pairs in which it happened on that side alone.
+    """
+    count, fewer = only_a + only_b, min(only_a, only_b)
+    tail = sum(math.comb(count, k) for k in range(fewer + 1))
+    return min(1.0, 2 * tail / 2**count)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
+import shlex
 from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
@@ -12,7 +14,7 @@ from typing import Any
 from unicon_core.errors import UniconError
 from unicon_ros.sweep.figures import COLUMNS
 from unicon_ros.sweep.folder import SWEEP, read_sweep_json, require_pyarrow
-from unicon_ros.sweep.shards import VARIED, read_shards
+from unicon_ros.sweep.shards import SETTINGS, VARIED, read_shards
 
 __all__ = ["FAILED", "Results"]
 
@@ -97,6 +99,23 @@ class Results:
         """Return one row, by its place among all."""
         return {name: values[place] for name, values in self._columns.items()}
 
+    def settings(self, place: int) -> list[str]:
+        """Return the texts of `--set` of one row, by its place among all."""
+        return [str(text) for text in json.loads(self.every(SETTINGS)[place])]
+
+    def command(self, place: int) -> str:
+        """Return the command that runs a row again, to the bit, by its place among all.
+
+        Its report has the row's `sha256_commands`: an early stop ends there, too; a fault comes by
+        itself.
+        """
+        row = self.row(place)
+        duration = row["duration_s"] if row["outcome"] == "fell" else self.identity["duration_s"]
+        words = ["unicon", "run", str(self.said.get("run") or self.identity["workflow"])]
+        for setting in self.settings(place):
+            words += ["--set", setting]
+        return shlex.join([*words, "--speed", "max", "--duration", f"{duration:.9g}"])
+
     def mixed(self) -> bool:
         """Return whether rows that differ in nothing but the scene ran on other files."""
         outside = [path for path in self.parameters if not path.startswith("scene.")]
@@ -107,6 +126,26 @@ class Results:
             seen.setdefault(key, program) != program
             for key, program in zip(keys, self.column("program"))
         )
+
+    def worst(self, count: int) -> list[int]:
+        """Return the places of the worst rows, the worst first.
+
+        First those without a result, then falls by when they came, then other faults, then the
+        largest error of speed.
+        """
+
+        def order(place: int) -> tuple[float, ...]:
+            row = self.row(place)
+            fall, error = row["fall_s"], row["speed_error"]
+            return (
+                row["outcome"] not in FAILED,
+                not row["fell"],
+                math.inf if fall is None else fall,
+                not row["fault"],
+                -(error or 0.0),
+            )
+
+        return sorted(range(len(self)), key=order)[:count]
 
     @cached_property
     def sha256(self) -> str:

@@ -12,10 +12,12 @@ from unicon_core.errors import UniconError
 from unicon_ros.sweep.figures import COLUMNS
 from unicon_ros.sweep.plan import Plan, Row
 
-__all__ = ["METADATA", "VARIED", "read_shards", "shard_names", "write_shard"]
+__all__ = ["METADATA", "SETTINGS", "VARIED", "read_shards", "shard_names", "write_shard"]
 
 METADATA = b"unicon.sweep"
 """Key of the schema's metadata whose value is JSON: identity, code, versions, programs."""
+SETTINGS = "settings"
+"""Column with the texts of `--set` of a row, as a JSON list."""
 VARIED = "set."
 """What stands before the path of a parameter in the name of its column."""
 
@@ -59,6 +61,8 @@ def write_shard(
         else:
             told = [value if isinstance(value, str) else json.dumps(value) for value in values]
             columns[VARIED + each.path] = pyarrow.array(told, pyarrow.string())
+    settings = [json.dumps(row.settings, ensure_ascii=False) for row, _ in rows]
+    columns[SETTINGS] = pyarrow.array(settings, pyarrow.string())
     for name, column in COLUMNS.items():
         kind = kinds.get(column.kind, pyarrow.string())
         columns[name] = pyarrow.array([figures.get(name) for _, figures in rows], kind)
