@@ -124,6 +124,12 @@ def setting_of(path: str, value: Any) -> str:
     Raises:
         UniconError: it cannot be written so.
     """
+    if type(value) in (int, float) and math.isfinite(value):  # 0.1 ms less
+        text = repr(value)
+        mantissa, exponent, power = text.partition("e")
+        if exponent and "." not in mantissa:  # YAML takes 1e-05 for a word
+            text = f"{mantissa}.0e{power}"
+        return f"{path}={text}"
     text = yaml.safe_dump(value, default_flow_style=True, width=1_000_000).strip()
     text = text.removesuffix("...").strip()
     if parse_value(text) != value:

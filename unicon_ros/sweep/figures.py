@@ -172,7 +172,8 @@ class Figures:
         }
         if len(states["joint_pos"]):
             row |= self._of_base(states, rollout) | self._of_joints(states)
-        return row
+        endless = [k for k, v in row.items() if isinstance(v, float) and not math.isfinite(v)]
+        return row | dict.fromkeys(endless)
 
     def _of_base(self, states: Mapping[str, Array], rollout: Rollout) -> dict[str, Any]:
         wide = {name: values.astype(np.float64) for name, values in states.items()}
