@@ -60,14 +60,15 @@ def run_one(plan: Plan, platform: str, seed: int, folder: Path, tell: Tell) -> d
             f"cannot write {error.filename or files}: {error.strerror}; give a writable folder "
             "with room to --out"
         ) from error
+    said = files.with_suffix(".log")
     told: dict[str, Any] = {"seed": seed, "outcome": outcome, "text": text}
     if outcome == "ran":
         try:
             told |= json.loads(files.with_suffix(".json").read_bytes())
         except (OSError, ValueError):
-            told |= {"outcome": "crashed", "text": f"wrote no result: {last_words(files.with_suffix(".log"))}"}
+            told |= {"outcome": "crashed", "text": f"wrote no result: {last_words(said)}"}
     elif outcome == "crashed":
-        told["text"] += f": {last_words(files.with_suffix(".log"))}"
+        told["text"] += f": {last_words(said)}"
     if told["outcome"] == "ran":
         told["file"] = str(files.with_suffix(".npz").relative_to(folder.parent))
         told["log"] = ""
