@@ -17,6 +17,7 @@ from typing import Any
 
 import yaml
 
+from unicon_core.bounded_yaml import YamlError
 from unicon_core.errors import UniconError, alternatives
 from unicon_core.located_yaml import parse_value
 
@@ -132,7 +133,11 @@ def setting_of(path: str, value: Any) -> str:
         return f"{path}={text}"
     text = yaml.safe_dump(value, default_flow_style=True, width=1_000_000).strip()
     text = text.removesuffix("...").strip()
-    if parse_value(text) != value:
+    try:
+        same = parse_value(text) == value
+    except YamlError:
+        same = False
+    if not same:
         raise UniconError(f"value {value!r:.60} cannot be given to --set")
     return f"{path}={text}"
 

@@ -41,12 +41,9 @@ def fisher(hits_a: int, count_a: int, hits_b: int, count_b: int) -> float:
     """
     hits, whole = hits_a + hits_b, count_a + count_b
 
-    def log_choose(n: int, k: int) -> float:
-        return math.lgamma(n + 1) - math.lgamma(k + 1) - math.lgamma(n - k + 1)
-
     def log_p(a: int) -> float:
-        chosen = log_choose(count_a, a) + log_choose(count_b, hits - a)
-        return chosen - log_choose(whole, hits)
+        chosen = _log_choose(count_a, a) + _log_choose(count_b, hits - a)
+        return chosen - _log_choose(whole, hits)
 
     here = log_p(hits_a)
     least, most = max(0, hits - count_b), min(hits, count_a)
@@ -64,5 +61,10 @@ def mcnemar(only_a: int, only_b: int) -> float:
         only_a, only_b: pairs in which it happened on that side alone.
     """
     count, fewer = only_a + only_b, min(only_a, only_b)
-    tail = sum(math.comb(count, k) for k in range(fewer + 1))
-    return min(1.0, 2 * tail / 2**count)
+    least = -count * math.log(2.0)
+    tail = math.fsum(math.exp(_log_choose(count, k) + least) for k in range(fewer + 1))
+    return min(1.0, 2.0 * tail)
+
+
+def _log_choose(n: int, k: int) -> float:
+    return math.lgamma(n + 1) - math.lgamma(k + 1) - math.lgamma(n - k + 1)
