@@ -76,9 +76,7 @@ def test_friction_changes_every_contact() -> None:
     assert found[0] == pytest.approx(0.5 * found[1])
 
 
-@pytest.mark.parametrize(
-    "platform", ["mujoco", pytest.param("pybullet", marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("platform", ["mujoco", pytest.param("pybullet", marks=pytest.mark.slow)])
 def test_a_robot_on_ice_does_not_come_far(platform: str) -> None:
     pytest.importorskip(platform)
     ways = []

@@ -31,4 +31,4 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     out = folder / "out"
     status = main(["sweep", str(folder / "sweep.yaml"), "--out", str(out), "--workers", "2"])
     assert status == 0
-    yield out
+    return out

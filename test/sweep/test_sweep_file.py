@@ -39,7 +39,8 @@ def test_a_value_comes_back_from_set_to_the_bit(value: Any) -> None:
     try:
         setting = setting_of("scene.x", value)
     except UniconError:  # a control character, which no YAML file can hold either
-        assert isinstance(value, str) and not value.isprintable()
+        assert isinstance(value, str)
+        assert not value.isprintable()
         return
     path, back = split_setting(setting)
     assert path == "scene.x"
@@ -109,7 +110,9 @@ def test_what_changes_no_row_is_not_in_the_hash(tmp_path: Path) -> None:
 
 
 def test_a_workflow_beside_the_sweep_is_found(tmp_path: Path) -> None:
-    (tmp_path / "w.yaml").write_text("robot: go2\nplatform: fake\nrate: 50\nduration: 1\nflow: hold")
+    (tmp_path / "w.yaml").write_text(
+        "robot: go2\nplatform: fake\nrate: 50\nduration: 1\nflow: hold"
+    )
     sweep = sweep_of(tmp_path, f"workflow: ./w.yaml\n{SEEDS}")
     assert Plan(sweep).document.path == tmp_path / "w.yaml"
 

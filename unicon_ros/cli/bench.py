@@ -45,9 +45,7 @@ _OPTIONS: dict[str, dict[str, dict[str, Any]]] = {
         "seconds": {"type": float, "help": "measured time of a variant in a round"},
     },
     "record": {"seconds": {"type": float, "help": "time of a run, 10 s unless told"}},
-    "sweep": {
-        "rollouts": {"type": int, "metavar": "N", "help": "of each side, 2,000 unless told"}
-    },
+    "sweep": {"rollouts": {"type": int, "metavar": "N", "help": "of each side, 2,000 unless told"}},
     "view": {
         "seconds": {"type": float, "help": "time of a run, 10 s unless told"},
         "sink": {"help": "word of --view, page unless told"},

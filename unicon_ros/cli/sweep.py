@@ -166,8 +166,8 @@ def _dry(plan: Plan) -> str:
         *(f"  {each.path}: {each.words}" for each in sweep.parameters),
         f"SHA-256 {plan.sha256}",
     ]
-    for index in range(min(SHOWN, len(plan))):
-        lines.append(f"row {index}: {' '.join(plan.row(index).settings)}")
+    shown = range(min(SHOWN, len(plan)))
+    lines += [f"row {index}: {' '.join(plan.row(index).settings)}" for index in shown]
     if len(plan) > SHOWN:
         lines.append(f"… and {len(plan) - SHOWN} more")
     return "\n".join(lines)

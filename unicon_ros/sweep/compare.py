@@ -56,7 +56,7 @@ def comparison(a: Results, b: Results) -> str:
         p = mcnemar(only_a, sum(y and not x for x, y in zip(*fell)))
     else:
         p = fisher(hits[0], counts[0], hits[1], counts[1])
-    rows = [("figure", "A", "B", "B - A", "p", "")]
+    rows: list[tuple[str, ...]] = [("figure", "A", "B", "B - A", "p", "")]
     shares = [_share(hit, count) for hit, count in zip(hits, counts)]
     apart = hits[1] / counts[1] - hits[0] / counts[0]
     rows.append(("fell", *shares, f"{apart:+.2%}", f"{p:.2g}", _verdict(p)))

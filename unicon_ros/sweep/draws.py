@@ -152,8 +152,9 @@ def _listed(path: str, kind: str, values: list[Any], words: str) -> Parameter:
 
 
 def _number(value: object) -> bool:
-    number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    return number and math.isfinite(value)  # type: ignore[arg-type]
+    if not isinstance(value, (int, float)) or isinstance(value, bool):
+        return False
+    return math.isfinite(value)
 
 
 def _short(value: float) -> float:

@@ -156,7 +156,9 @@ class Figures:
 
     def __call__(self, rollout: Rollout) -> dict[str, Any]:
         """Return the row of a rollout, but for the program's hash."""
-        every = {name: rollout.states[:, place] for name, place in self._columns.items()}
+        every: dict[str, Array] = {
+            name: rollout.states[:, place] for name, place in self._columns.items()
+        }
         states = every
         if not np.isfinite(rollout.states).all():
             count = finite_rows(every)

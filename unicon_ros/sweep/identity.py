@@ -41,9 +41,7 @@ def versions() -> dict[str, str]:
     return found
 
 
-def changes(
-    there: Mapping[str, Any], here: Mapping[str, Any], identity: Mapping[str, Any]
-) -> str:
+def changes(there: Mapping[str, Any], here: Mapping[str, Any], identity: Mapping[str, Any]) -> str:
     """Return how a folder's sweep differs from the one at hand, "" where it does not.
 
     Args:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, pairwise
 from typing import Any
 
 import numpy as np
@@ -60,7 +60,7 @@ def bins_of(path: str, values: Sequence[Any], most: int) -> Bins:
         array = np.array(values, np.float64)
         edges = np.unique(np.quantile(array, np.linspace(0.0, 1.0, most + 1)))
         places = np.clip(np.searchsorted(edges, array, side="right") - 1, 0, len(edges) - 2)
-        labels = [f"{a:.3g} – {b:.3g}" for a, b in zip(edges[:-1], edges[1:])]
+        labels = [f"{a:.3g} – {b:.3g}" for a, b in pairwise(edges)]
         return Bins(path, labels, places.astype(np.int64))
     ordered = sorted(distinct) if numbers else distinct
     shown, rest = ordered[:MOST_VALUES], ordered[MOST_VALUES:]

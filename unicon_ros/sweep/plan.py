@@ -107,7 +107,9 @@ class Plan:
         if self.sweep.sample == "sobol":
             places: Sequence[float] = self._sobol[point].tolist()
         else:
-            places = np.random.default_rng((self.sweep.seed, point)).random(len(parameters)).tolist()
+            places = (
+                np.random.default_rng((self.sweep.seed, point)).random(len(parameters)).tolist()
+            )
         return tuple(each.at(u) for each, u in zip(parameters, places))
 
     @cached_property

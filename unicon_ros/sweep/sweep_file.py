@@ -210,8 +210,8 @@ class _Reader:
             if sample == "grid" and each.values is None:
                 raise self._located.error(
                     ("vary", path),
-                    f"vary.{path}: a grid has no end of {each.kind}; write {{linspace: [A, B, N]}}, "
-                    "or sample: random or sobol",
+                    f"vary.{path}: a grid has no end of {each.kind}; write {{linspace: [A, B, "
+                    "N]}, or sample: random or sobol",
                 )
             found.append(each)
         return tuple(found)

@@ -30,6 +30,7 @@ Tell = Callable[[float], None]
 LOOK = 0.1
 """Time in [s] between two looks at a process and at signals."""
 
+
 def run_one(plan: Plan, platform: str, seed: int, folder: Path, tell: Tell) -> dict[str, Any]:
     """Run a platform with a seed to its end, whatever that is.
 

@@ -52,8 +52,9 @@ def wrong_bodies(payload: object, friction: object) -> str | None:
 
 
 def _number(value: object, least: float, most: float) -> bool:
-    number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    return number and math.isfinite(value) and least <= value <= most  # type: ignore[arg-type]
+    if not isinstance(value, (int, float)) or isinstance(value, bool):
+        return False
+    return math.isfinite(value) and least <= value <= most
 
 
 def tell_bodies(loaded: LoadedModel, payload: Mapping[str, Any], friction: float) -> None:

@@ -81,11 +81,9 @@ class Servo:
             self.effort_lower *= strength
             self.effort_upper *= strength
             model.actuator_forcerange[self.actuators] *= strength[:, None]
-        self._strength = strength
-        self._weakened = np.zeros((5, count))
-        self._factor = np.ones((5, count))
-        if strength is not None:
-            self._factor[2:] = strength
+        self._strength, self._weakened = strength, np.zeros((5, count))
+        weak = np.ones(count) if strength is None else strength
+        self._factor = np.stack([np.ones(count)] * 2 + [weak] * 3)
         self.index = index_of(self.actuators)
         self._gain = model.actuator_gainprm[:, 0]
         self._bias = model.actuator_biasprm

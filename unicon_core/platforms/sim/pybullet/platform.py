@@ -11,8 +11,8 @@ import numpy as np
 
 from unicon_core.errors import MissingDependencyError
 from unicon_core.models.physical import physical_urdf
-from unicon_core.platforms.kit.bodies import BODY_PHYSICS
 from unicon_core.platforms.kit.base import Float, WorldPose
+from unicon_core.platforms.kit.bodies import BODY_PHYSICS
 from unicon_core.platforms.kit.joint_model import (
     JointModel,
     Passive,
