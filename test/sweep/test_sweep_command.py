@@ -23,6 +23,7 @@ from unicon_ros.bench.networks import random_policy
 from unicon_ros.cli.main import main
 from unicon_ros.sweep.engine import Result
 from unicon_ros.sweep.figures import COLUMNS
+from unicon_ros.sweep.folder import Folder
 from unicon_ros.sweep.local import HOPELESS, LocalEngine
 from unicon_ros.sweep.pictures import bins_of
 from unicon_ros.sweep.plan import Plan
@@ -266,39 +267,41 @@ def test_a_row_that_lacks_breaks_every_gate(done: Path, tmp_path: Path) -> None:
     assert read_gate("fall<2").holds(Results(done))
 
 
-def test_a_worse_policy_is_found_by_the_comparison(
-    done: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def run_here(folder: Path, *overrides: str) -> Path:
+    """Run a sweep in this process, by the code of a worker."""
+    plan = Plan(read_sweep(folder / "walks.yaml", overrides))
+    runner = RowRunner(plan.task())
+    out = Folder(folder / f"out{len(list(folder.iterdir()))}", plan, "")
+    for row in plan:
+        told = runner(list(row.settings))
+        out.know(told.get("facts", {}))
+        out.add(row.index, told["row"])
+    out.flush()
+    out.close()
+    runner.programs.close()
+    return out.path
+
+
+def test_a_worse_policy_is_found_by_gate_and_comparison(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip("scipy")
-    worse = tmp_path / "worse"  # it has learned nothing
-    random_policy(worse, load_robot("go2"))
-    text = (worse / "policy.yaml").read_text().replace("scale: 0.25}", "scale: 8.0}")
-    (worse / "policy.yaml").write_text(text)
-    sweep, out = str(done.parent / "sweep.yaml"), str(tmp_path / "b")
-    setting = f"policies.walk={worse}"
-    assert (
-        main(
-            [
-                "sweep",
-                sweep,
-                "--out",
-                out,
-                "--set",
-                setting,
-                "--gate",
-                "fall<0.6",
-                "--force",
-                "action.scale",
-            ]
-        )
-        == 1
-    )
+    random_policy(tmp_path / "worse", load_robot("go2"))  # it has learned nothing
+    text = "workflow: go2_walk\nduration: 1.2\n"
+    text += "set: {flow: {policy: walk}, scene.initial_pose: 'policy:walk', commands: "
+    text += "[{velocity_command: {constant: [0.8, 0.0, 0.0]}}]}\n"
+    text += "vary: {scene.noise.joint_vel: {linspace: [0.0, 0.1, 8]}}\n"
+    (tmp_path / "walks.yaml").write_text(text)
+    good = run_here(tmp_path)
+    worse = run_here(tmp_path, f"policies.walk={tmp_path / 'worse'}")
+    assert main(["sweep", "report", str(good), "--gate", "distance_m.p05>0.3"]) == 0
+    assert main(["sweep", "report", str(worse), "--gate", "distance_m.p05>0.3"]) == 1
     assert "BROKEN" in capsys.readouterr().out
-    assert main(["sweep", "compare", str(done), out]) == 0
+    assert main(["sweep", "compare", str(good), str(worse)]) == 0
     told = capsys.readouterr().out
-    assert "20 rows with the same values, pair by pair (McNemar, Wilcoxon)" in told
-    fell = next(line for line in told.splitlines() if line.startswith("fell"))
-    assert fell.split()[-1] == "differs", told
+    assert "8 rows with the same values, pair by pair (McNemar, Wilcoxon)" in told
+    way = next(line for line in told.splitlines() if line.startswith("distance_m"))
+    assert way.split()[-1] == "differs", told
     assert "set differs" in told
     assert "only B has policy walk" in told
 
@@ -322,7 +325,11 @@ def test_a_wrong_command_is_told(
 
 def test_a_robot_is_refused(done: Path, capsys: pytest.CaptureFixture[str]) -> None:
     told = refused(capsys, done.parent / "sweep.yaml", "--set", "platform=unitree")
-    assert "unitree" in told
+    assert "platform 'unitree' is a robot, and a sweep simulates; write set: {platform" in told
+    runner = RowRunner(plan_of(done).task())
+    row = runner([*plan_of(done).row(0).settings, "platform=unitree", "scene=null"])["row"]
+    assert row["outcome"] == "refused"  # and nothing was opened
+    assert "is a robot, and a sweep simulates" in row["text"]
 
 
 def test_dry_tells_the_plan_and_writes_nothing(

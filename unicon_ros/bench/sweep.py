@@ -144,6 +144,7 @@ class _Bare:
             stdout=subprocess.PIPE,
             text=True,
             env=same_modules() | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
+            start_new_session=True,  # as a worker: Linux gives each session its share of the CPU
             preexec_fn=die_with_parent if sys.platform == "linux" else None,
         )
 

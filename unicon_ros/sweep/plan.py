@@ -17,10 +17,11 @@ from unicon_core.errors import MissingDependencyError, UniconError, WorkflowErro
 from unicon_core.located_yaml import Located, read_yaml
 from unicon_core.resources import find_config, sha256_of
 from unicon_core.workflow.document import WorkflowDocument, document_at
+from unicon_core.workflow.platforms import facts_of_all, find_platforms
 from unicon_ros.sweep.draws import setting_of
 from unicon_ros.sweep.sweep_file import SCHEMA, SweepFile
 
-__all__ = ["Plan", "Row", "document_with"]
+__all__ = ["Plan", "Row", "document_with", "refuse_robot"]
 
 
 @dataclass(frozen=True)
@@ -71,6 +72,7 @@ class Plan:
             raise self.document.error(
                 "num_robots: a rollout has one robot; add --set num_robots=null", "num_robots"
             )
+        refuse_robot(self.document)
         said = self.document.get("duration", (int, float))
         if sweep.duration is None and said is None:
             raise UniconError(
@@ -161,6 +163,21 @@ class Plan:
             "stops_at_fall": self.sweep.stops_at_fall,
             "reference": None if reference is None else str(reference.absolute()),
         }
+
+
+def refuse_robot(document: WorkflowDocument) -> None:
+    """Refuse a workflow on a robot, before anything of it is opened.
+
+    Raises:
+        WorkflowError: it is on one.
+    """
+    facts = facts_of_all(find_platforms(document))
+    if not facts.simulated:
+        raise document.error(
+            f"platform {facts.name!r} is a robot, and a sweep simulates; write set: {{platform: "
+            "mujoco}",
+            "platform",
+        )
 
 
 def document_with(located: Located, settings: Sequence[str]) -> WorkflowDocument:

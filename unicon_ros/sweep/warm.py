@@ -24,6 +24,7 @@ from unicon_core.workflow import Program
 from unicon_core.workflow.document import WorkflowDocument
 from unicon_ros.recording.facts import network_hash, robot_text
 from unicon_ros.sweep.figures import FallLook, Figures, Reference
+from unicon_ros.sweep.plan import refuse_robot
 
 __all__ = ["Kept", "WarmPrograms", "key_of", "program_sha256"]
 
@@ -111,6 +112,7 @@ class WarmPrograms:
         return kept
 
     def _build(self, document: WorkflowDocument) -> Kept:
+        refuse_robot(document)
         program = Program(document)
         try:
             make = self._look(program.period) if self._stops else None
