@@ -17,10 +17,11 @@ import numpy as np
 import pytest
 from pages import looked_at, read_page
 
-from unicon_core.errors import UniconError
+from unicon_core.errors import MissingDependencyError, UniconError
 from unicon_core.robots import load_robot
 from unicon_ros.bench.networks import random_policy
 from unicon_ros.cli.main import main
+from unicon_ros.sweep import local
 from unicon_ros.sweep.engine import Result
 from unicon_ros.sweep.figures import COLUMNS
 from unicon_ros.sweep.folder import Folder
@@ -172,7 +173,7 @@ def engine_of(done: Path, tmp_path: Path, **changed: Any) -> LocalEngine:
 
 
 def test_a_worker_that_is_killed_or_stopped_loses_no_row(done: Path, tmp_path: Path) -> None:
-    engine, results = engine_of(done, tmp_path, timeout=4.0), Results(done)
+    engine, results = engine_of(done, tmp_path, timeout=2.0), Results(done)
     found: dict[int, Result] = {}
     try:
         for result in engine.run(plan_of(done)):
@@ -190,7 +191,10 @@ def test_a_worker_that_is_killed_or_stopped_loses_no_row(done: Path, tmp_path: P
         assert {name: row[name] for name in COLUMNS} == result.figures
 
 
-def test_a_row_that_kills_each_worker_is_told_as_crashed(done: Path, tmp_path: Path) -> None:
+def test_a_row_that_kills_each_worker_is_told_as_crashed(
+    done: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(local, "TRIES", 2)  # a worker takes a second to come up
     bad = "import os\nfrom unicon_core.flow import Tick\n\n\ndef dies() -> Tick:\n"
     bad += "    def tick():\n        print('no more', flush=True)\n        os._exit(7)\n"
     bad += "    return tick\n"
@@ -210,7 +214,7 @@ def test_a_row_that_kills_each_worker_is_told_as_crashed(done: Path, tmp_path: P
     finally:
         sys.path.remove(str(tmp_path))
     assert found[1]["outcome"] == "crashed"
-    assert found[1]["text"] == "3 times: exit status 7: no more"
+    assert found[1]["text"] == "2 times: exit status 7: no more"
     assert found[0]["sha256_commands"] == Results(done).row(0)["sha256_commands"]
     assert found[2]["sha256_commands"] == Results(done).row(2)["sha256_commands"]
 
@@ -225,22 +229,13 @@ def test_workers_that_never_come_up_end_the_sweep(
     engine.close()
 
 
-def test_a_missing_package_ends_the_sweep_with_its_install_command(
-    done: Path, tmp_path: Path
+def test_a_missing_package_is_no_row_but_the_end(
+    done: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from dataclasses import replace
-
-    rows = [replace(row, settings=("platform=mjx",)) for row in plan_of(done)]
-    try:
-        import mujoco.mjx  # noqa: F401
-
-        pytest.skip("it is installed")
-    except ImportError:
-        pass
-    engine = engine_of(done, tmp_path, workers=1)
-    with pytest.raises(UniconError, match="pip install"):
-        list(engine.run(rows))
-    engine.close()
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+    runner = RowRunner(plan_of(done).task())
+    with pytest.raises(MissingDependencyError, match="pip install 'unicon_ros"):
+        runner(list(plan_of(done).row(0).settings))
 
 
 # -- the command -----------------------------------------------------------------------------------

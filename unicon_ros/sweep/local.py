@@ -32,6 +32,8 @@ TRIES = 3
 """Of a row whose worker dies, or hangs."""
 HOPELESS = 12
 """Workers that may die one after the other without a row done: what follows would, too."""
+START_S = 120.0
+"""Wall time in [s] that the first row of a worker has besides: engines compile."""
 LOOK = 0.2
 """Time in [s] between two looks at signals and clocks."""
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
@@ -146,6 +148,7 @@ class _Worker:
         self.name, self.log = name, log
         self.rows: deque[tuple[Row, int]] = deque()
         self._since = time.monotonic()
+        self._more = START_S
         self._heard = b""
         self._over = False
         theirs, ours = os.pipe()
@@ -194,14 +197,14 @@ class _Worker:
 
     def taken(self) -> tuple[Row, int]:
         """Return the row that has ended; the next one begins."""
-        self._since = time.monotonic()
+        self._since, self._more = time.monotonic(), 0.0
         return self.rows.popleft()
 
     def gone(self, timeout: float) -> str:
         """Return why it is of no use any more, "" while it is."""
         if self._over:
             return "ended"
-        if self.rows and time.monotonic() - self._since > timeout:
+        if self.rows and time.monotonic() - self._since > timeout + self._more:
             return f"no end within {timeout:g} s (timeout)"
         if self.log.stat().st_size > LOG_BYTES:
             return f"printed more than {LOG_BYTES // 1_000_000} MB"
