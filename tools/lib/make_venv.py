@@ -23,6 +23,7 @@ EXTRAS = [
     "ik",
     "webxr",
     "sweep",
+    "lerobot",
     "hw-unitree",
     "hw-arx",
     "test",
