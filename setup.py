@@ -85,6 +85,8 @@ EXTRAS["torch"] = ["torch"]
 EXTRAS["parquet"] = ["pyarrow"]
 # Nor this: 300 MB installed, for LeRobot data sets alone. Its own package (6 GB) is not needed.
 EXTRAS["lerobot"] = ["pyarrow", "av", "pillow"]
+# Nor this: 220 MB installed, for `unicon sweep` alone.
+EXTRAS["sweep"] = ["pyarrow", "scipy>=1.15"]
 # Nor what a vendor's protocol needs: a computer on a robot wants that of its robot alone.
 EXTRAS["hw-arx"] = ["python-can>=4.3"]
 for _robot in ("unitree", "pnd", "dobot", "inspire", "booster"):  # they speak DDS

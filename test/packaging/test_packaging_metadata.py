@@ -163,6 +163,7 @@ def test_all_is_the_union_of_the_other_extras_but_what_is_large_or_hardware() ->
         "torch",
         "parquet",
         "lerobot",
+        "sweep",
     }
     left |= {"sim-mjx", "sim-newton", "sim-genesis", "foxglove", "meshcat", "realsense"}
     united = {r for name, e in extras.items() if name not in left for r in e}

@@ -22,6 +22,7 @@ EXTRAS = [
     "foxglove",
     "ik",
     "webxr",
+    "sweep",
     "hw-unitree",
     "hw-arx",
     "test",
