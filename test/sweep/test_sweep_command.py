@@ -182,7 +182,7 @@ def test_a_worker_that_is_killed_or_stopped_loses_no_row(done: Path, tmp_path: P
             if len(found) == 3:
                 os.kill(engine.pids[0], signal.SIGKILL)
             if len(found) == 6:
-                os.kill(engine.pids[1], signal.SIGSTOP)  # it hangs: the timeout ends it
+                os.kill(engine.pids[0], signal.SIGSTOP)  # the other one hangs: its row is late
     finally:
         engine.close()
     assert sorted(found) == list(range(20))
