@@ -15,6 +15,7 @@ from unicon_core.errors import PlatformError, WorkflowError
 from unicon_core.platforms.fake import FakeRobot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.states import States
+from unicon_core.workflow.uses import on
 from unicon_ros.cli.main import main
 
 SENT: list[str] = []
@@ -169,6 +170,7 @@ def test_a_divided_workflow_cannot_be_silent() -> None:
             robot="go2",
             platform="fake",
             rate=50,
+            commands=[on("desk", block("velocity_command", constant=[0.0, 0.0, 0.0]))],
             flow=block("hold"),
             store="shm",
             parts={

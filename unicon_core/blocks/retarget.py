@@ -213,6 +213,7 @@ class Retarget:
         self._given, self.scale = scale, np.full(len(model.fingers), scale or 1.0)
         self._lengths = np.ones(len(model.fingers))
         self._share = 1.0 if cut >= FASTEST else 1.0 - math.exp(-2.0 * math.pi * cut * period)
+        self._as_found = self._share == 1.0 and bool(np.isinf(self._step).all())
         self._slow = 1.0 - math.exp(-period / SETTLED)
         self._again = max(1, round(SETTLED / period))
         self._smooth, self._sent = (np.zeros(len(rate)) for _ in range(2))
@@ -234,15 +235,25 @@ class Retarget:
         if self._given is None:
             np.divide(retargeting.model.reach, self._lengths, out=self.scale)
         retargeting.solve(human, self.scale, anew=anew)
-        smooth, sent = self._smooth, self._sent
-        if anew:
-            smooth[...] = retargeting.q
-            measured = np.where(np.isfinite(self._joint_pos), self._joint_pos, smooth)
-            np.clip(measured, retargeting.model.lower, retargeting.model.upper, out=sent)
-        smooth += self._share * (retargeting.q - smooth)
-        np.clip(smooth, sent - self._step, sent + self._step, out=sent)
+        sent = retargeting.q if self._as_found else self._followed(anew)
         np.copyto(self._command, sent, where=self._moved, casting="same_kind")
         self._error[...] = retargeting.errors
+
+    def _followed(self, anew: bool) -> NDArray[np.float64]:
+        """Return what is sent: what was found behind the low pass, no faster than allowed."""
+        model, q, smooth, sent = (
+            self._retargeting.model,
+            self._retargeting.q,
+            self._smooth,
+            self._sent,
+        )
+        if anew:
+            smooth[...] = q
+            measured = np.where(np.isfinite(self._joint_pos), self._joint_pos, smooth)
+            np.clip(measured, model.lower, model.upper, out=sent)
+        smooth += self._share * (q - smooth)
+        np.clip(smooth, sent - self._step, sent + self._step, out=sent)
+        return sent
 
     def reset(self) -> None:
         """Follow the next hand as one that has just come."""

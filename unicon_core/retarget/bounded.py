@@ -27,7 +27,7 @@ SMALL = 2e-3
 square where the goal can be reached, and the next call goes on from there. A step that damping has
 made small is none of these."""
 LEAST, FIRST = 1e-9, 0.01
-"""Of the damping: always, and where the first step does not help."""
+"""Of the damping: below it there is none, and where the first step does not help."""
 FLOOR = 1e-9
 """Of the diagonal in [m²]: a joint that moves nothing has 0; one of a finger 1e-4 to 1e-2."""
 INSIDE = 0.02
@@ -68,15 +68,18 @@ class Bounded:
             if moved:
                 wanted = self._gradient.copy()
                 system[...] = self._normal
-                held = ((q <= lower) & (wanted > 0.0)) | ((q >= upper) & (wanted < 0.0))
-                if held.any():
-                    wanted[held] = system[held] = system[:, held] = 0.0
+                if self.looks > 1:  # the first is inside
+                    held = ((q <= lower) & (wanted > 0.0)) | ((q >= upper) & (wanted < 0.0))
+                    if held.any():
+                        wanted[held] = system[held] = system[:, held] = 0.0
                 diagonal += FLOOR
-            diagonal *= 1.0 + damping
+            if damping > LEAST:
+                diagonal *= 1.0 + damping
             trial = q - np.linalg.solve(system, wanted)
             np.maximum(trial, lower, out=trial)
             np.minimum(trial, upper, out=trial)
-            step = float(np.abs(trial - q).max())
+            moves = trial - q
+            step = max(float(moves.max()), -float(moves.min()))
             if step < (SMALL if moved else SMALL**2):
                 q[...] = trial
                 break

@@ -72,9 +72,10 @@ class HandModel:
         self._mujoco, self._model = import_mujoco(), loaded.model
         self._data = self._mujoco.MjData(loaded.model)
         self.fingers = tuple(hand.fingers)
-        self._sites = [int(loaded.model.site(_SITE + finger).id) for finger in self.fingers]
+        sites = [int(loaded.model.site(_SITE + finger).id) for finger in self.fingers]
+        self._sites = np.array(sites, np.intp)
         self._pulled = Pulled(loaded)
-        above = [self._above(int(loaded.model.site_bodyid[site])) for site in self._sites]
+        above = [self._above(int(loaded.model.site_bodyid[site])) for site in sites]
         each = np.array([(self._pulled.slopes[dofs] != 0.0).any(axis=0) for dofs in above])
         for finger, joints in zip(self.fingers, each):
             if not joints.any():
@@ -100,7 +101,8 @@ class HandModel:
         count = len(self.fingers) + self.knee
         self.points, self.jacobian = np.zeros((count, 3)), np.zeros((3 * count, robot.num_joints))
         self._whole = np.zeros((3 * count, int(loaded.model.nv)))
-        self._parts = [self._whole[3 * i : 3 * i + 3] for i in range(count)]
+        self._parts = [(site, self._whole[3 * i : 3 * i + 3]) for i, site in enumerate(sites)]
+        self._slopes = self._pulled.slopes
         self.tips = self.points[: len(self.fingers)]
         self.put(self.default)
         self.palm = self._palm(path, hand)
@@ -112,19 +114,19 @@ class HandModel:
         mujoco, model, data = self._mujoco, self._model, self._data
         self._place(q)
         mujoco.mj_comPos(model, data)
-        for site, part in zip(self._sites, self._parts):
+        for site, part in self._parts:
             mujoco.mj_jacSite(model, data, part, None, site)
         if self.knee:
             at, body = data.xanchor[self._knee], int(model.jnt_bodyid[self._knee])
             self.points[-1] = at
-            mujoco.mj_jac(model, data, self._parts[-1], None, at, body)
-        np.matmul(self._whole, self._pulled.slopes, out=self.jacobian)
+            mujoco.mj_jac(model, data, self._whole[-3:], None, at, body)
+        np.matmul(self._whole, self._slopes, out=self.jacobian)
 
     def _place(self, q: Float) -> None:
         """Put the joints somewhere, for the tips alone."""
         self._pulled.put(self._data.qpos, q)
         self._mujoco.mj_kinematics(self._model, self._data)
-        np.take(self._data.site_xpos, self._sites, axis=0, out=self.tips)
+        self._data.site_xpos.take(self._sites, axis=0, out=self.tips, mode="clip")
 
     def _above(self, body: int) -> list[int]:
         """Return the degrees of freedom between the world and a body, the nearest to it first."""
