@@ -114,7 +114,9 @@ def test_targets_that_are_lost_and_come_back_are_followed_again(assets: Path) ->
 SPLIT = """
 store: {zmq: "ipc://SOCKET"}
 parts:
-  robot: {publishes: [joint_pos, stamp_ns, joint_pos_target, joint_stiffness], silent: {after: 0.2}}
+  robot:
+    publishes: [joint_pos, joint_vel, stamp_ns, joint_pos_target, joint_stiffness]
+    silent: {after: 0.2}
   workstation:
     publishes: [joint_pos_command, joint_vel_command, left_hand_target, right_hand_target]
     silent: {after: 1.0}
