@@ -41,6 +41,12 @@ EXTRAS = {
     # The quadratic programs of block `reach`.
     "ik": ["daqp>=0.7"],
     "zmq": ["pyzmq"],
+    # Exports to Parquet: 130 MB installed.
+    "parquet": ["pyarrow"],
+    # LeRobot data sets: 300 MB. Its own package (6 GB) is not needed.
+    "lerobot": ["pyarrow", "av", "pillow"],
+    # `unicon sweep`: 220 MB.
+    "sweep": ["pyarrow", "scipy>=1.15"],
     "plots": ["matplotlib"],
     # The live page; its client is part of the package, so that it works off-line.
     "view": ["viser==1.1.1"],
@@ -81,10 +87,6 @@ EXTRAS["meshcat"] = ["meshcat==0.3.2", "viser==1.1.1"]
 EXTRAS["realsense"] = ["pyrealsense2>=2.56"]
 # Nor this: 754 MB installed (2.13, CPU), for TorchScript policies alone.
 EXTRAS["torch"] = ["torch"]
-# Nor this: 130 MB installed, for exports to Parquet alone.
-EXTRAS["parquet"] = ["pyarrow"]
-# Nor this: 300 MB installed, for LeRobot data sets alone. Its own package (6 GB) is not needed.
-EXTRAS["lerobot"] = ["pyarrow", "av", "pillow"]
 # Nor what a vendor's protocol needs: a computer on a robot wants that of its robot alone.
 EXTRAS["hw-arx"] = ["python-can>=4.3"]
 for _robot in ("unitree", "pnd", "dobot", "inspire", "booster"):  # they speak DDS

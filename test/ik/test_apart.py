@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import write_arm
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from reference_capsules import between, placed
+from welder import write_arm
 
 from unicon_core.ik.apart import Apart
 from unicon_core.models.loaded import import_mujoco

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import write_arm
+from welder import write_arm
 
 from unicon_core.check import check_workflow
 from unicon_core.errors import WorkflowError

@@ -52,6 +52,13 @@ def test_every_relative_link_leads_to_a_tracked_file(document: str) -> None:
     assert {link for link in relative if (folder / link).resolve() not in tracked} == set()
 
 
+def test_the_index_of_documents_names_each() -> None:
+    linked = set(re.findall(r"\]\((\w+\.md)\)", text_of("docs/README.md")))
+    assert {f"docs/{name}" for name in linked} | {"docs/README.md"} == {
+        name for name in DOCUMENTS if name.startswith("docs/")
+    }
+
+
 @pytest.mark.parametrize("document", DOCUMENTS)
 def test_every_file_and_folder_that_is_named_exists(document: str) -> None:
     quoted = re.findall(r"`([A-Za-z0-9_./-]+)`", text_of(document))

@@ -12,10 +12,6 @@ from unicon_core.retarget.hand_model import HandModel
 from unicon_core.robots import load_robot
 
 OWN = {"xhand1": xhand_model, "rohand": rohand_model}
-HANDS = (
-    *("inspire_rh56_left", "inspire_rh56_right", "dex3_left", "dex3_right"),
-    *("xhand1_left", "xhand1_right", "rohand_left", "rohand_right"),
-)
 
 
 @pytest.fixture

@@ -9,7 +9,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-__all__ = ["rohand_model", "xhand_model"]
+__all__ = ["HANDS", "rohand_model", "xhand_model"]
+
+HANDS = (
+    *("inspire_rh56_left", "inspire_rh56_right", "dex3_left", "dex3_right"),
+    *("xhand1_left", "xhand1_right", "rohand_left", "rohand_right"),
+)
 
 _XHAND = (  # joint, parent, child, origin xyz, rpy, axis
     (

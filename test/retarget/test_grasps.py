@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from conftest import HANDS
+from hands import HANDS
 from human_hands import human_hand, pinched, placed
 
 from unicon_core.retarget.hand_model import HandModel

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import HANDS
-from hands import rohand_model, xhand_model
+from hands import HANDS, rohand_model, xhand_model
 
 from unicon_core.errors import ModelError, RobotError
 from unicon_core.models.load import load_model

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from conftest import HANDS
+from hands import HANDS
 
 from unicon_core.retarget.hand_model import HandModel
 from unicon_core.retarget.human_hand import HumanHand

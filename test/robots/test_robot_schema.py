@@ -13,7 +13,8 @@ from json_schema_reference import accepts
 from unicon_core.robots.checks import IMU_KEYS
 from unicon_core.robots.joint_physics import JOINT_PHYSICS
 from unicon_core.robots.robot import JOINT_FIELDS
-from unicon_core.robots.validate import _OPTIONAL, _OVERLAY, _REQUIRED, COMMANDS, KINDS, SCHEMA
+from unicon_core.robots.transport_checks import COMMANDS
+from unicon_core.robots.validate import _OPTIONAL, _OVERLAY, _REQUIRED, KINDS, SCHEMA
 
 HERE = Path(__file__).parent
 ROBOTS = HERE.parents[1] / "config" / "robots"

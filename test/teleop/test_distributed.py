@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from runs import HOME, Seen, divided, end, free_ports, put_on, start, wait, workflow
+from teleop_runs import HOME, Seen, divided, end, free_ports, put_on, start, wait, workflow
 
 pytest.importorskip("mujoco", reason="G1 walks in MuJoCo")
 pytest.importorskip("daqp", reason="pip install 'unicon_ros[ik]'")

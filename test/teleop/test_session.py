@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from runs import ROOT, end, free_ports, put_on, start, workflow
+from teleop_runs import ROOT, end, free_ports, put_on, start, workflow
 
 from unicon_ros.recording import Record, open_record
 

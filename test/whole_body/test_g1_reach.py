@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hands import under, walk
 from numpy.typing import NDArray
+from reaching_walks import under, walk
 
 from unicon_core.flow import Block, Stage
 from unicon_core.resources import find_config
@@ -101,7 +101,7 @@ def test_when_inverse_kinematics_dies_the_arms_go_home_and_the_legs_walk_on(asse
 def test_targets_that_are_lost_and_come_back_are_followed_again(assets: Path) -> None:
     """Lost from 2 to 4 s: the arms are on their way home then; from 6 s on they are on them."""
     commands = list(load_document("g1_reach").values["commands"])
-    commands.insert(3, {"call": {"function": "hands:lost", "begin": 100, "end": 200}})
+    commands.insert(3, {"call": {"function": "reaching_walks:lost", "begin": 100, "end": 200}})
     done = walk([f"commands={json.dumps(commands)}"], duration=8.0)
     assert not done.report.faults
     assert not done.report.fell
@@ -114,7 +114,9 @@ def test_targets_that_are_lost_and_come_back_are_followed_again(assets: Path) ->
 SPLIT = """
 store: {zmq: "ipc://SOCKET"}
 parts:
-  robot: {publishes: [joint_pos, stamp_ns, joint_pos_target, joint_stiffness], silent: {after: 0.2}}
+  robot:
+    publishes: [joint_pos, joint_vel, stamp_ns, joint_pos_target, joint_stiffness]
+    silent: {after: 0.2}
   workstation:
     publishes: [joint_pos_command, joint_vel_command, left_hand_target, right_hand_target]
     silent: {after: 1.0}

@@ -22,6 +22,8 @@ EXTRAS = [
     "foxglove",
     "ik",
     "webxr",
+    "sweep",
+    "lerobot",
     "hw-unitree",
     "hw-arx",
     "test",

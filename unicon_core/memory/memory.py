@@ -121,6 +121,21 @@ class Memory:
             return None
         return values
 
+    def put_back(self, remembered: Remembered) -> None:
+        """Make the same blocks remember what they did; `restore` without the way through JSON.
+
+        Raises:
+            StateError: they hold other objects by now.
+        """
+        owners = self._found.owners
+        try:
+            for (path, key), value in zip(remembered.places, remembered.values):
+                put(owners[path], key, value if type(value) in _SIMPLE else copied(value))
+            for path, value in remembered.kept.items():
+                self._found.keepers[path].restore(copied(value))
+        except (LookupError, NotPlain, RuntimeError, TypeError, ValueError) as error:
+            raise _other(f"{error!r}") from error
+
     def restore(self, content: Mapping[str, Any]) -> None:
         """Make the blocks remember what others did that were built alike; between two ticks.
 

@@ -58,6 +58,8 @@ def copied(value: Any) -> Any:
         return _State(value.bit_generator.state)
     if isinstance(value, random.Random):
         return _State(value.getstate())
+    if isinstance(value, _State):
+        return value
     raise NotPlain
 
 

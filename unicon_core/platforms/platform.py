@@ -20,16 +20,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.states.standard import BASE_STATES, COMMAND_STATES, JOINT_STATES
 
+if TYPE_CHECKING:
+    from unicon_core.platforms.kit.scene import Scene
+
 __all__ = [
     "SIMULATED",
     "Binding",
+    "Changeable",
     "CountsArrivals",
     "Facts",
     "Informative",
@@ -65,7 +69,8 @@ class Facts:
         batch: takes states of several robots.
         reads: states that `send` reads.
         writes: states that `recv` writes; what is not named here is not there for policies.
-        physics: what it can be told of joints, of `robots/joint_physics.py`.
+        physics: what it can be told of joints, of `robots/joint_physics.py`, and of bodies, of
+            `kit/bodies.py`.
         protocols: of robot files (`transport.protocol`), those that it speaks; empty for any.
         notes: what could not be looked at, one line each.
         examine: takes what the factory takes and tells, without opening anything, how it would be
@@ -194,6 +199,20 @@ class Resettable(Protocol):
 
     def reset(self) -> None:
         """Return to the initial state and time 0."""
+        ...
+
+
+@runtime_checkable
+class Changeable(Protocol):
+    """A simulator that can begin anew in another scene, for thousands of runs of one program."""
+
+    def change(self, scene: Scene) -> None:
+        """Be as one that was built with this scene, of the same model.
+
+        Raises:
+            ModelError: no such key frame or body.
+            PlatformError: the scene is wrong, or it has to be built anew.
+        """
         ...
 
 

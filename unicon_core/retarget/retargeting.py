@@ -60,6 +60,7 @@ class Retargeting:
         others = [i for i in range(count) if i != self._thumb] if self._thumb >= 0 else []
         self._others, self._own = np.array(others, np.intp), points + np.arange(len(others))
         # Rows: each point's own vector, then the pinches. Columns: the points.
+        self._before, self._ahead = self.q.copy(), np.zeros(len(self.q))
         self._rows = np.vstack((np.eye(points), np.zeros((len(others), points))))
         self._rows[count:points] *= KNEE**0.5
         self._wanted, self._used = np.zeros((len(self._rows), 3)), len(self._rows)
@@ -91,7 +92,12 @@ class Retargeting:
             for start in self._starts:
                 q = start.copy()
                 found.append((self._solver.solve(q), q))
-            self.q[...] = min(found, key=lambda each: each[0])[1]
+            self.q[...] = self._before[...] = min(found, key=lambda each: each[0])[1]
+        # It begins where the joints are if they go on as they did: that saves a step in three.
+        self._ahead[...] = self.q
+        self._ahead -= self._before
+        self._before[...] = self.q
+        self.q += self._ahead
         self._solver.solve(self.q)
         off = wanted - model.tips
         np.sqrt(np.einsum("fx,fx->f", off, off), out=self.errors)

@@ -29,6 +29,7 @@ __all__ = [
     "check_mapping",
     "check_name",
     "check_number",
+    "check_one_of",
     "check_text",
     "meant",
     "wrong",
@@ -134,6 +135,11 @@ def check_number(located: Located, where: Where, value: Any) -> Problems:
     """A finite number, or null."""
     if value is not None and not _is_finite(value):
         yield wrong(located, where, f"is {_show(value)}; write a number or null")
+
+
+def check_one_of(located: Located, where: Where, value: Any, known: tuple[str, ...]) -> Problems:
+    if value not in known:
+        yield wrong(located, where, f"{value!r} is not known; {alternatives(str(value), known)}")
 
 
 def check_joints(located: Located, joints: Any) -> Problems:

@@ -184,9 +184,13 @@ class Monitor:
         # `max` takes 1.3 µs where one number takes 0.1.
         self._least_upright = partial(gravity.item, 0) if len(gravity) == 1 else gravity.max
         self._start = self._pos.copy()
+        self._commands = [view.data for view in flat([states[n] for n in COMMAND_STATES])]
+        self.begin()
+
+    def begin(self) -> None:
+        """Begin a run; that of before does not count any more."""
         self._started = False
         self._hash = hashlib.sha256()
-        self._commands = [view.data for view in flat([states[n] for n in COMMAND_STATES])]
         self._worst = -1.0
 
     def __call__(self) -> None:
@@ -204,6 +208,11 @@ class Monitor:
         """Whether the base tilted further than a walking robot comes back from."""
         return not self._worst <= -self.FALL_COSINE
 
+    @property
+    def sha256(self) -> str:
+        """SHA-256 over the command states of every tick so far."""
+        return self._hash.hexdigest()
+
     def finish(self) -> None:
         """Let nothing count that comes from here on."""
         self._pos = self._pos.copy()
@@ -214,7 +223,7 @@ class Monitor:
         report.base_displacement_m = [round(float(value), 6) for value in moved]
         report.fell = self.fell
         report.tilt_deg = round(math.degrees(math.acos(max(-1.0, min(-self._worst, 1.0)))), 1)
-        report.sha256_commands = self._hash.hexdigest()
+        report.sha256_commands = self.sha256
         report.dry = self._dry
 
 

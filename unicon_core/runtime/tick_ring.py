@@ -13,7 +13,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from unicon_core.memory import Memory, Remembered
 from unicon_core.runtime.phases import Phase
 
 if TYPE_CHECKING:
+    from unicon_core.flow.compiled import CompiledGraph
     from unicon_core.runtime.runner import Runner
     from unicon_core.workflow import Program
 
@@ -48,6 +49,14 @@ _CDR = bytes((0, 1, 0, 0))
 
 PHASES = tuple(Phase)
 """The phases in the order of their numbers."""
+
+
+class HasGraphs(Protocol):
+    """Whatever ticks a program."""
+
+    def graphs(self) -> dict[str, CompiledGraph]:
+        """Return the compiled ticks by phase."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -270,7 +279,7 @@ def _changed(nodes: Sequence[Node], more: Sequence[str] = ()) -> frozenset[str] 
     return frozenset({*found, *more, *BETWEEN})
 
 
-def memory_of(program: Program, runner: Runner) -> Memory:
+def memory_of(program: Program, runner: HasGraphs) -> Memory:
     """Return the memory of a program's own blocks and of the flow's nodes, all phases together.
 
     What came from outside is left out: the platform, devices and the hooks, whose doing is in the

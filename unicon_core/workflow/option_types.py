@@ -6,6 +6,7 @@ import inspect
 import math
 import types
 from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
@@ -38,7 +39,7 @@ def wrong_option(factory: Callable[..., Any], options: Mapping[str, Any]) -> str
     if inspect.isclass(factory):
         target = vars(factory).get("__init__", factory)
     try:
-        hints = get_type_hints(target)
+        hints = _hints(target)
     except (AttributeError, NameError, TypeError):
         return None
     for name, value in options.items():
@@ -46,6 +47,12 @@ def wrong_option(factory: Callable[..., Any], options: Mapping[str, Any]) -> str
         if not _fits(value, hint):
             return f"{name} is {_short(value)}; give {_wanted(hint)}"
     return None
+
+
+@lru_cache(256)
+def _hints(target: Callable[..., Any]) -> dict[str, Any]:
+    """Return what a function asks for: evaluated once, since a scene takes 0.6 ms."""
+    return get_type_hints(target)
 
 
 def _fits(value: Any, hint: Any) -> bool:

@@ -66,6 +66,14 @@ def read_scene(document: WorkflowDocument, context: BuildContext, facts: Facts) 
             f"out of scene.joints or of `simulated` in {file}, or choose platform: mujoco",
             *(("scene", "joints") if scene.joints else ("robot",)),
         )
+    cannot = [word for word in scene.bodies if word not in facts.physics]
+    if facts.simulated and cannot:
+        raise document.error(
+            f"platform {facts.name!r} cannot be told scene.{cannot[0]}; take it out of scene, or "
+            "choose platform: mujoco",
+            "scene",
+            cannot[0],
+        )
     return scene
 
 

@@ -25,6 +25,7 @@ BENCHES = {
     "sloc": "unicon_ros.bench.sloc",
     "start": "unicon_ros.bench.start",
     "stores": "unicon_ros.bench.stores",
+    "sweep": "unicon_ros.bench.sweep",
     "tick": "unicon_ros.bench.tick",
     "timing": "unicon_ros.bench.timing",
     "view": "unicon_ros.bench.view",
@@ -44,6 +45,7 @@ _OPTIONS: dict[str, dict[str, dict[str, Any]]] = {
         "seconds": {"type": float, "help": "measured time of a variant in a round"},
     },
     "record": {"seconds": {"type": float, "help": "time of a run, 10 s unless told"}},
+    "sweep": {"rollouts": {"type": int, "metavar": "N", "help": "of each side, 2,000 unless told"}},
     "view": {
         "seconds": {"type": float, "help": "time of a run, 10 s unless told"},
         "sink": {"help": "word of --view, page unless told"},

@@ -31,6 +31,7 @@ from unicon_ros.cli import (
     run,
     show,
     states,
+    sweep,
     transfer,
     view,
 )
@@ -56,6 +57,7 @@ def _parser() -> argparse.ArgumentParser:
         replay,
         analyze,
         transfer,
+        sweep,
         view,
         bench,
         known,

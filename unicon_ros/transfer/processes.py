@@ -19,6 +19,7 @@ from unicon_core.errors import UniconError
 from unicon_core.resources import same_modules
 from unicon_core.signals import SIGNALS, signal_name
 from unicon_ros.bench.loops import die_with_parent
+from unicon_ros.last_words import LOG_BYTES, last_words
 from unicon_ros.transfer.plan import Plan
 
 __all__ = ["Tell", "run_one"]
@@ -28,10 +29,6 @@ Tell = Callable[[float], None]
 
 LOOK = 0.1
 """Time in [s] between two looks at a process and at signals."""
-LAST_WORDS = 4096
-"""Bytes of a log that are looked at for a reason."""
-LOG_BYTES = 10_000_000
-"""Of a log that is kept: an engine that warns in every step must not fill the disk."""
 
 
 def run_one(plan: Plan, platform: str, seed: int, folder: Path, tell: Tell) -> dict[str, Any]:
@@ -64,14 +61,15 @@ def run_one(plan: Plan, platform: str, seed: int, folder: Path, tell: Tell) -> d
             f"cannot write {error.filename or files}: {error.strerror}; give a writable folder "
             "with room to --out"
         ) from error
+    said = files.with_suffix(".log")
     told: dict[str, Any] = {"seed": seed, "outcome": outcome, "text": text}
     if outcome == "ran":
         try:
             told |= json.loads(files.with_suffix(".json").read_bytes())
         except (OSError, ValueError):
-            told |= {"outcome": "crashed", "text": f"wrote no result: {_last_words(files)}"}
+            told |= {"outcome": "crashed", "text": f"wrote no result: {last_words(said)}"}
     elif outcome == "crashed":
-        told["text"] += f": {_last_words(files)}"
+        told["text"] += f": {last_words(said)}"
     if told["outcome"] == "ran":
         told["file"] = str(files.with_suffix(".npz").relative_to(folder.parent))
         told["log"] = ""
@@ -132,16 +130,3 @@ def _wait(
     if process.returncode < 0:
         return "crashed", f"ended by {signal_name(-process.returncode)}"
     return "crashed", f"exit status {process.returncode}"
-
-
-def _last_words(files: Path) -> str:
-    """Return the last line that a process printed, in words if there is none."""
-    path = files.with_suffix(".log")
-    try:
-        with path.open("rb") as log:
-            log.seek(max(0, os.fstat(log.fileno()).st_size - LAST_WORDS))
-            lines = log.read().decode("utf-8", "replace").split("\n")
-    except OSError:
-        lines = []
-    said = [line.strip() for line in lines if line.strip()]
-    return said[-1][:300] if said else "it printed nothing"

@@ -60,6 +60,11 @@ class LastSent:
         self.states = States(subset(states.layout, COMMAND_STATES))
         self._copies = Copies(states, self.states.layout, self.states.buffer.data)
 
+    def forget(self) -> None:
+        """Be as before anything was sent."""
+        self.any = False
+        self.states.reset()
+
     def note(self) -> None:
         """Remember what was sent just now."""
         self._copies.pack()

@@ -12,7 +12,12 @@ from numpy.typing import NDArray
 from unicon_core.errors import PlatformError, alternatives
 from unicon_core.platforms.kit.command import Command
 from unicon_core.platforms.kit.scene import Scene
-from unicon_core.platforms.platform import Platform, Pushable, Resettable
+from unicon_core.platforms.platform import (
+    Changeable,
+    Platform,
+    Pushable,
+    Resettable,
+)
 from unicon_core.robots import Robot
 from unicon_core.states import States
 
@@ -29,6 +34,16 @@ def disturb(
     """
     if not scene.disturbed:
         return platform
+    around = Disturbances(platform, scene, states, robot, period)
+    methods = ["recv", "send", "reset"]
+    methods += ["change"] if isinstance(platform, Changeable) else []
+    for method in methods:  # in place: whatever else it can do, it still can
+        setattr(platform, method, getattr(around, method))
+    return platform
+
+
+def _refuse(platform: Platform, scene: Scene) -> None:
+    """Refuse what a platform cannot be disturbed with."""
     name, writes = platform.facts.name, set(platform.facts.writes) - {"stamp_ns"}
     for state in scene.noise:
         if state not in writes:
@@ -38,10 +53,6 @@ def disturb(
             )
     if scene.push and not ("base_lin_vel" in writes and isinstance(platform, Pushable)):
         raise PlatformError(f"scene.push: platform {name!r} cannot push a base; leave push out")
-    around = Disturbances(platform, scene, states, robot, period)
-    for method in ("recv", "send", "reset"):  # in place: whatever else it can do, it still can
-        setattr(platform, method, getattr(around, method))
-    return platform
 
 
 class Disturbances:
@@ -54,15 +65,24 @@ class Disturbances:
         self._reset: Callable[[], None] = (
             platform.reset if isinstance(platform, Resettable) else lambda: None
         )
+        self._change = platform.change if isinstance(platform, Changeable) else None
         self._push = platform.push if isinstance(platform, Pushable) else None
-        self._seed, self._batch = scene.seed, states.num_robots
-        self._noise = [(states[name], np.float32(std)) for name, std in scene.noise.items()]
-        self._quat = states["base_quat"] if "base_quat" in scene.noise else None
-        every = float(scene.push.get("every", 0.0)) / period
-        self._push_ticks = max(round(every), 1) if scene.push else 0
-        self._largest = float(scene.push.get("velocity", 0.0))
+        self._platform, self._states = platform, states
+        self._period, self._batch = period, states.num_robots
         self._views = [states[name] for name in platform.facts.reads]
         self._command = Command(states, robot.joint_names, dtype=np.float32)
+        self._take(scene)
+
+    def _take(self, scene: Scene) -> None:
+        """Take what a scene says, and begin."""
+        _refuse(self._platform, scene)
+        states = self._states
+        self._seed = scene.seed
+        self._noise = [(states[name], np.float32(std)) for name, std in scene.noise.items()]
+        self._quat = states["base_quat"] if "base_quat" in scene.noise else None
+        every = float(scene.push.get("every", 0.0)) / self._period
+        self._push_ticks = max(round(every), 1) if scene.push else 0
+        self._largest = float(scene.push.get("velocity", 0.0))
         self._delay = scene.delay
         self._begin()
 
@@ -108,6 +128,12 @@ class Disturbances:
     def _write(self, values: list[NDArray[Any]]) -> None:
         for view, value in zip(self._views, values):
             view[...] = value
+
+    def change(self, scene: Scene) -> None:
+        """Begin anew in another scene; see `Changeable`."""
+        assert self._change is not None  # it is not put where the platform has none
+        self._change(scene)
+        self._take(scene)
 
     def reset(self) -> None:
         """Begin anew, the same draws to come."""

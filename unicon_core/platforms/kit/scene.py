@@ -16,13 +16,16 @@ from numpy.typing import NDArray
 
 from unicon_core.errors import PlatformError, alternatives
 from unicon_core.models.find import pick_model
+from unicon_core.platforms.kit.bodies import BODY_PHYSICS, wrong_bodies
 from unicon_core.robots import Robot
 from unicon_core.robots.joint_physics import wrong_physics
 from unicon_core.robots.poses import named_pose, robot_poses
 
 __all__ = ["DISTURBANCES", "KEYFRAME", "SCENE_KEYS", "Scene"]
 
-DISTURBANCES = ("seed", "noise", "delay", "push", "terrain", "joints")
+DISTURBANCES = (
+    *("seed", "noise", "delay", "push", "terrain", "joints", "payload", "contact_friction"),
+)
 """What a simulator can be told and a robot cannot."""
 
 KEYFRAME = "keyframe:"
@@ -49,6 +52,9 @@ class Scene:
         push: `every` in [s] and `velocity` in [m/s]: random horizontal pushes of the base.
         joints: joint names and patterns to `strength`, `friction`, `armature` and `delay` in place
             of the model's, see `robots/joint_physics.py`; over those of the robot file.
+        payload: `mass` [kg] of a point that is fixed to a `body` of the model (the base's unless
+            told) at `position` [m] in that body's frame (its centre of mass unless told).
+        contact_friction: factor on the friction of all contacts, with floor and things alike.
         mounts: member to `body`, `position` [m] and `quat` (wxyz) where its model sits on the first
             member's, over the robot file's; the builder gives them to the robot.
         folder: of the workflow, for a relative `model`; not a key of the file.
@@ -67,6 +73,8 @@ class Scene:
     noise: Mapping[str, float] = field(default_factory=dict)
     push: Mapping[str, float] = field(default_factory=dict)
     joints: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    payload: Mapping[str, Any] = field(default_factory=dict)
+    contact_friction: float = 1.0
     mounts: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     folder: Path | None = None
     pose: NDArray[np.float32] | None = None
@@ -99,6 +107,9 @@ class Scene:
         wrong = wrong_physics(self.joints)
         if wrong is not None:
             raise PlatformError(f"scene.joints: {wrong}")
+        wrong = wrong_bodies(self.payload, self.contact_friction)
+        if wrong is not None:
+            raise PlatformError(f"scene.{wrong}")
 
     @property
     def posed_by_model(self) -> bool:
@@ -109,6 +120,12 @@ class Scene:
             and isinstance(pose, str)
             and (pose == "model" or pose.startswith(KEYFRAME))
         )
+
+    @property
+    def bodies(self) -> list[str]:
+        """What is said of bodies, as a platform's facts name what it can be told."""
+        said = {"payload": bool(self.payload), "contact_friction": self.contact_friction != 1.0}
+        return [word for word in BODY_PHYSICS if said[word]]
 
     @property
     def disturbed(self) -> bool:

@@ -11,6 +11,7 @@ from unicon_core.errors import ModelError, alternatives
 from unicon_core.models.load import load_model
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.models.posed import PosedModel
+from unicon_core.platforms.kit.bodies import tell_bodies
 from unicon_core.platforms.kit.scene import KEYFRAME, Scene
 from unicon_core.robots import Robot
 from unicon_core.robots.joint_physics import JointPhysics, joint_physics
@@ -64,7 +65,7 @@ def start_of(robot: Robot, scene: Scene) -> Start:
     Raises:
         MissingDependencyError: mujoco, which reads the models, is not installed.
         ModelError: the model is missing or wrong, or lacks a joint.
-        PlatformError: no such pose.
+        PlatformError: no such pose, or no such body.
     """
     # No stand-ins for absent joints: other engines know neither armature nor implicit damping.
     # Nothing attached either: they read the file themselves.
@@ -80,6 +81,7 @@ def start_of(robot: Robot, scene: Scene) -> Start:
             "name a model of the whole (scene: {model: PATH}), or give each member a platform: "
             f"{{{', '.join(f'{member}: …' for member in robot.members)}}}"
         ) from error
+    tell_bodies(loaded, scene.payload, scene.contact_friction)
     base, qpos = loaded.base, initial_positions(loaded, robot, scene)
     pose = np.array((0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0))
     if base is not None:

@@ -17,6 +17,7 @@ from unicon_core.errors import MissingDependencyError, ModelError
 from unicon_core.models.actuators import effort_ranges
 from unicon_core.models.loaded import import_mujoco
 from unicon_core.platforms.kit.base import Float, WorldPose, rotation
+from unicon_core.platforms.kit.bodies import BODY_PHYSICS
 from unicon_core.platforms.kit.joint_delay import strength_of
 from unicon_core.platforms.kit.joint_model import JointModel, Passive, joint_model
 from unicon_core.platforms.kit.patience import patience
@@ -41,7 +42,13 @@ own 1e-8 sixteen Go2 took 1.6 times as long."""
 class MjxPlatform(SteppedSimulator):
     """N robots in one batch of MJX, in float32; built by `make`."""
 
-    facts = Facts("mjx", simulated=True, batch=True, writes=SIMULATED, physics=tuple(JOINT_PHYSICS))
+    facts = Facts(
+        "mjx",
+        simulated=True,
+        batch=True,
+        writes=SIMULATED,
+        physics=(*JOINT_PHYSICS, *BODY_PHYSICS),
+    )
     represents = frozenset(
         {
             *("armature", "damping", "friction", "limits"),

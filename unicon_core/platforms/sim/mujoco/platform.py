@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from unicon_core.errors import PlatformError
 from unicon_core.models.load import load_model
 from unicon_core.models.loaded import LoadedModel, import_mujoco
+from unicon_core.platforms.kit.bodies import BODY_PHYSICS, tell_bodies
 from unicon_core.platforms.kit.clock import steps_in
 from unicon_core.platforms.kit.command import Command
 from unicon_core.platforms.kit.joint_delay import delay_of, strength_of
@@ -77,7 +78,11 @@ class MujocoPlatform:
     """
 
     facts = Facts(
-        "mujoco", simulated=True, batch=True, writes=SIMULATED, physics=tuple(JOINT_PHYSICS)
+        "mujoco",
+        simulated=True,
+        batch=True,
+        writes=SIMULATED,
+        physics=(*JOINT_PHYSICS, *BODY_PHYSICS),
     )
 
     def __init__(
@@ -92,6 +97,8 @@ class MujocoPlatform:
     ) -> None:
         model = self.model = loaded.model
         self._mujoco, self._robot, self._loaded = mujoco, robot, loaded
+        self._states, self._period = states, period
+        tell_bodies(loaded, scene.payload, scene.contact_friction)
         self.model_path = loaded.path
         self.decimation = steps_in(period, float(model.opt.timestep), loaded.path)
         unmeasured = BASE_STATES if loaded.base is None else ()
@@ -176,6 +183,32 @@ class MujocoPlatform:
         """Put every robot back where it began, at time 0."""
         for robot in self.robots:
             robot.reset()
+
+    def change(self, scene: Scene) -> None:
+        """Be as one that was built with this scene: 2 ms, where a model takes 6 ms to be read.
+
+        Raises:
+            ModelError: no such key frame.
+            PlatformError: the scene is wrong, or these are robots of a batch.
+        """
+        if self._batch is not None:
+            raise PlatformError("platform 'mujoco' cannot change the scene of several robots")
+        loaded = replace(self._loaded, model=copy(self._untouched))
+        other = MujocoPlatform(
+            self._mujoco, self._states, self._robot, self._period, loaded, scene, self._passive
+        )
+        # Whoever holds `recv` and `send` holds methods of the robot, which is another one now.
+        self.robots[0].become(other.robots[0])
+        own = ("robots", "recv", "send", "reset", "change", "_untouched")
+        kept = {name: value for name, value in vars(self).items() if name in own}
+        vars(self).clear()
+        vars(self).update(vars(other) | kept)
+
+    @cached_property
+    def _untouched(self) -> Any:
+        """The model as its file has it."""
+        timestep = float(self.model.opt.timestep)
+        return load_model(self.model_path, self._robot, timestep, quiet=True).model
 
     def push(self, velocity: NDArray[np.float64]) -> None:
         """Add to the bases' horizontal velocity [m/s], shape (2,), of a batch (N, 2).

@@ -81,7 +81,9 @@ class Servo:
             self.effort_lower *= strength
             self.effort_upper *= strength
             model.actuator_forcerange[self.actuators] *= strength[:, None]
-        self._strength = strength
+        self._strength, self._weakened = strength, np.zeros((5, count))
+        weak = np.ones(count) if strength is None else strength
+        self._factor = np.stack([np.ones(count)] * 2 + [weak] * 3)
         self.index = index_of(self.actuators)
         self._gain = model.actuator_gainprm[:, 0]
         self._bias = model.actuator_biasprm
@@ -99,7 +101,7 @@ class Servo:
                 [N·m·s/rad], shape (5, n).
         """
         if self._strength is not None:
-            command = np.concatenate((command[:2], command[2:] * self._strength))
+            command = np.multiply(command, self._factor, out=self._weakened)
         index, b0 = self.index, self._b0
         np.multiply(command[4], command[1], out=b0)
         b0 += command[2]

@@ -12,6 +12,7 @@ import numpy as np
 from unicon_core.errors import MissingDependencyError
 from unicon_core.models.physical import physical_urdf
 from unicon_core.platforms.kit.base import Float, WorldPose
+from unicon_core.platforms.kit.bodies import BODY_PHYSICS
 from unicon_core.platforms.kit.joint_model import (
     JointModel,
     Passive,
@@ -35,7 +36,7 @@ class PybulletPlatform(SteppedSimulator):
         simulated=True,
         batch=True,
         writes=SIMULATED,
-        physics=("strength", "friction", "delay"),
+        physics=("strength", "friction", "delay", *BODY_PHYSICS),
     )
     represents = frozenset({"damping", "friction", "limits"})
 
@@ -129,9 +130,10 @@ class _World:
             self._body = body = client.loadURDF(file.name, **how)
         names = [client.getJointInfo(body, i)[1].decode() for i in range(client.getNumJoints(body))]
         self._joints = [names.index(name) for name in self._names]
-        rubber = {"lateralFriction": self._friction, "linearDamping": 0.0, "angularDamping": 0.0}
         for link in range(-1, len(names)):
-            client.changeDynamics(body, link, **rubber)
+            client.changeDynamics(body, link, lateralFriction=self._friction)
+            # By itself: in one call a link keeps its friction (0.5).
+            client.changeDynamics(body, link, linearDamping=0.0, angularDamping=0.0)
         self.damp(self._figures.damping)
         self._centre = client.getDynamicsInfo(body, -1)[3:5]  # of mass, in the base's frame
         self._base_from_centre = client.invertTransform(*self._centre)

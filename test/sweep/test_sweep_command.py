@@ -1,0 +1,391 @@
+"""`unicon sweep`: rows that are the same however they are run, gates, reports, comparisons."""
+
+from __future__ import annotations
+
+import json
+import os
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from pages import looked_at, read_page
+
+from unicon_core.errors import MissingDependencyError, UniconError
+from unicon_core.robots import load_robot
+from unicon_ros.bench.networks import random_policy
+from unicon_ros.cli.main import main
+from unicon_ros.sweep import local
+from unicon_ros.sweep.engine import Result
+from unicon_ros.sweep.figures import COLUMNS
+from unicon_ros.sweep.folder import Folder
+from unicon_ros.sweep.local import HOPELESS, LocalEngine
+from unicon_ros.sweep.pictures import bins_of
+from unicon_ros.sweep.plan import Plan
+from unicon_ros.sweep.results import Results
+from unicon_ros.sweep.sweep_file import read_sweep
+from unicon_ros.sweep.worker import RowRunner
+
+pytest.importorskip("mujoco")
+pytest.importorskip("onnxruntime")
+pytest.importorskip("pyarrow")
+
+
+def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+    assert main(["sweep", *map(str, arguments)]) == 1
+    told = capsys.readouterr()
+    assert told.err.count("\n") == 1
+    return told.err.removeprefix("unicon: error: ").rstrip("\n")
+
+
+def plan_of(folder: Path, *overrides: str) -> Plan:
+    return Plan(read_sweep(folder.parent / "sweep.yaml", overrides))
+
+
+def rows_of(results: Results) -> list[dict[str, Any]]:
+    return [results.row(place) for place in range(len(results))]
+
+
+# -- rows ------------------------------------------------------------------------------------------
+
+
+def test_every_row_has_its_figures(done: Path) -> None:
+    results = Results(done)
+    assert (len(results), results.lacking, results.failed) == (20, 0, 0)
+    assert {row["outcome"] for row in rows_of(results)} >= {"duration"}
+    strong = [row for row in rows_of(results) if row["set.scene.push.velocity"] == 4.0]
+    assert any(row["fell"] for row in strong)
+    for row in rows_of(results):
+        assert row["fell"] == (row["fall_s"] is not None)
+        assert row["fault"] == (row["outcome"] == "fault") == (row["fault_block"] is not None)
+        assert row["duration_s"] == pytest.approx(row["ticks"] * 0.02)
+        assert row["energy_j"] > 0.0
+        assert len(row["sha256_commands"]) == 64
+        assert row["unfolded_mse"] is None
+
+
+def test_one_process_by_itself_has_the_same_rows(done: Path) -> None:
+    runner, results, plan = RowRunner(plan_of(done).task()), Results(done), plan_of(done)
+    for index in (7, 0, 19, 7):  # in another order than the workers had
+        told = runner(list(plan.row(index).settings))["row"]
+        row = results.row(index)
+        assert {name: row[name] for name in COLUMNS} == told
+    assert runner.programs.built == 1
+    runner.programs.close()
+
+
+def test_the_commands_of_the_worst_run_them_again_to_the_bit(done: Path, tmp_path: Path) -> None:
+    results = Results(done)
+    worst = results.worst(20)
+    outcomes = [results.row(place)["outcome"] for place in worst]
+    falls = [place for place in worst if results.row(place)["outcome"] == "fell"][:1]
+    faults = [place for place in worst if results.row(place)["outcome"] == "fault"][:1]
+    assert outcomes[0] in ("fault", "fell")
+    for place in {*worst[:1], *falls, *faults, worst[-1]}:
+        words = shlex.split(results.command(place))
+        assert words[:3] == ["unicon", "run", "go2_walk"]
+        main([*words[1:], "--quiet", "--faults", "off", "--report", str(tmp_path / "report.json")])
+        report = json.loads((tmp_path / "report.json").read_text())
+        row = results.row(place)
+        assert report["sha256_commands"] == row["sha256_commands"]
+        assert report["ticks"] == row["ticks"]
+        assert bool(report["faults"]) == row["fault"]
+
+
+def test_the_same_command_again_runs_nothing(
+    done: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = {path.name: path.stat().st_mtime_ns for path in done.glob("shard-*")}
+    assert main(["sweep", str(done.parent / "sweep.yaml"), "--out", str(done)]) == 0
+    assert Results(done).sha256 in capsys.readouterr().out
+    assert {path.name: path.stat().st_mtime_ns for path in done.glob("shard-*")} == before
+
+
+def test_a_row_that_cannot_be_built_is_told_and_the_rest_goes_on(done: Path) -> None:
+    runner = RowRunner(plan_of(done).task())
+    settings = list(plan_of(done).row(0).settings)
+    for wrong, told in (
+        ("scene.push.velocity=-1", "scene.push: every"),
+        ("policies.walk=nothing_such", "unknown policy 'nothing_such'"),
+        ("scene.nothing=1", "scene has no key 'nothing'"),
+        ("platform=fake", "scene.push is"),
+    ):
+        row = runner([*settings, wrong])["row"]
+        assert row["outcome"] == "refused", row
+        assert told in row["text"] or wrong == "platform=fake"
+    good = runner(settings)["row"]
+    assert good["sha256_commands"] == Results(done).row(0)["sha256_commands"]
+    runner.programs.close()
+
+
+def test_two_policies_are_built_once_each(done: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "other"
+    shutil.copytree(Path("config/policies/go2_velocity").resolve(), copy)
+    runner = RowRunner(plan_of(done).task())
+    settings = list(plan_of(done).row(0).settings)
+    first = runner(settings)
+    other = runner([*settings, f"policies.walk={copy}"])
+    assert runner.programs.built == 2
+    for name in ("program", "sha256_commands"):  # other files that say the same
+        assert first["row"][name] == other["row"][name]
+    for _ in range(2):
+        runner(settings)
+        runner([*settings, f"policies.walk={copy}"])
+    assert runner.programs.built == 2
+    assert set(first["facts"][first["row"]["program"]]) >= {"robot", "model", "network walk"}
+    runner.programs.close()
+
+
+def test_the_reference_is_compared(done: Path, tmp_path: Path) -> None:
+    runner = RowRunner(plan_of(done).task())
+    settings = list(plan_of(done).row(0).settings)
+    runner(settings)
+    ((_, kept),) = runner.programs._kept.items()
+    rollouts = kept.rollouts
+    place = rollouts.program.states.offset("joint_pos")
+    names = np.array(rollouts.program.robot.joint_names)
+    positions = rollouts._rows[:30, place : place + 12][:, ::-1]
+    np.savez(tmp_path / "r.npz", joint_pos=positions, joint_names=names[::-1], dt=0.02)
+    task = plan_of(done).task() | {"reference": str(tmp_path / "r.npz")}
+    row = RowRunner(task)(settings)["row"]
+    assert row["unfolded_mse"] == pytest.approx(0.0, abs=1e-9)
+    other = RowRunner(task)(list(plan_of(done).row(5).settings))["row"]
+    assert other["unfolded_mse"] > 1e-5
+    np.savez(tmp_path / "r.npz", joint_pos=positions, joint_names=names[::-1], dt=0.01)
+    assert (
+        "has 100 samples a second and the workflow 50 ticks"
+        in RowRunner(task)(settings)["row"]["text"]
+    )
+
+
+# -- workers that die ------------------------------------------------------------------------------
+
+
+def engine_of(done: Path, tmp_path: Path, **changed: Any) -> LocalEngine:
+    how = {"workers": 2, "timeout": 60.0} | changed
+    return LocalEngine(plan_of(done).task(), how["workers"], how["timeout"], tmp_path)
+
+
+def test_a_worker_that_is_killed_or_stopped_loses_no_row(done: Path, tmp_path: Path) -> None:
+    engine, results = engine_of(done, tmp_path, timeout=2.0), Results(done)
+    found: dict[int, Result] = {}
+    try:
+        for result in engine.run(plan_of(done)):
+            assert result.index not in found
+            found[result.index] = result
+            if len(found) == 3:
+                os.kill(engine.pids[0], signal.SIGKILL)
+            if len(found) == 6:
+                os.kill(engine.pids[0], signal.SIGSTOP)  # the other one hangs: its row is late
+    finally:
+        engine.close()
+    assert sorted(found) == list(range(20))
+    for index, result in found.items():
+        row = results.row(index)
+        assert {name: row[name] for name in COLUMNS} == result.figures
+
+
+def test_a_row_that_kills_each_worker_is_told_as_crashed(
+    done: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(local, "TRIES", 2)  # a worker takes a second to come up
+    bad = "import os\nfrom unicon_core.flow import Tick\n\n\ndef dies() -> Tick:\n"
+    bad += "    def tick():\n        print('no more', flush=True)\n        os._exit(7)\n"
+    bad += "    return tick\n"
+    (tmp_path / "mod_dies.py").write_text(bad)
+    rows = list(plan_of(done))[:3]
+    from dataclasses import replace
+
+    setting = "commands=[{call: 'mod_dies:dies'}]"
+    rows[1] = replace(rows[1], settings=(*rows[1].settings, setting))
+    sys.path.append(str(tmp_path))
+    try:
+        engine = engine_of(done, tmp_path, workers=1)
+        try:
+            found = {result.index: result.figures for result in engine.run(rows)}
+        finally:
+            engine.close()
+    finally:
+        sys.path.remove(str(tmp_path))
+    assert found[1]["outcome"] == "crashed"
+    assert found[1]["text"] == "2 times: exit status 7: no more"
+    assert found[0]["sha256_commands"] == Results(done).row(0)["sha256_commands"]
+    assert found[2]["sha256_commands"] == Results(done).row(2)["sha256_commands"]
+
+
+def test_workers_that_never_come_up_end_the_sweep(
+    done: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "executable", "/bin/false")
+    engine = engine_of(done, tmp_path)
+    with pytest.raises(UniconError, match=f"{HOPELESS} workers ended one after the other, .*exit"):
+        list(engine.run(plan_of(done)))
+    engine.close()
+
+
+def test_a_missing_package_is_no_row_but_the_end(
+    done: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+    runner = RowRunner(plan_of(done).task())
+    with pytest.raises(MissingDependencyError, match="pip install 'unicon_ros"):
+        runner(list(plan_of(done).row(0).settings))
+
+
+# -- the command -----------------------------------------------------------------------------------
+
+
+def test_gates_decide_the_exit_status(done: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["sweep", "report", str(done), "--gate", "fall<0.01"]) == 1
+    assert "gate fall<0.01: 0." in (told := capsys.readouterr().out)
+    assert "BROKEN" in told
+    good = ["--gate", "fall.lower<=0.9", "--gate", "distance_m.p05>-9", "--gate", "fault<1.1"]
+    assert main(["sweep", "report", str(done), *good]) == 0
+    assert capsys.readouterr().out.count("holds") == 3
+
+
+def test_a_row_that_lacks_breaks_every_gate(done: Path, tmp_path: Path) -> None:
+    from unicon_ros.sweep.gate import read_gate
+
+    out = shutil.copytree(done, tmp_path / "out")
+    said = json.loads((out / "sweep.json").read_text())
+    said["identity"]["repeat"] = 2
+    (out / "sweep.json").write_text(json.dumps(said))
+    assert Results(out).lacking == 20
+    assert not read_gate("fall<2").holds(Results(out))
+    assert read_gate("fall<2").holds(Results(done))
+
+
+def run_here(folder: Path, *overrides: str) -> Path:
+    """Run a sweep in this process, by the code of a worker."""
+    plan = Plan(read_sweep(folder / "walks.yaml", overrides))
+    runner = RowRunner(plan.task())
+    out = Folder(folder / f"out{len(list(folder.iterdir()))}", plan, "")
+    for row in plan:
+        told = runner(list(row.settings))
+        out.know(told.get("facts", {}))
+        out.add(row.index, told["row"])
+    out.flush()
+    out.close()
+    runner.programs.close()
+    return out.path
+
+
+def test_a_worse_policy_is_found_by_gate_and_comparison(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("scipy")
+    random_policy(tmp_path / "worse", load_robot("go2"))  # it has learned nothing
+    text = "workflow: go2_walk\nduration: 1.2\n"
+    text += "set: {flow: {policy: walk}, scene.initial_pose: 'policy:walk', commands: "
+    text += "[{velocity_command: {constant: [0.8, 0.0, 0.0]}}]}\n"
+    text += "vary: {scene.noise.joint_vel: {linspace: [0.0, 0.1, 8]}}\n"
+    (tmp_path / "walks.yaml").write_text(text)
+    good = run_here(tmp_path)
+    worse = run_here(tmp_path, f"policies.walk={tmp_path / 'worse'}")
+    assert main(["sweep", "report", str(good), "--gate", "distance_m.p05>0.3"]) == 0
+    assert main(["sweep", "report", str(worse), "--gate", "distance_m.p05>0.3"]) == 1
+    assert "BROKEN" in capsys.readouterr().out
+    assert main(["sweep", "compare", str(good), str(worse)]) == 0
+    told = capsys.readouterr().out
+    assert "8 rows with the same values, pair by pair (McNemar, Wilcoxon)" in told
+    way = next(line for line in told.splitlines() if line.startswith("distance_m"))
+    assert way.split()[-1] == "differs", told
+    assert "set differs" in told
+    assert "only B has policy walk" in told
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (("nothing.yaml",), "nothing.yaml"),
+        (("report",), "report"),
+        (("report", "a", "b"), "is no sweep; write SWEEP.yaml, report FOLDER, or compare A B"),
+        (("report", "nowhere"), "has no sweep.json"),
+        (("compare", "nowhere", "b"), "has no sweep.json"),
+        (("a.yaml", "--gate", "fall"), "is no condition"),
+    ],
+)
+def test_a_wrong_command_is_told(
+    arguments: tuple[str, ...], told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert told in refused(capsys, *arguments)
+
+
+def test_a_robot_is_refused(done: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    told = refused(capsys, done.parent / "sweep.yaml", "--set", "platform=unitree")
+    assert "platform 'unitree' is a robot, and a sweep simulates; write set: {platform" in told
+    runner = RowRunner(plan_of(done).task())
+    row = runner([*plan_of(done).row(0).settings, "platform=unitree", "scene=null"])["row"]
+    assert row["outcome"] == "refused"  # and nothing was opened
+    assert "is a robot, and a sweep simulates" in row["text"]
+
+
+def test_dry_tells_the_plan_and_writes_nothing(
+    done: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    assert main(["sweep", str(done.parent / "sweep.yaml"), "--dry", "--out", str(out)]) == 0
+    told = capsys.readouterr().out
+    assert "20 rollouts of 0.6 s at most: grid of 20 points" in told
+    assert "… and 15 more" in told
+    assert not out.exists()
+
+
+# -- the page --------------------------------------------------------------------------------------
+
+
+def test_the_report_is_one_page_with_all_that_matters(done: Path) -> None:
+    page = read_page((done / "report.html").read_text("utf-8"))
+    results = Results(done)
+    assert results.command(results.worst(1)[0]) in page.text
+    for words in ("Falls over each parameter", "Worst cases", results.sha256, "20 rollouts"):
+        assert words in page.text
+    assert len(page.table("row")) == 21
+
+
+def test_bins_hold_every_row_once() -> None:
+    values = list(np.random.default_rng(0).normal(size=1000))
+    for each in (bins_of("x", values, 8), bins_of("x", [1, 2] * 10, 8), bins_of("x", "abc" * 9, 2)):
+        assert each.places.min() >= 0
+        assert each.places.max() < len(each.labels)
+    assert len(bins_of("x", values, 8).labels) == 8
+    assert np.bincount(bins_of("x", values, 8).places).min() == 125
+    assert bins_of("x", [str(i) for i in range(40)], 8).labels[-1] == "others"
+    assert len(bins_of("x", [5.0] * 20, 8).labels) == 1
+
+
+@pytest.mark.slow
+def test_a_browser_shows_the_report(done: Path, tmp_path: Path) -> None:
+    told, console = looked_at((done / "report.html").read_text("utf-8"), tmp_path)
+    assert console == []
+    assert told
+
+
+@pytest.mark.slow
+def test_kills_at_random_moments_lose_and_repeat_no_row(tmp_path: Path) -> None:
+    text = "workflow: go2_walk\nduration: 2\nset: {flow: {policy: walk}}\n"
+    text += "vary: {scene.noise.joint_vel: {uniform: [0, 1]}}\nsample: random\nrollouts: 60\n"
+    (tmp_path / "s.yaml").write_text(text)
+    command = [sys.executable, "-m", "unicon_ros", "sweep", str(tmp_path / "s.yaml")]
+    subprocess.run([*command, "--out", str(tmp_path / "a")], check=True, capture_output=True)
+    random = np.random.default_rng(0)
+    for sign in (signal.SIGKILL, signal.SIGTERM, signal.SIGKILL, signal.SIGINT, None):
+        process = subprocess.Popen(
+            [*command, "--out", str(tmp_path / "b"), "--workers", "2"],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        if sign is None:
+            assert process.wait(300) == 0
+        else:
+            time.sleep(4.0 + 2.0 * random.random())
+            process.send_signal(sign)
+            process.wait(60)
+    assert Results(tmp_path / "a").sha256 == Results(tmp_path / "b").sha256

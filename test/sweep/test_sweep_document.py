@@ -1,0 +1,43 @@
+"""docs/sweep.md: its sweep is one, and its tables say what there is."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+from unicon_core.platforms.kit.scene import SCENE_KEYS
+from unicon_ros.cli.main import main
+from unicon_ros.sweep.draws import KINDS
+from unicon_ros.sweep.figures import COLUMNS
+from unicon_ros.sweep.plan import Plan
+from unicon_ros.sweep.sweep_file import KEYS, read_sweep
+
+TEXT = (Path(__file__).resolve().parents[2] / "docs" / "sweep.md").read_text("utf-8")
+
+
+def test_its_sweep_is_one(tmp_path: Path) -> None:
+    pytest.importorskip("scipy")
+    (block,) = re.findall(r"```yaml title=push.yaml\n(.*?)```", TEXT, re.DOTALL)
+    (tmp_path / "push.yaml").write_text(block, "utf-8")
+    sweep = read_sweep(tmp_path / "push.yaml")
+    plan = Plan(sweep)
+    assert len(plan) == 2000
+    assert {each.kind for each in sweep.parameters} < {*KINDS, "list"}
+    for path in re.findall(r"`scene\.(\w+)", TEXT):
+        assert path in SCENE_KEYS
+
+
+def test_its_tables_say_what_there_is(capsys: pytest.CaptureFixture[str]) -> None:
+    assert set(COLUMNS) <= set(re.findall(r"`(\w+)`", TEXT))
+    assert set(KEYS) <= set(re.findall(r"\b(\w+)\b", TEXT))
+    assert all(f"`{{{kind}: [" in TEXT for kind in KINDS)
+    with pytest.raises(SystemExit):
+        main(["sweep", "--help"])
+    options = set(re.findall(r"--[a-z-]+", capsys.readouterr().out))
+    commands = re.findall(r"^unicon sweep .*", TEXT, re.MULTILINE)
+    given = {w for line in commands for w in shlex.split(line, comments=True) if w[:2] == "--"}
+    assert given <= options
+    assert {option.split(" ")[0] for option in re.findall(r"`(--[a-z]+)", TEXT)} <= options

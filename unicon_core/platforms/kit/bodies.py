@@ -1,0 +1,130 @@
+"""What a scene says of bodies: a payload and the friction of contacts; for simulators' models.
+
+scene: {payload: {mass: 3.0, body: trunk, position: [0.0, 0.0, 0.08]}, contact_friction: 0.5}
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.errors import PlatformError, alternatives
+from unicon_core.models.loaded import LoadedModel, import_mujoco
+
+__all__ = ["BODY_PHYSICS", "tell_bodies", "wrong_bodies"]
+
+BODY_PHYSICS = ("payload", "contact_friction")
+"""Words of `Facts.physics` that are about bodies."""
+
+HEAVIEST = 1000.0
+"""Of a payload in [kg]."""
+FARTHEST = 10.0
+"""Of a payload from its body's origin in [m]."""
+ROUGHEST = 20.0
+"""Factor on friction: rubber on rubber has some 1.2, ice on steel 0.03 (about a fortieth)."""
+
+Float = NDArray[np.float64]
+
+
+def wrong_bodies(payload: object, friction: object) -> str | None:
+    """Return what is wrong with a scene's payload and contact friction; None for nothing."""
+    if not _number(friction, 0.0, ROUGHEST):
+        return f"contact_friction is {friction!r:.40}; give a factor from 0 to {ROUGHEST:g}"
+    if not isinstance(payload, Mapping):
+        return f"payload is {payload!r:.60}; write {{mass: 3.0}}"
+    known = ("mass", "body", "position")
+    for key in payload:
+        if key not in known:
+            return f"payload has no {key!r}; {alternatives(str(key), known)}"
+    if payload and not _number(payload.get("mass"), 0.0, HEAVIEST):
+        return f"payload: mass is {payload.get('mass')!r:.40}; give 0 to {HEAVIEST:g} [kg]"
+    if not isinstance(payload.get("body", ""), str):
+        return f"payload: body is {payload['body']!r:.40}; give a body's name"
+    at = payload.get("position", [0.0] * 3)
+    numbers = isinstance(at, (list, tuple)) and all(_number(x, -FARTHEST, FARTHEST) for x in at)
+    if not numbers or len(at) != 3:
+        return f"payload: position is {at!r:.60}; give [x, y, z] in [m], each up to {FARTHEST:g}"
+    return None
+
+
+def _number(value: object, least: float, most: float) -> bool:
+    if not isinstance(value, (int, float)) or isinstance(value, bool):
+        return False
+    return math.isfinite(value) and least <= value <= most
+
+
+def tell_bodies(loaded: LoadedModel, payload: Mapping[str, Any], friction: float) -> None:
+    """Put a payload and the factor on all friction into a model.
+
+    Args:
+        loaded: the model, which is changed.
+        payload: as of `Scene.payload`, with nothing wrong in it.
+        friction: factor on sliding, turning and rolling friction of geoms and pairs. A contact has
+            the larger one of two geoms' friction, so that all contacts change by this factor.
+
+    Raises:
+        PlatformError: the model has no such body, or no base to carry it.
+    """
+    model = loaded.model
+    if friction != 1.0:
+        model.geom_friction *= friction
+        model.pair_friction *= friction
+    if payload and payload["mass"]:
+        body = _carrier(loaded, str(payload.get("body", "")))
+        _add(model, body, float(payload["mass"]), payload.get("position"))
+        mujoco = import_mujoco()
+        mujoco.mj_setConst(model, mujoco.MjData(model))  # the solver's inverse inertias follow
+
+
+def _carrier(loaded: LoadedModel, name: str) -> int:
+    """Return the id of the body that carries the payload."""
+    mujoco, model = import_mujoco(), loaded.model
+    if name:
+        found = int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name))
+        if found > 0:
+            return found
+        names = [model.body(i).name for i in range(1, model.nbody)]
+        raise PlatformError(
+            f"scene.payload: model {loaded.path} has no body {name!r}; "
+            f"{alternatives(name, filter(None, names))}"
+        )
+    if loaded.base is None:
+        raise PlatformError("scene.payload: the robot has no base that moves; name a body")
+    return int(model.jnt_bodyid[loaded.base])
+
+
+def _add(model: Any, body: int, mass: float, position: Any) -> None:
+    """Add a point to a body's mass, centre and inertia: Steiner's theorem about the new centre.
+
+    I = R I₀ Rᵀ + m₀ (|d|² E - d dᵀ) + m (|e|² E - e eᵀ), where d and e are the ways from the new
+    centre to the old one and to the point.
+    """
+    mujoco = import_mujoco()
+    before, centre = float(model.body_mass[body]), np.array(model.body_ipos[body])
+    point = centre if position is None else np.array(position, np.float64)
+    total = before + mass
+    model.body_mass[body] = total
+    if position is None:
+        return  # where it is, it turns nothing
+    turn = np.zeros(9)
+    mujoco.mju_quat2Mat(turn, model.body_iquat[body])
+    axes = turn.reshape(3, 3)
+    middle = (before * centre + mass * point) / total
+    inertia = axes @ np.diag(model.body_inertia[body]) @ axes.T
+    inertia += before * _steiner(centre - middle) + mass * _steiner(point - middle)
+    values, vectors = np.linalg.eigh(inertia)
+    vectors[:, 0] *= np.sign(np.linalg.det(vectors))  # a rotation, no mirror
+    model.body_ipos[body], model.body_inertia[body] = middle, values
+    mujoco.mju_mat2Quat(model.body_iquat[body], np.ascontiguousarray(vectors).reshape(-1))
+    # What the compiler found to coincide with the old inertial frame does so no more.
+    model.body_sameframe[body] = model.body_simple[body] = 0
+    model.geom_sameframe[model.geom_bodyid == body] = 0
+    model.site_sameframe[model.site_bodyid == body] = 0
+
+
+def _steiner(way: Float) -> Float:
+    return np.asarray(way @ way * np.eye(3) - np.outer(way, way))

@@ -1,0 +1,171 @@
+"""Rollouts: a simulated program run again and again, each time as one that was built anew.
+
+rollouts = Rollouts(program, look)
+for document in documents:                      # of the same workflow, with other scenes
+    rollouts.begin(document)
+    rollout = rollouts.run(500)
+"""
+
+from __future__ import annotations
+
+import re
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unicon_core.errors import UniconError
+from unicon_core.flow import compile_graph
+from unicon_core.flow.compiled import CompiledGraph
+from unicon_core.flow.scope import LABEL
+from unicon_core.flow.stage import Stage
+from unicon_core.platforms.platform import Changeable
+from unicon_core.runtime.phases import Phase
+from unicon_core.runtime.report import reason_of
+from unicon_core.runtime.tick_ring import memory_of
+from unicon_core.states import States
+from unicon_core.workflow import Program
+from unicon_core.workflow.document import WorkflowDocument
+from unicon_core.workflow.scene import read_scene
+
+__all__ = ["Look", "Rollout", "Rollouts"]
+
+_CALLED = re.compile(r"\b(\w+)\(\)")
+
+Look = Callable[[], bool]
+"""Looks at the states behind each whole tick; True ends the rollout there."""
+
+
+@dataclass(frozen=True)
+class Rollout:
+    """What became of one.
+
+    Attributes:
+        ended: `done`, `duration`, `looked` (its look ended it) or `fault`.
+        ticks: whole ones.
+        fault: what went wrong, "" for nothing.
+        block: that raised it.
+        sha256_commands: as a run's report has it.
+        states: float32 states behind each tick as they lie in the buffer, shape (ticks, elements);
+            a view that the next rollout overwrites. Columns are those of `States.offset`.
+    """
+
+    ended: str
+    ticks: int
+    fault: str
+    block: str
+    sha256_commands: str
+    states: NDArray[np.float32]
+
+
+class Rollouts:
+    """Runs one program again and again, at full speed and without its wind-down.
+
+    Args:
+        program: on a simulator, not run before; its first rollout needs no `begin`.
+        look: makes what looks at a rollout, anew for each; or None.
+
+    Attributes:
+        why_not: why it cannot begin anew, "" where it can.
+
+    Raises:
+        UniconError: it is no simulator's.
+    """
+
+    def __init__(self, program: Program, look: Callable[[States], Look] | None = None) -> None:
+        if not program.platform.facts.simulated:
+            raise UniconError(
+                f"platform {program.platform.facts.name!r} is a robot; rollouts are simulated"
+            )
+        self.program = program
+        self._graph = compile_graph(program.root)
+        self._look = look
+        self._float = program.states.buffer_of(np.float32)
+        self._rows = np.zeros((256, self._float.size), np.float32)
+        self._memory = memory_of(program, self)
+        self._built = self._memory.take()
+        self._counters = self._graph.memory()
+        self.why_not = self._obstacle()
+
+    def graphs(self) -> dict[str, CompiledGraph]:
+        """Return the compiled tick."""
+        return {Phase.RUN.value: self._graph}
+
+    def _obstacle(self) -> str:
+        program = self.program
+        if not isinstance(program.platform, Changeable):
+            return f"platform {program.platform.facts.name!r} cannot begin in another scene"
+        if self._built.unkept:
+            return f"{self._built.unkept[0]} holds what cannot be set back"
+        if len(program.stages[Stage.RECV]) > 1 or program.store is not None:
+            return "something comes from outside, or leaves"
+        return ""
+
+    def begin(self, document: WorkflowDocument) -> None:
+        """Be as a program that was built of a document which differs in its scene alone.
+
+        Not in `model` and `mounts` of the scene either, nor in whether anything disturbs it.
+
+        Raises:
+            UniconError: the scene is wrong, or it cannot begin anew; then it has to be built.
+        """
+        if self.why_not:
+            raise UniconError(self.why_not)
+        program, platform = self.program, self.program.platform
+        assert isinstance(platform, Changeable)
+        self.why_not = "a beginning failed"  # half changed, it must not go on
+        program.states.reset()
+        scene = read_scene(document, program.context, platform.facts)
+        platform.change(scene)
+        self._graph.reset()
+        self._memory.put_back(self._built)
+        self._graph.restore(self._counters)
+        program.gate.sent.forget()
+        program.monitor.begin()
+        self.why_not = ""
+
+    def run(self, limit: int) -> Rollout:
+        """Tick until the flow is done, or a look, a fault or the limit ends it.
+
+        Args:
+            limit: most ticks.
+        """
+        program, graph = self.program, self._graph
+        look = None if self._look is None else self._look(program.states)
+        step, deferred, tick = graph.step, graph.deferred, program.states["tick"]
+        rows, values = self._rows, self._float
+        ended, fault, block, count = "duration", "", "", 0
+        try:
+            while count < limit:
+                done = step()
+                try:
+                    done = deferred() or done
+                finally:
+                    tick += 1
+                if count == len(rows):
+                    rows = self._rows = np.concatenate([rows, np.zeros_like(rows)])
+                rows[count] = values
+                count += 1
+                if done:
+                    ended = "done"
+                    break
+                if look is not None and look():
+                    ended = "looked"
+                    break
+        except Exception as error:
+            ended, fault, block = "fault", reason_of(error), self._where(error)
+        digest = program.monitor.sha256
+        return Rollout(ended, count, fault, block, digest, rows[:count])
+
+    def _where(self, error: Exception) -> str:
+        """Return the block that an error came out of: what the generated function called there."""
+        lines, found = self._graph.source.splitlines(), ""
+        for frame, number in traceback.walk_tb(error.__traceback__):
+            if frame.f_code.co_filename != LABEL:
+                continue
+            for name in _CALLED.findall(lines[number - 1]):
+                tick = frame.f_locals.get(name)
+                found = next((b.name for b in self._graph.blocks if b.tick == tick), found)
+        return found

@@ -1,0 +1,236 @@
+"""`unicon sweep SWEEP.yaml`: runs a workflow thousands of times, each time a little otherwise.
+
+`unicon sweep report FOLDER` writes the report anew, `unicon sweep compare A B` compares two.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from unicon_core.errors import MissingDependencyError, UniconError
+from unicon_core.signals import SIGNALS
+from unicon_ros.cli.console import Console
+from unicon_ros.cli.workflow_arguments import add_overrides
+
+if TYPE_CHECKING:
+    from unicon_ros.sweep.folder import Folder
+    from unicon_ros.sweep.gate import Gate
+    from unicon_ros.sweep.plan import Plan
+    from unicon_ros.sweep.results import Results
+
+__all__ = ["add"]
+
+REPORT, COMPARE = "report", "compare"
+MOST_WORKERS = 1024
+EVERY = 0.5
+"""Time in [s] between two status lines."""
+SHOWN = 5
+"""Rows that `--dry` shows."""
+
+
+def add(commands: Any) -> None:
+    """Add the command to the parser."""
+    parser = commands.add_parser(
+        "sweep", help="run a workflow thousands of times, varied", description=__doc__
+    )
+    parser.add_argument(
+        "what",
+        nargs="+",
+        metavar="SWEEP.yaml | report FOLDER | compare A B",
+        help="a sweep to run or to go on with; or what to do with folders of sweeps",
+    )
+    add_overrides(parser)
+    parser.add_argument(
+        "--out", metavar="DIR", help="folder of the results (default: NAME.sweep, here)"
+    )
+    parser.add_argument(
+        "--workers", type=_count, metavar="N", help="processes (default: one for each core)"
+    )
+    parser.add_argument(
+        "--gate",
+        action="append",
+        default=[],
+        metavar="CONDITION",
+        help="exit 1 where it does not hold, such as 'fall<0.01' (repeatable)",
+    )
+    parser.add_argument(
+        "--force",
+        metavar="CODE",
+        action="append",
+        default=[],
+        help="go on with an error of `unicon check` of this code; may be repeated",
+    )
+    parser.add_argument("--dry", action="store_true", help="tell what would be run")
+    parser.set_defaults(function=_sweep)
+
+
+def _count(text: str) -> int:
+    value = int(text)
+    if not 1 <= value <= MOST_WORKERS:
+        raise argparse.ArgumentTypeError(f"{text} is not a number from 1 to {MOST_WORKERS}")
+    return value
+
+
+def _sweep(arguments: argparse.Namespace) -> int:
+    """Run the command.
+
+    Exit status: 0; 1 where a gate is broken, or for bad input; 3 where a row has no result.
+    """
+    from unicon_ros.sweep.gate import read_gate
+
+    what, gates = arguments.what, [read_gate(text) for text in arguments.gate]
+    if what[0] == REPORT and len(what) == 2:
+        from unicon_ros.sweep.results import Results
+
+        return _ended(Results(Path(what[1])), gates)
+    if what[0] == COMPARE and len(what) == 3:
+        from unicon_ros.sweep.compare import comparison
+        from unicon_ros.sweep.results import Results
+
+        print(comparison(Results(Path(what[1])), Results(Path(what[2]))))
+        return 0
+    if len(what) != 1:
+        raise UniconError(
+            f"sweep: {' '.join(what)!r} is no sweep; write SWEEP.yaml, report FOLDER, or compare "
+            "A B"
+        )
+    return _run(arguments, gates)
+
+
+def _run(arguments: argparse.Namespace, gates: list[Gate]) -> int:
+    from unicon_ros.sweep.folder import Folder, require_pyarrow
+    from unicon_ros.sweep.plan import Plan
+    from unicon_ros.sweep.results import Results
+    from unicon_ros.sweep.sweep_file import read_sweep
+
+    sweep = read_sweep(arguments.what[0], arguments.overrides)
+    plan = Plan(sweep)
+    program = _checked(plan, arguments.force)
+    if arguments.dry:
+        print(_dry(plan))
+        return 0
+    require_pyarrow()
+    out = Path(arguments.out or f"{sweep.path.stem}.sweep")
+    folder = Folder(out, plan, program)
+    console = Console()
+    try:
+        with SIGNALS.guard():
+            _rows(plan, folder, arguments.workers or len(os.sched_getaffinity(0)), console)
+            folder.flush()
+    finally:
+        console.close()
+        folder.close()
+    status = _ended(Results(out), [*sweep.gates, *gates])
+    if SIGNALS.asked:
+        print("unicon sweep: run the same command again to go on", file=sys.stderr)
+    SIGNALS.check()
+    return status
+
+
+def _checked(plan: Plan, force: list[str]) -> str:
+    """Refuse what `unicon check` calls an error; return the hash of the first row's program."""
+    from unicon_core.check import refuse_errors
+    from unicon_core.workflow import Program
+    from unicon_ros.sweep.figures import Reference
+    from unicon_ros.sweep.warm import program_sha256
+
+    program = Program(plan.document)
+    try:
+        for line in refuse_errors(program, force):
+            print(f"unicon: warning: {line}", file=sys.stderr)
+        if plan.sweep.reference is not None:
+            Reference(plan.sweep.reference).of(program.robot, program.period)
+        return program_sha256(program)
+    finally:
+        program.close()
+
+
+def _dry(plan: Plan) -> str:
+    """Return what would be run."""
+    sweep = plan.sweep
+    repeated = f", {sweep.repeat} times each" if sweep.repeat > 1 else ""
+    lines = [
+        f"{plan.document.name}: {len(plan)} rollouts of {plan.duration:g} s at most: {sweep.sample}"
+        f" of {sweep.points} points{repeated}",
+        *(f"  {each.path}: {each.words}" for each in sweep.parameters),
+        f"SHA-256 {plan.sha256}",
+    ]
+    shown = range(min(SHOWN, len(plan)))
+    lines += [f"row {index}: {' '.join(plan.row(index).settings)}" for index in shown]
+    if len(plan) > SHOWN:
+        lines.append(f"… and {len(plan) - SHOWN} more")
+    return "\n".join(lines)
+
+
+def _rows(plan: Plan, folder: Folder, workers: int, console: Console) -> None:
+    """Run what is not done yet."""
+    from unicon_ros.sweep.local import LocalEngine
+
+    todo = (row for row in plan if row.index not in folder.done)
+    left = len(plan) - len(folder.done)
+    if not left:
+        return
+    if folder.done:
+        console.say(f"{len(folder.done)} of {len(plan)} rollouts are done; going on")
+    engine = LocalEngine(plan.task(), min(workers, left), plan.sweep.timeout, folder.path)
+    progress = _Progress(console, len(plan), len(folder.done))
+    try:
+        for result in engine.run(todo):
+            folder.know(result.facts)
+            folder.add(result.index, result.figures)
+            progress(result.figures, result.why_not)
+    finally:
+        engine.close()
+
+
+class _Progress:
+    """The status line."""
+
+    def __init__(self, console: Console, whole: int, done: int) -> None:
+        self._console, self._whole, self._before = console, whole, done
+        self._done = self._fell = 0
+        self._began = self._next = time.monotonic()
+        self._told = ""
+
+    def __call__(self, figures: dict[str, Any], why_not: str) -> None:
+        self._done += 1
+        self._fell += bool(figures.get("fell"))
+        if why_not and why_not != self._told:
+            self._told = why_not
+            self._console.say(f"each rollout is built anew, some 60 ms: {why_not}")
+        now = time.monotonic()
+        if not self._console.terminal or now < self._next:
+            return
+        self._next = now + EVERY
+        rate = self._done / max(now - self._began, 1e-9)
+        done = self._before + self._done
+        self._console.status(
+            {
+                f"{done}/{self._whole}": f"{rate:.1f}/s",
+                "fell": self._fell,
+                "left": f"{(self._whole - done) / rate:.0f} s",
+            }
+        )
+
+
+def _ended(results: Results, gates: list[Gate]) -> int:
+    """Print the summary, write the report, ask the gates; return the exit status."""
+    from unicon_ros.sweep.summary import summary
+
+    print(summary(results))
+    try:
+        from unicon_ros.sweep.report import write_report
+
+        print(f"report {write_report(results)}")
+    except MissingDependencyError as error:
+        print(f"unicon: warning: no report: {error}", file=sys.stderr)
+    for gate in gates:
+        print(gate.told(results))
+    if not all(gate.holds(results) for gate in gates):
+        return 1
+    return 3 if results.failed else 0

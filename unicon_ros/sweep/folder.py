@@ -1,0 +1,219 @@
+"""Folder of a sweep: what is done is in it, whatever ends the sweep, and nothing of it twice.
+
+`sweep.json` says which sweep it is; `shard-NNNN.parquet` hold rows, each file whole or not there;
+`journal.jsonl` has those since the last shard, a line each.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from unicon_core.errors import MissingDependencyError, UniconError
+from unicon_core.page import write_file
+from unicon_ros.sweep.identity import changes, code_sha256, versions
+from unicon_ros.sweep.plan import Plan
+from unicon_ros.sweep.shards import read_shards, shard_names, write_shard
+
+__all__ = ["JOURNAL", "SWEEP", "Folder", "read_journal", "read_sweep_json", "require_pyarrow"]
+
+SWEEP, JOURNAL, LOCK = "sweep.json", "journal.jsonl", ".lock"
+SHARD_ROWS = 1000
+
+
+def require_pyarrow() -> None:
+    """Say before the work that its results cannot be written.
+
+    Raises:
+        MissingDependencyError: pyarrow is not installed.
+    """
+    try:
+        import pyarrow.parquet  # noqa: F401
+    except ModuleNotFoundError as error:
+        raise MissingDependencyError(
+            "unicon sweep", "pyarrow", "pip install 'unicon_ros[sweep]'"
+        ) from error
+
+
+class Folder:
+    """Where the results of a sweep go; one process has it at a time.
+
+    Args:
+        path: of the folder, made as needed.
+        plan: of the sweep.
+        program: hash of what the first row's program is made of.
+
+    Attributes:
+        path: the same.
+        done: indices of rows that have a result.
+
+    Raises:
+        UniconError: it holds another sweep, somebody else writes in it, or it cannot be written.
+    """
+
+    def __init__(self, path: Path, plan: Plan, program: str) -> None:
+        self.path, self._plan = path, plan
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+            self._lock = os.open(path / LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+        except OSError as error:
+            raise UniconError(
+                f"cannot write in {path}: {error.strerror}; give another folder to --out"
+            ) from error
+        try:
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            os.close(self._lock)
+            raise UniconError(
+                f"another unicon sweep writes in {path}; wait for its end, or give another --out"
+            ) from error
+        self._journal = -1
+        try:
+            self._facts = self._said(program)
+            self._pending = read_journal(path)
+            in_shards = {int(i) for i in read_shards(path, ["row"])["row"]}
+            self._pending = {i: r for i, r in self._pending.items() if i not in in_shards}
+            self.done = in_shards | set(self._pending)
+            last = [int(name.stem.rpartition("-")[2]) for name in shard_names(path)[-1:]]
+            self._numbers = last[0] + 1 if last else 0
+            self._open()
+        except BaseException:
+            self.close()
+            raise
+
+    def _said(self, program: str) -> dict[str, Any]:
+        """Return what the folder says of its sweep, which is this one."""
+        here = {
+            "sha256": self._plan.sha256,
+            "code": code_sha256(),
+            "versions": versions(),
+            "program": program,
+        }
+        there = read_sweep_json(self.path)
+        if there is None:
+            if any(self.path.glob("*.parquet")) or (self.path / JOURNAL).exists():
+                raise UniconError(f"{self.path} has results without {SWEEP}; give another --out")
+            facts = {**here, "identity": self._plan.identity(), "programs": {}}
+            facts["run"] = self._plan.sweep.workflow
+            self._tell(facts)
+            return facts
+        differs = changes(there, here, self._plan.identity())
+        if differs:
+            raise UniconError(
+                f"{self.path} has another sweep: {differs}; give another folder to --out"
+            )
+        return there
+
+    def _tell(self, facts: Mapping[str, Any]) -> None:
+        text = json.dumps(facts, indent=1, ensure_ascii=False) + "\n"
+        write_file(self.path / SWEEP, text.encode())
+
+    def _open(self) -> None:
+        """Open the journal with what is known and nothing else in it: its last line may be torn."""
+        lines = [_line(index, row) for index, row in self._pending.items()]
+        write_file(self.path / JOURNAL, b"".join(lines))
+        if self._journal >= 0:
+            os.close(self._journal)
+        flags = os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC
+        self._journal = os.open(self.path / JOURNAL, flags)
+
+    def know(self, facts: Mapping[str, Any]) -> None:
+        """Write down what programs are made of."""
+        if any(name not in self._facts["programs"] for name in facts):
+            self._facts["programs"] |= facts
+            self._tell(self._facts)
+
+    def add(self, index: int, figures: dict[str, Any]) -> None:
+        """Write a row down; it is not lost from here on.
+
+        Raises:
+            UniconError: it cannot be written.
+        """
+        if index in self.done:
+            return
+        line = _line(index, figures)
+        try:
+            written = os.write(self._journal, line)
+            if written != len(line):
+                raise OSError(28, "No space left on device")
+        except OSError as error:
+            raise self._full(error) from error
+        self.done.add(index)
+        self._pending[index] = figures
+        if len(self._pending) >= SHARD_ROWS:
+            self.flush()
+
+    def flush(self) -> None:
+        """Put the rows of the journal into a shard.
+
+        Raises:
+            UniconError: it cannot be written; the journal keeps them.
+        """
+        if not self._pending:
+            return
+        name = f"shard-{self._numbers:04d}.parquet"
+        rows = [(self._plan.row(i), self._pending[i]) for i in sorted(self._pending)]
+        try:
+            write_shard(self.path / name, self._plan, rows, self._facts)
+        except OSError as error:
+            raise self._full(error) from error
+        self._numbers += 1
+        self._pending.clear()
+        self._open()
+
+    def _full(self, error: OSError) -> UniconError:
+        return UniconError(
+            f"cannot write in {self.path}: {error.strerror}; what is in it stays: make room and "
+            "run the same command again"
+        )
+
+    def close(self) -> None:
+        """Let the folder go; what is in the journal stays there."""
+        for descriptor in (self._journal, self._lock):
+            if descriptor >= 0:
+                os.close(descriptor)
+        self._journal = self._lock = -1
+
+
+def read_sweep_json(path: Path) -> dict[str, Any] | None:
+    """Return what a folder says of its sweep, None where there is none.
+
+    Raises:
+        UniconError: it cannot be read.
+    """
+    try:
+        found = json.loads((path / SWEEP).read_bytes())
+        if not isinstance(found, dict) or not {"sha256", "identity", "programs"} <= set(found):
+            raise ValueError("it is of another kind")
+        return found
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError) as error:
+        raise UniconError(f"cannot read {path / SWEEP}: {error}; give another folder") from error
+
+
+def read_journal(path: Path) -> dict[int, dict[str, Any]]:
+    """Return the rows of a journal; a line that is torn or garbage is a row that was not run."""
+    try:
+        lines = (path / JOURNAL).read_bytes().split(b"\n")
+    except FileNotFoundError:
+        return {}
+    except OSError as error:
+        raise UniconError(f"cannot read {path / JOURNAL}: {error.strerror}") from error
+    found = {}
+    for line in lines[:-1]:  # what stands behind the last end of a line is torn
+        try:
+            index, figures = json.loads(line)
+            if isinstance(figures, dict) and "outcome" in figures:
+                found[int(index)] = figures
+        except (TypeError, ValueError):
+            continue
+    return found
+
+
+def _line(index: int, figures: Mapping[str, Any]) -> bytes:
+    return (json.dumps([index, figures]) + "\n").encode()

@@ -1,0 +1,68 @@
+"""Identity: what a sweep's rows were made with, so that no two kinds of rows get mixed up."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+from collections.abc import Mapping
+from contextlib import suppress
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import unicon_core
+import unicon_ros.sweep
+from unicon_core import __version__
+
+__all__ = ["changes", "code_sha256", "versions"]
+
+PACKAGES = ("numpy", "mujoco", "onnxruntime", "scipy")
+"""Packages whose version may move the last bit of a row."""
+
+
+@lru_cache
+def code_sha256() -> str:
+    """Return the SHA-256 of the code that makes rows: all of `unicon_core`, and this folder."""
+    digest = hashlib.sha256()
+    for package in (unicon_core, unicon_ros.sweep):
+        folder = Path(str(package.__file__)).parent
+        for path in sorted(folder.rglob("*.py")):
+            digest.update(f"{path.relative_to(folder)}\n".encode())
+            digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of what makes rows."""
+    found = {"unicon_ros": __version__}
+    for name in PACKAGES:
+        with suppress(importlib.metadata.PackageNotFoundError):
+            found[name] = importlib.metadata.version(name)
+    return found
+
+
+def changes(there: Mapping[str, Any], here: Mapping[str, Any], identity: Mapping[str, Any]) -> str:
+    """Return how a folder's sweep differs from the one at hand, "" where it does not.
+
+    Args:
+        there: what the folder says.
+        here: the same of now.
+        identity: of the sweep at hand.
+    """
+    if there["sha256"] != here["sha256"]:
+        said = there["identity"]
+        which = [key for key in identity if said.get(key) != identity[key]]
+        return f"its {', '.join(which) or 'file'} is not this one's"
+    if there.get("versions") != here["versions"]:
+        old = there.get("versions") or {}
+        pairs = [
+            f"{name} was {old.get(name, 'absent')} and is {here['versions'].get(name, 'absent')}"
+            for name in sorted({*old, *here["versions"]})
+            if old.get(name) != here["versions"].get(name)
+        ]
+        return ", ".join(pairs)
+    if there.get("code") != here["code"]:
+        return "it was made by other code of the same version"
+    if there.get("program") != here["program"]:
+        return "robot, model or policy are other files by now"
+    return ""

@@ -1,0 +1,111 @@
+"""Shards: Parquet files with rows of a sweep, and what they were made with in their metadata."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from unicon_core.errors import UniconError
+from unicon_ros.sweep.figures import COLUMNS
+from unicon_ros.sweep.plan import Plan, Row
+
+__all__ = ["METADATA", "SETTINGS", "VARIED", "read_shards", "shard_names", "write_shard"]
+
+METADATA = b"unicon.sweep"
+"""Key of the schema's metadata whose value is JSON: identity, code, versions, programs."""
+SETTINGS = "settings"
+"""Column with the texts of `--set` of a row, as a JSON list."""
+VARIED = "set."
+"""What stands before the path of a parameter in the name of its column."""
+
+
+def shard_names(folder: Path) -> list[Path]:
+    """Return the shards of a folder, in order."""
+    return sorted(folder.glob("shard-[0-9][0-9][0-9][0-9].parquet"))
+
+
+def write_shard(
+    path: Path,
+    plan: Plan,
+    rows: Sequence[tuple[Row, Mapping[str, Any]]],
+    facts: Mapping[str, Any],
+) -> None:
+    """Write a shard, whole or not at all, and on the disk when it returns.
+
+    Args:
+        path: of the file.
+        plan: of the sweep.
+        rows: with their figures.
+        facts: for the metadata.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    import pyarrow
+    from pyarrow import parquet
+
+    kinds = {bool: pyarrow.bool_(), int: pyarrow.int64(), float: pyarrow.float64()}
+    columns: dict[str, Any] = {
+        "row": pyarrow.array([row.index for row, _ in rows], pyarrow.int64()),
+        "repetition": pyarrow.array([row.repetition for row, _ in rows], pyarrow.int64()),
+    }
+    for place, each in enumerate(plan.sweep.parameters):
+        values = [row.values[place] for row, _ in rows]
+        whole = each.values is not None and all(type(value) is int for value in each.values)
+        if each.numeric:
+            kind = pyarrow.int64() if whole else pyarrow.float64()
+            columns[VARIED + each.path] = pyarrow.array(values, kind)
+        else:
+            told = [value if isinstance(value, str) else json.dumps(value) for value in values]
+            columns[VARIED + each.path] = pyarrow.array(told, pyarrow.string())
+    settings = [json.dumps(row.settings, ensure_ascii=False) for row, _ in rows]
+    columns[SETTINGS] = pyarrow.array(settings, pyarrow.string())
+    for name, column in COLUMNS.items():
+        kind = kinds.get(column.kind, pyarrow.string())
+        columns[name] = pyarrow.array([figures.get(name) for _, figures in rows], kind)
+    table = pyarrow.table(columns).replace_schema_metadata({METADATA: json.dumps(facts)})
+    half = path.with_name(f".{path.name}.half")
+    try:
+        with half.open("wb") as file:
+            parquet.write_table(table, file)
+            file.flush()
+            os.fsync(file.fileno())
+        half.replace(path)
+    except OSError:
+        half.unlink(missing_ok=True)
+        raise
+    folder = os.open(path.parent, os.O_RDONLY)
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)
+
+
+def read_shards(folder: Path, names: Sequence[str] | None = None) -> dict[str, list[Any]]:
+    """Return columns of all shards of a folder, by name.
+
+    Args:
+        folder: of the sweep.
+        names: of the columns, None for all.
+
+    Raises:
+        UniconError: a file is no shard.
+    """
+    import pyarrow
+    from pyarrow import parquet
+
+    found: dict[str, list[Any]] = {name: [] for name in names or ()}
+    for path in shard_names(folder):
+        try:
+            table = parquet.read_table(path, columns=None if names is None else list(names))
+        except (OSError, pyarrow.ArrowException) as error:
+            raise UniconError(
+                f"cannot read {path}: {str(error).splitlines()[0][:100]}; move it away, and its "
+                "rows are run again"
+            ) from error
+        for name in table.column_names:
+            found.setdefault(name, []).extend(table.column(name).to_pylist())
+    return found
