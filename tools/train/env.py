@@ -46,6 +46,7 @@ class Go2Env:
         self.push_speed = 1.0
         self.command_period = 3.0  # mean time between commands in [s]
         self.still_share = 0.15  # of commands are exactly zero
+        self.command_share = 1.0  # of the command ranges
         n = num_envs
         self.command = np.zeros((n, 3), np.float32)
         self.actions = np.zeros((3, n, 12), np.float32)  # this, last, the one before
@@ -96,6 +97,10 @@ class Go2Env:
     def _sample_command(self, ids: np.ndarray) -> None:
         n, rng = len(ids), self.rng
         command = rng.uniform(COMMAND_LOW, COMMAND_HIGH, (n, 3))
+        # The gait is harder to learn backwards: half of the commands go there, not a third.
+        flipped = (command[:, 0] > 0) & (rng.random(n) < 0.2)
+        command *= self.command_share
+        command[flipped, 0] *= COMMAND_LOW[0] / COMMAND_HIGH[0]
         kind = rng.random(n)
         # A third goes straight: along, sideways, turning, and diagonally without turning.
         command[kind > 0.88] *= (1.0, 0.0, 0.0)

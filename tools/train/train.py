@@ -16,13 +16,14 @@ import numpy as np
 import onnx
 import torch
 from onnx import numpy_helper
+from correct import correct
 from env import NUM_CRITIC, Go2Env
 from ppo import ActorCritic, Batch, Ppo, Settings, advantages
 from warmstart import teach
 
 CRITIC_FIRST = 12  # iterations in which only the critic learns, so that it does not undo the start
 # Iterations, and the ceiling of the exploration noise while refining.
-REFINE_NOISE = ([0, 150, 400], [0.13, 0.1, 0.06])
+REFINE_NOISE = ([0, 100, 400], [0.11, 0.09, 0.06])
 
 
 def schedule(env: Go2Env, ppo: Ppo, iteration: int, refine: bool) -> None:
@@ -31,7 +32,8 @@ def schedule(env: Go2Env, ppo: Ppo, iteration: int, refine: bool) -> None:
     Refining a network that walks has all costs and pushes at once, and ever less noise.
     """
     if refine:
-        env.cost_scale, env.push_speed = 1.0, 0.7
+        env.cost_scale, env.push_speed = 1.0, 0.5
+        env.command_period = 4.0
         ppo.max_std = float(np.interp(iteration, REFINE_NOISE[0], REFINE_NOISE[1]))
         return
     env.cost_scale = float(np.interp(iteration, [0, 300], [0.3, 1.0]))
@@ -67,6 +69,8 @@ def main() -> None:
         ppo.rate, first = saved["rate"], saved["iteration"] + 1
     elif args.refine:
         copy_actor(args.refine, net)
+        print(f"corrected its speed, mean squared error {correct(env, net):.4f}", flush=True)
+        env.pop_stats()
         save(args.out, net, ppo, -1)
     else:
         schedule(env, ppo, 0, False)
