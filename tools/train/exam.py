@@ -122,12 +122,13 @@ def table(marks: list[Marks], robots: int) -> str:
     head = f"""
 ## Exam by direction
 
-{robots} robots for each command, 20 s each, {len(marks) * robots} episodes in all. Every robot has a floor, mass,
-strength, gains, target delay (0-20 ms) and sensor noise of its own, drawn from the ranges of training
-(`tools/train/README.md`), and gets a push of {PUSH} m/s every 5 s. An error is how far the mean velocity of
-one robot is from the command, averaged over the robots; the first 2 s do not count.
+{robots} robots for each command, 20 s each, {len(marks) * robots} episodes in all.
+Each robot has its own floor, mass, strength, gains, target delay (0-20 ms) and sensor noise, drawn from the ranges of
+training (`tools/train/README.md`), and is pushed by {PUSH} m/s every 5 s. Errors: how far the mean
+velocity of one robot is from the command, averaged over the robots, without the first 2 s.
+A touchdown is the largest force of a foot in the tick of its landing.
 
-| command | vx, vy [m/s], wz [rad/s] | measured mean | speed error | yaw rate error | failed | touchdown |
+| command | vx, vy [m/s], wz [rad/s] | mean | speed error | yaw rate error | falls | touchdown |
 |---|---|---|---|---|---|---|
 """
     rows = []

@@ -15,9 +15,9 @@ import contract
 import numpy as np
 import onnx
 import torch
-from onnx import numpy_helper
 from correct import correct
 from env import NUM_CRITIC, Go2Env
+from onnx import numpy_helper
 from ppo import ActorCritic, Batch, Ppo, Settings, advantages
 from warmstart import teach
 
