@@ -47,6 +47,7 @@ class Go2Env:
         self.command_period = 3.0  # mean time between commands in [s]
         self.still_share = 0.15  # of commands are exactly zero
         self.command_share = 1.0  # of the command ranges
+        self.idle_steps = IDLE_STEPS
         n = num_envs
         self.command = np.zeros((n, 3), np.float32)
         self.actions = np.zeros((3, n, 12), np.float32)  # this, last, the one before
@@ -135,7 +136,7 @@ class Go2Env:
         stepping = (self.air_time > 0.07).any(axis=1)  # a twitch is no step
         waiting = ~stepping & (np.abs(self.command).max(axis=1) > 0.15)
         self.idle = np.where(waiting, self.idle + 1, 0)
-        failed = fallen | (self.idle >= IDLE_STEPS)
+        failed = fallen | (self.idle >= self.idle_steps)
         timeout = (self.steps >= EPISODE_STEPS) & ~failed
         done = failed | timeout
         reward = np.where(failed, reward - 1.0, reward)

@@ -225,11 +225,11 @@ def measure(policy: Path, episodes: int) -> tuple[list[Line], list[tuple[str, st
 def exam_lines(marks: list[Marks], robots: int) -> list[Line]:
     """Line 7: the worst direction of the exam."""
     moving = [x for x in marks if any(x.command)]
-    failed, count = sum(x.failed for x in marks), len(marks) * robots
+    falls, count = sum(x.falls for x in marks), len(marks) * robots
     return [
         at_most("7a exam: mean speed, worst direction", max(x.lin for x in moving), 0.1, "m/s"),
         at_most("7b exam: mean yaw rate, worst", max(x.ang for x in moving), 0.1, "rad/s"),
-        at_most("7c exam: falls", failed, count // 100, f"of {count} episodes"),
+        at_most("7c exam: falls", falls, count // 100, f"of {count} episodes"),
     ]
 
 

@@ -59,14 +59,16 @@ def reward_terms(t: Tick) -> dict[str, tuple[float, np.ndarray]]:
     impact = t.touchdown * np.square(np.maximum(t.force - SOFT_IMPACT, 0.0) / 100.0)
     swing = t.touchdown * (np.minimum(t.air_time, 0.3) - 0.12)
     return {
+        # Costs alone would make it pay to end an episode that goes badly, by standing still.
+        "alive": (2.0, np.ones(len(moving))),
         "track_lin": (1.5, np.exp(-lin_error / 0.25)),
         "track_lin_fine": (0.8, np.exp(-lin_error / 0.03)),
         "track_ang": (0.75, np.exp(-ang_error / 0.4)),
         "track_ang_fine": (0.5, np.exp(-ang_error / 0.04)),
         "error_lin_abs": (-1.0, np.sqrt(lin_error)),
         "error_ang_abs": (-0.6, np.sqrt(ang_error)),
-        "lin_bias": (-5.0, np.linalg.norm(t.bias[:, :2], axis=1)),
-        "yaw_bias": (-3.0, np.abs(t.bias[:, 2])),
+        "lin_bias": (-4.0, np.linalg.norm(t.bias[:, :2], axis=1)),
+        "yaw_bias": (-2.5, np.abs(t.bias[:, 2])),
         "trot": (1.0, moving * trot * airborne),
         "air_time": (8.0, moving * swing.sum(axis=1)),
         "lin_vel_z": (-2.0, np.square(t.lin_vel[:, 2])),
