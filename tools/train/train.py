@@ -32,7 +32,7 @@ def schedule(env: Go2Env, ppo: Ppo, iteration: int, refine: bool) -> None:
     Refining a network that walks has all costs and pushes at once, and ever less noise.
     """
     if refine:
-        env.cost_scale, env.push_speed = 1.0, 0.5
+        env.cost_scale, env.push_speed = 1.0, 0.7
         env.command_period = 4.0
         ppo.max_std = float(np.interp(iteration, REFINE_NOISE[0], REFINE_NOISE[1]))
         return
