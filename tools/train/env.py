@@ -105,9 +105,9 @@ class Go2Env:
         kind = rng.random(n)
         # A third goes straight: along, sideways, turning, and diagonally without turning.
         command[kind > 0.88] *= (1.0, 0.0, 0.0)
-        command[(kind > 0.76) & (kind < 0.88)] *= (0.0, 1.0, 0.0)
-        command[(kind > 0.66) & (kind < 0.76)] *= (0.0, 0.0, 1.0)
-        command[(kind > 0.54) & (kind < 0.66)] *= (1.0, 1.0, 0.0)
+        command[(kind > 0.79) & (kind < 0.88)] *= (0.0, 1.0, 0.0)
+        command[(kind > 0.71) & (kind < 0.79)] *= (0.0, 0.0, 1.0)
+        command[(kind > 0.65) & (kind < 0.71)] *= (1.0, 1.0, 0.0)
         command[kind < self.still_share] = 0.0
         self.command[ids] = command
 

@@ -23,7 +23,7 @@ from warmstart import teach
 
 CRITIC_FIRST = 12  # iterations in which only the critic learns, so that it does not undo the start
 # Iterations, and the ceiling of the exploration noise while refining.
-REFINE_NOISE = ([0, 100, 300], [0.11, 0.1, 0.06])
+REFINE_NOISE = ([0, 50, 300], [0.1, 0.09, 0.05])
 
 
 def schedule(env: Go2Env, ppo: Ppo, iteration: int, refine: bool) -> None:
