@@ -9,7 +9,8 @@ from rewards import Tick, reward_terms
 
 EPISODE_STEPS = 1000
 IDLE_STEPS = 30  # on four feet under a command: as bad as a fall, or standing wins over learning
-NUM_CRITIC = contract.NUM_OBS + 3 + 1 + 4 + 4
+NUM_CRITIC = contract.NUM_OBS + 3 + 1 + 4 + 4 + 3
+BIAS_TIME = 0.5  # over which errors of speed are averaged in [s]: a stride of the trot or so
 # Half widths of uniform sensor noise, in the observation's units before scaling.
 NOISE = np.concatenate([[0.15] * 3, [0.04] * 3, [0.0] * 3, [0.012] * 12, [0.6] * 12, [0.0] * 12])
 COMMAND_LOW = np.array([-0.7, -0.5, -1.25])
@@ -30,15 +31,23 @@ class Go2Env:
     """
 
     def __init__(
-        self, num_envs: int, timestep: float, seed: int, threads: int, pool: int = 256
+        self,
+        num_envs: int,
+        timestep: float,
+        seed: int,
+        threads: int,
+        pool: int = 256,
+        feet_only: bool = True,
     ) -> None:
         self.num_envs = num_envs
         self.rng = np.random.default_rng(seed)
-        self.physics = Physics(num_envs, timestep, self.rng, threads, pool)
+        self.physics = Physics(num_envs, timestep, self.rng, threads, pool, feet_only)
         self.cost_scale = 1.0
         self.push_speed = 1.0
         self.command_period = 3.0  # mean time between commands in [s]
         self.still_share = 0.15  # of commands are exactly zero
+        self.command_share = 1.0  # of the command ranges
+        self.idle_steps = IDLE_STEPS
         n = num_envs
         self.command = np.zeros((n, 3), np.float32)
         self.actions = np.zeros((3, n, 12), np.float32)  # this, last, the one before
@@ -50,7 +59,8 @@ class Go2Env:
         self.joint_vel = np.zeros((n, 12))
         self.steps = np.zeros(n, np.int64)
         self.idle = np.zeros(n, np.int64)
-        self.yaw_bias = np.zeros(n)  # yaw rate error over the last half second or so, in [rad/s]
+        # Error of vx, vy [m/s] and wz [rad/s], averaged over `BIAS_TIME`.
+        self.bias = np.zeros((n, 3))
         self.force = np.zeros((n, 4))
         self.foot_z = np.zeros((n, 4))
         self.stats: dict[str, list[float]] = {}
@@ -82,16 +92,22 @@ class Go2Env:
         self.joint_vel[ids] = 0.0
         self.steps[ids] = 0
         self.idle[ids] = 0
-        self.yaw_bias[ids] = 0.0
+        self.bias[ids] = 0.0
         self._sample_command(ids)
 
     def _sample_command(self, ids: np.ndarray) -> None:
         n, rng = len(ids), self.rng
         command = rng.uniform(COMMAND_LOW, COMMAND_HIGH, (n, 3))
+        # The gait is harder to learn backwards: half of the commands go there, not a third.
+        flipped = (command[:, 0] > 0) & (rng.random(n) < 0.2)
+        command *= self.command_share
+        command[flipped, 0] *= COMMAND_LOW[0] / COMMAND_HIGH[0]
         kind = rng.random(n)
-        command[kind > 0.85] *= (1.0, 0.0, 0.0)
-        command[(kind > 0.69) & (kind < 0.77)] *= (0.0, 1.0, 0.0)
-        command[(kind > 0.77) & (kind < 0.85)] *= (0.0, 0.0, 1.0)
+        # A third goes straight: along, sideways, turning, and diagonally without turning.
+        command[kind > 0.88] *= (1.0, 0.0, 0.0)
+        command[(kind > 0.79) & (kind < 0.88)] *= (0.0, 1.0, 0.0)
+        command[(kind > 0.71) & (kind < 0.79)] *= (0.0, 0.0, 1.0)
+        command[(kind > 0.65) & (kind < 0.71)] *= (1.0, 1.0, 0.0)
         command[kind < self.still_share] = 0.0
         self.command[ids] = command
 
@@ -120,7 +136,7 @@ class Go2Env:
         stepping = (self.air_time > 0.07).any(axis=1)  # a twitch is no step
         waiting = ~stepping & (np.abs(self.command).max(axis=1) > 0.15)
         self.idle = np.where(waiting, self.idle + 1, 0)
-        failed = fallen | (self.idle >= IDLE_STEPS)
+        failed = fallen | (self.idle >= self.idle_steps)
         timeout = (self.steps >= EPISODE_STEPS) & ~failed
         done = failed | timeout
         reward = np.where(failed, reward - 1.0, reward)
@@ -161,13 +177,13 @@ class Go2Env:
         touchdown = contact & ~self.contact
         self.air_time += contract.PERIOD
         joint_vel = physics.state[:, 26:38]
-        yaw_error = self.command[:, 2] - self.ang_vel[:, 2]
-        self.yaw_bias += (yaw_error - self.yaw_bias) * (contract.PERIOD / 0.4)
+        planar = np.concatenate([self.lin_vel[:, :2], self.ang_vel[:, 2:]], axis=1)
+        self.bias += (self.command - planar - self.bias) * (contract.PERIOD / BIAS_TIME)
         tick = Tick(
             self.command,
             self.lin_vel,
             self.ang_vel,
-            self.yaw_bias,
+            self.bias,
             self.gravity,
             self.height,
             physics.state[:, 8:20],
@@ -177,6 +193,7 @@ class Go2Env:
             (self.actions[0], self.actions[1], self.actions[2]),
             contact,
             touchdown,
+            physics.foot_force,
             self.air_time,
             physics.foot_pos,
             physics.foot_vel,
@@ -190,8 +207,12 @@ class Go2Env:
         error = np.linalg.norm(self.command[:, :2] - self.lin_vel[:, :2], axis=1)
         self._log("error_lin", error.mean())
         self._log("error_ang", np.abs(self.command[:, 2] - self.ang_vel[:, 2]).mean())
-        self._log("swing_time", self.air_time[touchdown & moving[:, None]].sum() + 1e-9)
-        self._log("swings", (touchdown & moving[:, None]).sum() + 1e-9)
+        moved = moving[:, None] & touchdown
+        self._log("bias_lin", np.linalg.norm(self.bias[:, :2], axis=1).mean())
+        self._log("bias_ang", np.abs(self.bias[:, 2]).mean())
+        self._log("touchdown_force", physics.foot_force[moved].sum() + 1e-9)
+        self._log("swing_time", self.air_time[moved].sum() + 1e-9)
+        self._log("swings", moved.sum() + 1e-9)
         self.air_time[contact] = 0.0
         self.contact = contact
         self.joint_vel = joint_vel.copy()
@@ -200,7 +221,7 @@ class Go2Env:
         return total * contract.PERIOD * 2.0
 
     def observe(self) -> tuple[np.ndarray, np.ndarray]:
-        """Noisy observation (num_envs, 45) and noise-free critic observation (num_envs, 57)."""
+        """Noisy observation (num_envs, 45) and noise-free critic observation (num_envs, 60)."""
         self._measure()
         state = self.physics.state
         raw = np.concatenate(
@@ -223,6 +244,7 @@ class Go2Env:
                 5.0 * (self.height[:, None] - 0.29),
                 np.minimum(self.force / 60.0, 3.0),
                 10.0 * (self.foot_z - 0.02),
+                4.0 * self.bias,
             ],
             axis=1,
         )
@@ -232,8 +254,10 @@ class Go2Env:
         self.stats.setdefault(name, []).append(float(value))
 
     def pop_stats(self) -> dict[str, float]:
-        """Means since the last call; `swing_time` per swing in [s]."""
+        """Means since the last call; per swing: `swing_time` in [s], `touchdown_force` in [N]."""
         stats = {name: float(np.mean(values)) for name, values in self.stats.items()}
-        stats["swing_time"] /= stats.pop("swings")
+        swings = stats.pop("swings")
+        stats["swing_time"] /= swings
+        stats["touchdown_force"] /= swings
         self.stats.clear()
         return stats

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+from exam import Marks, examine, load_policy, table
 from walker import Walker
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -221,6 +222,17 @@ def measure(policy: Path, episodes: int) -> tuple[list[Line], list[tuple[str, st
     return sorted(lines, key=lambda line: line.name), figures
 
 
+def exam_lines(marks: list[Marks], robots: int) -> list[Line]:
+    """Line 7: the worst direction of the exam."""
+    moving = [x for x in marks if any(x.command)]
+    falls, count = sum(x.falls for x in marks), len(marks) * robots
+    return [
+        at_most("7a exam: mean speed, worst direction", max(x.lin for x in moving), 0.1, "m/s"),
+        at_most("7b exam: mean yaw rate, worst", max(x.ang for x in moving), 0.1, "rad/s"),
+        at_most("7c exam: falls", falls, count // 100, f"of {count} episodes"),
+    ]
+
+
 def errors(run: dict[str, float], which: str = "") -> str:
     """Falls and tracking errors in words."""
     lin, ang = run[f"lin{which}"], run[f"ang{which}"]
@@ -239,12 +251,12 @@ def torque(run: dict[str, float]) -> str:
     return f"mean {run['torque_mean']:.3f}, 99.9 % {p999:.3f}, peak {peak:.3f}"
 
 
-def report(lines: list[Line], figures: list[tuple[str, str]]) -> str:
+def report(lines: list[Line], figures: list[tuple[str, str]], exam: str) -> str:
     """The text of EVALUATION.md."""
     verdict = {True: "holds", False: "**misses**", None: "not measured"}
     rows = [f"| {x.name} | {x.required} | {x.measured} | {verdict[x.holds]} |" for x in lines]
     more = [f"| {run} | {measured} |" for run, measured in figures]
-    return HEADER + "\n".join([*rows, *MORE, *more]) + "\n"
+    return HEADER + "\n".join([*rows, *MORE, *more]) + "\n" + exam
 
 
 def main() -> int:
@@ -255,7 +267,10 @@ def main() -> int:
     parser.add_argument("--assert", dest="check", action="store_true", help="exit 1 on a miss")
     args = parser.parse_args()
     lines, figures = measure(args.policy, args.episodes)
-    text = report(lines, figures)
+    robots = max(1, args.episodes * 2 // 5)
+    marks = examine(load_policy(args.policy), robots)
+    lines += exam_lines(marks, robots)
+    text = report(lines, figures, table(marks, robots))
     (args.out or args.policy / "EVALUATION.md").write_text(text, encoding="utf-8")
     print(text)
     return int(args.check and any(line.holds is False for line in lines))

@@ -17,8 +17,8 @@ STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 QPOS, QVEL = slice(1, 20), slice(20, 38)  # after the time
 
 
-def training_model(timestep: float) -> mujoco.MjModel:
-    """Our Go2 with PD position actuators and feet as its only colliding geoms.
+def training_model(timestep: float, feet_only: bool = True) -> mujoco.MjModel:
+    """Our Go2 with PD position actuators; unless told otherwise only its feet collide.
 
     Leaving out the other contacts is what makes 30,000 policy steps a second on two cores; an
     episode ends before anything else could touch the floor.
@@ -26,7 +26,7 @@ def training_model(timestep: float) -> mujoco.MjModel:
     spec = mujoco.MjSpec.from_file(str(contract.MODEL_PATH))
     for geom in list(spec.geoms):
         geom.material = ""
-        if geom.name not in (*contract.LEGS, "floor"):
+        if feet_only and geom.name not in (*contract.LEGS, "floor"):
             spec.delete(geom)
     for group in (spec.textures, spec.materials, spec.keys, spec.sensors):
         for item in list(group):
@@ -99,9 +99,15 @@ class Physics:
     """
 
     def __init__(
-        self, num_envs: int, timestep: float, rng: np.random.Generator, threads: int, pool: int
+        self,
+        num_envs: int,
+        timestep: float,
+        rng: np.random.Generator,
+        threads: int,
+        pool: int,
+        feet_only: bool = True,
     ) -> None:
-        self.base = training_model(timestep)
+        self.base = training_model(timestep, feet_only)
         self.decimation = round(contract.PERIOD / timestep)
         self.pool = [copy.copy(self.base) for _ in range(min(pool, num_envs))]
         for model in self.pool:

@@ -13,6 +13,8 @@ import numpy as np
 import torch
 from torch import nn
 
+SPEED = slice(45, 48)  # of the critic's observation: the base velocity, times two
+
 
 def mlp(sizes: list[int], last_gain: float) -> nn.Sequential:
     """Fully connected ELU network with orthogonal weights."""
@@ -27,16 +29,23 @@ def mlp(sizes: list[int], last_gain: float) -> nn.Sequential:
 
 
 class ActorCritic(nn.Module):
-    """Gaussian actor on the observation, value on the critic's observation."""
+    """Gaussian actor on the observation, value on the critic's observation.
+
+    `speed` reads the base velocity from the actor's last hidden layer. It only exists in training,
+    so that this layer holds what stance legs tell of it (after Ji et al. 2022, arXiv 2202.05481).
+    """
 
     def __init__(self, num_obs: int, num_critic: int, num_actions: int, std: float = 0.25) -> None:
         super().__init__()
         self.actor = mlp([num_obs, 256, 128, 64, num_actions], 0.01)
         self.critic = mlp([num_critic, 256, 128, 64, 1], 1.0)
+        self.speed = nn.Linear(64, 3)
         self.log_std = nn.Parameter(torch.full((num_actions,), float(np.log(std))))
 
     def distribution(self, obs: torch.Tensor) -> torch.distributions.Normal:
-        mean = self.actor(obs)
+        return self.around(self.actor(obs))
+
+    def around(self, mean: torch.Tensor) -> torch.distributions.Normal:
         return torch.distributions.Normal(mean, self.log_std.exp().expand_as(mean), False)
 
 
@@ -109,14 +118,15 @@ class Ppo:
         count = len(batch.obs)
         size = count // s.minibatches
         old_std = net.log_std.exp().detach()
-        sums = np.zeros(3)
+        sums = np.zeros(4)
         rate = 1e-3 if critic_only else min(self.rate, s.max_rate)
         for _ in range(s.epochs):
             order = torch.randperm(count)
             for start in range(0, size * s.minibatches, size):
                 rows = order[start : start + size]
                 old_mean = batch.mean[rows]
-                dist = net.distribution(batch.obs[rows])
+                hidden = net.actor[:-1](batch.obs[rows])
+                dist = net.around(net.actor[-1](hidden))
                 log_prob = dist.log_prob(batch.action[rows]).sum(-1)
                 std = net.log_std.exp()
                 with torch.no_grad():
@@ -140,7 +150,9 @@ class Ppo:
                 ).mean()
                 value = net.critic(batch.critic[rows]).squeeze(-1)
                 value_loss = (value - batch.target[rows]).square().mean()
-                loss = value_loss
+                speed = net.speed(hidden.detach() if critic_only else hidden)
+                speed_loss = (speed - batch.critic[rows, SPEED]).square().mean()
+                loss = value_loss + speed_loss
                 if not critic_only:
                     loss = loss - gain - s.entropy * dist.entropy().sum(-1).mean()
                 self.optimizer.zero_grad(set_to_none=True)
@@ -149,8 +161,9 @@ class Ppo:
                 self.optimizer.step()
                 with torch.no_grad():
                     net.log_std.clamp_(max=float(np.log(self.max_std)))
-                sums += (-gain.item(), value_loss.item(), kl_mean)
+                sums += (-gain.item(), value_loss.item(), speed_loss.item(), kl_mean)
         if not critic_only:
             self.rate = rate
         sums /= s.epochs * s.minibatches
-        return {"policy_loss": sums[0], "value_loss": sums[1], "kl": sums[2], "rate": rate}
+        names = ("policy_loss", "value_loss", "speed_loss", "kl")
+        return {**dict(zip(names, sums)), "rate": rate}

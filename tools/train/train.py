@@ -13,16 +13,29 @@ from pathlib import Path
 
 import contract
 import numpy as np
+import onnx
 import torch
+from correct import correct
 from env import NUM_CRITIC, Go2Env
+from onnx import numpy_helper
 from ppo import ActorCritic, Batch, Ppo, Settings, advantages
 from warmstart import teach
 
 CRITIC_FIRST = 12  # iterations in which only the critic learns, so that it does not undo the start
+# Iterations, and the ceiling of the exploration noise while refining.
+REFINE_NOISE = ([0, 50, 300], [0.1, 0.09, 0.05])
 
 
-def schedule(env: Go2Env, ppo: Ppo, iteration: int) -> None:
-    """Curriculum: first learn to move, then to move well, then to take pushes."""
+def schedule(env: Go2Env, ppo: Ppo, iteration: int, refine: bool) -> None:
+    """Curriculum: first learn to move, then to move well, then to take pushes.
+
+    Refining a network that walks has all costs and pushes at once, and ever less noise.
+    """
+    if refine:
+        env.cost_scale, env.push_speed = 1.0, 0.7
+        env.command_period = 4.0
+        ppo.max_std = float(np.interp(iteration, REFINE_NOISE[0], REFINE_NOISE[1]))
+        return
     env.cost_scale = float(np.interp(iteration, [0, 300], [0.3, 1.0]))
     env.push_speed = float(np.interp(iteration, [150, 400], [0.2, 0.7]))
     # Exploration noise slows the gait; a policy trained with much of it overshoots without (30 %).
@@ -38,7 +51,8 @@ def main() -> None:
     parser.add_argument("--iterations", type=int, default=600)
     parser.add_argument("--timestep", type=float, default=0.005)
     parser.add_argument("--threads", type=int, default=2)
-    parser.add_argument("--resume", type=Path)
+    parser.add_argument("--resume", type=Path, help="checkpoint of this run")
+    parser.add_argument("--refine", type=Path, help="network (.onnx) to go on from")
     args = parser.parse_args()
 
     torch.manual_seed(args.seed)
@@ -53,8 +67,13 @@ def main() -> None:
         net.load_state_dict(saved["net"])
         ppo.optimizer.load_state_dict(saved["optimizer"])
         ppo.rate, first = saved["rate"], saved["iteration"] + 1
+    elif args.refine:
+        copy_actor(args.refine, net)
+        print(f"corrected its speed, mean squared error {correct(env, net):.4f}", flush=True)
+        env.pop_stats()
+        save(args.out, net, ppo, -1)
     else:
-        schedule(env, ppo, 0)
+        schedule(env, ppo, 0, False)
         print(f"copied the scripted trot, mean squared error {teach(env, net):.4f}", flush=True)
         env.pop_stats()
         save(args.out, net, ppo, -1)
@@ -63,7 +82,7 @@ def main() -> None:
     start = time.monotonic()
     obs, critic = env.observe()
     for iteration in range(first, args.iterations):
-        schedule(env, ppo, iteration)
+        schedule(env, ppo, iteration, bool(args.refine))
         began = time.monotonic()
         batch, obs, critic, reward = collect(env, net, ppo.settings, args.steps, obs, critic)
         collected = time.monotonic()
@@ -81,8 +100,17 @@ def main() -> None:
             **env.pop_stats(),
         }
         log.write(json.dumps({k: float(f"{v:.5g}") for k, v in row.items()}) + "\n")
-        if iteration % 100 == 99 or iteration == args.iterations - 1:
+        if iteration % 50 == 49 or iteration == args.iterations - 1:
             save(args.out, net, ppo, iteration)
+
+
+def copy_actor(path: Path, net: ActorCritic) -> None:
+    """Put the weights of a network that export.py wrote into the actor."""
+    weights = {w.name: numpy_helper.to_array(w) for w in onnx.load(path).graph.initializer}
+    with torch.no_grad():
+        for name, parameter in net.actor.named_parameters():
+            layer, part = name.split(".")
+            parameter.copy_(torch.from_numpy(weights[f"{part}_{layer}"].copy()))
 
 
 def save(folder: Path, net: ActorCritic, ppo: Ppo, iteration: int) -> None:

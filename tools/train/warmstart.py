@@ -100,14 +100,21 @@ def teach(env: Go2Env, net: ActorCritic, steps: int = 600, epochs: int = 10) -> 
         obs, _, _, _, _ = env.step(label + noise)
     env.command_period, env.still_share = usual
     x, y = torch.cat(observations), torch.cat(labels)
-    optimizer = torch.optim.Adam(net.actor.parameters(), lr=1e-3)
+    return imitate(net.actor, x, y, 1e-3, epochs)
+
+
+def imitate(
+    actor: torch.nn.Module, x: torch.Tensor, y: torch.Tensor, rate: float, epochs: int
+) -> float:
+    """Regress the actor on (x, y), the rate falling; returns the last mean squared error."""
+    optimizer = torch.optim.Adam(actor.parameters(), lr=rate)
     total = 0.0
     for epoch in range(epochs):
         for group in optimizer.param_groups:
-            group["lr"] = 1e-3 * (1.0 - epoch / epochs)
+            group["lr"] = rate * (1.0 - epoch / epochs)
         losses = []
         for rows in torch.randperm(len(x)).split(4096):
-            loss = torch.nn.functional.mse_loss(net.actor(x[rows]), y[rows])
+            loss = torch.nn.functional.mse_loss(actor(x[rows]), y[rows])
             optimizer.zero_grad()
             loss.backward()
             optimizer.step()
