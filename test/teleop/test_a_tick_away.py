@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scripted_headset  # noqa: F401  found by the workflow
-from runs import ROOT, SIDES
+from teleop_runs import ROOT, SIDES
 
 from unicon_core.flow import compile_graph
 from unicon_core.workflow.document import load_document
