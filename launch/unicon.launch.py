@@ -64,6 +64,11 @@ def typed(text: str, argument: str, default: Any) -> Any:
             return float(text)
         except ValueError:
             raise ValueError(f"argument {argument}:={text}: write a number") from None
+    if isinstance(default, int):
+        try:
+            return int(text)
+        except ValueError:
+            raise ValueError(f"argument {argument}:={text}: write a whole number") from None
     if isinstance(default, list):
         try:
             value = yaml.safe_load(text)

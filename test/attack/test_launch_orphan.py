@@ -104,11 +104,11 @@ def test_there_is_an_argument_for_each_parameter_of_its_type(launch_file: Module
     from unicon_ros.parameter_table import DECLARED
 
     launch_file.ParameterValue = lambda value, value_type: value_type(value)
-    words = {bool: "false", float: "0.5", str: "some", list: "['a=1', 'b=2']"}
+    words = {bool: "false", int: "90", float: "0.5", str: "some", list: "['a=1', 'b=2']"}
     given = {name: words[type(default)] for name, default, _ in DECLARED}
     (node,) = started(launch_file, **given, use_sim_time="true")
     (parameters,) = node.parameters
-    values = {bool: False, float: 0.5, str: "some", list: ["a=1", "b=2"]}
+    values = {bool: False, int: 90, float: 0.5, str: "some", list: ["a=1", "b=2"]}
     assert parameters == {name: values[type(d)] for name, d, _ in DECLARED} | {"use_sim_time": True}
     (node,) = started(launch_file, overrides="[]")
     assert node.parameters[0]["overrides"] == [""]

@@ -161,6 +161,7 @@ def test_there_is_an_argument_for_each_parameter(theirs: Clients) -> None:
         ("workflw:=go2_stand", "no argument 'workflw'; did you mean workflow? known: "),
         ("colour:=red", "no argument 'colour'; known: autostart, "),
         ("rate:=fast", "argument rate:=fast: write a number"),
+        ("record_jpeg:=much", "argument record_jpeg:=much: write a whole number"),
         ("autostart:=maybe", "argument autostart:=maybe: write true or false"),
         ("overrides:=rate=5", "argument overrides:=rate=5: write a list"),
         ("params_file:=/nowhere.yaml", "argument params_file:=/nowhere.yaml: "),

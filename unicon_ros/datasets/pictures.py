@@ -49,7 +49,7 @@ class Pictures:
         raw = self.frames.message(index)
         if self.frames.type == IMAGE:
             found = _image(raw, self.what)
-            seen = np.frombuffer(found.data, np.uint8)
+            seen: NDArray[np.uint8] = np.frombuffer(found.data, np.uint8)
             if len(seen) == found.height * found.width * 3:
                 seen = seen.reshape(found.height, found.width, 3)
         else:
