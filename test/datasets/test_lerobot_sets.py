@@ -136,6 +136,17 @@ def test_files_tell_where_each_episode_stands(bags: list[Path], tmp_path: Path) 
     assert described["observation.images.rear"] == {"_type": "Image"}
 
 
+@pytest.mark.skipif(not hasattr(os, "SCHED_BATCH"), reason="Linux alone has these policies")
+def test_an_encoder_takes_no_priority_over_a_tick(bags: list[Path], tmp_path: Path) -> None:
+    """SVT-AV1 gives itself, and its caller, real-time priority where it runs as root."""
+    pytest.importorskip("av")
+    before = os.sched_getscheduler(0)
+    made(bags, tmp_path / "set", video=True, fps=25)
+    policies = {os.sched_getscheduler(int(name)) for name in os.listdir("/proc/self/task")}
+    assert policies.isdisjoint({os.SCHED_FIFO, os.SCHED_RR})
+    assert os.sched_getscheduler(0) == before
+
+
 def test_a_video_has_a_frame_for_each_row(bags: list[Path], tmp_path: Path) -> None:
     av = pytest.importorskip("av")
     info, table, _ = made(bags, tmp_path / "set", video=True, fps=25)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -76,8 +76,11 @@ class Video:
         """
         frame = self._av.VideoFrame.from_ndarray(np.ascontiguousarray(pixels), format="rgb24")
         frame.pts = self.frames
+        before = _policies() if not self.frames else {}
         with _told(self._av):
-            self._container.mux(self._stream.encode(frame))
+            packets = self._stream.encode(frame)
+            _calm(before)
+            self._container.mux(packets)
         self.frames += 1
 
     def close(self) -> None:
@@ -89,6 +92,30 @@ class Video:
         with _told(self._av):
             self._container.mux(self._stream.encode())
             self._container.close()
+
+
+def _policies() -> dict[int, int]:
+    """Return the scheduling policy of each thread of this process; none where none can be told."""
+    if not hasattr(os, "SCHED_BATCH"):
+        return {}
+    found = {}
+    with suppress(OSError):
+        for name in os.listdir("/proc/self/task"):
+            with suppress(OSError):  # it has ended
+                found[int(name)] = os.sched_getscheduler(int(name))
+    return found
+
+
+def _calm(before: dict[int, int]) -> None:
+    """Take back the real-time priority that SVT-AV1 gives itself, and its caller, where it is root.
+
+    Its threads would go before the tick of a robot that runs beside an export.
+    """
+    for thread, policy in _policies().items() if before else ():
+        usual = before.get(thread, os.SCHED_BATCH)
+        if policy != usual:
+            with suppress(OSError):
+                os.sched_setscheduler(thread, usual, os.sched_param(0))
 
 
 @contextmanager
