@@ -10,13 +10,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.blocks.safety.limits import velocity_limits
-from unicon_core.bounds import VELOCITY, within
+from unicon_core.blocks.safety.limits import rates_of
+from unicon_core.bounds import within
 from unicon_core.errors import WorkflowError, alternatives
 from unicon_core.flow.block import Reads, Writes
 from unicon_core.retarget.hand_model import HandModel, told_hand
@@ -48,7 +48,7 @@ def retarget(
     scale: float | None = None,
     contact: float = 0.0,
     filter: float | None = None,
-    max_rate: float | str | None = None,
+    max_rate: float | Literal["robot"] | None = None,
     model: str | None = None,
 ) -> Retarget:
     """Command the joints at which the fingers point as those of a human hand, and pinch as they do.
@@ -93,7 +93,9 @@ def retarget(
         period=period,
         scale=scale,
         cut=within(FASTEST if filter is None else filter, "filter", "Hz", FASTEST),
-        rate=_rate(robot, max_rate),
+        rate=np.full(robot.num_joints, np.inf)
+        if max_rate is None
+        else rates_of(max_rate, robot, "retarget").astype(np.float64),
     )
     made.reads, made.writes = (name,), (_error(human),)
     tell, who = context.tell, f"retarget of {robot.name}"
@@ -136,16 +138,6 @@ def _poses(context: BuildContext, name: str) -> NDArray[np.float32]:
     if context.states.num_robots is not None:
         raise WorkflowError("it is for one robot; leave num_robots out")
     return context.states[name]
-
-
-def _rate(robot: Robot, said: float | str | None) -> NDArray[np.float64]:
-    if said is None:
-        return np.full(robot.num_joints, np.inf)
-    if said == "robot":
-        return velocity_limits(robot, "give retarget a max_rate in [rad/s]").astype(np.float64)
-    if isinstance(said, str):
-        raise WorkflowError(f"max_rate is {said!r}; give [rad/s] above 0, or robot")
-    return np.full(robot.num_joints, within(said, "max_rate", "rad/s", VELOCITY))
 
 
 def _error(side: str) -> str:
