@@ -24,6 +24,7 @@ pytest.importorskip("mujoco")
 pytest.importorskip("onnxruntime")
 
 from foxglove_client import Client
+from velocity_sent import VelocitySent
 from websockets.exceptions import InvalidStatus
 
 from unicon_core.errors import UniconError
@@ -47,7 +48,8 @@ class Rig:
         document = load_document("go2_teleop", ["ros=false"])
         self.view = View({**OPTIONS, **options}, warn=self.lines.append)
         self.view.declare(document)
-        self.program = Program(document, hooks=[self.view.hook])
+        self.sent = VelocitySent()
+        self.program = Program(document, hooks=[self.view.hook, self.sent.hook])
         self.runner = Runner(self.program, RunOptions(duration=60.0, warn=self.lines.append))
         self.view.attach(self.runner)
         self.report: Report | None = None
@@ -59,7 +61,7 @@ class Rig:
         self.view.close()
 
     def command(self) -> list[float]:
-        return [round(float(x), 3) for x in self.program.states["velocity_command"]]
+        return self.sent.last
 
     def until(self, holds: Callable[[], bool], patience: float = 3.0) -> float:
         begin = time.monotonic()
