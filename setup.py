@@ -28,7 +28,7 @@ PYBULLET_WHEELS = (
 
 # MuJoCo reads the models for all simulators. 4.0.0 has a regression in its sparse Cholesky
 # factorization, noted upstream.
-SIM = ["mujoco>=3.3,!=4.0.0", "onnxruntime"]
+SIM = ["mujoco>=3.10,!=4.0.0", "onnxruntime"]
 
 EXTRAS = {
     "sim": SIM,

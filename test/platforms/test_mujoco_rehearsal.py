@@ -23,13 +23,15 @@ from unicon_core.workflow import load_workflow
 Build = Callable[..., tuple[MujocoPlatform, States]]
 
 INTEGRATORS = ["Euler", "implicitfast", "RK4"]
+UNWRITTEN = ("efc_AR", "efc_Y", "efm_", "tree_island", "map_itree2tree")
+"""Arrays that nothing has written here: up to MuJoCo 3.16 they show what lay there before."""
 
 
 def everything(platform: MujocoPlatform) -> dict[str, Any]:
     """All that can be seen of a robot's data, and what the platform goes on from."""
     data, found = platform.data, {}
     for name in dir(data):
-        value = None if name.startswith("_") else getattr(data, name)
+        value = None if name.startswith(("_", *UNWRITTEN)) else getattr(data, name)
         if isinstance(value, np.ndarray):
             found[name] = value.tobytes()
         elif isinstance(value, (int, float)):
