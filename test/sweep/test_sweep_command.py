@@ -21,13 +21,14 @@ from unicon_core.errors import MissingDependencyError, UniconError
 from unicon_core.robots import load_robot
 from unicon_ros.bench.networks import random_policy
 from unicon_ros.cli.main import main
-from unicon_ros.sweep import local
+from unicon_ros.sweep import pool
 from unicon_ros.sweep.engine import Result
 from unicon_ros.sweep.figures import COLUMNS
 from unicon_ros.sweep.folder import Folder
-from unicon_ros.sweep.local import HOPELESS, LocalEngine
+from unicon_ros.sweep.local import LocalEngine
 from unicon_ros.sweep.pictures import bins_of
 from unicon_ros.sweep.plan import Plan
+from unicon_ros.sweep.pool import HOPELESS
 from unicon_ros.sweep.results import Results
 from unicon_ros.sweep.sweep_file import read_sweep
 from unicon_ros.sweep.worker import RowRunner
@@ -194,7 +195,7 @@ def test_a_worker_that_is_killed_or_stopped_loses_no_row(done: Path, tmp_path: P
 def test_a_row_that_kills_each_worker_is_told_as_crashed(
     done: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(local, "TRIES", 2)  # a worker takes a second to come up
+    monkeypatch.setattr(pool, "TRIES", 2)  # a worker takes a second to come up
     bad = "import os\nfrom unicon_core.flow import Tick\n\n\ndef dies() -> Tick:\n"
     bad += "    def tick():\n        print('no more', flush=True)\n        os._exit(7)\n"
     bad += "    return tick\n"

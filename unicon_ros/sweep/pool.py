@@ -1,0 +1,179 @@
+"""Pool: hands rows to workers, ahead of need, and has those of a worker that is lost run again."""
+
+from __future__ import annotations
+
+import time
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+from unicon_core.errors import UniconError
+from unicon_core.signals import SIGNALS
+from unicon_ros.sweep.engine import Result
+from unicon_ros.sweep.figures import empty_row
+from unicon_ros.sweep.plan import Row
+
+__all__ = ["AHEAD", "HOPELESS", "LOOK", "ONE_THREAD", "START_S", "TRIES", "Pool", "PoolWorker"]
+
+AHEAD = 2
+"""Rows that a worker has: the one that it runs, and the next, so that it never waits."""
+TRIES = 3
+"""Of a row whose worker dies, or hangs."""
+HOPELESS = 12
+"""Workers that may die one after the other without a row done: what follows would, too."""
+START_S = 120.0
+"""Wall time in [s] that the first row of a worker has besides: engines compile."""
+LOOK = 0.2
+"""Time in [s] between two looks at signals and clocks."""
+ONE_THREAD = dict.fromkeys(
+    ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
+)
+"""Environment of a worker."""
+
+
+class PoolWorker(ABC):
+    """One worker and the rows that it has.
+
+    Args:
+        name: number of it.
+
+    Attributes:
+        name: the same.
+        rows: that it has, each with how often it was tried; it runs the first.
+        ready: it takes rows.
+        log: where to look when it has died.
+    """
+
+    def __init__(self, name: int) -> None:
+        self.name = name
+        self.rows: deque[tuple[Row, int]] = deque()
+        self.ready = True
+        self.log = ""
+        self._since = time.monotonic()
+        self._more = START_S
+
+    def give(self, row: Row, tries: int) -> None:
+        """Have a row run, for the so many-th time."""
+        if not self.rows:
+            self._since = time.monotonic()
+        self.rows.append((row, tries))
+        self.send(row)
+
+    def taken(self) -> tuple[Row, int]:
+        """Return the row that has ended; the next one begins."""
+        self._since, self._more = time.monotonic(), 0.0
+        return self.rows.popleft()
+
+    def late(self, timeout: float) -> str:
+        """Return that its row takes longer than a time in [s], "" while it does not."""
+        if self.rows and time.monotonic() - self._since > timeout + self._more:
+            return f"no end within {timeout:g} s (timeout)"
+        return ""
+
+    @abstractmethod
+    def send(self, row: Row) -> None:
+        """Bring it a row; one that has died does not mind."""
+
+    @abstractmethod
+    def heard(self) -> Iterator[dict[str, Any]]:
+        """Yield what it has told of its rows, in their order; as `worker.told` has it."""
+
+    @abstractmethod
+    def gone(self, timeout: float) -> str:
+        """Return why it is of no use any more, "" while it is; a row may take a time in [s]."""
+
+    @abstractmethod
+    def end(self, why: str) -> str:
+        """End it; return why it did, in words."""
+
+
+class Pool(ABC):
+    """Workers of one kind; see `Engine`.
+
+    Args:
+        count: of workers.
+        timeout: wall time in [s] that a row may take.
+        hopeless: workers that may die one after the other without a row done.
+    """
+
+    def __init__(self, count: int, timeout: float, hopeless: int = HOPELESS) -> None:
+        self._count, self._timeout, self._hopeless = count, timeout, hopeless
+        self._workers: list[Any] = []
+        self._deaths = 0
+
+    @abstractmethod
+    def start(self, name: int) -> PoolWorker:
+        """Start a worker."""
+
+    @abstractmethod
+    def look(self) -> Iterable[PoolWorker]:
+        """Return workers that have told something; wait for one, `LOOK` at most."""
+
+    def leave(self, worker: PoolWorker) -> None:
+        """Look at a worker no more."""
+
+    def run(self, rows: Iterable[Row]) -> Iterator[Result]:
+        """Yield the result of each row; see `Engine`."""
+        todo = iter(rows)
+        again: deque[tuple[Row, int]] = deque()
+        more = True
+        self._fill()
+        while not SIGNALS.asked:
+            for worker in self._workers:
+                while worker.ready and len(worker.rows) < AHEAD:
+                    if again:
+                        worker.give(*again.popleft())
+                    elif more and (row := next(todo, None)) is not None:
+                        worker.give(row, 1)
+                    else:
+                        more = False
+                        break
+            if not more and not again and not any(worker.rows for worker in self._workers):
+                return
+            for worker in self.look():
+                for told in worker.heard():
+                    if "error" in told:
+                        raise UniconError(str(told["error"]))
+                    row, _ = worker.taken()
+                    self._deaths = 0
+                    facts = told.get("facts", {})
+                    yield Result(row.index, told["row"], facts, told["built"], told["why_not"])
+            for worker in list(self._workers):
+                if why := worker.gone(self._timeout):
+                    yield from self._replace(worker, why, again)
+
+    def _replace(
+        self, worker: PoolWorker, why: str, again: deque[tuple[Row, int]]
+    ) -> Iterator[Result]:
+        """End a worker, start another, and have its rows run again."""
+        self.leave(worker)
+        self._workers.remove(worker)
+        why = worker.end(why)
+        self._deaths += 1
+        if self._deaths >= self._hopeless:
+            raise UniconError(
+                f"{self._deaths} workers ended one after the other, the last one so: {why}; see "
+                f"{worker.log}"
+            )
+        for place, (row, tries) in enumerate(worker.rows):
+            if place:  # it was not at fault
+                again.append((row, tries))
+            elif tries < TRIES:
+                again.append((row, tries + 1))
+            else:
+                crashed = {"outcome": "crashed", "text": f"{tries} times: {why}"[:300]}
+                yield Result(row.index, empty_row() | crashed)
+        self._fill()
+
+    def _fill(self) -> None:
+        names = {worker.name for worker in self._workers}
+        for name in range(self._count):
+            if name not in names:
+                self._workers.append(self.start(name))
+
+    def close(self) -> None:
+        """End all workers."""
+        for worker in self._workers:
+            worker.end("")
+        self._workers.clear()
