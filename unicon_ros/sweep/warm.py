@@ -31,7 +31,7 @@ __all__ = ["Kept", "WarmPrograms", "key_of", "program_sha256"]
 MOST = 4
 """Programs that are kept; each holds a model and a network."""
 
-BUILT_ANEW = ("model", "mounts", "terrain")
+BUILT_ANEW = ("model", "mounts")
 """Keys of a scene that make another model."""
 DISTURBS = ("delay", "noise", "push")
 """Keys of a scene of which something stands around the platform, or nothing."""

@@ -8,8 +8,9 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
+from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +21,10 @@ from unicon_core.platforms.kit.bodies import BODY_PHYSICS, wrong_bodies
 from unicon_core.robots import Robot
 from unicon_core.robots.joint_physics import wrong_physics
 from unicon_core.robots.poses import named_pose, robot_poses
+from unicon_core.terrain.build import refuse_endless_ground
+from unicon_core.terrain.words import FLAT, Terrain, read_terrain
 
-__all__ = ["DISTURBANCES", "KEYFRAME", "SCENE_KEYS", "Scene"]
+__all__ = ["DISTURBANCES", "KEYFRAME", "SCENE_KEYS", "TERRAIN", "Scene"]
 
 DISTURBANCES = (
     *("seed", "noise", "delay", "push", "terrain", "joints", "payload", "contact_friction"),
@@ -29,6 +32,9 @@ DISTURBANCES = (
 """What a simulator can be told and a robot cannot."""
 
 KEYFRAME = "keyframe:"
+
+TERRAIN = "terrain"
+"""Word of `Facts.physics`: ground that is not flat."""
 
 LONGEST_DELAY = 1000
 """In ticks."""
@@ -45,8 +51,8 @@ class Scene:
             `keyframe:NAME` of the model, or joints to [rad] over the default pose. In a workflow
             also `policy:NAME`, its default pose.
         initial_height: of the base in [m]; None sets the robot on the floor.
-        terrain: `flat`; there is no other yet.
-        seed: of noise and pushes; robot k of a batch draws from (seed, k).
+        terrain: a kind of ground, or a kind to its figures, see `terrain/words.py`.
+        seed: of noise and pushes, and of ground that has none of its own; robot k of a batch draws from (seed, k).
         delay: ticks by which commands come late.
         noise: state to standard deviation of white noise, in the state's unit.
         push: `every` in [s] and `velocity` in [m/s]: random horizontal pushes of the base.
@@ -67,7 +73,7 @@ class Scene:
     model: str | Path | None = None
     initial_pose: str | Mapping[str, float] = "default"
     initial_height: float | None = None
-    terrain: Literal["flat"] = "flat"
+    terrain: str | Mapping[str, Any] = FLAT
     seed: int = 0
     delay: int = 0
     noise: Mapping[str, float] = field(default_factory=dict)
@@ -80,15 +86,12 @@ class Scene:
     pose: NDArray[np.float32] | None = None
 
     def __post_init__(self) -> None:
-        if self.terrain != "flat":
-            raise PlatformError(
-                f"scene.terrain is {self.terrain!r}; there is flat alone: put other ground into a "
-                "model (scene: {model: PATH})"
-            )
         if not 0 <= self.delay <= LONGEST_DELAY:
             raise PlatformError(f"scene.delay is {self.delay} ticks; give 0 to {LONGEST_DELAY}")
         if self.seed < 0:
             raise PlatformError(f"scene.seed is {self.seed}; give 0 or more")
+        if self.uneven is not None:
+            refuse_endless_ground(self.uneven)
         if self.initial_height is not None and not abs(self.initial_height) <= 100.0:
             raise PlatformError(f"scene.initial_height is {self.initial_height} m; give up to 100")
         for state, std in self.noise.items():
@@ -123,9 +126,15 @@ class Scene:
 
     @property
     def bodies(self) -> list[str]:
-        """What is said of bodies, as a platform's facts name what it can be told."""
+        """What is said of bodies and ground, as a platform's facts name what it can be told."""
         said = {"payload": bool(self.payload), "contact_friction": self.contact_friction != 1.0}
-        return [word for word in BODY_PHYSICS if said[word]]
+        words = [word for word in BODY_PHYSICS if said[word]]
+        return words if self.uneven is None else [*words, TERRAIN]
+
+    @cached_property
+    def uneven(self) -> Terrain | None:
+        """The ground, None where it is flat."""
+        return read_terrain(self.terrain, self.seed)
 
     @property
     def disturbed(self) -> bool:

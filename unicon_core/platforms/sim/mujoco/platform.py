@@ -13,17 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import PlatformError
-from unicon_core.models.load import load_model
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.platforms.kit.bodies import BODY_PHYSICS, tell_bodies
 from unicon_core.platforms.kit.clock import steps_in
 from unicon_core.platforms.kit.command import Command
 from unicon_core.platforms.kit.joint_delay import delay_of, strength_of
 from unicon_core.platforms.kit.joint_model import Passive, known_passive
-from unicon_core.platforms.kit.scene import Scene
+from unicon_core.platforms.kit.scene import TERRAIN, Scene
 from unicon_core.platforms.kit.start import initial_positions
 from unicon_core.platforms.platform import SIMULATED, Facts
 from unicon_core.platforms.sim.mujoco.batch import Batch, shares
+from unicon_core.platforms.sim.mujoco.models import Models
 from unicon_core.platforms.sim.mujoco.placement import Placement
 from unicon_core.platforms.sim.mujoco.shared_servo import SharedServo
 from unicon_core.platforms.sim.mujoco.simulated_robot import SimulatedRobot
@@ -63,8 +63,8 @@ def make(
     """
     mujoco = import_mujoco()
     scene = scene or Scene()
-    loaded = load_model(scene.model_path(robot), robot, timestep)
-    return MujocoPlatform(mujoco, states, robot, period, loaded, scene, passive)
+    models = Models(scene.model_path(robot), robot, timestep)
+    return MujocoPlatform(mujoco, states, robot, period, models, scene, passive)
 
 
 class MujocoPlatform:
@@ -82,7 +82,7 @@ class MujocoPlatform:
         simulated=True,
         batch=True,
         writes=SIMULATED,
-        physics=(*JOINT_PHYSICS, *BODY_PHYSICS),
+        physics=(*JOINT_PHYSICS, *BODY_PHYSICS, TERRAIN),
     )
 
     def __init__(
@@ -91,20 +91,21 @@ class MujocoPlatform:
         states: States,
         robot: Robot,
         period: float,
-        loaded: LoadedModel,
+        models: Models,
         scene: Scene,
         passive: Passive = "keep",
     ) -> None:
-        model = self.model = loaded.model
-        self._mujoco, self._robot, self._loaded = mujoco, robot, loaded
+        self._mujoco, self._robot, self._read = mujoco, robot, models
         self._states, self._period = states, period
+        loaded = self._loaded = models.on(scene.uneven)
+        model = self.model = loaded.model
         tell_bodies(loaded, scene.payload, scene.contact_friction)
         self.model_path = loaded.path
         self.decimation = steps_in(period, float(model.opt.timestep), loaded.path)
         unmeasured = BASE_STATES if loaded.base is None else ()
         writes = [name for name in SIMULATED if name in states and name not in unmeasured]
         self.facts = replace(self.facts, writes=tuple(writes))
-        qpos = initial_positions(loaded, robot, scene)
+        qpos = initial_positions(models.flat, robot, scene)  # all ground is flat at the start
         # A blow-up must be seen: by itself MuJoCo would go on from the initial state.
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         self._physics = physics = joint_physics(robot, scene.joints)
@@ -152,7 +153,7 @@ class MujocoPlatform:
 
     @cached_property
     def _placement(self) -> Placement:
-        return Placement(self._loaded, self.robots)
+        return Placement(self._read.flat, self.robots)
 
     @property
     def data(self) -> Any:
@@ -187,28 +188,29 @@ class MujocoPlatform:
     def change(self, scene: Scene) -> None:
         """Be as one that was built with this scene: 2 ms, where a model takes 6 ms to be read.
 
+        On other ground the model is read again.
+
         Raises:
-            ModelError: no such key frame.
+            ModelError: no such key frame, or the model has surroundings of its own.
             PlatformError: the scene is wrong, or these are robots of a batch.
         """
         if self._batch is not None:
             raise PlatformError("platform 'mujoco' cannot change the scene of several robots")
-        loaded = replace(self._loaded, model=copy(self._untouched))
         other = MujocoPlatform(
-            self._mujoco, self._states, self._robot, self._period, loaded, scene, self._passive
+            self._mujoco,
+            self._states,
+            self._robot,
+            self._period,
+            self._read,
+            scene,
+            self._passive,
         )
         # Whoever holds `recv` and `send` holds methods of the robot, which is another one now.
         self.robots[0].become(other.robots[0])
-        own = ("robots", "recv", "send", "reset", "change", "_untouched")
+        own = ("robots", "recv", "send", "reset", "change")
         kept = {name: value for name, value in vars(self).items() if name in own}
         vars(self).clear()
         vars(self).update(vars(other) | kept)
-
-    @cached_property
-    def _untouched(self) -> Any:
-        """The model as its file has it."""
-        timestep = float(self.model.opt.timestep)
-        return load_model(self.model_path, self._robot, timestep, quiet=True).model
 
     def push(self, velocity: NDArray[np.float64]) -> None:
         """Add to the bases' horizontal velocity [m/s], shape (2,), of a batch (N, 2).

@@ -1,0 +1,194 @@
+"""Lays ground under a robot: boxes and a field of heights beside the floor of its model."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from unicon_core.errors import ModelError
+from unicon_core.models.loaded import LoadedModel, import_mujoco
+from unicon_core.models.posed import PosedModel
+from unicon_core.models.touching import floors, solid
+from unicon_core.terrain.ground import THICK, Ground
+
+__all__ = ["TERRAIN", "laying"]
+
+TERRAIN = "terrain"
+"""Its geoms and its field are called so, with a number behind."""
+
+PAIRS = 20_000
+"""`<pair>` elements of ground and robot."""
+
+_TOUCH = ("condim", "friction", "solref", "solimp", "margin", "gap")
+"""What a geom and a pair say of a contact."""
+_SINK = 0.001  # [m] by which the robot is put into the floor to see what a contact is like
+_EVEN = 1e-6  # [m]; a field needs a height, even where it has none
+
+
+class _Contact(NamedTuple):
+    """What MuJoCo makes of the robot's lowest part on the floor; shapes as of a geom."""
+
+    dimensions: int
+    friction: Any
+    solref: Any
+    solimp: Any
+
+
+def laying(loaded: LoadedModel, ground: Ground) -> Callable[[Any], None]:
+    """Return what lays ground into the `MjSpec` of a model; `prepare` of `load_model`.
+
+    The floor stays, lowered to the lowest ground, and is what lies beyond. Everything else touches
+    the robot as the floor did: by its bits and by the `<pair>` elements that name it. A patch goes
+    before what it touches (`priority`), with the friction that the floor had there times its own
+    factor.
+
+    Args:
+        loaded: the model as its file has it.
+        ground: what is laid.
+
+    Raises:
+        ModelError: it has not one level floor and nothing else around.
+    """
+    floor, height = _floor_of(loaded)
+    patched = any(box.friction != 1.0 for box in ground.boxes)
+    contact = _contact_of(loaded, floor) if patched else None
+    rank = int(loaded.model.geom_priority.max()) + 1
+
+    def lay(spec: Any) -> None:
+        plane = _plane_of(spec)
+        pairs = [p for p in spec.pairs if plane.name in (p.geomname1, p.geomname2) and plane.name]
+        if len(pairs) * len(ground.boxes) > PAIRS:
+            raise ModelError(
+                f"model {loaded.path} names its floor in {len(pairs)} pairs, and scene.terrain has "
+                f"{len(ground.boxes)} boxes; give it a smaller extent or larger parts"
+            )
+        own = _geoms(spec, plane, ground, height)
+        for geom, friction in own:
+            if contact is not None:
+                _patch(geom, contact, friction, rank)
+            for pair in pairs:
+                _pair(spec, pair, plane.name, geom.name, friction)
+        plane.pos = [plane.pos[0], plane.pos[1], height + ground.floor]
+
+    return lay
+
+
+def _floor_of(loaded: LoadedModel) -> tuple[int, float]:
+    """Return the one level plane that lies around a robot, and its height in [m]."""
+    model, planes = loaded.model, floors(loaded.model)
+    around = [
+        geom
+        for geom in range(model.ngeom)
+        if model.body_weldid[model.geom_bodyid[geom]] == 0
+        and geom not in planes
+        and solid(model, geom)
+        and model.body_rootid[model.geom_bodyid[geom]]
+        != model.body_rootid[model.jnt_bodyid[loaded.joints[0]]]
+    ]
+    if around:
+        names = ", ".join(model.geom(g).name or f"geom {g}" for g in around[:3])
+        raise ModelError(
+            f"model {loaded.path} has surroundings of its own ({names}): scene.terrain needs a "
+            "floor alone; leave one of the two out"
+        )
+    quat = model.geom_quat[planes[0]] if planes else None
+    if len(planes) != 1 or quat is None or quat[1] ** 2 + quat[2] ** 2 > 1e-12:
+        raise ModelError(
+            f"model {loaded.path} has {len(planes)} planes: scene.terrain needs one level floor; "
+            "leave terrain out, or name another model (scene: {model: PATH})"
+        )
+    return planes[0], float(model.geom_pos[planes[0], 2])
+
+
+def _plane_of(spec: Any) -> Any:
+    plane = import_mujoco().mjtGeom.mjGEOM_PLANE
+    return next(geom for geom in spec.worldbody.geoms if geom.type == plane)
+
+
+def _geoms(spec: Any, plane: Any, ground: Ground, height: float) -> list[tuple[Any, float]]:
+    """Add all geoms, the floor's material on them; return each with its factor of friction."""
+    mujoco = import_mujoco()
+    kinds = mujoco.mjtGeom
+    same = {word: getattr(plane, word) for word in (*_TOUCH, "contype", "conaffinity", "priority")}
+    same |= {word: getattr(plane, word) for word in ("solmix", "group", "material", "rgba")}
+    found = []
+    for number, box in enumerate(ground.boxes):
+        x, y, z = box.centre
+        place = {"pos": [x, y, z + height], "quat": box.quat, "size": box.half}
+        geom = spec.worldbody.add_geom(
+            name=f"{TERRAIN}_{number}", type=kinds.mjGEOM_BOX, **place, **same
+        )
+        found.append((geom, box.friction))
+    if ground.field is not None:
+        heights, half = ground.field.heights, ground.field.half
+        low, high = float(heights.min()), float(heights.max())
+        rows, columns = heights.shape
+        spec.add_hfield(
+            name=TERRAIN,
+            size=[half, half, max(high - low, _EVEN), THICK],
+            nrow=rows,
+            ncol=columns,
+            userdata=heights.ravel(),
+        )
+        geom = spec.worldbody.add_geom(
+            name=f"{TERRAIN}_0",
+            type=kinds.mjGEOM_HFIELD,
+            hfieldname=TERRAIN,
+            pos=[0.0, 0.0, low + height],
+            **same,
+        )
+        found.append((geom, 1.0))
+    return found
+
+
+def _contact_of(loaded: LoadedModel, floor: int) -> _Contact:
+    """Return what the floor and the robot's lowest part make of a contact; else the floor's own."""
+    mujoco, model, base = import_mujoco(), loaded.model, loaded.base
+    own = _Contact(
+        int(model.geom_condim[floor]),
+        np.array(model.geom_friction[floor]),
+        np.array(model.geom_solref[floor]),
+        np.array(model.geom_solimp[floor]),
+    )
+    posed = PosedModel(loaded)
+    data = posed.data
+    mujoco.mj_forward(model, data)
+    heights = posed.heights()
+    if base is None or not heights:
+        return own
+    data.qpos[int(model.jnt_qposadr[base]) + 2] -= min(heights.values()) + _SINK
+    mujoco.mj_forward(model, data)
+    for contact in data.contact:
+        if floor in contact.geom:
+            sliding, _, turning, rolling, _ = contact.friction
+            return _Contact(
+                int(contact.dim),
+                np.array((sliding, turning, rolling)),
+                np.array(contact.solref),
+                np.array(contact.solimp),
+            )
+    return own
+
+
+def _patch(geom: Any, contact: _Contact, friction: float, rank: int) -> None:
+    """Give a patch the contact that the floor had, with its own friction, before what it touches.
+
+    MuJoCo takes the larger of two geoms' friction, or that of the higher priority
+    (https://mujoco.readthedocs.io/en/stable/modeling.html#contact-parameters).
+    """
+    geom.priority, geom.condim = rank, contact.dimensions
+    geom.friction = contact.friction * friction
+    geom.solref, geom.solimp, geom.material = contact.solref, contact.solimp, ""
+    shade = 0.35 + 0.5 * min(friction, 1.0)  # the more slippery, the bluer
+    geom.rgba = [shade, shade, 0.85, 1.0]
+
+
+def _pair(spec: Any, pair: Any, floor: str, name: str, friction: float) -> None:
+    """Let what touches the floor by a pair touch other ground in the same way."""
+    ends = {key: getattr(pair, key) for key in ("geomname1", "geomname2")}
+    ends = {key: name if end == floor else end for key, end in ends.items()}
+    same = {word: getattr(pair, word) for word in (*_TOUCH, "solreffriction")}
+    same["friction"] = np.array(pair.friction) * friction
+    spec.add_pair(**ends, **same)
