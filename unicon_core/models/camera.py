@@ -18,11 +18,12 @@ from numpy.typing import NDArray
 
 from unicon_core.errors import ModelError, UniconError, alternatives, one_line
 from unicon_core.models.kinematic_tree import frame_of
-from unicon_core.models.load import load_model
 from unicon_core.models.loaded import import_mujoco
 from unicon_core.models.posed import PosedModel
 from unicon_core.models.quaternions import Float, multiply
+from unicon_core.models.terrain import load_on
 from unicon_core.robots import Robot
+from unicon_core.terrain.words import Terrain
 
 __all__ = ["Intrinsics", "ModelCamera", "intrinsics", "optical_frame"]
 
@@ -59,6 +60,7 @@ class ModelCamera:
         robot: whose joints the model has.
         name: of the camera.
         size: width and height of the picture, [pixels].
+        terrain: ground under the robot, None for flat.
         body: body to mount the camera on; None for one that the model has.
         position: where it is mounted in the body's frame, [m]; it looks along x, z is up.
         fovy: vertical field of view of a mounted camera, [deg].
@@ -79,6 +81,7 @@ class ModelCamera:
         name: str,
         size: tuple[int, int],
         *,
+        terrain: Terrain | None = None,
         body: str | None = None,
         position: Sequence[float] = (0.0, 0.0, 0.0),
         fovy: float = 60.0,
@@ -103,7 +106,7 @@ class ModelCamera:
                     "or mount one: body: NAME, position: [m]"
                 )
 
-        self._posed = PosedModel(load_model(path, robot, quiet=True, prepare=prepare))
+        self._posed = PosedModel(load_on(path, robot, terrain, prepare=prepare))
         self._mujoco, model = mujoco, self._posed.loaded.model
         self._camera = int(model.camera(name).id)
         try:

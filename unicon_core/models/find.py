@@ -13,8 +13,9 @@ from unicon_core.errors import MissingDependencyError, ModelError, alternatives
 from unicon_core.resources import find_resource
 from unicon_core.robots import Robot
 from unicon_core.robots.robot import MODEL_FORMATS
+from unicon_core.terrain.words import Terrain
 
-__all__ = ["Modelled", "find_model", "model_of", "pick_model"]
+__all__ = ["Modelled", "find_model", "model_of", "pick_model", "terrain_of"]
 
 _PREFIX = "robot_descriptions:"
 _PACKAGE = "robot_descriptions"
@@ -38,6 +39,12 @@ def model_of(platform: object, robot: Robot) -> Path:
         ModelError: there is none.
     """
     return platform.model_path if isinstance(platform, Modelled) else pick_model(robot)
+
+
+def terrain_of(platform: object) -> Terrain | None:
+    """Return the ground that a platform simulates; None for flat, and where it tells none."""
+    found = getattr(platform, "terrain", None)
+    return found if isinstance(found, Terrain) else None
 
 
 def pick_model(

@@ -1,19 +1,24 @@
-"""Lays ground under a robot: boxes and a field of heights beside the floor of its model."""
+"""Lays ground under a robot: boxes or a field of heights beside the floor of its model."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from unicon_core.errors import ModelError
+from unicon_core.models.load import load_model
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.models.posed import PosedModel
 from unicon_core.models.touching import floors, solid
+from unicon_core.robots import Robot
+from unicon_core.terrain.build import ground_of
 from unicon_core.terrain.ground import THICK, Ground
+from unicon_core.terrain.words import Terrain
 
-__all__ = ["TERRAIN", "laying"]
+__all__ = ["TERRAIN", "laying", "load_on"]
 
 TERRAIN = "terrain"
 """Its geoms and its field are called so, with a number behind."""
@@ -34,6 +39,42 @@ class _Contact(NamedTuple):
     friction: Any
     solref: Any
     solimp: Any
+
+
+def load_on(
+    path: Path,
+    robot: Robot,
+    terrain: Terrain | None,
+    timestep: float | None = None,
+    *,
+    flat: LoadedModel | None = None,
+    prepare: Callable[[Any], None] | None = None,
+) -> LoadedModel:
+    """Read and compile a model with ground under it; see `load_model`.
+
+    Joints and bodies are those of the model alone, numbers included; geoms are more.
+
+    Args:
+        path: MJCF or URDF file.
+        robot: whose joints must all be there.
+        terrain: the ground, None for flat.
+        timestep: physics step in [s], None for the model's own.
+        flat: the model without it, where somebody has read it.
+        prepare: changes the `MjSpec` before it is compiled.
+
+    Raises:
+        ModelError: the file is wrong, or has other surroundings than a floor.
+    """
+    if terrain is None:
+        return load_model(path, robot, timestep, quiet=True, prepare=prepare)
+    lay = laying(flat or load_model(path, robot, quiet=True), ground_of(terrain))
+
+    def both(spec: Any) -> None:
+        lay(spec)
+        if prepare is not None:
+            prepare(spec)
+
+    return load_model(path, robot, timestep, quiet=True, prepare=both)
 
 
 def laying(loaded: LoadedModel, ground: Ground) -> Callable[[Any], None]:
@@ -181,7 +222,7 @@ def _patch(geom: Any, contact: _Contact, friction: float, rank: int) -> None:
     geom.priority, geom.condim = rank, contact.dimensions
     geom.friction = contact.friction * friction
     geom.solref, geom.solimp, geom.material = contact.solref, contact.solimp, ""
-    shade = 0.35 + 0.5 * min(friction, 1.0)  # the more slippery, the bluer
+    shade = 0.35 + 0.5 * round(min(friction, 1.0), 1)  # the more slippery, the bluer
     geom.rgba = [shade, shade, 0.85, 1.0]
 
 

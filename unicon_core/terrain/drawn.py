@@ -76,7 +76,9 @@ def obstacles(terrain: Terrain) -> Ground:
 
 def obstacle_count(terrain: Terrain) -> int:
     """Return how many obstacles are drawn."""
-    return round(terrain["density"] * terrain["extent"] ** 2)
+    density: float = terrain["density"]
+    edge: float = terrain["extent"]
+    return round(density * edge * edge)
 
 
 def _between(ends: tuple[float, float], u: float) -> float:

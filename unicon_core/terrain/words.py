@@ -155,7 +155,7 @@ def read_terrain(said: object, seed: int) -> Terrain | None:
     return Terrain(kind, values, own)
 
 
-def _value(kind: str, name: str, figure: Figure, value: object) -> Any:
+def _value(kind: str, name: str, figure: Figure, value: Any) -> Any:
     """Return a value as it is used; a single number for both ends where two are drawn between."""
     pair = isinstance(figure.default, tuple)
     both = value if isinstance(value, (list, tuple)) and pair else (value,) * (1 + pair)

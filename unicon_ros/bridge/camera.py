@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from unicon_core.errors import UniconError
 from unicon_core.handles import FrameRing
-from unicon_core.models.find import find_model, model_of
+from unicon_core.models.find import find_model, model_of, terrain_of
 from unicon_core.robots import Robot, robot_files
 from unicon_core.states import StateSpec
 from unicon_core.states.groups import subset
@@ -194,6 +194,7 @@ def camera(
     if (own := handle.removesuffix("_handle")) in ("", handle):
         raise UniconError(f"camera: handle {handle!r}; give NAME_handle, such as front_handle")
     path = find_model(model, context.relative_to) if model else model_of(platform, robot)
+    terrain = terrain_of(platform)
     name = camera or f"{body}_camera"
     options = {
         "kind": kind,
@@ -204,6 +205,7 @@ def camera(
         "robot": {member: str(path) for member, path in robot_files(robot).items()},
         "mounts": {name: asdict(mount) for name, mount in robot.mounts.items()},
         "model": str(path),
+        "terrain": None if terrain is None else asdict(terrain),
         "width": int(width),
         "height": int(height),
         "far": float(far),

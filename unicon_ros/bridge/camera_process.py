@@ -19,6 +19,7 @@ from unicon_core.handles import FrameRing
 from unicon_core.models.camera import ModelCamera
 from unicon_core.robots import load_files
 from unicon_core.robots.places import places_of
+from unicon_core.terrain.words import Terrain
 from unicon_ros.bridge.camera_topics import CameraTopics
 from unicon_ros.bridge.images import frame_message, info_message, rays
 from unicon_ros.peripherals.child import SLICE, Feed, end, serve
@@ -40,6 +41,7 @@ class _Camera:
             load_files(options["robot"], places_of(options["mounts"])),
             options["camera"],
             size,
+            terrain=None if options["terrain"] is None else Terrain(**options["terrain"]),
             body=options["body"],
             position=options["position"],
             fovy=options["fovy"],

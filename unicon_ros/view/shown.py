@@ -10,11 +10,12 @@ from pathlib import Path
 from unicon_core.errors import UniconError
 from unicon_core.flow import Chain, Node, Switch
 from unicon_core.flow.compiled import CompiledGraph
-from unicon_core.models.find import model_of
+from unicon_core.models.find import model_of, terrain_of
 from unicon_core.robots import Robot
 from unicon_core.runtime.phases import Phase
 from unicon_core.show.tree import branches, title
 from unicon_core.states import Layout, StateSpec
+from unicon_core.terrain.words import Terrain
 from unicon_core.workflow import Program
 from unicon_core.workflow.skills import skills_of
 from unicon_ros.parameter_table import AT_ONCE, RANGES
@@ -108,6 +109,7 @@ class Shown:
         parameters: those that may be changed, with their present values.
         map: name of the message map.
         frame_prefix: of ROS frames.
+        terrain: the ground under a simulated robot, None for flat.
     """
 
     workflow: str
@@ -125,6 +127,7 @@ class Shown:
     parameters: dict[str, Parameter] = field(default_factory=dict)
     map: str = "default"
     frame_prefix: str = ""
+    terrain: Terrain | None = None
 
     def tell(self, values: Mapping[str, float]) -> None:
         """Note the present values of parameters; in a viewer's process."""
@@ -172,6 +175,7 @@ def shown_of(
         },
         map,
         frame_prefix,
+        terrain_of(program.platform),
     )
     return shown, variables
 

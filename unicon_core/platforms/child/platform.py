@@ -33,6 +33,7 @@ from unicon_core.signals import SIGNALS
 from unicon_core.states import States
 from unicon_core.states.backends.shm import Segment, ShmReader, ShmWriter, remove_dead
 from unicon_core.states.groups import COMMAND, MEASURED, subset
+from unicon_core.terrain.words import Terrain
 
 __all__ = ["SILENCE", "START", "ChildPlatform"]
 
@@ -131,6 +132,7 @@ class ChildPlatform:
             raise
         if told["model_path"] is not None:
             self.model_path: Path = told["model_path"]
+        self.terrain: Terrain | None = told["terrain"]
         self._finite = FiniteCheck(
             {state: states[state] for state in self.facts.reads}, robot.joint_names
         )

@@ -17,6 +17,7 @@ from importlib import import_module
 from typing import Any
 
 from unicon_core.errors import Fault, UniconError
+from unicon_core.models.find import terrain_of
 from unicon_core.platforms.child.abilities import ABILITIES
 from unicon_core.platforms.child.parent import ALARM, LONGEST, Parent, text_of
 from unicon_core.platforms.child.platform import START
@@ -56,6 +57,7 @@ def main() -> int:
             facts=replace(platform.facts, examine=None),
             info=dict(info_of(platform)),
             model_path=getattr(platform, "model_path", None),
+            terrain=terrain_of(platform),
             abilities=[name for name, kind in ABILITIES.items() if isinstance(platform, kind)],
         )
         if driver.run():

@@ -52,7 +52,8 @@ class Scene:
             also `policy:NAME`, its default pose.
         initial_height: of the base in [m]; None sets the robot on the floor.
         terrain: a kind of ground, or a kind to its figures, see `terrain/words.py`.
-        seed: of noise and pushes, and of ground that has none of its own; robot k of a batch draws from (seed, k).
+        seed: of noise and pushes, and of ground that has none of its own; robot k of a batch draws
+            from (seed, k), all stand on the same ground.
         delay: ticks by which commands come late.
         noise: state to standard deviation of white noise, in the state's unit.
         push: `every` in [s] and `velocity` in [m/s]: random horizontal pushes of the base.

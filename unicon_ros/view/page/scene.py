@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from unicon_core.models.load import load_model
 from unicon_core.models.loaded import import_mujoco
 from unicon_core.models.posed import PosedModel, foot_bodies, foot_geoms
+from unicon_core.models.terrain import load_on
 from unicon_core.models.touching import floors
 from unicon_ros.view.page.link import move
 from unicon_ros.view.page.shapes import shapes_of
@@ -64,7 +64,7 @@ class Stage:
     def __init__(self, shown: Shown) -> None:
         self._robot, self._mujoco = shown.robot, import_mujoco()
         assert shown.model is not None
-        loaded = load_model(shown.model, shown.robot, quiet=True)
+        loaded = load_on(shown.model, shown.robot, shown.terrain)
         self._posed, self._model = PosedModel(loaded), loaded.model
         self.shapes = shapes_of(loaded)
         self._floats = loaded.base is not None
@@ -72,6 +72,10 @@ class Stage:
         self._feet = foot_bodies(loaded.model, feet)
         self._soles = foot_geoms(loaded.model, feet)
         self._floors = floors(loaded.model)
+        self._uneven = shown.terrain is not None
+        if self._uneven:  # no distances to a field of heights: its contacts are looked at
+            for geoms in self._soles.values():
+                loaded.model.geom_margin[geoms] = TOUCHING
         base = loaded.base
         self._body = 1 if base is None else int(loaded.model.jnt_bodyid[base])
         self.size = float(np.clip(loaded.model.stat.extent, 0.3, 3.0))
@@ -129,6 +133,8 @@ class Stage:
         if "foot_contact" in states:
             sure = states["foot_contact"].reshape(-1)
             return frozenset(foot for foot, value in zip(self._robot.feet, sure) if value > _SURE)
+        if self._uneven:
+            return self._on_ground()
         near = set()
         for foot, geoms in self._soles.items():
             for floor in self._floors:
@@ -139,6 +145,14 @@ class Stage:
                     if height < TOUCHING:
                         near.add(foot)
         return frozenset(near)
+
+    def _on_ground(self) -> frozenset[str]:
+        """Feet that touch what stands still."""
+        model, data = self._model, self._posed.data
+        self._mujoco.mj_collision(model, data)
+        pairs = np.array(data.contact.geom).reshape(-1, 2)
+        met = pairs[(model.body_weldid[model.geom_bodyid[pairs]] == 0).any(axis=1)]
+        return frozenset(foot for foot, own in self._soles.items() if np.isin(met, own).any())
 
     def _arrows(self, states: Mapping[str, NDArray[Any]], pose: Pose) -> None:
         """Draw both velocities over the base, 1 m/s as 0.6 m, along its heading."""

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import replace
-from functools import cached_property
 from pathlib import Path
 
 from unicon_core.models.load import load_model
 from unicon_core.models.loaded import LoadedModel
-from unicon_core.models.terrain import laying
+from unicon_core.models.terrain import load_on
 from unicon_core.robots import Robot
-from unicon_core.terrain.build import ground_of
 from unicon_core.terrain.words import Terrain
 
 __all__ = ["Models"]
@@ -35,9 +33,7 @@ class Models:
         self._laid: tuple[Terrain, LoadedModel] | None = None
 
     def on(self, terrain: Terrain | None) -> LoadedModel:
-        """Return a model that may be changed: 1 ms for the same ground as before.
-
-        Joints and bodies are those of `flat`, numbers included; geoms are more.
+        """Return a model that may be changed, on flat ground or on this; see `load_on`.
 
         Raises:
             ModelError: the model has other surroundings than a floor.
@@ -45,9 +41,6 @@ class Models:
         if terrain is None:
             return replace(self.flat, model=copy(self.flat.model))
         if self._laid is None or self._laid[0] != terrain:
-            lay = laying(self.flat, ground_of(terrain))
-            self._laid = (
-                terrain,
-                load_model(self._path, self._robot, self._timestep, quiet=True, prepare=lay),
-            )
+            laid = load_on(self._path, self._robot, terrain, self._timestep, flat=self.flat)
+            self._laid = terrain, laid
         return replace(self._laid[1], model=copy(self._laid[1].model))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from copy import copy
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import cached_property
 from typing import Any
 
@@ -73,6 +73,7 @@ class MujocoPlatform:
     Attributes:
         model: the `MjModel`; of a batch, that of the robots of its first thread.
         model_path: the file that it was read from.
+        terrain: the ground under the robots, the same for all; None for flat.
         robots: the simulated robots, one unless the states have a batch axis.
         decimation: physics steps in a tick.
     """
@@ -97,7 +98,8 @@ class MujocoPlatform:
     ) -> None:
         self._mujoco, self._robot, self._read = mujoco, robot, models
         self._states, self._period = states, period
-        loaded = self._loaded = models.on(scene.uneven)
+        self.terrain = scene.uneven
+        loaded = self._loaded = models.on(self.terrain)
         model = self.model = loaded.model
         tell_bodies(loaded, scene.payload, scene.contact_friction)
         self.model_path = loaded.path
@@ -301,6 +303,7 @@ class MujocoPlatform:
             "effort_lower": dict(zip(self._robot.joint_names, servo.effort_lower.tolist())),
             "effort_upper": dict(zip(self._robot.joint_names, servo.effort_upper.tolist())),
             "passive": self._passive,
+            "terrain": None if self.terrain is None else asdict(self.terrain),
             "joints": {word: getattr(physics, word).tolist() for word in physics.words},
             "warnings": self._warnings(),
             "notes": notes,
