@@ -286,6 +286,27 @@ num_robots: 2
 scene: {model: "assets:models/go2/go2.xml", initial_pose: "keyframe:home", noise: {joint_pos: 0.1}}
 flow: hold
 """,
+    """\
+robot: go2
+platform: mujoco
+rate: 50
+scene: {terrain: {rough: {height: 0.04, spacing: 0.5, extent: 8, flat: 2, seed: 3}}}
+flow: hold
+""",
+    """\
+robot: go2
+platform: mujoco
+rate: 50
+scene: {terrain: {patches: {friction: [0.2, 1.0], size: 1.0, extent: 8}}, seed: 2}
+flow: hold
+""",
+    """\
+robot: go2
+platform: mujoco
+rate: 50
+scene: {terrain: {stairs: {rise: -0.1, run: 0.3, steps: 4, landing: 1.0}}}
+flow: hold
+""",
 )
 
 ARGUMENTS = (

@@ -21,10 +21,12 @@ TICKS = 50
 WALK: dict[str, Any] = {
     "flow": {"policy": "walk"},
     "scene.initial_pose": "policy:walk",
+    "commands": [{"velocity_command": {"constant": [0.8, 0.0, 0.0]}}],
     "scene.push.every": 0.3,
     "scene.push.velocity": 0.3,
     "scene.noise.joint_vel": 0.1,
 }
+ROUGH = {"height": 0.1, "extent": 10.0, "flat": 1.0}
 KINDS: dict[str, dict[str, Any]] = {
     "as it was": {},
     "seed": {"scene.seed": 7},
@@ -38,6 +40,11 @@ KINDS: dict[str, dict[str, Any]] = {
     "payload": {"scene.payload.mass": 4.0},
     "payload aside": {"scene.payload": {"mass": 4.0, "position": [0.1, 0.05, 0.1]}},
     "contact friction": {"scene.contact_friction": 0.3},
+    "rough": {"scene.terrain.rough": ROUGH},
+    "rough, another seed": {"scene.terrain.rough": ROUGH, "scene.seed": 7},
+    "patches": {
+        "scene.terrain.patches": {"friction": 0.05, "extent": 6.0, "flat": 1.0, "size": 0.5}
+    },
     "pose": {"scene.initial_pose": {"FL_calf_joint": -1.4}},
     "height": {"scene.initial_height": 0.6},
 }
@@ -149,7 +156,7 @@ def test_a_block_that_holds_an_iterator_is_built_anew() -> None:
 
 def test_a_wrong_scene_is_refused_and_nothing_goes_on_half_changed(warm: Rollouts) -> None:
     rollouts = Rollouts(Program(document()))
-    with pytest.raises(UniconError, match="there is flat alone"):
+    with pytest.raises(UniconError, match="scene.terrain is 'hills'"):
         rollouts.begin(document(**{"scene.terrain": "hills"}))
     assert rollouts.why_not == "a beginning failed"
     rollouts.program.close()
