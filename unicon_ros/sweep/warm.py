@@ -1,7 +1,7 @@
 """Warm programs: what a worker keeps from one rollout to the next, by what it depends on.
 
-A row that differs from one before in its scene alone begins anew in 4 ms; a program takes 60 ms to
-be built.
+A row that differs from one before in its scene alone begins anew in 4 ms, on other ground in 14 to
+50; a program takes 60 ms to be built.
 """
 
 from __future__ import annotations
