@@ -65,6 +65,7 @@ def test_patches_without_friction_make_it_slip() -> None:
     assert abs(ways[0][-1] - plain[-1]).max() > 0.2
 
 
+@pytest.mark.slow
 def test_rough_ground_without_height_is_walked_as_flat_ground_is() -> None:
     even, plain = (walked(said, 200) for said in ({"rough": {"height": 0, "extent": 10.0}}, "flat"))
     assert even["base_pos_w"][-1] == pytest.approx(plain["base_pos_w"][-1], abs=0.15)
@@ -75,7 +76,7 @@ def test_rough_ground_without_height_is_walked_as_flat_ground_is() -> None:
     assert shaken[0] > 1.5 * shaken[1]
 
 
-@pytest.mark.parametrize("kind", ["slope", "rough", "patches"])
+@pytest.mark.parametrize("kind", ["rough", "patches"])
 def test_it_begins_as_on_flat_ground(kind: str) -> None:
     one, other = (walked(said, 1)["base_pos_w"][0] for said in (kind, "flat"))
     assert one == pytest.approx(other, abs=1e-4)
@@ -83,15 +84,16 @@ def test_it_begins_as_on_flat_ground(kind: str) -> None:
 
 def test_robots_of_a_batch_stand_on_the_same_ground() -> None:
     said = {"rough": {"height": 0.1, "flat": 1.0, "extent": 8.0}}
-    alone = walked(said, 60)
-    document = load_document("go2_walk", WALK | {"scene.terrain": said, "num_robots": 4})
+    alone = walked(said, 40)
+    document = load_document("go2_walk", WALK | {"scene.terrain": said, "num_robots": 2})
     program = Program(document)
-    Rollouts(program).run(60)
+    Rollouts(program).run(40)
     places = np.array(program.states["base_pos_w"])
     program.close()
     assert (places == alone["base_pos_w"][-1]).all()
 
 
+@pytest.mark.slow
 def test_a_simulator_in_a_process_of_its_own_has_the_ground_too() -> None:
     said = {"stairs": {"rise": 0.05, "flat": 1.0}}
     own = walked(said, 60)

@@ -112,6 +112,9 @@ def laying(loaded: LoadedModel, ground: Ground) -> Callable[[Any], None]:
             for pair in pairs:
                 _pair(spec, pair, plane.name, geom.name, friction)
         plane.pos = [plane.pos[0], plane.pos[1], height + ground.floor]
+        # Cameras see from a hundredth of the extent on, and windows show all of it.
+        for word in ("extent", "meansize", "center"):
+            setattr(spec.stat, word, getattr(loaded.model.stat, word))
 
     return lay
 
