@@ -145,8 +145,8 @@ def test_unknown_key_frame(build: Build, tmp_path: Path) -> None:
         ({"delay": -1}, "scene.delay is -1 ticks; give 0 to 1000"),
         (
             {"terrain": "hills"},
-            "scene.terrain is 'hills'; known: flat, gaps, obstacles, patches, pyramid, rough, slope, "
-            "stairs; or put other ground into a model (scene: {model: PATH})",
+            "scene.terrain is 'hills'; known: flat, gaps, obstacles, patches, pyramid, rough, "
+            "slope, stairs; or put other ground into a model (scene: {model: PATH})",
         ),
         (
             {"noise": {"joint_pos": -1.0}},

@@ -156,7 +156,7 @@ def test_a_block_that_holds_an_iterator_is_built_anew() -> None:
 
 def test_a_wrong_scene_is_refused_and_nothing_goes_on_half_changed(warm: Rollouts) -> None:
     rollouts = Rollouts(Program(document()))
-    with pytest.raises(UniconError, match="scene.terrain is 'hills'"):
+    with pytest.raises(UniconError, match=r"scene\.terrain is 'hills'"):
         rollouts.begin(document(**{"scene.terrain": "hills"}))
     assert rollouts.why_not == "a beginning failed"
     rollouts.program.close()

@@ -19,7 +19,9 @@ BALL = """\
     {around}
     <body name="ball" pos="0 0 0.5"><freejoint/>
       <geom name="ball" size="0.1" mass="1" condim="4" friction="0.5 0.02 0.001" {geom}/>
-      <body name="lid"><joint name="lid"/><geom size="0.02" pos="0 0 0.05" contype="0" conaffinity="0"/></body>
+      <body name="lid"><joint name="lid"/>
+        <geom size="0.02" pos="0 0 0.05" contype="0" conaffinity="0"/>
+      </body>
     </body>
   </worldbody>
   {more}

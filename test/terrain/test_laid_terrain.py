@@ -79,5 +79,5 @@ def test_what_touches_nothing_is_no_surrounding() -> None:
 
 def test_a_great_many_pairs_are_told() -> None:
     pairs = "".join(f'<pair name="p{i}" geom1="ball" geom2="floor"/>' for i in range(10))
-    with pytest.raises(ModelError, match="names its floor in 10 pairs, and scene.terrain has 4"):
+    with pytest.raises(ModelError, match=r"its floor in 10 pairs, and scene\.terrain has 4"):
         laid({"patches": {"size": 0.6}}, more=f"<contact>{pairs}</contact>")

@@ -96,8 +96,8 @@ def test_a_wrong_figure_is_told_with_its_bounds_and_unit(kind: str, name: str) -
         ),
         (
             {"rough": {"spacing": 0.02}},
-            "scene.terrain.rough: an extent of 40 m with spacing 0.02 makes 4004001 points, at most "
-            "1000000; give a smaller extent or another spacing",
+            "scene.terrain.rough: an extent of 40 m with spacing 0.02 makes 4004001 points, at "
+            "most 1000000; give a smaller extent or another spacing",
         ),
         ({"patches": {"size": 0.1}}, "size 0.1 makes 160000 patches, at most 5000"),
         ({"obstacles": {"density": 20}}, "density 20 makes 32000 obstacles, at most 5000"),
