@@ -143,6 +143,17 @@ def test_two_policies_are_built_once_each(done: Path, tmp_path: Path) -> None:
     runner.programs.close()
 
 
+def test_other_ground_is_laid_in_the_same_program(done: Path) -> None:
+    runner = RowRunner(plan_of(done).task())
+    settings = list(plan_of(done).row(0).settings)
+    grounds = ["flat", "{rough: {extent: 8}}", "{stairs: {rise: 0.05}}", "{rough: {height: -1}}"]
+    told = [runner([*settings, f"scene.terrain={ground}"])["row"] for ground in grounds]
+    assert [row["outcome"] for row in told] == ["duration"] * 3 + ["refused"]
+    assert told[3]["text"].endswith("scene.terrain.rough: height is -1; give 0 to 1 [m]")
+    assert runner.programs.built == 1
+    runner.programs.close()
+
+
 def test_the_reference_is_compared(done: Path, tmp_path: Path) -> None:
     runner = RowRunner(plan_of(done).task())
     settings = list(plan_of(done).row(0).settings)
