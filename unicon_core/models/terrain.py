@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
-
-import numpy as np
+from typing import Any
 
 from unicon_core.errors import ModelError
 from unicon_core.models.load import load_model
 from unicon_core.models.loaded import LoadedModel, import_mujoco
-from unicon_core.models.posed import PosedModel
+from unicon_core.models.terrain_contacts import TOUCH, floor_contact, give_pair, give_patch
 from unicon_core.models.touching import floors, solid
 from unicon_core.robots import Robot
 from unicon_core.terrain.build import ground_of
@@ -26,19 +24,7 @@ TERRAIN = "terrain"
 PAIRS = 20_000
 """`<pair>` elements of ground and robot."""
 
-_TOUCH = ("condim", "friction", "solref", "solimp", "margin", "gap")
-"""What a geom and a pair say of a contact."""
-_SINK = 0.001  # [m] by which the robot is put into the floor to see what a contact is like
 _EVEN = 1e-6  # [m]; a field needs a height, even where it has none
-
-
-class _Contact(NamedTuple):
-    """What MuJoCo makes of the robot's lowest part on the floor; shapes as of a geom."""
-
-    dimensions: int
-    friction: Any
-    solref: Any
-    solimp: Any
 
 
 def load_on(
@@ -94,7 +80,7 @@ def laying(loaded: LoadedModel, ground: Ground) -> Callable[[Any], None]:
     """
     floor, height = _floor_of(loaded)
     patched = any(box.friction != 1.0 for box in ground.boxes)
-    contact = _contact_of(loaded, floor) if patched else None
+    contact = floor_contact(loaded, floor) if patched else None
     rank = int(loaded.model.geom_priority.max()) + 1
 
     def lay(spec: Any) -> None:
@@ -108,9 +94,9 @@ def laying(loaded: LoadedModel, ground: Ground) -> Callable[[Any], None]:
         own = _geoms(spec, plane, ground, height)
         for geom, friction in own:
             if contact is not None:
-                _patch(geom, contact, friction, rank)
+                give_patch(geom, contact, friction, rank)
             for pair in pairs:
-                _pair(spec, pair, plane.name, geom.name, friction)
+                give_pair(spec, pair, plane.name, geom.name, friction)
         plane.pos = [plane.pos[0], plane.pos[1], height + ground.floor]
         # Cameras see from a hundredth of the extent on, and windows show all of it.
         for word in ("extent", "meansize", "center"):
@@ -155,7 +141,7 @@ def _geoms(spec: Any, plane: Any, ground: Ground, height: float) -> list[tuple[A
     """Add all geoms, the floor's material on them; return each with its factor of friction."""
     mujoco = import_mujoco()
     kinds = mujoco.mjtGeom
-    same = {word: getattr(plane, word) for word in (*_TOUCH, "contype", "conaffinity", "priority")}
+    same = {word: getattr(plane, word) for word in (*TOUCH, "contype", "conaffinity", "priority")}
     same |= {word: getattr(plane, word) for word in ("solmix", "group", "material", "rgba")}
     found = []
     for number, box in enumerate(ground.boxes):
@@ -185,54 +171,3 @@ def _geoms(spec: Any, plane: Any, ground: Ground, height: float) -> list[tuple[A
         )
         found.append((geom, 1.0))
     return found
-
-
-def _contact_of(loaded: LoadedModel, floor: int) -> _Contact:
-    """Return what the floor and the robot's lowest part make of a contact; else the floor's own."""
-    mujoco, model, base = import_mujoco(), loaded.model, loaded.base
-    own = _Contact(
-        int(model.geom_condim[floor]),
-        np.array(model.geom_friction[floor]),
-        np.array(model.geom_solref[floor]),
-        np.array(model.geom_solimp[floor]),
-    )
-    posed = PosedModel(loaded)
-    data = posed.data
-    mujoco.mj_forward(model, data)
-    heights = posed.heights()
-    if base is None or not heights:
-        return own
-    data.qpos[int(model.jnt_qposadr[base]) + 2] -= min(heights.values()) + _SINK
-    mujoco.mj_forward(model, data)
-    for contact in data.contact:
-        if floor in contact.geom:
-            sliding, _, turning, rolling, _ = contact.friction
-            return _Contact(
-                int(contact.dim),
-                np.array((sliding, turning, rolling)),
-                np.array(contact.solref),
-                np.array(contact.solimp),
-            )
-    return own
-
-
-def _patch(geom: Any, contact: _Contact, friction: float, rank: int) -> None:
-    """Give a patch the contact that the floor had, with its own friction, before what it touches.
-
-    MuJoCo takes the larger of two geoms' friction, or that of the higher priority
-    (https://mujoco.readthedocs.io/en/stable/modeling.html#contact-parameters).
-    """
-    geom.priority, geom.condim = rank, contact.dimensions
-    geom.friction = contact.friction * friction
-    geom.solref, geom.solimp, geom.material = contact.solref, contact.solimp, ""
-    shade = 0.35 + 0.5 * round(min(friction, 1.0), 1)  # the more slippery, the bluer
-    geom.rgba = [shade, shade, 0.85, 1.0]
-
-
-def _pair(spec: Any, pair: Any, floor: str, name: str, friction: float) -> None:
-    """Let what touches the floor by a pair touch other ground in the same way."""
-    ends = {key: getattr(pair, key) for key in ("geomname1", "geomname2")}
-    ends = {key: name if end == floor else end for key, end in ends.items()}
-    same = {word: getattr(pair, word) for word in (*_TOUCH, "solreffriction")}
-    same["friction"] = np.array(pair.friction) * friction
-    spec.add_pair(**ends, **same)
