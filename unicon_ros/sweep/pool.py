@@ -77,7 +77,7 @@ class PoolWorker(ABC):
 
     @abstractmethod
     def heard(self) -> Iterator[dict[str, Any]]:
-        """Yield what it has told of its rows, in their order; as `worker.told` has it."""
+        """Yield what it has told of its rows, in their order, as of `RowRunner.told`."""
 
     @abstractmethod
     def gone(self, timeout: float) -> str:
