@@ -5,9 +5,7 @@ from __future__ import annotations
 import importlib.util
 import os
 import select
-import shutil
 import socket
-import tempfile
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
@@ -18,12 +16,13 @@ from unicon_core.errors import MissingDependencyError, UniconError
 from unicon_core.signals import SIGNALS
 from unicon_ros.sweep.engine import Result
 from unicon_ros.sweep.on_ray.rehearsal import files_of
+from unicon_ros.sweep.on_ray.scratch import Scratch
 from unicon_ros.sweep.on_ray.shipment import manifest, pack
 from unicon_ros.sweep.piped import PipedProcess, line_of
 from unicon_ros.sweep.plan import Plan, Row
 from unicon_ros.sweep.pool import LOOK
 
-__all__ = ["RayEngine", "require_ray"]
+__all__ = ["RayEngine", "environment_for", "require_ray"]
 
 JOIN_S = 60.0
 """Wall time in [s] until a cluster has taken us; 1 s on two nodes, 5 s where it is started."""
@@ -36,7 +35,6 @@ MISSES = 3
 END_S = 10.0
 """Wall time in [s] that Ray has to end by itself; 0.5 to 2 s."""
 LOG = "ray.log"
-PREFIX = "unicon_ray_"
 LOOPBACK = ("127.0.0.1", "localhost")
 
 
@@ -71,14 +69,18 @@ class RayEngine:
     ) -> None:
         require_ray()
         self._address, self._log = address, logs / LOG
-        # Linux's name of a socket has 107 bytes at most, of which Ray takes 74.
-        self._folder = Path(tempfile.mkdtemp(prefix=PREFIX))
+        try:
+            self._scratch = Scratch()
+        except OSError as error:
+            raise UniconError(
+                f"cannot write in {error.filename}: {error.strerror}; make room, or set TMPDIR"
+            ) from error
         self._process: PipedProcess | None = None
         self._done = False
         self._head, self._misses, self._next_beat = address, 0, 0.0
         try:
-            environment = {"RAY_USAGE_STATS_ENABLED": "0"} | _loopback(address)
-            archive = self._folder / "rows.zip"
+            environment = environment_for(address)
+            archive = self._scratch.path / "rows.zip"
             pack(archive, files_of(plan, self._log))
             self._process = PipedProcess(
                 "unicon_ros.sweep.on_ray.driver", self._log, environment
@@ -87,7 +89,7 @@ class RayEngine:
                 {
                     "address": address,
                     "archive": str(archive),
-                    "folder": str(self._folder),
+                    "folder": str(self._scratch.path),
                     "left": left,
                     "manifest": manifest(plan.task()),
                     "timeout": plan.sweep.timeout,
@@ -157,7 +159,7 @@ class RayEngine:
                 self._process.wait(END_S, ask=not self._done)
             self._process.end()
             self._process = None
-        shutil.rmtree(self._folder, ignore_errors=True)
+        self._scratch.close()
 
 
 def _written(process: PipedProcess, data: bytes) -> bytes:
@@ -167,8 +169,8 @@ def _written(process: PipedProcess, data: bytes) -> bytes:
     return data
 
 
-def _loopback(address: str) -> Mapping[str, str]:
-    """Return what has Ray stay on loopback, where it is meant to, or has to.
+def environment_for(address: str) -> Mapping[str, str]:
+    """Return what Ray's driver has in its environment: it tells nobody of us, and minds loopback.
 
     Ray takes 127.0.0.1 for the address that this machine has in its network, and opens ports there.
     The variable, which is meant for other systems, has it take 127.0.0.1 for what it is.
@@ -179,7 +181,8 @@ def _loopback(address: str) -> Mapping[str, str]:
     Raises:
         UniconError: nobody is there.
     """
-    inside = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0"}
+    outside = {"RAY_USAGE_STATS_ENABLED": "0"}
+    inside = outside | {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0"}
     if not address:
         return inside
     host, _, port = address.rpartition(":")
@@ -196,7 +199,7 @@ def _loopback(address: str) -> Mapping[str, str]:
         )
     if host in LOOPBACK and _refusal(f"{_own_address()}:{port}"):
         return inside
-    return {}
+    return outside
 
 
 def _refusal(address: str) -> str:
