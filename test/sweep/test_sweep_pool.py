@@ -79,9 +79,11 @@ def test_each_row_has_one_result_whoever_dies(deaths: list[bool], count: int) ->
     results = results_of(pool)
     assert sorted(result.index for result in results) == [row.index for row in ROWS]
     again = {index for index in pool.sent if pool.sent.count(index) > TRIES}
-    assert not {r.index for r in results if r.figures["outcome"] == "crashed"} - again - {
-        index for index in pool.sent if pool.sent.count(index) == TRIES
-    }
+    assert (
+        not {r.index for r in results if r.figures["outcome"] == "crashed"}
+        - again
+        - {index for index in pool.sent if pool.sent.count(index) == TRIES}
+    )
 
 
 def test_a_row_that_kills_its_workers_is_crashed_and_costs_no_other() -> None:

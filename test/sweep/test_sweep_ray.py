@@ -44,9 +44,7 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
     return told.err.removeprefix("unicon: error: ").rstrip("\n")
 
 
-def test_an_engine_that_is_none_is_told(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_engine_that_is_none_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     told = refused(capsys, sweep_file(tmp_path), "--engine", "rey")
     assert told == "--engine 'rey'; did you mean 'ray'? known: local, ray"
     told = refused(capsys, sweep_file(tmp_path, TEXT + "engine: rey\n"))

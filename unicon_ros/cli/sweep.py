@@ -188,9 +188,7 @@ def _dry(plan: Plan) -> str:
     return "\n".join(lines)
 
 
-def _rows(
-    plan: Plan, folder: Folder, where: tuple[str, str, int | None], console: Console
-) -> None:
+def _rows(plan: Plan, folder: Folder, where: tuple[str, str, int | None], console: Console) -> None:
     """Run what is not done yet."""
     todo = (row for row in plan if row.index not in folder.done)
     left = len(plan) - len(folder.done)

@@ -110,9 +110,6 @@ class Pool(ABC):
     def look(self) -> Iterable[PoolWorker]:
         """Return workers that have told something; wait for one, `LOOK` at most."""
 
-    def leave(self, worker: PoolWorker) -> None:
-        """Look at a worker no more."""
-
     def run(self, rows: Iterable[Row]) -> Iterator[Result]:
         """Yield the result of each row; see `Engine`."""
         todo = iter(rows)
@@ -147,7 +144,6 @@ class Pool(ABC):
         self, worker: PoolWorker, why: str, again: deque[tuple[Row, int]]
     ) -> Iterator[Result]:
         """End a worker, start another, and have its rows run again."""
-        self.leave(worker)
         self._workers.remove(worker)
         why = worker.end(why)
         self._deaths += 1

@@ -27,7 +27,7 @@ from unicon_ros.sweep.pool import HOPELESS, LOOK, ONE_THREAD, START_S, Pool, Poo
 __all__ = ["ActorPool", "differs", "main"]
 
 STORE_BYTES = 80_000_000
-"""Of a local Ray's shared memory; nothing large goes through it, and Ray takes no less than 75 MB."""
+"""Of a local Ray's shared memory: nothing large goes through it, and it has to have 75 MB."""
 LOGS = "see the logs of Ray on that node, or try --engine local"
 
 
@@ -45,13 +45,13 @@ class ActorPool(Pool):
         # A node that is lost takes all its workers at once.
         super().__init__(count, timeout, max(HOPELESS, 2 * count))
         self._ray = ray
-        remote = ray.remote(num_cpus=1, scheduling_strategy="SPREAD")(RowActor)
-        self._make = lambda: remote.remote(manifest)
+        remote: Any = ray.remote(num_cpus=1, scheduling_strategy="SPREAD")(RowActor)
+        self._remote, self._manifest = remote, manifest
         self._alone_since = time.monotonic()
 
     def start(self, name: int) -> PoolWorker:
         """Ask the cluster for an actor; it may wait for a CPU."""
-        return _Actor(name, self._ray, self._make())
+        return _Actor(name, self._ray, self._remote.remote(self._manifest))
 
     def look(self) -> Iterable[PoolWorker]:
         """Return workers whose first answer has come.
@@ -149,8 +149,8 @@ def differs(told: Mapping[str, Any]) -> str:
         return f"has {', '.join(pairs)}: rows would differ; install the same there"
     if told["code"] != code_sha256():
         return (
-            "runs other code of unicon_ros than was shipped: rows would differ; take unicon_ros out "
-            "of PYTHONPATH there"
+            "runs other code of unicon_ros than was shipped: rows would differ; take unicon_ros "
+            "out of PYTHONPATH there"
         )
     return ""
 
@@ -197,7 +197,10 @@ def main() -> int:
         try:
             _join(ray, task)
         except Exception as error:  # whatever a cluster of another kind or version makes of it
-            tell(error=f"ray: {' '.join(str(error).split())[:300]}")
+            said = " ".join(str(error).split())[:300]
+            if task["address"]:
+                said += "; a cluster that has tokens wants RAY_AUTH_MODE=token here, too"
+            tell(error=f"ray: {said}; what Ray said is in {task['log']}")
             return 1
         count = min(task["workers"] or int(ray.cluster_resources().get("CPU", 0)), task["left"])
         tell(ready=count, head=ray.get_runtime_context().gcs_address)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import secrets
 import select
 import socket
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 from unicon_core.errors import MissingDependencyError, UniconError
 from unicon_core.signals import SIGNALS
@@ -82,15 +82,14 @@ class RayEngine:
             environment = environment_for(address)
             archive = self._scratch.path / "rows.zip"
             pack(archive, files_of(plan, self._log))
-            self._process = PipedProcess(
-                "unicon_ros.sweep.on_ray.driver", self._log, environment
-            )
+            self._process = PipedProcess("unicon_ros.sweep.on_ray.driver", self._log, environment)
             self._process.write(
                 {
                     "address": address,
                     "archive": str(archive),
                     "folder": str(self._scratch.path),
                     "left": left,
+                    "log": str(self._log),
                     "manifest": manifest(plan.task()),
                     "timeout": plan.sweep.timeout,
                     "workers": workers or (None if address else len(os.sched_getaffinity(0))),
@@ -183,8 +182,8 @@ def environment_for(address: str) -> Mapping[str, str]:
     """
     outside = {"RAY_USAGE_STATS_ENABLED": "0"}
     inside = outside | {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0"}
-    if not address:
-        return inside
+    if not address:  # nobody else gets in, and Ray writes no token into the user's home
+        return inside | {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": secrets.token_hex(32)}
     host, _, port = address.rpartition(":")
     if not host or not port.isdecimal() or not 0 < int(port) < 65536 or "/" in host:
         raise UniconError(

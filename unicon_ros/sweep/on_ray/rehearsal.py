@@ -1,8 +1,8 @@
 """Rehearsal: runs the first moment of some rows, and tells which files they read (`python -m`).
 
 A million rows read few files: those of the first row, and of each word or list among the values
-that are varied, such as the path of a policy. Names of files are seen where Python opens a file or
-finds that it is there; what libraries open by themselves, meshes and networks, was looked for first.
+that are varied, such as the path of a policy. They are seen where Python opens a file, or finds
+that it is there; what libraries open by themselves, meshes and networks, was looked for before.
 """
 
 from __future__ import annotations
@@ -118,7 +118,9 @@ def to_ship(seen: Iterable[str]) -> list[str]:
     def wanted(path: str) -> bool:
         if path.endswith(".pyc") or "\0" in path or not os.path.exists(path):
             return False
-        return path.startswith(tuple(roots)) or not path.startswith(has) and path not in there
+        if path.startswith(tuple(roots)):
+            return True
+        return not path.startswith(has) and path not in there
 
     paths = {path for path in seen if wanted(path)}
     links = [path for path in paths if os.path.isdir(path) and os.path.realpath(path) != path]

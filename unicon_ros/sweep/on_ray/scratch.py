@@ -1,4 +1,4 @@
-"""Scratch folder of a Ray of our own, which is removed by whoever comes next if its owner was killed."""
+"""Scratch folder of a Ray of our own; if its owner is killed, whoever comes next removes it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Shipment: our code, our configurations and the files that rows read, as one archive for all nodes.
+"""Shipment: our code, our configurations and the files that rows read, as one archive.
 
     unicon_core/  unicon_msgs_map/  unicon_ros/  config/
     files/home/me/sweeps/policy/policy.yaml          what is /home/me/sweeps/policy/policy.yaml here
