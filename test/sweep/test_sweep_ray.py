@@ -143,6 +143,7 @@ print(json.dumps([actor.hello(), [actor.row(each)["row"] for each in told["rows"
 """
 
 
+@pytest.mark.slow  # 4 s in three processes
 def test_a_node_without_the_files_has_the_same_rows(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
