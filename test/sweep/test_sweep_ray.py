@@ -189,6 +189,8 @@ def test_a_node_without_the_files_has_the_same_rows(
 def test_what_cannot_be_shipped_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(UniconError, match=r"cannot ship .*gone: No such file.*; correct it"):
         shipment.pack(tmp_path / "a.zip", [str(tmp_path / "gone")])
+    with pytest.raises(UniconError, match=r"cannot write .*: No space left .*, or set TMPDIR"):
+        shipment.pack(Path("/dev/full"), [])
     monkeypatch.setattr(shipment, "MOST_BYTES", 2_000_000)
     with pytest.raises(UniconError, match=r"more than 2 MB of files .* ship; use --engine local"):
         shipment.pack(tmp_path / "a.zip", [])

@@ -28,7 +28,7 @@ __all__ = ["ActorPool", "differs", "main"]
 
 STORE_BYTES = 80_000_000
 """Of a local Ray's shared memory: nothing large goes through it, and it has to have 75 MB."""
-LOGS = "see the logs of Ray on that node, or try --engine local"
+LOGS = "the logs of Ray on its node, or try --engine local"
 
 
 class ActorPool(Pool):

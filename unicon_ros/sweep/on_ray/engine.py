@@ -24,8 +24,8 @@ from unicon_ros.sweep.pool import LOOK
 
 __all__ = ["RayEngine", "environment_for", "require_ray"]
 
-JOIN_S = 60.0
-"""Wall time in [s] until a cluster has taken us; 1 s on two nodes, 5 s where it is started."""
+JOIN_S, START_S = 60.0, 120.0
+"""Wall time in [s] until a cluster takes us (1 s on two nodes), and until our own is up (5 s)."""
 TCP_S = 5.0
 """Wall time in [s] until a head node answers."""
 BEAT_S = 2.0
@@ -105,7 +105,8 @@ class RayEngine:
         process, todo = self._process, iter(rows)
         os.set_blocking(process.rows, False)
         data, ready = b"", False
-        until = time.monotonic() + JOIN_S
+        patience = JOIN_S if self._address else START_S
+        until = time.monotonic() + patience
         while not SIGNALS.asked:
             if not data and process.rows >= 0:
                 if (row := next(todo, None)) is None:
@@ -130,7 +131,10 @@ class RayEngine:
             if process.over:
                 raise self._lost("Ray has ended")
             if not ready and time.monotonic() > until:
-                raise self._lost(f"no answer within {JOIN_S:g} s")
+                what = f"--address {self._address}: no Ray cluster" if self._address else "ray: Ray"
+                raise UniconError(
+                    f"{what} has answered within {patience:g} s; what it said is in {self._log}"
+                )
             if ready:
                 self._mind_head()
 

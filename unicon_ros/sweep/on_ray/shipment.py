@@ -57,7 +57,7 @@ def pack(archive: Path, files: Iterable[str]) -> None:
         files: files and folders, as absolute paths.
 
     Raises:
-        UniconError: a file cannot be read, or all of them are too many bytes.
+        UniconError: a file cannot be read or written, or all of them are too many bytes.
     """
     whole = 0
     try:
@@ -77,8 +77,11 @@ def pack(archive: Path, files: Iterable[str]) -> None:
                 info.external_attr = 0o644 << 16
                 out.writestr(info, path.read_bytes())
     except OSError as error:
-        where = error.filename or archive
-        raise UniconError(f"cannot ship {where}: {error.strerror}; correct it") from error
+        if error.filename in (None, archive, str(archive)):
+            said = f"cannot write {archive}: {error.strerror}; make room, or set TMPDIR"
+        else:
+            said = f"cannot ship {error.filename}: {error.strerror}; correct it"
+        raise UniconError(said) from error
 
 
 def _own_config() -> Path:
