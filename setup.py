@@ -87,6 +87,8 @@ EXTRAS["meshcat"] = ["meshcat==0.3.2", "viser==1.1.1"]
 EXTRAS["realsense"] = ["pyrealsense2>=2.56"]
 # Nor this: 754 MB installed (2.13, CPU), for TorchScript policies alone.
 EXTRAS["torch"] = ["torch"]
+# Nor this: 243 MB, for `unicon sweep --engine ray` alone. Held at what was tried.
+EXTRAS["ray"] = ["ray==2.60.0", *EXTRAS["sweep"]]
 # Nor what a vendor's protocol needs: a computer on a robot wants that of its robot alone.
 EXTRAS["hw-arx"] = ["python-can>=4.3"]
 for _robot in ("unitree", "pnd", "dobot", "inspire", "booster"):  # they speak DDS

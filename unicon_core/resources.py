@@ -3,6 +3,7 @@
 Order: a path given; the folders of `UNICON_PATH`; the source tree's `config/`; our share folder of
 the ament prefixes; that of the installed package; what other packages bring, by the ament resource
 index, then by entry points (`unicon_core/packages.py`). `package://NAME/PATH` is a package's file.
+Where `UNICON_COPIES` names a folder that has `home/me/walk`, that is what `/home/me/walk` means.
 
 Names come from files: `os.path` tells that a name which is too long, or holds a NUL, is no file,
 where `pathlib` raises.
@@ -115,7 +116,7 @@ def find_config(
             raise error(f"{kind.rstrip('s')} {text!r} is a folder; name a {suffix} file in it")
         return path
     if "/" in text or os.sep in text or text.endswith(suffix):
-        given = Path(os.path.expanduser(text))
+        given = _given(text)
         for base in _bases(relative_to):
             if os.path.isfile(base / given):
                 return (base / given).resolve()
@@ -132,6 +133,16 @@ def find_config(
         f"unknown {kind.rstrip('s')} {text!r}; {known}; {looked_in(kind)}; "
         f"or give a path to a {suffix} file"
     )
+
+
+def _given(text: str) -> Path:
+    """Return the path that a text means: where a process runs on copies, a copy if there is one."""
+    path = Path(os.path.expanduser(text))
+    copies = os.environ.get("UNICON_COPIES")
+    if not copies or not path.is_absolute():
+        return path
+    copy = Path(copies, *path.parts[1:])
+    return copy if os.path.exists(copy) else path
 
 
 def _bases(relative_to: Path | None) -> Iterator[Path]:
@@ -203,7 +214,7 @@ def find_resource(
         raise error(f"{what} {text!r}: no file {path}; look for it under {root} (UNICON_ASSETS)")
     if text.startswith(PACKAGE):
         return package_file(text, what, error).resolve()
-    given = Path(os.path.expanduser(text))
+    given = _given(text)
     for base in _bases(relative_to):
         if os.path.exists(base / given):
             return (base / given).resolve()

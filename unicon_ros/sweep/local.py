@@ -37,18 +37,12 @@ class LocalEngine(Pool):
 
     def start(self, name: int) -> PoolWorker:
         """Start a process."""
-        worker = _Worker(name, self._task, self._logs / f"worker_{name}.log")
-        self._selector.register(worker.process.results, selectors.EVENT_READ, worker)
-        return worker
+        log = self._logs / f"worker_{name}.log"
+        return _Worker(name, self._task, log, self._selector)
 
     def look(self) -> Iterable[PoolWorker]:
         """Return workers whose pipes have something."""
         return [key.data for key, _ in self._selector.select(LOOK)]
-
-    def leave(self, worker: PoolWorker) -> None:
-        """Look at a worker no more."""
-        assert isinstance(worker, _Worker)
-        self._selector.unregister(worker.process.results)
 
     def close(self) -> None:
         """End all workers."""
@@ -63,13 +57,18 @@ class _Worker(PoolWorker):
         name: number of it.
         task: that it begins with.
         log: file for what it prints.
+        selector: to look at what it tells, until its end.
     """
 
-    def __init__(self, name: int, task: dict[str, Any], log: Path) -> None:
+    def __init__(
+        self, name: int, task: dict[str, Any], log: Path, selector: selectors.BaseSelector
+    ) -> None:
         super().__init__(name)
         self.log = str(log)
         self.process = PipedProcess("unicon_ros.sweep.worker", log, ONE_THREAD)
         self.process.write(task)
+        self._selector = selector
+        selector.register(self.process.results, selectors.EVENT_READ, self)
 
     def send(self, row: Row) -> None:
         """Bring it a row."""
@@ -89,5 +88,6 @@ class _Worker(PoolWorker):
 
     def end(self, why: str) -> str:
         """End it; return why it did, in words."""
+        self._selector.unregister(self.process.results)
         how = self.process.end()
         return how if why == "ended" else why

@@ -17,7 +17,7 @@ from unicon_core.signals import signal_name
 from unicon_ros.bench.loops import die_with_parent
 from unicon_ros.last_words import last_words
 
-__all__ = ["PipedProcess"]
+__all__ = ["PipedProcess", "line_of"]
 
 
 class PipedProcess:
@@ -76,9 +76,16 @@ class PipedProcess:
         *lines, self._heard = (self._heard + data).split(b"\n")
         yield from map(json.loads, lines)
 
-    def ask(self, patience: float) -> None:
-        """Have it end by itself, within a time in [s]."""
-        self._process.terminate()
+    def close_rows(self) -> None:
+        """Tell it that no more comes."""
+        if self.rows >= 0:
+            os.close(self.rows)
+        self.rows = -1
+
+    def wait(self, patience: float, ask: bool) -> None:
+        """Let it end by itself within a time in [s]; ask for it by SIGTERM."""
+        if ask:
+            self._process.terminate()
         with suppress(subprocess.TimeoutExpired):
             self._process.wait(patience)
 
@@ -87,7 +94,7 @@ class PipedProcess:
         with suppress(ProcessLookupError):  # also what it started, and what is stopped
             os.killpg(self.pid, signal.SIGKILL)
         status = self._process.wait()
-        os.close(self.rows)
+        self.close_rows()
         os.close(self.results)
         how = f"ended by {signal_name(-status)}" if status < 0 else f"exit status {status}"
         return f"{how}: {last_words(self.log)}"

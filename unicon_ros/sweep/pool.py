@@ -77,7 +77,7 @@ class PoolWorker(ABC):
 
     @abstractmethod
     def heard(self) -> Iterator[dict[str, Any]]:
-        """Yield what it has told of its rows, in their order; as `worker.told` has it."""
+        """Yield what it has told of its rows, in their order, as of `RowRunner.told`."""
 
     @abstractmethod
     def gone(self, timeout: float) -> str:
@@ -109,9 +109,6 @@ class Pool(ABC):
     @abstractmethod
     def look(self) -> Iterable[PoolWorker]:
         """Return workers that have told something; wait for one, `LOOK` at most."""
-
-    def leave(self, worker: PoolWorker) -> None:
-        """Look at a worker no more."""
 
     def run(self, rows: Iterable[Row]) -> Iterator[Result]:
         """Yield the result of each row; see `Engine`."""
@@ -147,7 +144,6 @@ class Pool(ABC):
         self, worker: PoolWorker, why: str, again: deque[tuple[Row, int]]
     ) -> Iterator[Result]:
         """End a worker, start another, and have its rows run again."""
-        self.leave(worker)
         self._workers.remove(worker)
         why = worker.end(why)
         self._deaths += 1

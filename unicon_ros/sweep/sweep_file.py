@@ -25,7 +25,7 @@ from unicon_core.workflow.overrides import split_setting
 from unicon_ros.sweep.draws import Parameter, parameter, setting_of
 from unicon_ros.sweep.gate import Gate, read_gate
 
-__all__ = ["KEYS", "SAMPLES", "SCHEMA", "SweepFile", "read_sweep"]
+__all__ = ["ENGINES", "KEYS", "SAMPLES", "SCHEMA", "SweepFile", "read_sweep"]
 
 SCHEMA = "unicon.sweep/1"
 
@@ -42,10 +42,12 @@ KEYS = {
     "early_stop": "fall, or none",
     "reference": "a run (.npz) to compare joint positions with",
     "timeout": "wall time in [s] that a rollout may take; 60 unless told",
+    "engine": "local (processes of this machine) or ray (a cluster); local unless told",
     "gate": "list of conditions such as fall<0.01",
     "description": "one line",
 }
 SAMPLES = ("grid", "random", "sobol")
+ENGINES = ("local", "ray")
 STOPS = ("fall", "none")
 TIMEOUT = 60.0
 MOST_ROLLOUTS = 1_000_000
@@ -70,6 +72,7 @@ class SweepFile:
         stops_at_fall: a rollout ends where the robot falls.
         reference: run to compare with, or None.
         timeout: in [s] of wall time.
+        engine: one of `ENGINES`; no row depends on it.
         gates: conditions that have to hold.
         description: one line.
         located: for errors.
@@ -87,6 +90,7 @@ class SweepFile:
     stops_at_fall: bool
     reference: Path | None
     timeout: float
+    engine: str
     gates: tuple[Gate, ...]
     description: str
     located: Located
@@ -163,6 +167,9 @@ class _Reader:
         stop = values.get("early_stop", "none")
         if stop not in STOPS:
             raise self._wrong("early_stop", alternatives(str(stop), STOPS))
+        engine = values.get("engine", ENGINES[0])
+        if engine not in ENGINES:
+            raise self._wrong("engine", alternatives(str(engine), ENGINES))
         sweep = SweepFile(
             path=self._located.path,
             workflow=workflow,
@@ -176,6 +183,7 @@ class _Reader:
             stops_at_fall=stop == "fall",
             reference=self._reference(),
             timeout=self._time("timeout", TIMEOUT, 86_400.0) or TIMEOUT,
+            engine=engine,
             gates=self._gates(),
             description=str(values.get("description") or ""),
             located=self._located,

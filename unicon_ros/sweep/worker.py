@@ -11,12 +11,14 @@ import json
 import os
 import signal
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from unicon_core.errors import MissingDependencyError, UniconError, WorkflowError
 from unicon_core.located_yaml import read_yaml
 from unicon_ros.sweep.figures import Reference, empty_row
+from unicon_ros.sweep.piped import line_of
 from unicon_ros.sweep.plan import document_with
 from unicon_ros.sweep.warm import WarmPrograms
 
@@ -28,12 +30,14 @@ class RowRunner:
 
     Args:
         task: `workflow` (file), `duration`, `stops_at_fall` and `reference` (file or None).
+        said: an error, as the row of a refused rollout has it.
 
     Raises:
         UniconError: a file cannot be read.
     """
 
-    def __init__(self, task: dict[str, Any]) -> None:
+    def __init__(self, task: dict[str, Any], said: Callable[[object], str] = str) -> None:
+        self._said = said
         self._located = read_yaml(Path(task["workflow"]), WorkflowError)
         reference = task["reference"]
         told = None if reference is None else Reference(Path(reference))
@@ -49,12 +53,20 @@ class RowRunner:
         except MissingDependencyError:
             raise  # it is so of every row
         except UniconError as error:
-            return {"row": empty_row() | {"outcome": "refused", "text": str(error)[:300]}}
+            return {"row": empty_row() | {"outcome": "refused", "text": self._said(error)[:300]}}
         result: dict[str, Any] = {"row": kept.figures(rollout) | {"program": kept.sha256}}
         if kept.sha256 not in self._told:
             self._told.add(kept.sha256)
             result["facts"] = {kept.sha256: kept.facts | {"period_s": repr(kept.period)}}
         return result
+
+    def told(self, settings: list[str]) -> dict[str, Any]:
+        """Return what is told of a row: as above with `built` and `why_not`, or an `error`."""
+        try:
+            programs = self.programs
+            return self(settings) | {"built": programs.built, "why_not": programs.why_not}
+        except UniconError as error:
+            return {"error": self._said(error)}
 
 
 def main() -> int:
@@ -65,17 +77,15 @@ def main() -> int:
         runner = None
         for line in rows:
             task = json.loads(line)
-            try:
-                if runner is None:
+            if runner is not None:
+                told = runner.told(task["settings"])
+            else:
+                try:
                     runner = RowRunner(task)
                     continue
-                told = runner(task["settings"])
-                programs = runner.programs
-                told |= {"index": task["index"], "built": programs.built}
-                told["why_not"] = programs.why_not
-            except UniconError as error:
-                told = {"error": str(error)}
-            results.write((json.dumps(told) + "\n").encode())
+                except UniconError as error:
+                    told = {"error": str(error)}
+            results.write(line_of(told))
     return 0
 
 

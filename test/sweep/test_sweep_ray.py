@@ -1,0 +1,214 @@
+"""Engine `ray` without Ray: what is refused, what is shipped, and how it is found on a node."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import socket
+import subprocess
+import sys
+import tempfile
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from unicon_core.errors import UniconError
+from unicon_core.resources import find_resource, same_modules
+from unicon_ros.cli.main import main
+from unicon_ros.sweep.identity import code_sha256, versions
+from unicon_ros.sweep.on_ray import engine, shipment
+from unicon_ros.sweep.on_ray.driver import differs
+from unicon_ros.sweep.on_ray.rehearsal import files_of, rehearsed
+from unicon_ros.sweep.on_ray.scratch import Scratch
+from unicon_ros.sweep.plan import Plan
+from unicon_ros.sweep.sweep_file import read_sweep
+from unicon_ros.sweep.worker import RowRunner
+
+TEXT = "workflow: go2_stand\nvary: {scene.seed: {range: [0, 3]}}\n"
+
+
+def sweep_file(folder: Path, text: str = TEXT) -> Path:
+    (folder / "s.yaml").write_text(text, "utf-8")
+    return folder / "s.yaml"
+
+
+# -- what is refused -------------------------------------------------------------------------------
+
+
+def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+    assert main(["sweep", *map(str, arguments)]) == 1
+    told = capsys.readouterr()
+    assert told.err.count("\n") == 1
+    return told.err.removeprefix("unicon: error: ").rstrip("\n")
+
+
+def test_an_engine_that_is_none_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    told = refused(capsys, sweep_file(tmp_path), "--engine", "rey")
+    assert told == "--engine 'rey'; did you mean 'ray'? known: local, ray"
+    told = refused(capsys, sweep_file(tmp_path, TEXT + "engine: rey\n"))
+    assert told.endswith("s.yaml:3: engine is 'rey'; did you mean 'ray'? known: local, ray")
+    told = refused(capsys, sweep_file(tmp_path), "--address", "127.0.0.1:6379")
+    assert told == "--address is of a Ray cluster; add --engine ray"
+
+
+def test_ray_is_asked_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("pyarrow")
+    monkeypatch.setattr(engine.importlib.util, "find_spec", lambda name: None)
+    told = refused(capsys, sweep_file(tmp_path, TEXT + "engine: ray\n"), "--out", tmp_path / "o")
+    assert told == "unicon sweep --engine ray needs ray: pip install 'unicon_ros[ray]'"
+    assert not (tmp_path / "o").exists()
+
+
+@pytest.mark.parametrize(
+    "address", ["127.0.0.1", "6379", "ray://127.0.0.1:10001", ":1", "a:0", "a:70000", "a:b"]
+)
+def test_an_address_that_is_none_is_told(address: str) -> None:
+    with pytest.raises(UniconError) as told:
+        engine.environment_for(address)
+    assert str(told.value) == (
+        f"--address {address!r}: give HOST:PORT of a Ray head node, such as 127.0.0.1:6379, on a "
+        "machine that is a node of the cluster"
+    )
+
+
+def test_an_address_where_nobody_is_is_told() -> None:
+    with socket.socket() as taken:  # bound, and nobody listens
+        taken.bind(("127.0.0.1", 0))
+        address = f"127.0.0.1:{taken.getsockname()[1]}"
+        with pytest.raises(UniconError) as told:
+            engine.environment_for(address)
+    assert str(told.value) == (
+        f"--address {address}: no Ray cluster is there (Connection refused); start one with ray "
+        "start --head, or leave --address out"
+    )
+
+
+def test_a_node_with_another_version_or_other_code_is_told() -> None:
+    here: dict[str, Any] = {"versions": versions(), "code": code_sha256()}
+    assert differs(here) == ""
+    old = {"versions": versions() | {"numpy": "1.0"}, "code": code_sha256()}
+    assert differs(old) == (
+        f"has numpy 1.0 (here {versions()['numpy']}): rows would differ; install the same there"
+    )
+    old["versions"].pop("numpy")
+    assert differs(old).startswith("has numpy absent (here ")
+    assert differs(here | {"code": "0"}) == (
+        "runs other code of unicon_ros than was shipped: rows would differ; take unicon_ros out of "
+        "PYTHONPATH there"
+    )
+
+
+# -- what is shipped -------------------------------------------------------------------------------
+
+
+def test_the_rehearsal_has_every_word_that_is_varied(tmp_path: Path) -> None:
+    text = "workflow: go2_stand\nset: {duration: 1}\nrepeat: 2\n"
+    text += "vary: {scene.delay: [0, 1], platform: [mujoco, fake], scene.noise: [null, {}]}\n"
+    plan = Plan(read_sweep(sweep_file(tmp_path, text)))
+    rows = [settings[2:4] for settings in rehearsed(plan)]
+    first = ("platform=mujoco", "scene.noise=null")
+    assert rows == [first, first, ("platform=fake", first[1]), (first[0], "scene.noise={}")]
+
+
+WORKFLOW = """\
+robot: go2
+platform: mujoco
+rate: 50
+duration: 1
+safety: [finite, joint_limits]
+policies: {walk: ./policies/link}
+commands: [{call: 'shipped_blocks:quiet'}]
+flow: {policy: walk}
+scene: {initial_pose: 'policy:walk'}
+"""
+BLOCKS = """\
+from unicon_core.flow import Tick
+from shipped_words import NOTHING
+
+
+def quiet() -> Tick:
+    return lambda: NOTHING
+"""
+NODE = """\
+import json, os, sys
+from pathlib import Path
+from unicon_ros.sweep.on_ray.actor import RowActor
+told = json.loads(sys.stdin.read())
+actor = RowActor(told["manifest"])
+print(json.dumps([actor.hello(), [actor.row(each)["row"] for each in told["rows"]]]))
+"""
+
+
+@pytest.mark.slow  # 4 s in three processes
+def test_a_node_without_the_files_has_the_same_rows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("mujoco")
+    pytest.importorskip("onnxruntime")
+    mine, other, node = tmp_path / "mine", tmp_path / "other", tmp_path / "node"
+    (mine / "policies").mkdir(parents=True)
+    shutil.copytree(find_resource("policies/go2_velocity", "policy"), other / "walk")
+    (mine / "policies" / "link").symlink_to(other / "walk")
+    (mine / "workflow.yaml").write_text(WORKFLOW)
+    (mine / "shipped_blocks.py").write_text(BLOCKS)
+    (mine / "shipped_words.py").write_text("NOTHING = False\n")
+    text = "workflow: ./workflow.yaml\nduration: 0.1\nvary:\n"
+    text += f"  policies.walk: [./policies/link, '{other}/walk', ./nowhere]\n"
+    text += "  scene.seed: [0, 1]\n"
+    monkeypatch.chdir(mine)
+    monkeypatch.syspath_prepend(str(mine))
+    plan = Plan(read_sweep(sweep_file(mine, text)))
+    runner = RowRunner(plan.task())
+    rows = [list(row.settings) for row in plan]
+    here = [runner(settings)["row"] for settings in rows]
+    runner.programs.close()
+    assert [row["outcome"] for row in here] == ["duration"] * 4 + ["refused"] * 2
+    files = files_of(plan, tmp_path / "log")
+    shipment.pack(tmp_path / "a.zip", files)
+    shipment.pack(tmp_path / "b.zip", files)
+    assert (tmp_path / "a.zip").read_bytes() == (tmp_path / "b.zip").read_bytes()
+    told = json.dumps({"manifest": shipment.manifest(plan.task()), "rows": rows})
+    zipfile.ZipFile(tmp_path / "a.zip").extractall(node)
+    environment = same_modules() | {"PYTHONPATH": str(node)}
+    monkeypatch.chdir(tmp_path)
+    shutil.rmtree(mine)
+    shutil.rmtree(other)
+    done = subprocess.run(
+        [sys.executable, "-c", NODE],
+        cwd=node, env=environment, input=told, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    hello, there = json.loads(done.stdout)
+    assert there == here
+    assert differs(hello) == ""
+
+
+def test_what_cannot_be_shipped_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(UniconError, match=r"cannot ship .*gone: No such file.*; correct it"):
+        shipment.pack(tmp_path / "a.zip", [str(tmp_path / "gone")])
+    with pytest.raises(UniconError, match=r"cannot write .*: No space left .*, or set TMPDIR"):
+        shipment.pack(Path("/dev/full"), [])
+    monkeypatch.setattr(shipment, "MOST_BYTES", 2_000_000)
+    with pytest.raises(UniconError, match=r"more than 2 MB of files .* ship; use --engine local"):
+        shipment.pack(tmp_path / "a.zip", [])
+
+
+def test_a_scratch_folder_outlives_its_owner_only_until_the_next(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    code = "import os\nfrom unicon_ros.sweep.on_ray.scratch import Scratch\nScratch()\n"
+    subprocess.run(
+        [sys.executable, "-c", code + "os.kill(os.getpid(), 9)"],
+        env=same_modules() | {"TMPDIR": str(tmp_path)}, check=False,
+    )  # fmt: skip
+    (left,) = tmp_path.iterdir()
+    first, second = Scratch(), Scratch()
+    assert not left.exists()
+    assert first.path.exists()
+    first.close()
+    second.close()
+    assert not list(tmp_path.iterdir())
