@@ -3,7 +3,7 @@
 Order: a path given; the folders of `UNICON_PATH`; the source tree's `config/`; our share folder of
 the ament prefixes; that of the installed package; what other packages bring, by the ament resource
 index, then by entry points (`unicon_core/packages.py`). `package://NAME/PATH` is a package's file.
-Where `UNICON_COPIES` names a folder that has `home/me/walk`, that is what `/home/me/walk` means.
+Where `UNICON_COPIES` names a folder that has `data/walk`, that is what `/data/walk` means.
 
 Names come from files: `os.path` tells that a name which is too long, or holds a NUL, is no file,
 where `pathlib` raises.

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from unicon_core.errors import UniconError
-from unicon_core.resources import find_resource, same_modules
+from unicon_core.resources import find_config, find_resource, same_modules
 from unicon_ros.cli.main import main
 from unicon_ros.sweep.identity import code_sha256, versions
 from unicon_ros.sweep.on_ray import engine, shipment
@@ -184,6 +184,22 @@ def test_a_node_without_the_files_has_the_same_rows(
     hello, there = json.loads(done.stdout)
     assert there == here
     assert differs(hello) == ""
+
+
+def test_an_absolute_path_is_its_copy_where_there_is_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mine, node = tmp_path / "mine", tmp_path / "node"
+    copy = node / str(mine).lstrip("/")
+    copy.mkdir(parents=True)
+    mine.mkdir()
+    monkeypatch.setenv("UNICON_COPIES", str(node))
+    for name in ("robot.yaml", "other.yaml"):
+        (mine / name).touch()
+    (copy / "robot.yaml").touch()
+    assert find_config("robots", mine / "robot.yaml") == copy / "robot.yaml"
+    assert find_resource(mine / "robot.yaml", "model") == copy / "robot.yaml"
+    assert find_resource(mine / "other.yaml", "model") == mine / "other.yaml"
 
 
 def test_what_cannot_be_shipped_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

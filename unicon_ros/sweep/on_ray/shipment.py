@@ -1,7 +1,7 @@
 """Shipment: our code, our configurations and the files that rows read, as one archive.
 
     unicon_core/  unicon_msgs_map/  unicon_ros/  config/
-    files/home/me/sweeps/policy/policy.yaml          what is /home/me/sweeps/policy/policy.yaml here
+    files/data/push/policy/policy.yaml          what /data/push/policy/policy.yaml means here
 
 Ray unpacks it on each node, once, and workers begin in it. `arrive` puts them where the sweep was
 started, among the copies: relative paths lead to copies, and so do absolute ones (`UNICON_COPIES`).
