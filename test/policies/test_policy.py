@@ -387,7 +387,7 @@ def test_the_public_binding_is_used_where_the_private_one_is_gone(
     assert fast.snapshot() == slow.snapshot()
 
 
-def write_counter(path: Path) -> None:
+def write_counter(path: Path, rows: int | str = 1) -> None:
     """Action = hidden, hidden' = hidden + 1 + obs[0] · 0: what is remembered can be read off."""
     f = TensorProto.FLOAT
     graph = helper.make_graph(
@@ -400,12 +400,12 @@ def write_counter(path: Path) -> None:
         ],
         "counter",
         [
-            helper.make_tensor_value_info("obs", f, [1, 15]),
-            helper.make_tensor_value_info("h_in", f, [1, 4]),
+            helper.make_tensor_value_info("obs", f, [rows, 15]),
+            helper.make_tensor_value_info("h_in", f, [rows, 4]),
         ],
         [
-            helper.make_tensor_value_info("actions", f, [1, 4]),
-            helper.make_tensor_value_info("h_out", f, [1, 4]),
+            helper.make_tensor_value_info("actions", f, [rows, 4]),
+            helper.make_tensor_value_info("h_out", f, [rows, 4]),
         ],
         [
             helper.make_tensor("axis", TensorProto.INT64, [1], [1]),
@@ -434,6 +434,44 @@ def test_recurrent_tensors_are_fed_back_and_reset(tmp_path: Path) -> None:
     policy.reset()
     policy()
     assert states.action.tolist() == [0.0] * 4
+
+
+def test_each_of_many_robots_has_a_memory_of_its_own(tmp_path: Path) -> None:
+    write_counter(tmp_path / "policy.onnx", "batch")
+    values = toy_values(
+        inputs={"observation": "obs"},
+        outputs={"action": "actions"},
+        recurrent=[{"input": "h_in", "output": "h_out"}],
+    )
+    contract = load_policy(write_toy(tmp_path, values))
+    machine = robot()
+    states = states_of(contract, machine, 3)
+    policy = Policy(contract, states, machine)
+    assert [target.shape for _, target in policy.lane.memory] == [(3, 4)]
+    policy()
+    policy.lane.memory[0][1][1] = 5.0
+    policy()
+    assert states.action.tolist() == [[1.0] * 4, [5.0] * 4, [1.0] * 4]
+    policy.reset()
+    policy()
+    assert not states.action.any()
+
+
+def test_a_memory_of_one_robot_does_not_drive_many(tmp_path: Path) -> None:
+    write_counter(tmp_path / "policy.onnx")
+    values = toy_values(
+        inputs={"observation": "obs"},
+        outputs={"action": "actions"},
+        recurrent=[{"input": "h_in", "output": "h_out"}],
+    )
+    contract = load_policy(write_toy(tmp_path, values))
+    machine = robot()
+    with pytest.raises(PolicyError) as caught:
+        Policy(contract, states_of(contract, machine, 2), machine)
+    assert str(caught.value) == (
+        "policy toy: its memory h_in (1 × 4, float32) is of one robot and there are num_robots 2; "
+        "export it with a free first axis, or run one workflow for each robot"
+    )
 
 
 def test_an_input_that_nothing_feeds_is_named(tmp_path: Path) -> None:

@@ -169,12 +169,14 @@ class Binding:
             source = self._tensor("recurrent output", pair.output, self._tensors_out)
             if target.shape != source.shape or target.dtype != source.dtype:
                 raise self._fail(f"recurrent {target} and {source} differ; correct 'recurrent'")
-            if self._rows > 1:
+            if self._rows > 1 and not target.free_batch:
                 raise self._fail(
-                    f"it is recurrent and can drive one robot, not num_robots {self._rows}; "
-                    "run one workflow for each robot"
+                    f"its memory {target} is of one robot and there are num_robots {self._rows}; "
+                    "export it with a free first axis, or run one workflow for each robot"
                 )
-            shape = tuple(axis if isinstance(axis, int) else 1 for axis in target.shape)
+            shape = [axis if isinstance(axis, int) else 1 for axis in target.shape]
+            if target.free_batch:
+                shape[0] = self._rows
             self._feeds[pair.input] = np.zeros(shape, target.dtype)
             self._fetches[pair.output] = np.zeros(shape, target.dtype)
             memory.append((self._fetches[pair.output], self._feeds[pair.input]))
