@@ -25,6 +25,7 @@ from unicon_ros.sweep import pool
 from unicon_ros.sweep.engine import Result
 from unicon_ros.sweep.figures import COLUMNS
 from unicon_ros.sweep.folder import Folder
+from unicon_ros.sweep.gate import read_gate
 from unicon_ros.sweep.local import LocalEngine
 from unicon_ros.sweep.pictures import bins_of
 from unicon_ros.sweep.plan import Plan
@@ -262,9 +263,31 @@ def test_gates_decide_the_exit_status(done: Path, capsys: pytest.CaptureFixture[
     assert capsys.readouterr().out.count("holds") == 3
 
 
-def test_a_row_that_lacks_breaks_every_gate(done: Path, tmp_path: Path) -> None:
-    from unicon_ros.sweep.gate import read_gate
+def test_a_gate_for_each_value_names_the_worst(
+    done: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    results, each = Results(done), " for each scene.push.velocity"
+    found = dict(read_gate(f"fall<0.5{each}").values(results))
+    assert set(found) == {0.2, 4.0}
+    together = read_gate("fall<0.5").values(results)
+    assert together == [(None, pytest.approx(np.mean(list(found.values()))))]
+    assert [value for value, _ in read_gate(f"fall>0.5{each}").values(results)] == [0.2, 4.0]
+    assert main(["sweep", "report", str(done), "--gate", f"fall<{found[4.0] / 2}{each}"]) == 1
+    assert f"{found[4.0]:.4g} at 4.0, BROKEN" in capsys.readouterr().out
+    assert main(["sweep", "report", str(done), "--gate", f"fall<=1{each}"]) == 0
 
+
+def test_a_gate_for_each_of_what_is_not_varied_is_told_before_anything_runs(
+    done: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    gate = ["--gate", "fall<1 for each scene.seat"]
+    for words in (["report", str(done)], [str(done.parent / "sweep.yaml"), "--dry"]):
+        assert main(["sweep", *words, *gate]) == 1
+        told = capsys.readouterr().err
+        assert "'scene.seat' is not varied; did you mean 'scene.seed'?" in told
+
+
+def test_a_row_that_lacks_breaks_every_gate(done: Path, tmp_path: Path) -> None:
     out = shutil.copytree(done, tmp_path / "out")
     said = json.loads((out / "sweep.json").read_text())
     said["identity"]["repeat"] = 2

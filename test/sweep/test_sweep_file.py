@@ -140,6 +140,9 @@ BAD = {
     HEAD + SEEDS + "timeout: .nan": "timeout is nan; give a time above 0",
     HEAD + SEEDS + "seed: x": "seed is 'x'; give a whole number from 0",
     HEAD + SEEDS + "gate: fell<1": "gate 'fell<1': no figure 'fell'; did you mean 'fall'?",
+    HEAD + SEEDS + "gate: fall<1 for each scene.sead": (
+        "gate 'fall<1 for each scene.sead': 'scene.sead' is not varied; did you mean 'scene.seed'?"
+    ),
     HEAD + SEEDS + "reference: r.npz": "reference is 'r.npz'; give a run that is there",
     HEAD + "vary: {a: 3}": "2: vary.a is 3; write a list of values, or one of {range:",
     HEAD + "vary: {a: {unifrom: [0, 1]}}": "vary.a has no 'unifrom'; did you mean 'uniform'?",
@@ -192,6 +195,7 @@ def test_a_plan_that_cannot_be_is_refused(tmp_path: Path, text: str, told: str) 
         ("fall", "is no condition; write fall<0.01"),
         ("fall<<1", "is no condition"),
         ("fall<1.2.3", "is no condition"),
+        ("fall<1 for each", "is no condition"),
         ("fall.mean<1", "fall has no 'mean'; .*known: lower, rate, upper"),
         ("distance_m.p50x<1", "distance_m has no 'p50x'"),
         ("outcome<1", "no figure 'outcome'"),

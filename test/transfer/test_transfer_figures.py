@@ -58,6 +58,19 @@ def test_who_does_half_has_half_and_errs_by_the_other_half() -> None:
     figures = moved(driven(commanded((0.0, 0.0, 0.0), (0.8, 0.0, 0.0)), share=0.5), PERIOD)
     assert figures["distance_m"] == pytest.approx(0.5 * 0.8 * 1.98)
     assert figures["speed_error"] == pytest.approx(0.4)  # the ticks before are not counted
+    assert figures["speed_bias"] == pytest.approx(0.4)
+
+
+def test_sway_is_an_error_but_no_bias() -> None:
+    states = dict(driven(commanded((0.5, 0.0, 0.0), ticks=400)))
+    sway = np.sin(np.arange(400) * (2.0 * math.pi / 40.0))
+    states["base_ang_vel"] = states["base_ang_vel"] + np.outer(sway, (0.0, 0.0, 0.5))
+    states["base_pos_w"] = states["base_pos_w"] + np.outer(sway, (0.0, 0.01, 0.0))
+    figures = moved(states, PERIOD)
+    errors = [figures[name] for name in ("speed_error", "turn_error")]
+    biases = [figures[name] for name in ("speed_bias", "turn_bias")]
+    assert min(error or 0.0 for error in errors) > 0.05
+    assert biases == pytest.approx([0.0, 0.0], abs=2e-3)
 
 
 def test_way_aside_and_backwards_is_not_walked() -> None:

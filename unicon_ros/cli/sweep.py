@@ -127,6 +127,8 @@ def _run(arguments: argparse.Namespace, gates: list[Gate]) -> int:
         raise UniconError(f"--engine {engine!r}; {alternatives(engine, ENGINES)}")
     if arguments.address and engine != "ray":
         raise UniconError("--address is of a Ray cluster; add --engine ray")
+    for gate in gates:
+        gate.check([each.path for each in sweep.parameters])
     plan = Plan(sweep)
     program = _checked(plan, arguments.force)
     if arguments.dry:

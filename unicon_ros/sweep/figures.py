@@ -53,6 +53,8 @@ COLUMNS = {
     "commanded_m": Column(float, "m", "integral of the commanded speed"),
     "speed_error": Column(float, "m/s", "RMS of (vx, vy) minus the command, up to a fall"),
     "turn_error": Column(float, "rad/s", "RMS of wz minus the command, up to a fall"),
+    "speed_bias": Column(float, "m/s", "size of the mean of (vx, vy) minus the command"),
+    "turn_bias": Column(float, "rad/s", "size of the mean of wz minus the command"),
     "energy_j": Column(float, "J", "integral of |torque × velocity| over all joints"),
     "tilt_deg": Column(float, "°", "largest lean of the base"),
     "position_limit_hits": Column(int, "", "ticks × joints within 0.01 rad of a position limit"),

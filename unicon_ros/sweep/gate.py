@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import operator
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Gate", "read_gate"]
 
+_EACH = " for each "
 _FORM = re.compile(r"\s*(\w+)(?:\.(\w+))?\s*(<=|>=|<|>)\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*")
 _SIGNS = {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge}
 _SHARES = {"fall": "fell", "fault": "fault"}
@@ -36,6 +38,7 @@ class Gate:
         statistic: of it over all rollouts.
         sign: how it is compared.
         bar: with what.
+        each: parameter for whose values it has to hold one by one; "" for all rollouts together.
     """
 
     text: str
@@ -43,16 +46,49 @@ class Gate:
     statistic: str
     sign: str
     bar: float
+    each: str = ""
 
-    def value(self, results: Results) -> float:
-        """Return what is compared; NaN where nothing can be."""
+    def check(self, parameters: Sequence[str]) -> None:
+        """Look whether what it is asked for each value of is varied.
+
+        Raises:
+            UniconError: it is not.
+        """
+        if self.each and self.each not in parameters:
+            raise UniconError(
+                f"gate {self.text!r}: {self.each!r} is not varied; "
+                f"{alternatives(self.each, parameters)}"
+            )
+
+    def values(self, results: Results) -> list[tuple[Any, float]]:
+        """Return each value of the parameter, or None, and what is compared there; worst first.
+
+        Raises:
+            UniconError: the parameter was not varied.
+        """
+        places: dict[str, list[int]] = {"": list(range(len(results.good)))}
+        shown: dict[str, Any] = {"": None}
+        if self.each:
+            self.check(results.parameters)
+            places, shown = {}, {}
+            for place, value in enumerate(results.varied(self.each)):
+                places.setdefault(repr(value), []).append(place)
+                shown[repr(value)] = value
+        found = [(shown[key], self._of(results, rows)) for key, rows in places.items()]
+        upwards = self.sign.startswith(">")
+        return sorted(found, key=lambda x: (x[1] == x[1], x[1] if upwards else -x[1]))
+
+    def _of(self, results: Results, places: list[int]) -> float:
+        """What is compared of some rows with a result; NaN where nothing can be."""
+        column = results.column(_SHARES.get(self.word, self.word))
+        there = [column[place] for place in places]
         if self.word in _SHARES:
-            good = results.column(_SHARES[self.word])
+            good = there
             hits = sum(bool(value) for value in good)
             low, high = wilson(hits, len(good))
             rate = hits / len(good) if good else float("nan")
             return {"rate": rate, "lower": low, "upper": high}[self.statistic]
-        values = np.array([v for v in results.column(self.word) if v is not None], np.float64)
+        values = np.array([v for v in there if v is not None], np.float64)
         if not len(values):
             return float("nan")
         if self.statistic.startswith("p"):
@@ -62,12 +98,15 @@ class Gate:
     def holds(self, results: Results) -> bool:
         """Return whether it holds; a rollout without a result breaks every gate."""
         complete = not results.lacking and not results.failed
-        return complete and bool(_SIGNS[self.sign](self.value(results), self.bar))
+        found = self.values(results)
+        return complete and bool(found) and all(_SIGNS[self.sign](v, self.bar) for _, v in found)
 
     def told(self, results: Results) -> str:
-        """Return the condition, what was found, and whether it holds."""
+        """Return the condition, what was found where it is worst, and whether it holds."""
         verdict = "holds" if self.holds(results) else "BROKEN"
-        return f"gate {self.text}: {self.value(results):.4g}, {verdict}"
+        where, value = next(iter(self.values(results)), (None, float("nan")))
+        at = f" at {where}" if self.each else ""
+        return f"gate {self.text}: {value:.4g}{at}, {verdict}"
 
 
 def read_gate(text: str) -> Gate:
@@ -75,12 +114,13 @@ def read_gate(text: str) -> Gate:
 
     Args:
         text: such as `fall<0.01`, `fall.upper<0.02` (the upper end of its 95 % interval),
-            `distance_m.p05>3`.
+            `distance_m.p05>3`, `speed_bias<0.1 for each scene.payload.mass`.
 
     Raises:
         UniconError: it is none.
     """
-    found = _FORM.fullmatch(text)
+    condition, _, each = text.partition(_EACH)
+    found = _FORM.fullmatch(condition)
     try:
         bar = float(found[4]) if found else 0.0
     except ValueError:
@@ -99,4 +139,4 @@ def read_gate(text: str) -> Gate:
         raise UniconError(
             f"gate {text!r}: {word} has no {statistic!r}; {alternatives(statistic, known)}"
         )
-    return Gate(text.strip(), word, statistic, sign, bar)
+    return Gate(text.strip(), word, statistic, sign, bar, each.strip())

@@ -184,7 +184,7 @@ class _Reader:
             reference=self._reference(),
             timeout=self._time("timeout", TIMEOUT, 86_400.0) or TIMEOUT,
             engine=engine,
-            gates=self._gates(),
+            gates=self._gates(parameters),
             description=str(values.get("description") or ""),
             located=self._located,
         )
@@ -232,13 +232,17 @@ class _Reader:
             raise self._wrong("set", "write {platform: mujoco}")
         return [setting_of(str(path), value) for path, value in said.items()]
 
-    def _gates(self) -> tuple[Gate, ...]:
+    def _gates(self, parameters: tuple[Parameter, ...]) -> tuple[Gate, ...]:
         said = self._values.get("gate")
         texts = [] if said is None else said if isinstance(said, list) else [said]
+        paths = [each.path for each in parameters]
         try:
-            return tuple(read_gate(str(text)) for text in texts)
+            gates = tuple(read_gate(str(text)) for text in texts)
+            for gate in gates:
+                gate.check(paths)
         except UniconError as error:
             raise self._located.error(("gate",), str(error)) from error
+        return gates
 
     def _reference(self) -> Path | None:
         said = self._values.get("reference")

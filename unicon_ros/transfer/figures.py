@@ -51,10 +51,14 @@ def moved(states: Mapping[str, Array], period: float) -> dict[str, float | None]
         `distance_m`: way in the commanded direction; `commanded_m`: integral of the commanded
         speed, also after a fall; `speed_error` [m/s] and `turn_error` [rad/s]: RMS of measured
         minus commanded, (vx, vy) by the way in each tick and wz by the gyro, from the first to the
-        last tick with a command; `fall_s`: when it fell. None where there is none.
+        last tick with a command; `speed_bias`, `turn_bias`: size of the mean of the same, in which
+        the sway of the gait cancels out; `fall_s`: when it fell. None where there is none.
     """
     figures: dict[str, float | None] = dict.fromkeys(
-        ("distance_m", "commanded_m", "speed_error", "turn_error", "fall_s")
+        (
+            *("distance_m", "commanded_m", "speed_error", "turn_error"),
+            *("speed_bias", "turn_bias", "fall_s"),
+        )
     )
     command = states["velocity_command"]
     if len(command) < 2:
@@ -82,6 +86,8 @@ def moved(states: Mapping[str, Array], period: float) -> dict[str, float | None]
         turn = states["base_ang_vel"][:-1][part, 2] - command[:-1][part, 2]
         figures["speed_error"] = float(np.sqrt(np.mean(np.sum(wrong**2, axis=1))))
         figures["turn_error"] = float(np.sqrt(np.mean(turn**2)))
+        figures["speed_bias"] = float(np.linalg.norm(wrong.mean(axis=0)))
+        figures["turn_bias"] = float(abs(turn.mean()))
     return figures
 
 
