@@ -46,9 +46,12 @@ def test_the_network_is_smaller_than_one_megabyte() -> None:
 def test_inputs_and_outputs_have_the_contracts_names_and_sizes(
     contract: dict[str, Any], session: Any
 ) -> None:
-    (given,), (returned,) = session.get_inputs(), session.get_outputs()
+    given, memory = session.get_inputs()
+    returned, following = session.get_outputs()
     assert contract["inputs"] == {"observation": given.name}
     assert contract["outputs"] == {"action": returned.name}
+    assert contract["recurrent"] == [{"input": memory.name, "output": following.name}]
+    assert memory.shape == following.shape
     sizes = {"base_ang_vel": 3, "projected_gravity": 3, "velocity_command": 3}
     terms = contract["observation"]["terms"]
     assert given.shape[1] == sum(sizes.get(term["state"], 12) for term in terms)
@@ -85,11 +88,14 @@ def test_joints_are_the_robots_and_the_pose_is_its_standing_pose(contract: dict[
 
 
 def test_it_accepts_batches_and_answers_finitely(session: Any) -> None:
-    (given,) = session.get_inputs()
     rng = np.random.default_rng(0)
-    batch = rng.standard_normal((5, given.shape[1])).astype(np.float32)
-    (actions,) = session.run(None, {given.name: batch})
+    batch = {
+        given.name: rng.standard_normal((5, given.shape[1])).astype(np.float32)
+        for given in session.get_inputs()
+    }
+    actions, memory = session.run(None, batch)
     assert actions.shape == (5, 12)
+    assert memory.shape == (5, session.get_inputs()[1].shape[1])
     assert np.isfinite(actions).all()
 
 

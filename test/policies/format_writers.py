@@ -1,6 +1,7 @@
 """go2_velocity written in every format that can hold it, and what the loop of each is.
 
-Each network is that of go2_velocity with inputs and outputs brought into the format's order.
+Each network is go2_velocity's actor, which no format's own loop gives a memory to, with inputs and
+outputs brought into the format's order.
 """
 
 from __future__ import annotations
@@ -13,6 +14,8 @@ from typing import Any
 
 import numpy as np
 import onnx
+import onnx.shape_inference
+import onnx.utils
 import yaml
 from onnx import helper, numpy_helper
 
@@ -56,9 +59,17 @@ class Form:
     slew: float | None = None
 
 
+def actor() -> onnx.ModelProto:
+    """Return go2_velocity's network without the integral before it: `obs` -> `actions`."""
+    whole = onnx.shape_inference.infer_shapes(onnx.load(str(SHIPPED / "policy.onnx")))
+    model = onnx.utils.Extractor(whole).extract_model(["told"], ["actions"])
+    model.graph.input[0].name = model.graph.node[0].input[0] = "obs"
+    return model
+
+
 def network(path: Path, form: Form, metadata: dict[str, str] | None = None) -> None:
     """Write go2_velocity's network with the inputs and outputs of a format."""
-    model = onnx.load(str(SHIPPED / "policy.onnx"))
+    model = actor()
     graph, start, places, factors = model.graph, 0, {}, {}
     for name, scale in form.blocks.items():
         size = SIZES.get(name, 3)

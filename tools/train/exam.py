@@ -32,7 +32,8 @@ COMMANDS = {  # vx, vy [m/s], wz [rad/s]
 PUSH = 0.5  # [m/s], every `PUSH_STEPS`, in a random direction
 PUSH_STEPS = 250
 SETTLE_STEPS = 100  # left out of the means: the start
-Policy = Callable[[np.ndarray], np.ndarray]
+# Observations (n, 45), and which robots start anew (n,), to actions (n, 12).
+Policy = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 @dataclass
@@ -58,7 +59,7 @@ class Marks:
 def examine(
     policy: Policy, robots: int, seed: int = 5000, threads: int = 1, seconds: float = 20.0
 ) -> list[Marks]:
-    """Let `robots` robots obey each command; `policy` maps observations (n, 45) to (n, 12)."""
+    """Let `robots` robots obey each command."""
     names = list(COMMANDS)
     env = Go2Env(len(names) * robots, 0.002, seed, threads, len(names) * robots, feet_only=False)
     env.push_speed = 0.0
@@ -72,9 +73,10 @@ def examine(
     velocity, ticks = np.zeros((env.num_envs, 3)), np.zeros(env.num_envs)
     force, touchdowns = np.zeros(env.num_envs), np.zeros(env.num_envs)
     observation, _ = env.observe()
+    done = np.ones(env.num_envs, bool)
     for step in range(round(seconds / contract.PERIOD)):
         contact = env.contact
-        observation, _, _, done, timeout = env.step(policy(observation))
+        observation, _, _, done, timeout = env.step(policy(observation, done))
         alive &= ~(done & ~timeout)
         env.command[:] = told  # a robot that fell starts anew, and is not looked at again
         if step >= SETTLE_STEPS and not timeout.any():  # a time-out begins a new episode
@@ -108,15 +110,22 @@ def examine(
 
 
 def load_policy(folder: Path) -> Policy:
-    """The network of a policy folder as a function of observations (n, 45)."""
+    """The network of a policy folder, with a memory for each robot."""
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1
     session = onnxruntime.InferenceSession(
         str(folder / "policy.onnx"), options, providers=["CPUExecutionProvider"]
     )
+    recurrent = [(given.name, given.shape[1]) for given in session.get_inputs()[1:]]
+    memory: dict[str, np.ndarray] = {}
 
-    def act(observation: np.ndarray) -> np.ndarray:
-        return np.asarray(session.run(None, {"obs": observation})[0])
+    def act(observation: np.ndarray, fresh: np.ndarray) -> np.ndarray:
+        for name, size in recurrent:
+            kept = memory.setdefault(name, np.zeros((len(observation), size), np.float32))
+            kept[fresh] = 0.0
+        action, *following = session.run(None, {"obs": observation, **memory})
+        memory.update(zip(memory, following))
+        return np.asarray(action)
 
     return act
 

@@ -1,7 +1,6 @@
 """Turn a training checkpoint into the shipped policy: `python export.py checkpoint.pt`.
 
-Writes `policy.onnx` (Gemm and Elu nodes, opset 13, IR 8: accepted by onnxruntime >= 1.17) with the
-metadata keys of mjlab and BeyondMimic, and `policy.yaml`, the contract that unicon_core reads.
+Writes `policy.onnx` (see network.py) and `policy.yaml`, the contract that unicon_core reads.
 """
 
 from __future__ import annotations
@@ -11,11 +10,13 @@ import hashlib
 from pathlib import Path
 
 import contract
+import network
 import numpy as np
 import onnx
 import torch
 import yaml
-from onnx import TensorProto, helper, numpy_helper
+from integral import Weights
+from onnx import helper
 
 STATES = {
     "joint_pos_rel": {"state": "joint_pos", "subtract": "default_joint_pos"},
@@ -29,32 +30,16 @@ def floats(values: np.ndarray | list[float]) -> list[float]:
     return [float(f"{v:.6g}") for v in np.asarray(values)]
 
 
-def build(weights: dict[str, torch.Tensor]) -> onnx.ModelProto:
-    """ONNX of the actor's mean: `obs` (batch, 45) -> `actions` (batch, 12)."""
-    layers = sorted({int(name.split(".")[1]) for name in weights if name.startswith("actor.")})
-    nodes, initializers, value = [], [], "obs"
-    for layer in layers:
-        for part in ("weight", "bias"):
-            array = weights[f"actor.{layer}.{part}"].numpy().astype(np.float32)
-            initializers.append(numpy_helper.from_array(array, f"{part}_{layer}"))
-        last = layer == layers[-1]
-        out = "actions" if last else f"linear_{layer}"
-        names = [value, f"weight_{layer}", f"bias_{layer}"]
-        nodes.append(helper.make_node("Gemm", names, [out], f"gemm_{layer}", transB=1))
-        if not last:
-            nodes.append(helper.make_node("Elu", [out], [f"elu_{layer}"], f"elu_{layer}"))
-            value = f"elu_{layer}"
-    num_joints = len(contract.JOINTS)
-    graph = helper.make_graph(
-        nodes,
-        "go2_velocity",
-        [helper.make_tensor_value_info("obs", TensorProto.FLOAT, ["batch", contract.NUM_OBS])],
-        [helper.make_tensor_value_info("actions", TensorProto.FLOAT, ["batch", num_joints])],
-        initializers,
-    )
-    model = helper.make_model(
-        graph, opset_imports=[helper.make_opsetid("", 13)], ir_version=8, producer_name="unicon_ros"
-    )
+def weights(values: dict[str, torch.Tensor], name: str) -> Weights:
+    """(weight, bias) of each layer of one network of a checkpoint."""
+    numbers = sorted({int(key.split(".")[1]) for key in values if key.startswith(f"{name}.")})
+    parts = ("weight", "bias")
+    return [tuple(values[f"{name}.{i}.{part}"].numpy() for part in parts) for i in numbers]
+
+
+def build(values: dict[str, torch.Tensor]) -> onnx.ModelProto:
+    """The network of a checkpoint with the metadata keys of mjlab and BeyondMimic."""
+    model = network.build(weights(values, "actor"), weights(values, "estimate"))
     n = len(contract.JOINTS)
     metadata = {
         "joint_names": contract.JOINTS,
@@ -66,7 +51,6 @@ def build(weights: dict[str, torch.Tensor]) -> onnx.ModelProto:
         "action_scale": [contract.ACTION_SCALE] * n,
     }
     helper.set_model_props(model, {k: ",".join(map(str, v)) for k, v in metadata.items()})
-    onnx.checker.check_model(model, full_check=True)
     return model
 
 
@@ -96,6 +80,7 @@ def policy_yaml(sha256: str) -> str:
         "observation": {"layout": "term_major", "newest": "last", "terms": terms},
         "inputs": {"observation": "obs"},
         "outputs": {"action": "actions"},
+        "recurrent": [{"input": "memory", "output": "next_memory"}],
         "command_ranges": {
             name: floats([low[i], high[i]])
             for i, name in enumerate(("lin_vel_x", "lin_vel_y", "ang_vel_z"))
@@ -114,7 +99,10 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=contract.POLICY_DIR)
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
-    data = build(torch.load(args.checkpoint)["net"]).SerializeToString()
+    values = torch.load(args.checkpoint)["net"]
+    if not any(name.startswith("estimate.") for name in values):
+        parser.error(f"{args.checkpoint} has no estimate yet: python estimate.py {args.checkpoint}")
+    data = build(values).SerializeToString()
     (args.out / "policy.onnx").write_bytes(data)
     digest = hashlib.sha256(data).hexdigest()
     (args.out / "policy.yaml").write_text(policy_yaml(digest), encoding="utf-8")

@@ -17,13 +17,13 @@ import onnx
 import torch
 from correct import correct
 from env import NUM_CRITIC, Go2Env
-from onnx import numpy_helper
+from network import weights_of
 from ppo import ActorCritic, Batch, Ppo, Settings, advantages
 from warmstart import teach
 
 CRITIC_FIRST = 12  # iterations in which only the critic learns, so that it does not undo the start
 # Iterations, and the ceiling of the exploration noise while refining.
-REFINE_NOISE = ([0, 50, 300], [0.1, 0.09, 0.05])
+REFINE_NOISE = ([0, 50, 1500], [0.12, 0.11, 0.06])
 
 
 def schedule(env: Go2Env, ppo: Ppo, iteration: int, refine: bool) -> None:
@@ -106,11 +106,12 @@ def main() -> None:
 
 def copy_actor(path: Path, net: ActorCritic) -> None:
     """Put the weights of a network that export.py wrote into the actor."""
-    weights = {w.name: numpy_helper.to_array(w) for w in onnx.load(path).graph.initializer}
+    layers, _ = weights_of(onnx.load(path))
+    parameters = net.actor.parameters()
     with torch.no_grad():
-        for name, parameter in net.actor.named_parameters():
-            layer, part = name.split(".")
-            parameter.copy_(torch.from_numpy(weights[f"{part}_{layer}"].copy()))
+        for layer in layers:
+            for array in layer:
+                next(parameters).copy_(torch.from_numpy(array.copy()))
 
 
 def save(folder: Path, net: ActorCritic, ppo: Ppo, iteration: int) -> None:

@@ -54,6 +54,10 @@ class Walker:
         self.data.qpos[:7] = [0, 0, height, np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)]
         self.data.qpos[self.qpos] = self.default
         self.action = np.zeros(len(self.default))
+        self.memory = {
+            given.name: np.zeros((1, given.shape[1]), np.float32)
+            for given in self.session.get_inputs()[1:]
+        }
         self.pending = deque([self.default] * self.latency)
         mujoco.mj_forward(self.model, self.data)
 
@@ -83,7 +87,9 @@ class Walker:
 
     def tick(self, command: np.ndarray) -> None:
         """One control period: observe, infer, then PD in every physics step."""
-        output = self.session.run(None, {"obs": self.observation(command)})[0]
+        given = {"obs": self.observation(command), **self.memory}
+        output, *following = self.session.run(None, given)
+        self.memory.update(zip(self.memory, following))
         self.action = np.asarray(output[0], dtype=np.float64)
         low, high = self.contract["action"]["clip"]
         scale = self.contract["action"]["scale"]
