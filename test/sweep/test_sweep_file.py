@@ -141,6 +141,7 @@ BAD = {
     HEAD + SEEDS + "seed: x": "seed is 'x'; give a whole number from 0",
     HEAD + SEEDS + "gate: fell<1": "gate 'fell<1': no figure 'fell'; did you mean 'fall'?",
     HEAD + SEEDS + "reference: r.npz": "reference is 'r.npz'; give a run that is there",
+    HEAD + SEEDS + "keep: joint_pos": "keep is 'joint_pos'; write a list of states: [joint_pos",
     HEAD + "vary: {a: 3}": "2: vary.a is 3; write a list of values, or one of {range:",
     HEAD + "vary: {a: {unifrom: [0, 1]}}": "vary.a has no 'unifrom'; did you mean 'uniform'?",
     HEAD + "vary: {a: {uniform: [0]}}": "vary.a uniform is [0]; write {uniform: [A, B]}",
