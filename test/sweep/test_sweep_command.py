@@ -30,6 +30,7 @@ from unicon_ros.sweep.local import LocalEngine
 from unicon_ros.sweep.pictures import bins_of
 from unicon_ros.sweep.plan import Plan
 from unicon_ros.sweep.pool import HOPELESS
+from unicon_ros.sweep.report import write_report
 from unicon_ros.sweep.results import Results
 from unicon_ros.sweep.sweep_file import read_sweep
 from unicon_ros.sweep.worker import RowRunner
@@ -400,6 +401,16 @@ def test_bins_hold_every_row_once() -> None:
     assert np.bincount(bins_of("x", values, 8).places).min() == 125
     assert bins_of("x", [str(i) for i in range(40)], 8).labels[-1] == "others"
     assert len(bins_of("x", [5.0] * 20, 8).labels) == 1
+
+
+def test_texts_of_others_are_shown_to_the_letter(tmp_path: Path) -> None:
+    text = "workflow: go2_stand\nduration: 0.1\n"
+    words = ["$$", "a$b^$", "$", "</svg><script>alert(1)</script>"]
+    text += f"vary: {{description: {words}, scene.delay: [0, 1]}}\n"
+    (tmp_path / "walks.yaml").write_text(text)
+    page = write_report(Results(run_here(tmp_path))).read_text("utf-8")
+    assert "<script" not in page
+    assert len(read_page(page).pictures) == 2
 
 
 @pytest.mark.slow

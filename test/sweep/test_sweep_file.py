@@ -153,6 +153,7 @@ BAD = {
     HEAD + "vary: {a: {log_uniform: [0, 1]}}": "both numbers must be above 0",
     HEAD + "vary: {a: {normal: [0, 0]}}": "its standard deviation must be above 0",
     HEAD + "vary: {a: []}": "vary.a has 0 values; give 1 to 100000",
+    HEAD + "vary: {a: [9223372036854775808]}": "value 9223372036854775808 is more than 63 bits",
     HEAD + "vary: {a: [.nan]}": "value nan cannot be given to --set",
     HEAD + "vary: {a: {uniform: [0, 1]}}": "vary.a: a grid has no end of uniform; write {linspace",
     HEAD

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,15 @@ WALK = (
     *("flow={policy: walk}", "scene.initial_pose='policy:walk'", "scene.noise.joint_vel=0.2"),
     "commands=[{velocity_command: {constant: [0.8, 0.0, 0.2]}}]",
 )
+
+
+def test_a_simulator_that_is_not_installed_is_a_row(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "newton", None)
+    plan = make_plan("go2_walk", WALK, "newton", 1, 1.2, 60.0)
+    (row,) = plan.rows()
+    told = TimedRunner(plan.task(), print)([*row.settings])["row"]
+    assert told["outcome"] == "missing"
+    assert "pip install 'unicon_ros[sim-newton]'" in told["text"]
 
 
 @pytest.mark.parametrize("other", ["mujoco", "pybullet"])
