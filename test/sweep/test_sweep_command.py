@@ -181,15 +181,15 @@ def test_the_reference_is_compared(done: Path, tmp_path: Path) -> None:
 def test_states_are_kept_of_every_row(done: Path, tmp_path: Path) -> None:
     results = Results(done)
     for row in rows_of(results):
-        with np.load(done / "states" / f"row_{row['row']:06d}.npz") as kept:
+        with np.load(done / "kept" / f"row_{row['row']:06d}.npz") as kept:
             assert kept["joint_pos"].shape == (row["ticks"], 12)
             assert kept["joint_pos"].dtype == kept["projected_gravity"].dtype == np.float32
     longest = max(rows_of(results), key=lambda row: row["ticks"])
-    run = read_run(done / "states" / f"row_{longest['row']:06d}.npz")
+    run = read_run(done / "kept" / f"row_{longest['row']:06d}.npz")
     assert run.about == {"robot": "go2", "workflow": "go2_walk", "platform": "mujoco"}
-    (tmp_path / "states").touch()  # where they cannot be written the sweep ends
+    (tmp_path / "kept").touch()  # where they cannot be written the sweep ends
     runner = RowRunner(plan_of(done).task(tmp_path))
-    with pytest.raises(UniconError, match=r"cannot write in .*states: "):
+    with pytest.raises(UniconError, match=r"cannot write in .*kept: "):
         runner(list(plan_of(done).row(0).settings), "row_000000")
 
 

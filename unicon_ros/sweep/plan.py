@@ -31,7 +31,7 @@ __all__ = [
     "refuse_robot",
 ]
 
-STATES = "states"
+STATES = "kept"
 """Folder of the states that are kept, in that of the sweep."""
 
 
