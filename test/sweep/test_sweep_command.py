@@ -204,6 +204,8 @@ def test_a_state_that_cannot_be_kept_is_told(
     (tmp_path / "s.yaml").write_text(text)
     assert told in refused(capsys, tmp_path / "s.yaml", "--out", tmp_path / "out")
     assert not (tmp_path / "out").exists()
+    told = refused(capsys, tmp_path / "s.yaml", "--engine", "ray")
+    assert "keep is of engine local; take it out, or --engine local" in told
 
 
 # -- workers that die ------------------------------------------------------------------------------

@@ -51,7 +51,7 @@ class Row:
     repetition: int
     values: tuple[Any, ...]
     settings: tuple[str, ...]
-    name: str
+    name: str = ""
 
 
 class Plan:
