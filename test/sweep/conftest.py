@@ -15,6 +15,7 @@ vary:
   scene.seed: {range: [0, 9]}
   scene.push.velocity: {linspace: [0.2, 4.0, 2]}
 early_stop: fall
+keep: [joint_pos, projected_gravity]
 """
 
 

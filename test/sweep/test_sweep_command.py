@@ -19,6 +19,7 @@ from pages import looked_at, read_page
 
 from unicon_core.errors import MissingDependencyError, UniconError
 from unicon_core.robots import load_robot
+from unicon_ros.analysis.run import read_run
 from unicon_ros.bench.networks import random_policy
 from unicon_ros.cli.main import main
 from unicon_ros.sweep import pool
@@ -30,6 +31,7 @@ from unicon_ros.sweep.local import LocalEngine
 from unicon_ros.sweep.pictures import bins_of
 from unicon_ros.sweep.plan import Plan
 from unicon_ros.sweep.pool import HOPELESS
+from unicon_ros.sweep.report import write_report
 from unicon_ros.sweep.results import Results
 from unicon_ros.sweep.sweep_file import read_sweep
 from unicon_ros.sweep.worker import RowRunner
@@ -168,13 +170,43 @@ def test_the_reference_is_compared(done: Path, tmp_path: Path) -> None:
     task = plan_of(done).task() | {"reference": str(tmp_path / "r.npz")}
     row = RowRunner(task)(settings)["row"]
     assert row["unfolded_mse"] == pytest.approx(0.0, abs=1e-9)
-    other = RowRunner(task)(list(plan_of(done).row(5).settings))["row"]
+    other = RowRunner(task)(list(plan_of(done).row(4).settings))["row"]
     assert other["unfolded_mse"] > 1e-5
     np.savez(tmp_path / "r.npz", joint_pos=positions, joint_names=names[::-1], dt=0.01)
     assert (
         "has 100 samples a second and the workflow 50 ticks"
         in RowRunner(task)(settings)["row"]["text"]
     )
+
+
+def test_states_are_kept_of_every_row(done: Path, tmp_path: Path) -> None:
+    results = Results(done)
+    for row in rows_of(results):
+        with np.load(done / "kept" / f"row_{row['row']:06d}.npz") as kept:
+            assert kept["joint_pos"].shape == (row["ticks"], 12)
+            assert kept["joint_pos"].dtype == kept["projected_gravity"].dtype == np.float32
+    longest = max(rows_of(results), key=lambda row: row["ticks"])
+    run = read_run(done / "kept" / f"row_{longest['row']:06d}.npz")
+    assert run.about == {"robot": "go2", "workflow": "go2_walk", "platform": "mujoco"}
+    (tmp_path / "kept").touch()  # where they cannot be written the sweep ends
+    runner = RowRunner(plan_of(done).task(tmp_path))
+    with pytest.raises(UniconError, match=r"cannot write in .*kept: "):
+        runner(list(plan_of(done).row(0).settings), "row_000000")
+
+
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [("joint_poz", "did you mean 'joint_pos'"), ("stamp_ns", "is int64; float32 ones are kept")],
+)
+def test_a_state_that_cannot_be_kept_is_told(
+    name: str, told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = f"workflow: go2_stand\nvary: {{scene.seed: [0]}}\nkeep: [{name}]\n"
+    (tmp_path / "s.yaml").write_text(text)
+    assert told in refused(capsys, tmp_path / "s.yaml", "--out", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+    told = refused(capsys, tmp_path / "s.yaml", "--engine", "ray")
+    assert "keep is of engine local; take it out, or --engine local" in told
 
 
 # -- workers that die ------------------------------------------------------------------------------
@@ -394,6 +426,16 @@ def test_bins_hold_every_row_once() -> None:
     assert np.bincount(bins_of("x", values, 8).places).min() == 125
     assert bins_of("x", [str(i) for i in range(40)], 8).labels[-1] == "others"
     assert len(bins_of("x", [5.0] * 20, 8).labels) == 1
+
+
+def test_texts_of_others_are_shown_to_the_letter(tmp_path: Path) -> None:
+    text = "workflow: go2_stand\nduration: 0.1\n"
+    words = ["$$", "a$b^$", "$", "</svg><script>alert(1)</script>"]
+    text += f"vary: {{description: {words}, scene.delay: [0, 1]}}\n"
+    (tmp_path / "walks.yaml").write_text(text)
+    page = write_report(Results(run_here(tmp_path))).read_text("utf-8")
+    assert "<script" not in page
+    assert len(read_page(page).pictures) == 2
 
 
 @pytest.mark.slow

@@ -144,6 +144,7 @@ BAD = {
         "gate 'fall<1 for each scene.sead': 'scene.sead' is not varied; did you mean 'scene.seed'?"
     ),
     HEAD + SEEDS + "reference: r.npz": "reference is 'r.npz'; give a run that is there",
+    HEAD + SEEDS + "keep: joint_pos": "keep is 'joint_pos'; write a list of states: [joint_pos",
     HEAD + "vary: {a: 3}": "2: vary.a is 3; write a list of values, or one of {range:",
     HEAD + "vary: {a: {unifrom: [0, 1]}}": "vary.a has no 'unifrom'; did you mean 'uniform'?",
     HEAD + "vary: {a: {uniform: [0]}}": "vary.a uniform is [0]; write {uniform: [A, B]}",
@@ -155,6 +156,7 @@ BAD = {
     HEAD + "vary: {a: {log_uniform: [0, 1]}}": "both numbers must be above 0",
     HEAD + "vary: {a: {normal: [0, 0]}}": "its standard deviation must be above 0",
     HEAD + "vary: {a: []}": "vary.a has 0 values; give 1 to 100000",
+    HEAD + "vary: {a: [9223372036854775808]}": "value 9223372036854775808 is more than 63 bits",
     HEAD + "vary: {a: [.nan]}": "value nan cannot be given to --set",
     HEAD + "vary: {a: {uniform: [0, 1]}}": "vary.a: a grid has no end of uniform; write {linspace",
     HEAD

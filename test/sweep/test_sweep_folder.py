@@ -160,6 +160,13 @@ def test_a_folder_of_something_else_is_refused(tmp_path: Path) -> None:
     (tmp_path / "out" / SWEEP).write_text("{}")
     with pytest.raises(UniconError, match=r"cannot read .*sweep\.json: it is of another kind"):
         filled(tmp_path, range(0))
+    kept = {"sha256": "", "identity": {}, "programs": {}, "versions": {}}
+    (tmp_path / "out" / SWEEP).write_text(json.dumps(kept | {"programs": 3}))
+    with pytest.raises(UniconError, match=r"cannot read .*sweep\.json: it is of another kind"):
+        Results(tmp_path / "out")
+    (tmp_path / "out" / SWEEP).write_text(json.dumps(kept))
+    with pytest.raises(UniconError, match=r"sweep\.json is not of unicon\.sweep/1; give the"):
+        Results(tmp_path / "out")
     with pytest.raises(UniconError, match=r"has no sweep\.json; give the folder of a sweep"):
         Results(tmp_path)
     (tmp_path / "file").write_text("")
@@ -179,6 +186,30 @@ def test_a_broken_shard_is_told(tmp_path: Path) -> None:
     again.flush()
     again.close()
     assert Results(folder.path).rows == [0, 1, 2]
+
+
+def test_a_shard_of_somebody_else_is_told(tmp_path: Path) -> None:
+    pyarrow = pytest.importorskip("pyarrow")
+    parquet = pytest.importorskip("pyarrow.parquet")
+    folder = filled(tmp_path, range(3))
+    folder.flush()
+    folder.close()
+    parquet.write_table(pyarrow.table({"row": [100, 101]}), folder.path / "shard-0001.parquet")
+    parquet.write_table(pyarrow.table({"row": ["x"]}), folder.path / "mine.parquet")
+    for read in (lambda: filled(tmp_path, range(0)), lambda: Results(folder.path)):
+        with pytest.raises(UniconError, match=r"shard-0001\.parquet: it is no shard of this sweep"):
+            read()
+    (folder.path / "shard-0001.parquet").unlink()
+    assert Results(folder.path).rows == [0, 1, 2]
+
+
+def test_rows_that_the_sweep_has_not_are_not_done(tmp_path: Path) -> None:
+    filled(tmp_path, range(2)).close()
+    with (tmp_path / "out" / JOURNAL).open("a") as journal:
+        journal.write(json.dumps([40, figures(40)]) + "\n")
+    folder = filled(tmp_path, range(0))
+    assert folder.done == {0, 1}
+    folder.close()
 
 
 def test_a_full_disk_is_told_and_loses_nothing(

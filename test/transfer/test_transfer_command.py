@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import resource
 import signal
@@ -24,7 +25,8 @@ from unicon_ros.analysis.run import read_run
 from unicon_ros.cli.main import main
 from unicon_ros.transfer.pictures import PICTURES
 from unicon_ros.transfer.plan import make_plan, simulators
-from unicon_ros.transfer.table import COLUMNS
+from unicon_ros.transfer.results import spread
+from unicon_ros.transfer.table import COLUMNS, cell
 
 STAND = ("transfer", "go2_stand", "--duration", "1.0")
 NOISE = ("--set", "scene.noise.joint_vel=0.1")
@@ -86,7 +88,7 @@ def test_seeds_count_only_where_something_is_drawn_from_them() -> None:
     assert "neither noise nor push" in still.notes[1]
     noisy = make_plan("go2_stand", (NOISE[1], "scene.seed=5"), "fake", 4, 2.0, 60.0)
     assert (noisy.seeds, noisy.notes) == ((5, 6, 7, 8), ())
-    assert noisy.task("fake", 6)["overrides"][-2:] == ["platform=fake", "scene.seed=6"]
+    assert noisy.rows()[1].settings[-2:] == ("platform=fake", "scene.seed=6")
     pushed = make_plan("go2_stand", ("scene.push={every: 1.0, velocity: 0.2}",), "fake", None, 2, 9)
     assert pushed.seeds == (0, 1, 2)
 
@@ -100,6 +102,15 @@ def test_all_simulators_are_the_default_and_the_workflows_own_is_the_first() -> 
     robot = make_plan("go2_stand", ("platform=unitree",), None, None, None, 60.0)
     assert robot.platforms == every
     assert robot.notes == ("Platform unitree, the workflow's, is a robot and was left out.",)
+
+
+def test_spread_is_over_what_is_there() -> None:
+    assert spread([1.0, None, 3.0, math.nan]) == {"mean": 2.0, "std": math.sqrt(2.0), "runs": 2}
+    assert spread([4.0]) == {"mean": 4.0, "std": None, "runs": 1}
+    assert spread([None]) == {"mean": None, "std": None, "runs": 0}
+    assert cell(spread([1.0, 3.0])) == "2.00 ± 1.4"
+    assert cell(spread([0.5]), 100.0) == "50.0"
+    assert cell(spread([])) == "–"
 
 
 # -- runs ------------------------------------------------------------------------------------------
@@ -196,7 +207,7 @@ def test_where_nothing_can_be_run_or_written_the_exit_status_says_so(
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, full)
     told_of = capsys.readouterr()
-    assert "seed_0: File too large" in told_of.out
+    assert "seed_0.npz: File too large" in told_of.out
     assert "report.html: File too large" in told_of.err
 
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from unicon_core.errors import MissingDependencyError, UniconError, alternatives
 from unicon_core.signals import SIGNALS
 from unicon_ros.cli.console import Console
-from unicon_ros.cli.workflow_arguments import add_overrides
+from unicon_ros.cli.workflow_arguments import add_overrides, count_to
 
 if TYPE_CHECKING:
     from unicon_ros.sweep.engine import Engine
@@ -50,7 +50,10 @@ def add(commands: Any) -> None:
         "--out", metavar="DIR", help="folder of the results (default: NAME.sweep, here)"
     )
     parser.add_argument(
-        "--workers", type=_count, metavar="N", help="processes (default: one for each core)"
+        "--workers",
+        type=count_to(MOST_WORKERS),
+        metavar="N",
+        help="processes (default: one for each core)",
     )
     parser.add_argument(
         "--engine",
@@ -79,13 +82,6 @@ def add(commands: Any) -> None:
     )
     parser.add_argument("--dry", action="store_true", help="tell what would be run")
     parser.set_defaults(function=_sweep)
-
-
-def _count(text: str) -> int:
-    value = int(text)
-    if not 1 <= value <= MOST_WORKERS:
-        raise argparse.ArgumentTypeError(f"{text} is not a number from 1 to {MOST_WORKERS}")
-    return value
 
 
 def _sweep(arguments: argparse.Namespace) -> int:
@@ -129,6 +125,8 @@ def _run(arguments: argparse.Namespace, gates: list[Gate]) -> int:
         raise UniconError("--address is of a Ray cluster; add --engine ray")
     for gate in gates:
         gate.check([each.path for each in sweep.parameters])
+    if sweep.keep and engine == "ray":
+        raise UniconError(f"{sweep.path}: keep is of engine local; take it out, or --engine local")
     plan = Plan(sweep)
     program = _checked(plan, arguments.force)
     if arguments.dry:
@@ -160,12 +158,14 @@ def _checked(plan: Plan, force: list[str]) -> str:
     from unicon_core.check import refuse_errors
     from unicon_core.workflow import Program
     from unicon_ros.sweep.figures import Reference
+    from unicon_ros.sweep.kept_states import columns_of
     from unicon_ros.sweep.warm import program_sha256
 
     program = Program(plan.document)
     try:
         for line in refuse_errors(program, force):
             print(f"unicon: warning: {line}", file=sys.stderr)
+        columns_of(program.states, plan.sweep.keep)
         if plan.sweep.reference is not None:
             Reference(plan.sweep.reference).of(program.robot, program.period)
         return program_sha256(program)
@@ -219,7 +219,7 @@ def _engine(plan: Plan, folder: Folder, where: tuple[str, str, int | None], left
     from unicon_ros.sweep.local import LocalEngine
 
     count = min(workers or len(os.sched_getaffinity(0)), left)
-    return LocalEngine(plan.task(), count, plan.sweep.timeout, folder.path)
+    return LocalEngine(plan.task(folder.path), count, plan.sweep.timeout, folder.path)
 
 
 class _Progress:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from unicon_core.errors import UniconError
 from unicon_core.signals import SIGNALS
 from unicon_ros.cli.console import Console
-from unicon_ros.cli.workflow_arguments import add_workflow, positive
+from unicon_ros.cli.workflow_arguments import add_workflow, count_to, positive
 
 if TYPE_CHECKING:
     from unicon_ros.transfer.plan import Plan
@@ -46,7 +46,7 @@ def add(commands: Any) -> None:
     )
     parser.add_argument(
         "--seeds",
-        type=_count,
+        type=count_to(MOST_SEEDS),
         metavar="N",
         help="runs of each platform, with N seeds of the scene's noise and pushes (default: 3; 1 "
         "where the scene has neither)",
@@ -63,13 +63,6 @@ def add(commands: Any) -> None:
         "--out", metavar="DIR", help="new folder for transfer.json, report.html and the runs"
     )
     parser.set_defaults(function=_transfer)
-
-
-def _count(text: str) -> int:
-    value = int(text)
-    if not 1 <= value <= MOST_SEEDS:
-        raise argparse.ArgumentTypeError(f"{text} is not a number from 1 to {MOST_SEEDS}")
-    return value
 
 
 def _transfer(arguments: argparse.Namespace) -> int:
@@ -188,23 +181,22 @@ class Bar:
 
 
 def _all_runs(results: Results, console: Console, out: Path | None) -> None:
-    """Run all, seed by seed, so that whatever ends it leaves platforms with equally many runs."""
+    """Run all."""
     from unicon_ros.transfer.processes import run_one
 
     plan = results.plan
     _write(results.to_json(), out)  # whatever happens, it can be read
-    for i, seed in enumerate(plan.seeds):
-        for k, platform in enumerate(plan.platforms):
-            if results.hopeless(platform):
-                continue
-            done = i * len(plan.platforms) + k
-            bar = Bar(console, plan, done, f"{platform}, seed {seed}")
-            run = run_one(plan, platform, seed, results.folder / "runs", bar)
-            results.add(platform, run)
-            if run["outcome"] == "interrupted":
-                results.interrupted = True
-                return
-            _write(results.to_json(), out)
+    for row in plan.rows():
+        platform, seed = row.values
+        if results.hopeless(platform):
+            continue
+        bar = Bar(console, plan, row.index, f"{platform}, seed {seed}")
+        run = run_one(plan, row, results.folder / "runs", bar)
+        results.add(platform, run)
+        if run["outcome"] == "interrupted":
+            results.interrupted = True
+            return
+        _write(results.to_json(), out)
 
 
 def _write(result: dict[str, Any], out: Path | None) -> str:

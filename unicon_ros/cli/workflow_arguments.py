@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from typing import Any
 
 from unicon_ros.view import LOCAL, PORT
@@ -11,6 +12,7 @@ __all__ = [
     "add_overrides",
     "add_view_options",
     "add_workflow",
+    "count_to",
     "port",
     "positive",
     "quality",
@@ -43,6 +45,18 @@ def positive(text: str) -> float:
     if not 0.0 < value < float("inf"):
         raise argparse.ArgumentTypeError(f"{text} is not a number > 0")
     return value
+
+
+def count_to(most: int) -> Callable[[str], int]:
+    """Return what reads an argument that is a whole number from 1 to `most`."""
+
+    def count(text: str) -> int:
+        number = int(text)
+        if not 1 <= number <= most:
+            raise argparse.ArgumentTypeError(f"{text} is not a number from 1 to {most}")
+        return number
+
+    return count
 
 
 def quality(text: str) -> int:

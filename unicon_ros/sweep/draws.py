@@ -147,6 +147,8 @@ def _listed(path: str, kind: str, values: list[Any], words: str) -> Parameter:
         raise UniconError(f"has {len(values)} values; give 1 to {MOST_VALUES}")
     for value in values:
         setting_of(path, value)
+        if isinstance(value, int) and not -(2**63) <= value < 2**63:
+            raise UniconError(f"value {value} is more than 63 bits and a sign hold; give a smaller")
     each, count = tuple(values), len(values)
     return Parameter(path, kind, lambda u: each[min(int(u * count), count - 1)], each, words)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.errors import UniconError
-from unicon_core.gap import unfolded_mse
 from unicon_core.gap.strain import LEANS
 from unicon_core.robots import Robot, joint_index
 from unicon_core.runtime.rollouts import Rollout
 from unicon_core.states import States
-from unicon_ros.transfer.figures import finite_rows, moved
+from unicon_ros.analysis.run import FEWEST, Run, read_run
+from unicon_ros.sweep.kept_states import columns_of
+from unicon_ros.sweep.motion import apart, finite_rows, moved
 
 __all__ = ["COLUMNS", "Column", "FallLook", "Figures", "Reference", "empty_row"]
 
@@ -106,12 +107,10 @@ class Reference:
     """
 
     def __init__(self, path: Path) -> None:
-        from unicon_ros.analysis.run import read_run
-
         self._run = read_run(path)
 
-    def of(self, robot: Robot, period: float) -> Array:
-        """Return its joint positions in a robot's order, shape (n, joints).
+    def of(self, robot: Robot, period: float) -> Run:
+        """Return it with its joints in a robot's order.
 
         Raises:
             UniconError: it is of another robot or another rate.
@@ -131,7 +130,8 @@ class Reference:
                 f"{run.path} has {positions.shape[1]} joints and {robot.name} {robot.num_joints}; "
                 "give a reference of this robot"
             )
-        return positions
+        states = {k: v for k, v in run.states.items() if k == "projected_gravity"}
+        return replace(run, joints=robot.joint_names, states=states | {"joint_pos": positions})
 
 
 class Figures:
@@ -141,17 +141,14 @@ class Figures:
         states: of the program.
         robot: of it.
         period: of a tick in [s].
-        reference: joint positions to compare with, shape (n, joints), or None.
+        reference: run to compare joint positions with, or None.
     """
 
     def __init__(
-        self, states: States, robot: Robot, period: float, reference: Array | None = None
+        self, states: States, robot: Robot, period: float, reference: Run | None = None
     ) -> None:
-        self._period, self._reference = period, reference
-        self._columns = {
-            name: slice(states.offset(name), states.offset(name) + states[name].size)
-            for name in _LOOKED_AT
-        }
+        self._period, self._reference, self._joints = period, reference, robot.joint_names
+        self._columns = columns_of(states, _LOOKED_AT)
         self._lower = robot.lower + NEAR
         self._upper = robot.upper - NEAR
         self._effort = np.nan_to_num(robot.effort_limit, nan=np.inf) * FULL
@@ -199,6 +196,10 @@ class Figures:
             "position_limit_hits": int(np.sum((pos <= self._lower) | (pos >= self._upper))),
             "effort_limit_hits": int(np.sum(np.abs(effort) >= self._effort)),
         }
-        if self._reference is not None and len(pos) > 1:
-            row["unfolded_mse"] = float(unfolded_mse(self._reference, pos).loss)
+        if self._reference is not None and len(pos) >= FEWEST:
+            names = ("joint_pos", "projected_gravity")
+            wide = {name: states[name].astype(np.float64) for name in names}
+            time = np.arange(len(pos), dtype=np.float64) * self._period
+            own = Run(Path("rollout"), {}, "ticks", 0.0, time, self._joints, wide)
+            row["unfolded_mse"] = apart(self._reference, own)["unfolded_mse"]
         return row

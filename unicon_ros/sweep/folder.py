@@ -75,8 +75,9 @@ class Folder:
         try:
             self._facts = self._said(program)
             self._pending = read_journal(path)
-            in_shards = {int(i) for i in read_shards(path, ["row"])["row"]}
-            self._pending = {i: r for i, r in self._pending.items() if i not in in_shards}
+            in_shards = {int(i) for i in read_shards(path, plan.sha256, ["row"])["row"]}
+            left = set(range(len(plan))) - in_shards
+            self._pending = {i: r for i, r in self._pending.items() if i in left}
             self.done = in_shards | set(self._pending)
             last = [int(name.stem.rpartition("-")[2]) for name in shard_names(path)[-1:]]
             self._numbers = last[0] + 1 if last else 0
@@ -187,7 +188,10 @@ def read_sweep_json(path: Path) -> dict[str, Any] | None:
     """
     try:
         found = json.loads((path / SWEEP).read_bytes())
-        if not isinstance(found, dict) or not {"sha256", "identity", "programs"} <= set(found):
+        kinds = {"sha256": str, "identity": dict, "programs": dict, "versions": dict}
+        if not isinstance(found, dict) or any(
+            not isinstance(found.get(key), kind) for key, kind in kinds.items()
+        ):
             raise ValueError("it is of another kind")
         return found
     except FileNotFoundError:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import unicon_core
+import unicon_ros.analysis
 import unicon_ros.sweep
 from unicon_core import __version__
 
@@ -22,9 +23,9 @@ PACKAGES = ("numpy", "mujoco", "onnxruntime", "scipy")
 
 @lru_cache
 def code_sha256() -> str:
-    """Return the SHA-256 of the code that makes rows: all of `unicon_core`, and this folder."""
+    """Return the SHA-256 of the code that makes rows: `unicon_core`, this folder, the analysis."""
     digest = hashlib.sha256()
-    for package in (unicon_core, unicon_ros.sweep):
+    for package in (unicon_core, unicon_ros.sweep, unicon_ros.analysis):
         folder = Path(str(package.__file__)).parent
         for path in sorted(folder.rglob("*.py")):
             digest.update(f"{path.relative_to(folder)}\n".encode())

@@ -72,7 +72,7 @@ class _Worker(PoolWorker):
 
     def send(self, row: Row) -> None:
         """Bring it a row."""
-        self.process.write({"index": row.index, "settings": row.settings})
+        self.process.write({"index": row.index, "settings": row.settings, "name": row.name})
 
     def heard(self) -> Iterator[dict[str, Any]]:
         """Yield what it has told."""

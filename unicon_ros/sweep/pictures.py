@@ -65,15 +65,20 @@ def bins_of(path: str, values: Sequence[Any], most: int) -> Bins:
     ordered = sorted(distinct) if numbers else distinct
     shown, rest = ordered[:MOST_VALUES], ordered[MOST_VALUES:]
     at = {value: place for place, value in enumerate(shown)} | dict.fromkeys(rest, len(shown))
-    labels = [f"{value:.4g}" if numbers else str(value)[-24:] for value in shown]
+    labels = [f"{value:.4g}" if numbers else _shown(str(value)[-24:]) for value in shown]
     labels += ["others"] if rest else []
     return Bins(path, labels, np.array([at[value] for value in values], np.int64))
+
+
+def _shown(text: str) -> str:
+    """Return a text as matplotlib draws it to the letter: between two $ it would read formulas."""
+    return text.replace("$", r"\$")
 
 
 def _varied(results: Results, most: int) -> list[Bins]:
     """Return the bins of each parameter, but of the seed: it has no order."""
     paths = [path for path in results.parameters if path != "scene.seed"]
-    return [bins_of(path, results.varied(path), most) for path in paths]
+    return [bins_of(_shown(path), results.varied(path), most) for path in paths]
 
 
 def _hits(results: Results) -> NDArray[np.bool_]:

@@ -102,4 +102,4 @@ class PipedProcess:
 
 def line_of(value: dict[str, Any]) -> bytes:
     """Return a value as it goes through a pipe."""
-    return (json.dumps(value) + "\n").encode()
+    return (json.dumps(value, default=str) + "\n").encode()

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,17 @@ from unicon_core.workflow.platforms import facts_of_all, find_platforms
 from unicon_ros.sweep.draws import setting_of
 from unicon_ros.sweep.sweep_file import SCHEMA, SweepFile
 
-__all__ = ["Plan", "Row", "document_with", "refuse_robot"]
+__all__ = [
+    "STATES",
+    "Plan",
+    "Row",
+    "document_with",
+    "one_robots_seed",
+    "refuse_robot",
+]
+
+STATES = "kept"
+"""Folder of the states that are kept, in that of the sweep."""
 
 
 @dataclass(frozen=True)
@@ -33,12 +44,14 @@ class Row:
         repetition: of its point, from 0.
         values: of the parameters.
         settings: texts of `--set`.
+        name: of the file with its states, where they are kept.
     """
 
     index: int
     repetition: int
     values: tuple[Any, ...]
     settings: tuple[str, ...]
+    name: str = ""
 
 
 class Plan:
@@ -62,16 +75,9 @@ class Plan:
         path = find_config("workflows", sweep.workflow, error=WorkflowError)
         self.workflow_file = read_yaml(path, WorkflowError)
         base = document_with(self.workflow_file, sweep.settings)
-        scene = base.values.get("scene")
-        seed = scene.get("seed", 0) if isinstance(scene, dict) else 0
-        if not isinstance(seed, int) or isinstance(seed, bool) or seed < 0:
-            raise base.error(f"scene.seed is {seed!r}; give 0 or more", "scene")
-        self._seed = seed
+        self._seed = one_robots_seed(base)
         self.document = document_with(self.workflow_file, self.row(0).settings)
-        if self.document.values.get("num_robots") is not None:
-            raise self.document.error(
-                "num_robots: a rollout has one robot; add --set num_robots=null", "num_robots"
-            )
+        one_robots_seed(self.document)
         refuse_robot(self.document)
         said = self.document.get("duration", (int, float))
         if sweep.duration is None and said is None:
@@ -95,7 +101,8 @@ class Plan:
         settings = [setting_of(p.path, value) for p, value in zip(sweep.parameters, values)]
         if sweep.repeat > 1:
             settings.append(setting_of("scene.seed", self._seed + repetition))
-        return Row(index, repetition, values, (*sweep.settings, *settings))
+        name = f"row_{index:06d}"
+        return Row(index, repetition, values, (*sweep.settings, *settings), name)
 
     def _point(self, point: int) -> tuple[Any, ...]:
         parameters = self.sweep.parameters
@@ -154,15 +161,39 @@ class Plan:
         text = json.dumps(self.identity(), sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
-    def task(self) -> dict[str, Any]:
-        """Return what a worker begins with."""
-        reference = self.sweep.reference
-        return {
+    def task(self, out: Path | None = None) -> dict[str, Any]:
+        """Return what a worker begins with.
+
+        Args:
+            out: folder of the sweep, for states that are kept; or None.
+        """
+        reference, keep = self.sweep.reference, {}
+        if out is not None and self.sweep.keep:
+            folder = str((out / STATES).absolute())
+            keep = {"keep": {"folder": folder, "states": self.sweep.keep}}
+        return keep | {
             "workflow": str(self.workflow_file.path),
             "duration": self.duration,
             "stops_at_fall": self.sweep.stops_at_fall,
             "reference": None if reference is None else str(reference.absolute()),
         }
+
+
+def one_robots_seed(document: WorkflowDocument) -> int:
+    """Return `scene.seed` of a workflow of one robot, 0 unless told.
+
+    Raises:
+        WorkflowError: it is none, or the workflow has several robots.
+    """
+    if document.values.get("num_robots") is not None:
+        raise document.error(
+            "num_robots: a rollout has one robot; add --set num_robots=null", "num_robots"
+        )
+    scene = document.values.get("scene")
+    seed = scene.get("seed", 0) if isinstance(scene, dict) else 0
+    if not isinstance(seed, int) or isinstance(seed, bool) or seed < 0:
+        raise document.error(f"scene.seed is {seed!r}; give 0 or more", "scene")
+    return seed
 
 
 def refuse_robot(document: WorkflowDocument) -> None:

@@ -15,6 +15,7 @@ from unicon_core.errors import UniconError
 from unicon_ros.sweep.figures import COLUMNS
 from unicon_ros.sweep.folder import SWEEP, read_sweep_json, require_pyarrow
 from unicon_ros.sweep.shards import SETTINGS, VARIED, read_shards
+from unicon_ros.sweep.sweep_file import SCHEMA
 
 __all__ = ["FAILED", "Results"]
 
@@ -42,8 +43,10 @@ class Results:
         said = read_sweep_json(path)
         if said is None:
             raise UniconError(f"{path} has no {SWEEP}; give the folder of a sweep")
+        if said["identity"].get("schema") != SCHEMA:
+            raise UniconError(f"{path / SWEEP} is not of {SCHEMA}; give the folder of a sweep")
         self.path, self.said, self.identity = path, said, said["identity"]
-        columns = read_shards(path)
+        columns = read_shards(path, said["sha256"])
         order: dict[int, int] = {}  # a row in two shards is the same row
         for place, index in enumerate(columns.get("row", ())):
             order.setdefault(index, place)

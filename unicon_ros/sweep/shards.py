@@ -84,15 +84,18 @@ def write_shard(
         os.close(folder)
 
 
-def read_shards(folder: Path, names: Sequence[str] | None = None) -> dict[str, list[Any]]:
+def read_shards(
+    folder: Path, sha256: str, names: Sequence[str] | None = None
+) -> dict[str, list[Any]]:
     """Return columns of all shards of a folder, by name.
 
     Args:
         folder: of the sweep.
+        sha256: of the sweep.
         names: of the columns, None for all.
 
     Raises:
-        UniconError: a file is no shard.
+        UniconError: a file is no shard, or one of another sweep.
     """
     import pyarrow
     from pyarrow import parquet
@@ -101,7 +104,10 @@ def read_shards(folder: Path, names: Sequence[str] | None = None) -> dict[str, l
     for path in shard_names(folder):
         try:
             table = parquet.read_table(path, columns=None if names is None else list(names))
-        except (OSError, pyarrow.ArrowException) as error:
+            facts = json.loads((table.schema.metadata or {}).get(METADATA, b"{}"))
+            if facts.get("sha256") != sha256:
+                raise ValueError("it is no shard of this sweep")
+        except (OSError, ValueError, pyarrow.ArrowException) as error:
             raise UniconError(
                 f"cannot read {path}: {str(error).splitlines()[0][:100]}; move it away, and its "
                 "rows are run again"

@@ -47,7 +47,8 @@ def figure_rows(results: Results) -> list[tuple[str, ...]]:
         values = np.array([value for value, _ in pairs], np.float64)
         worst = np.argmin(values) if name in LOWEST_IS_WORST else np.argmax(values)
         low, middle, high = np.percentile(values, [5, 50, 95])
-        figures = (values.mean(), values.std(ddof=1) if len(values) > 1 else np.nan)
+        spread = values.std(ddof=1) if np.ptp(values) else 0.0  # not 3e-17 of equal ones
+        figures = (values.mean(), spread if len(values) > 1 else np.nan)
         told = [f"{x:.4g}" if np.isfinite(x) else "–" for x in (*figures, low, middle, high)]
         rows.append((name, COLUMNS[name].unit, *told, str(pairs[int(worst)][1])))
     return rows

@@ -41,6 +41,7 @@ KEYS = {
     "duration": "of a rollout in [s]; the workflow's unless told",
     "early_stop": "fall, or none",
     "reference": "a run (.npz) to compare joint positions with",
+    "keep": "states that are kept of every tick, a file for each rollout; none unless told",
     "timeout": "wall time in [s] that a rollout may take; 60 unless told",
     "engine": "local (processes of this machine) or ray (a cluster); local unless told",
     "gate": "list of conditions such as fall<0.01",
@@ -71,6 +72,7 @@ class SweepFile:
         duration: in [s], None for the workflow's.
         stops_at_fall: a rollout ends where the robot falls.
         reference: run to compare with, or None.
+        keep: states of every tick that are kept, by name.
         timeout: in [s] of wall time.
         engine: one of `ENGINES`; no row depends on it.
         gates: conditions that have to hold.
@@ -89,6 +91,7 @@ class SweepFile:
     duration: float | None
     stops_at_fall: bool
     reference: Path | None
+    keep: tuple[str, ...]
     timeout: float
     engine: str
     gates: tuple[Gate, ...]
@@ -182,6 +185,7 @@ class _Reader:
             duration=self._time("duration", None, DURATION),
             stops_at_fall=stop == "fall",
             reference=self._reference(),
+            keep=self._keep(),
             timeout=self._time("timeout", TIMEOUT, 86_400.0) or TIMEOUT,
             engine=engine,
             gates=self._gates(parameters),
@@ -231,6 +235,13 @@ class _Reader:
         if not isinstance(said, dict):
             raise self._wrong("set", "write {platform: mujoco}")
         return [setting_of(str(path), value) for path, value in said.items()]
+
+    def _keep(self) -> tuple[str, ...]:
+        said = self._values.get("keep")
+        names = [] if said is None else said
+        if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+            raise self._wrong("keep", "write a list of states: [joint_pos, base_pos_w]")
+        return tuple(dict.fromkeys(names))
 
     def _gates(self, parameters: tuple[Parameter, ...]) -> tuple[Gate, ...]:
         said = self._values.get("gate")

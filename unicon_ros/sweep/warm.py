@@ -10,9 +10,9 @@ import gc
 import hashlib
 import json
 from collections import OrderedDict
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
 
 from unicon_core.errors import UniconError
 from unicon_core.models.find import model_of
@@ -23,11 +23,12 @@ from unicon_core.states import States
 from unicon_core.workflow import Program
 from unicon_core.workflow.document import WorkflowDocument
 from unicon_ros.recording.facts import network_hash, robot_text
-from unicon_ros.sweep.figures import FallLook, Figures, Reference
+from unicon_ros.sweep.figures import Figures, Reference
 from unicon_ros.sweep.plan import refuse_robot
 
-__all__ = ["Kept", "WarmPrograms", "key_of", "program_sha256"]
+__all__ = ["Kept", "LookAt", "WarmPrograms", "key_of", "program_sha256"]
 
+LookAt = Callable[[Program], Callable[[States], Look] | None]
 MOST = 4
 """Programs that are kept; each holds a model and a network."""
 
@@ -65,7 +66,7 @@ class WarmPrograms:
     """The programs of one process.
 
     Args:
-        stops_at_fall: rollouts end where the robot falls.
+        look: takes a program that was just built, and returns what makes looks at its rollouts.
         reference: to compare with, or None.
 
     Attributes:
@@ -73,8 +74,8 @@ class WarmPrograms:
         why_not: why a program could not begin anew, the last such reason; "" for none.
     """
 
-    def __init__(self, stops_at_fall: bool, reference: Reference | None) -> None:
-        self._stops, self._reference = stops_at_fall, reference
+    def __init__(self, look: LookAt, reference: Reference | None) -> None:
+        self._look, self._reference = look, reference
         self._kept: OrderedDict[str, Kept] = OrderedDict()
         self.built = 0
         self.why_not = ""
@@ -115,8 +116,7 @@ class WarmPrograms:
         refuse_robot(document)
         program = Program(document)
         try:
-            make = self._look(program.period) if self._stops else None
-            rollouts = Rollouts(program, make)
+            rollouts = Rollouts(program, self._look(program))
             told = self._reference
             reference = None if told is None else told.of(program.robot, program.period)
             figures = Figures(program.states, program.robot, program.period, reference)
@@ -128,12 +128,6 @@ class WarmPrograms:
         gc.freeze()  # no pass over what stays: 2 ms each
         self.why_not = rollouts.why_not or self.why_not
         return Kept(rollouts, figures, facts, program_sha256(program), program.period)
-
-    def _look(self, period: float) -> Any:
-        def make(states: States) -> Look:
-            return FallLook(states, period)
-
-        return make
 
     def close(self) -> None:
         """Let all go."""

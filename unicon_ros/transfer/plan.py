@@ -14,10 +14,11 @@ from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.hardware import declared_facts
 from unicon_core.workflow.platform_use import read_platforms
 from unicon_core.workflow.registry import find_factory, known
+from unicon_ros.sweep.plan import Row, one_robots_seed
 
-__all__ = ["MOST_SEEDS", "SEEDS", "Plan", "make_plan", "simulators"]
+__all__ = ["SEEDS", "Plan", "make_plan", "simulators"]
 
-SEEDS, MOST_SEEDS = 3, 1000
+SEEDS = 3
 WITHOUT_PHYSICS = ("fake", "replay")
 """Simulated platforms that simulate no world: compared only where they are named."""
 ROBOTS = "unicon_ros.hardware."
@@ -54,13 +55,27 @@ class Plan:
         said = self.document.get("duration", (int, float))
         return float(said if self.duration is None else self.duration)
 
-    def task(self, platform: str, seed: int) -> dict[str, Any]:
-        """Return what a rollout is told."""
-        return {
-            "workflow": str(self.document.path),
-            "overrides": [*self.overrides, f"platform={platform}", f"scene.seed={seed}"],
-            "duration": self.duration,
-        }
+    def task(self) -> dict[str, Any]:
+        """Return what a worker begins with, as in a sweep."""
+        task = {"workflow": str(self.document.path), "duration": self.longest}
+        return task | {"stops_at_fall": False, "reference": None}
+
+    def rows(self) -> list[Row]:
+        """Return all runs, as a sweep's grid of seeds and platforms; values are platform and seed.
+
+        Seed by seed: whatever ends it leaves platforms with equally many runs.
+        """
+        return [
+            Row(
+                i * len(self.platforms) + k,
+                0,
+                (platform, seed),
+                (*self.overrides, f"platform={platform}", f"scene.seed={seed}"),
+                f"seed_{seed}",
+            )
+            for i, seed in enumerate(self.seeds)
+            for k, platform in enumerate(self.platforms)
+        ]
 
 
 def make_plan(
@@ -85,11 +100,6 @@ def make_plan(
         UniconError: the workflow is wrong or may never end, a platform is unknown or a robot.
     """
     document = load_document(workflow, overrides)
-    if document.values.get("num_robots") is not None:
-        raise document.error(
-            "num_robots: a transfer compares runs of one robot; add --set num_robots=null",
-            "num_robots",
-        )
     if duration is None and document.get("duration", (int, float)) is None:
         raise UniconError(
             f"workflow {document.name} says no duration, so it may never end; give --duration S"
@@ -98,9 +108,7 @@ def make_plan(
     names = _every(document, notes) if platforms is None else _named(platforms, notes)
     scene = document.values.get("scene")
     scene = scene if isinstance(scene, dict) else {}
-    first = scene.get("seed", 0)
-    if not isinstance(first, int) or isinstance(first, bool) or first < 0:
-        raise document.error(f"scene.seed is {first!r}; give 0 or more", "scene")
+    first = one_robots_seed(document)
     count = SEEDS if seeds is None else seeds
     # A simulator draws noise and pushes alone from its seed: nothing else differs.
     if not (scene.get("noise") or scene.get("push")):

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
 from unicon_core import __version__
 from unicon_core.errors import UniconError
+from unicon_ros.analysis.run import read_run
 from unicon_ros.bench.report import machine
-from unicon_ros.transfer.figures import compare, spread
+from unicon_ros.sweep.motion import apart
 from unicon_ros.transfer.plan import Plan
 
-__all__ = ["OUTCOMES", "SCHEMA", "Results"]
+__all__ = ["OUTCOMES", "SCHEMA", "Results", "spread"]
 
 SCHEMA = "unicon.transfer/1"
 
@@ -79,11 +82,10 @@ class Results:
         if other is None or other["outcome"] != "ran":
             run["compared"] = {"why_not": f"no run of {self.first} with seed {run['seed']}"}
             return
-        (a, a_end), (b, b_end) = (
-            (self.folder / r["file"], (r["finite_rows"] - 1) * r["period_s"]) for r in (other, run)
-        )
+        ends = [(r["finite_rows"] - 1) * r["period_s"] for r in (other, run)]
+        files = [self.folder / r["file"] for r in (other, run)]
         try:
-            run["compared"] = compare(a, b, (a_end, b_end))
+            run["compared"] = apart(*(read_run(f, (0.0, end)) for f, end in zip(files, ends)))
         except UniconError as error:
             run["compared"] = {"why_not": str(error).replace(f"{self.folder}/", "")}
 
@@ -139,7 +141,7 @@ class Results:
             share = run["distance_m"] is not None and commanded >= COMMANDED
             run["distance_share"] = run["distance_m"] / commanded if share else None
         figures = (
-            *("distance_m", "distance_share", "speed_error", "turn_error", "tilt_deg"),
+            *("distance_m", "distance_share", "speed_error", "turn_error", "energy_j", "tilt_deg"),
             *("wall_per_simulated_s", "startup_s"),
         )
         compared = [run.get("compared", {}) for run in ran]
@@ -185,6 +187,19 @@ def _troubles(runs: list[dict[str, Any]]) -> list[str]:
     if runs and runs[0]["outcome"] in NOT_RUN:
         return list(seeds)
     return [f"seed {', '.join(which)}: {text}" for text, which in seeds.items()]
+
+
+def spread(values: Iterable[float | None]) -> dict[str, float | int | None]:
+    """Return mean and standard deviation (n − 1) of what is there, and of how many.
+
+    The deviation of one value, and both of none, are None.
+    """
+    there = [value for value in values if value is not None and math.isfinite(value)]
+    return {
+        "mean": float(np.mean(there)) if there else None,
+        "std": float(np.std(there, ddof=1)) if len(there) > 1 else None,
+        "runs": len(there),
+    }
 
 
 def _plain(value: Any) -> Any:

@@ -1,151 +1,133 @@
-"""Rollout: one run on one platform, in a process of its own (`python -m`, see `processes`).
+"""Rollout: a row of a transfer in its process, timed (`python -m`, see `processes`).
 
-It reads its task from standard input as JSON, and leaves `NAME.npz` with the states of every tick
-and `NAME.json`, or nothing where the engine takes the process with it. The simulated time is told
-through a pipe meanwhile. What the engine prints goes to the log that its parent made.
+It is a sweep's row, with figures by the same code; besides, it tells what its simulator is, how
+long its ticks took, and how far it is meanwhile.
 """
 
 from __future__ import annotations
 
-import json
-import os
 import sys
-from contextlib import suppress
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+import time
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from unicon_core.check import refuse_errors
 from unicon_core.errors import MissingDependencyError, UniconError
-from unicon_core.flow import Block, Stage
-from unicon_ros.transfer.figures import KEPT, finite_rows, moved
+from unicon_core.platforms.platform import info_of
+from unicon_core.runtime.pacing import process_age_s
+from unicon_core.runtime.report import Report
+from unicon_core.runtime.rollouts import Look, Rollout
+from unicon_core.runtime.statistics import percentiles
+from unicon_core.states import States
+from unicon_core.workflow import Program
+from unicon_ros.recording.facts import versions_here
+from unicon_ros.sweep.kept_states import columns_of
+from unicon_ros.sweep.motion import finite_rows
+from unicon_ros.sweep.warm import Kept
+from unicon_ros.sweep.worker import RowRunner, Tell, serve
 
-if TYPE_CHECKING:
-    from unicon_core.workflow import Program
+__all__ = ["KEPT", "TimedRunner"]
 
-__all__ = ["Keeper", "roll_out"]
-
-TELL = 10
-"""Ticks between two words to the parent; together shorter than what it takes at a look."""
-REPORTED = (
-    *("ticks", "duration_s", "wall_s", "startup_s", "tick_us", "faults", "ended", "fell"),
-    *("tilt_deg", "base_displacement_m", "safety", "safety_left_out", "sha256_commands"),
+KEPT = (
+    *("joint_pos", "joint_vel", "joint_pos_target", "joint_effort"),
+    *("base_pos_w", "base_quat", "projected_gravity", "base_ang_vel", "velocity_command"),
 )
-"""Of `unicon run --report`."""
+"""States that are kept of every tick, as they are at its end."""
+FIGURES = (
+    *("distance_m", "commanded_m", "speed_error", "turn_error", "energy_j", "tilt_deg"),
+    *("fall_s", "ticks", "duration_s", "sha256_commands"),
+)
+"""Of a sweep's row."""
+TELL_NS = 100_000_000
+"""Time between two words on how far it is."""
 
 
-class Keeper:
-    """Keeps the states of every tick, behind `send`.
-
-    Args:
-        pipe: file descriptor that the simulated time in [s] is told to, non-blocking.
-    """
-
-    def __init__(self, pipe: int) -> None:
-        self._pipe = pipe
-        self._rows: NDArray[np.float32] = np.zeros((0, 0), np.float32)
-        self._count = 0
-        self._columns: dict[str, slice] = {}
-
-    def hook(self, program: Program) -> dict[Stage, list[Block]]:
-        """Return the block that keeps them."""
-        views = [(name, program.states[name]) for name in KEPT]
-        start, period = 0, program.period
-        for name, view in views:
-            self._columns[name] = slice(start, start + view.size)
-            start += view.size
-        self._rows = np.zeros((2048, start), np.float32)
-        places = [(self._columns[name], view) for name, view in views]
-
-        def keep() -> None:
-            if self._count == len(self._rows):
-                self._rows = np.concatenate([self._rows, np.zeros_like(self._rows)])
-            row = self._rows[self._count]
-            for place, view in places:
-                row[place] = view
-            self._count += 1
-            if self._count % TELL == 0:
-                with suppress(OSError):  # full, or nobody reads
-                    os.write(self._pipe, b"%.3f\n" % (self._count * period))
-
-        return {Stage.OBSERVE: [Block("transfer", keep, reads=KEPT)]}
-
-    def states(self) -> dict[str, NDArray[np.float64]]:
-        """Return what was kept, name to shape (n, d)."""
-        rows = self._rows[: self._count].astype(np.float64)
-        return {name: rows[:, place] for name, place in self._columns.items()}
-
-
-def roll_out(task: dict[str, Any]) -> dict[str, Any]:
-    """Run a task; return what its JSON has.
+class Watch:
+    """Times the ticks of a rollout, and tells how far it is; a look that ends nothing.
 
     Args:
-        task: `workflow`, `overrides`, `duration`, `files` (path without suffix), `pipe`.
-
-    Raises:
-        UniconError: it cannot be run.
+        period: of a tick in [s].
+        tell: is told.
     """
-    from unicon_core.platforms.platform import info_of
-    from unicon_core.runtime import run
-    from unicon_core.workflow import Program, load_document
-    from unicon_ros.recording.facts import network_hash, versions_here
 
-    keeper = Keeper(task["pipe"])
-    document = load_document(task["workflow"], task["overrides"])
-    program = Program(document, hooks=[keeper.hook])
-    told = {
-        "robot": program.robot.name,
-        "period_s": program.period,
-        "policies": {name: network_hash(one.model) for name, one in program.policies.items()},
-        "info": dict(info_of(program.platform)),
-    }
-    warnings: list[str] = []
-    report = run(program, duration=task["duration"], speed="max", warn=warnings.append)
-    # What is behind these ticks is no run any more: the robot is damped after a fault.
-    states = {name: rows[: report.ticks] for name, rows in keeper.states().items()}
-    if not report.ticks and not report.faults:
-        raise UniconError(
-            f"it has no tick: they are {program.period:g} s; give a longer --duration"
-        )
-    joints = np.array(program.robot.joint_names)
-    values = report.to_dict()
-    told |= {name: values[name] for name in REPORTED}
-    told["warnings"], told["versions"] = warnings, versions_here()
-    told["kept_rows"] = len(states["joint_pos"])
-    told["finite_rows"] = count = finite_rows(states)
-    told |= moved({name: rows[:count] for name, rows in states.items()}, program.period)
-    whole: dict[str, Any] = {"dt": program.period, "joint_names": joints} | states
-    np.savez_compressed(
-        f"{task['files']}.npz",
-        robot=program.robot.name,
-        workflow=program.name,
-        platform=report.platform,
-        **whole,
-    )
-    return told
+    def __init__(self, period: float, tell: Tell) -> None:
+        self._period, self._tell, self._next = period, tell, 0
+        self.startup_s = process_age_s()
+        self.stamps = [time.perf_counter_ns()]
+
+    def __call__(self) -> bool:
+        self.stamps.append(now := time.perf_counter_ns())
+        if now >= self._next:
+            self._next = now + TELL_NS
+            self._tell({"at": (len(self.stamps) - 1) * self._period})
+        return False
 
 
-def main() -> int:
-    """Run the task of standard input; exit status 0 whatever became of it, if that is written."""
-    task = json.loads(sys.stdin.buffer.read())
-    os.set_blocking(task["pipe"], False)
-    try:
-        told = {"outcome": "ran", "text": ""} | roll_out(task)
-    except MissingDependencyError as error:
-        told = {"outcome": "missing", "text": str(error)}
-    except UniconError as error:
-        told = {"outcome": "refused", "text": str(error)}
-    except OSError as error:
-        told = {
-            "outcome": "refused",
-            "text": f"{error.filename or task['files']}: {error.strerror}",
+class TimedRunner(RowRunner):
+    """Runs the row of a transfer.
+
+    Args:
+        task: as of `RowRunner`.
+        tell: tells the parent `at`: the time in [s] that is simulated.
+    """
+
+    def __init__(self, task: dict[str, Any], tell: Tell) -> None:
+        super().__init__(task)
+        self._tell = tell
+        self._warnings: list[str] = []
+
+    def __call__(self, settings: list[str], name: str = "") -> dict[str, Any]:
+        """Return `row`, and `run` of one that ran."""
+        try:
+            return super().__call__(settings, name)
+        except MissingDependencyError as error:
+            return {"row": {"outcome": "missing", "text": str(error)}}
+
+    def look(self, program: Program) -> Callable[[States], Look]:
+        program.warn = self._warnings.append
+        self._warnings += refuse_errors(program)
+
+        def watch(states: States) -> Look:
+            self._watch = Watch(program.period, self._tell)
+            return self._watch
+
+        return watch
+
+    def of(self, kept: Kept, rollout: Rollout) -> dict[str, Any]:
+        watch, program = self._watch, kept.rollouts.program
+        if not rollout.ticks and not rollout.fault:
+            raise UniconError(
+                f"it has no tick: they are {program.period:g} s; give a longer --duration"
+            )
+        told = super().of(kept, rollout)
+        row, report = told["row"], Report(program.name, program.robot.name, "")
+        program.monitor.fill(report)
+        places = columns_of(program.states, KEPT)
+        states = {name: rollout.states[:, place] for name, place in places.items()}
+        networks = {k.partition(" ")[2]: v for k, v in kept.facts.items() if k[:8] == "network "}
+        told["run"] = {name: row[name] for name in FIGURES} | {
+            "robot": program.robot.name,
+            "period_s": program.period,
+            "policies": networks,
+            "info": dict(info_of(program.platform)),
+            "wall_s": round((watch.stamps[-1] - watch.stamps[0]) * 1e-9, 3),
+            "startup_s": watch.startup_s and round(watch.startup_s, 3),
+            "tick_us": percentiles(np.diff(watch.stamps) * 1e-3),
+            "faults": [rollout.fault] if rollout.fault else [],
+            "ended": rollout.ended,
+            "fell": report.fell,
+            "base_displacement_m": report.base_displacement_m,
+            "safety": list(program.safety),
+            "safety_left_out": dict(program.safety_left_out),
+            "warnings": self._warnings,
+            "versions": versions_here(),
+            "kept_rows": rollout.ticks,
+            "finite_rows": finite_rows(states),
         }
-    half = Path(f"{task['files']}.json.half")
-    half.write_text(json.dumps(told, default=str) + "\n", encoding="utf-8")
-    half.replace(f"{task['files']}.json")  # whole or not at all
-    return 0
+        return told
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(serve(TimedRunner))

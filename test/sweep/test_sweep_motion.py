@@ -1,4 +1,4 @@
-"""Figures of a run against what is known by construction, and of what is not a number."""
+"""Figures of sweeps and transfers against what is known by construction, and what is no number."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import pytest
 
 from unicon_core.errors import UniconError
 from unicon_core.gap.trajectories import Array
-from unicon_ros.transfer.figures import compare, finite_rows, moved, spread
-from unicon_ros.transfer.table import cell
+from unicon_ros.analysis.run import Run, read_run
+from unicon_ros.sweep.motion import apart, finite_rows, moved
 
 PERIOD = 0.02
 
@@ -108,10 +108,10 @@ def test_rows_end_before_what_is_not_a_number() -> None:
     assert finite_rows(states) == 0
 
 
-def saved(path: Path, positions: Array) -> Path:
+def saved(path: Path, positions: Array) -> Run:
     names = np.array([f"joint_{k}" for k in range(positions.shape[1])])
     np.savez(path, joint_pos=positions, joint_names=names, dt=PERIOD)
-    return path
+    return read_run(path)
 
 
 def test_mse_is_sample_by_sample_and_the_unfolded_one_forgives_a_delay(tmp_path: Path) -> None:
@@ -120,25 +120,15 @@ def test_mse_is_sample_by_sample_and_the_unfolded_one_forgives_a_delay(tmp_path:
     first = saved(tmp_path / "first.npz", wave)
     late = saved(tmp_path / "late.npz", np.concatenate([np.tile(wave[:1], (5, 1)), wave[:-5]]))
     off = saved(tmp_path / "off.npz", wave + 0.1)
-    ends = (math.inf, math.inf)
-    delayed = compare(first, late, ends)
+    delayed = apart(first, late)
     assert delayed["mse"] == pytest.approx(
-        np.mean((wave - np.load(late)["joint_pos"]) ** 2), rel=1e-9
+        np.mean((wave - late.states["joint_pos"]) ** 2), rel=1e-9
     )
     assert delayed["shift_s"] == pytest.approx(-0.1)
     assert delayed["unfolded_mse"] < 1e-9 < delayed["mse"]
-    beside = compare(first, off, ends)
+    beside = apart(first, off)
     assert beside["mse"] == pytest.approx(0.01)
     assert beside["unfolded_mse"] == pytest.approx(2 * 3 * 0.01, rel=0.05)  # never above it
     assert beside["unfolded_mse"] <= 2 * 3 * 0.01 + 1e-12
     with pytest.raises(UniconError, match="6 samples"):
-        compare(first, late, (0.1, math.inf))
-
-
-def test_spread_is_over_what_is_there() -> None:
-    assert spread([1.0, None, 3.0, math.nan]) == {"mean": 2.0, "std": math.sqrt(2.0), "runs": 2}
-    assert spread([4.0]) == {"mean": 4.0, "std": None, "runs": 1}
-    assert spread([None]) == {"mean": None, "std": None, "runs": 0}
-    assert cell(spread([1.0, 3.0])) == "2.00 ± 1.4"
-    assert cell(spread([0.5]), 100.0) == "50.0"
-    assert cell(spread([])) == "–"
+        read_run(first.path, (0.0, 0.1))

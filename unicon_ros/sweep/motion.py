@@ -1,4 +1,6 @@
-"""Figures: what a run's base did of what it was commanded, and how far joints are from another's.
+"""Motion: what a run's base did of what it was commanded, and how far joints are from another's.
+
+For sweeps and transfers alike.
 
 Distance counts in the commanded direction and up to a fall, so that a robot which is pushed aside
 or topples has not walked; a base that only turns has distance 0.
@@ -7,30 +9,24 @@ or topples has not walked; a base that only turns has distance 0.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
-from pathlib import Path
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from unicon_core.gap import fall_time, mse
 from unicon_core.gap.trajectories import Array
-from unicon_ros.analysis.run import Run, read_run
+from unicon_ros.analysis.run import Run
 from unicon_ros.analysis.together import Options, bring_together
 
-__all__ = ["KEPT", "compare", "finite_rows", "moved", "spread"]
-
-KEPT = (
-    *("joint_pos", "joint_vel", "joint_pos_target", "joint_effort"),
-    *("base_pos_w", "base_quat", "projected_gravity", "base_ang_vel", "velocity_command"),
-)
-"""States that are kept of every tick, as they are at its end."""
+__all__ = ["apart", "finite_rows", "moved"]
 
 STILL = 1e-6
 """Command in [m/s] and [rad/s] up to which nothing is asked for."""
 
 
-def finite_rows(states: Mapping[str, Array]) -> int:
+def finite_rows(states: Mapping[str, NDArray[Any]]) -> int:
     """Return how many samples there are before the first in which something is not a number."""
     good = np.ones(len(states["joint_pos"]), np.bool_)
     for values in states.values():
@@ -91,43 +87,25 @@ def moved(states: Mapping[str, Array], period: float) -> dict[str, float | None]
     return figures
 
 
-def compare(first: Path, other: Path, until: tuple[float, float]) -> dict[str, Any]:
-    """Return how far the joint positions of a run are from those of the first platform's.
+def apart(first: Run, other: Run) -> dict[str, Any]:
+    """Return how far the joint positions of a run are from those of another.
 
     Both are cut at a fall, and joints matched by name, as `unicon analyze` does.
 
-    Args:
-        first, other: the runs' `.npz`.
-        until: last time with numbers in each, in [s].
-
     Returns:
-        `mse`: mean of squares, sample by sample, in [rad²]; `unfolded_mse`: the paper's, in [rad²],
-        summed over joints; `shift_s` at which it is found; `compared_s`; `notes`.
+        `mse`: mean of squares, sample by sample, in [rad²]; `unfolded_mse`: the UniCon paper's, in
+        [rad²], summed over joints; `shift_s` at which it is found; `compared_s`; `notes`.
 
     Raises:
         UniconError: there is too little in common.
     """
-    runs: list[Run] = [read_run(path, (0.0, end)) for path, end in zip((first, other), until)]
-    both = bring_together(runs[0], runs[1], Options())
+    both = bring_together(first, other, Options())
     count = min(both.ends)
-    real, sim = (side["joint_pos"][:count] for side in (both.real_whole, both.sim_whole))
+    one, two = (side["joint_pos"][:count] for side in (both.real_whole, both.sim_whole))
     return {
-        "mse": float(mse(real, sim)),
+        "mse": float(mse(one, two)),
         "unfolded_mse": float(both.unfolded.loss),
         "shift_s": int(both.unfolded.shift) * both.period,
         "compared_s": count * both.period,
         "notes": both.notes,
-    }
-
-
-def spread(values: Iterable[float | None]) -> dict[str, float | int | None]:
-    """Return mean and standard deviation (n − 1) of what is there, and of how many.
-
-    The deviation of one value, and both of none, are None.
-    """
-    there = [value for value in values if value is not None and math.isfinite(value)]
-    return {
-        "mean": float(np.mean(there)) if there else None,
-        "std": float(np.std(there, ddof=1)) if len(there) > 1 else None,
-        "runs": len(there),
     }
