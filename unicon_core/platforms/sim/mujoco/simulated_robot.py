@@ -32,6 +32,8 @@ class SimulatedRobot:
     Positions and velocities are those of the end of the tick: a tick is `mj_step2`, the whole steps
     between, and `mj_step1` of the next one, which are the same physics as `decimation` times
     `mj_step` but leave kinematics and sensors fresh (plain `mj_step` leaves them one step old).
+    Sensors, of which physics know nothing, are reckoned in the last step of a tick alone: 5 % of
+    the time of a Go2, whose model has 41.
 
     Args:
         loaded: the model, whose gains the robot shares at most with others of its thread.
@@ -83,7 +85,8 @@ class SimulatedRobot:
         self._take = command.take
         self.command = command.rows if rank is None else command.rows[:, rank]
         self.delay = None if delay is None else JointDelay(self.command, delay, decimation)
-        self._qvel = data.qvel
+        self._qvel, self._option = data.qvel, model.opt
+        self._unseen = _without_sensors(mujoco, model)
         self._split = model.opt.integrator != int(mujoco.mjtIntegrator.mjINT_RK4)
         self.reset()
 
@@ -140,16 +143,28 @@ class SimulatedRobot:
         Raises:
             Fault: the physics blew up.
         """
-        mujoco, model, data = self._mujoco, self.model, self.data
+        mujoco, model, data, option = self._mujoco, self.model, self.data, self._option
+        left, told = self._decimation, option.disableflags
         fresh = self._split  # kinematics of the next step are there: the first one needs half
-        for steps, command in parts:
-            tell(data.ctrl, command)
-            if fresh:
-                mujoco.mj_step2(model, data)
-                steps -= 1
-                fresh = False
-            if steps:
-                mujoco.mj_step(model, data, steps)
+        option.disableflags = told | self._unseen
+        try:
+            for steps, command in parts:
+                tell(data.ctrl, command)
+                left -= steps
+                if fresh and self._decimation > 1:
+                    mujoco.mj_step2(model, data)
+                    steps -= 1
+                    fresh = False
+                if not left:  # the last one is seen
+                    steps -= 1
+                if steps:
+                    mujoco.mj_step(model, data, steps)
+        finally:
+            option.disableflags = told
+        if fresh:
+            mujoco.mj_step2(model, data)
+        else:
+            mujoco.mj_step(model, data)
         if self._split:
             mujoco.mj_step1(model, data)
         else:
@@ -187,3 +202,9 @@ class SimulatedRobot:
             f"{self._who}the physics blew up before {time:.3f} s: {what}; "
             "lower the gains or the physics step (timestep)"
         )
+
+
+def _without_sensors(mujoco: Any, model: Any) -> int:
+    """Return the flag under which steps leave sensors alone; 0 where each step adds to them."""
+    late = getattr(model, "nhistory", 0) or np.any(getattr(model, "sensor_interval", 0))
+    return 0 if late or model.nplugin else int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
