@@ -147,7 +147,7 @@ def test_the_reference_is_compared(done: Path, tmp_path: Path) -> None:
     runner = RowRunner(plan_of(done).task())
     settings = list(plan_of(done).row(0).settings)
     runner(settings)
-    ((_, kept),) = runner.programs._kept.items()
+    (kept,) = runner.programs._kept
     rollouts = kept.rollouts
     place = rollouts.program.states.offset("joint_pos")
     names = np.array(rollouts.program.robot.joint_names)

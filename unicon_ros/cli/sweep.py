@@ -9,6 +9,7 @@ import argparse
 import os
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +19,7 @@ from unicon_ros.cli.console import Console
 from unicon_ros.cli.workflow_arguments import add_overrides
 
 if TYPE_CHECKING:
+    from unicon_ros.sweep.engines import Wish
     from unicon_ros.sweep.folder import Folder
     from unicon_ros.sweep.gate import Gate
     from unicon_ros.sweep.plan import Plan
@@ -50,6 +52,15 @@ def add(commands: Any) -> None:
     )
     parser.add_argument(
         "--workers", type=_count, metavar="N", help="processes (default: one for each core)"
+    )
+    parser.add_argument(
+        "--engine",
+        default="local",
+        metavar="NAME",
+        help="what runs the rows: local (default), or batch: several side by side in each process",
+    )
+    parser.add_argument(
+        "--batch", type=_count, metavar="N", help="rows side by side, with --engine batch"
     )
     parser.add_argument(
         "--gate",
@@ -103,11 +114,14 @@ def _sweep(arguments: argparse.Namespace) -> int:
 
 
 def _run(arguments: argparse.Namespace, gates: list[Gate]) -> int:
+    from unicon_ros.sweep.engines import Wish
     from unicon_ros.sweep.folder import Folder, require_pyarrow
     from unicon_ros.sweep.plan import Plan
     from unicon_ros.sweep.results import Results
     from unicon_ros.sweep.sweep_file import read_sweep
 
+    workers = arguments.workers or len(os.sched_getaffinity(0))
+    wish = Wish(arguments.engine, workers, arguments.batch)
     sweep = read_sweep(arguments.what[0], arguments.overrides)
     plan = Plan(sweep)
     program = _checked(plan, arguments.force)
@@ -120,7 +134,7 @@ def _run(arguments: argparse.Namespace, gates: list[Gate]) -> int:
     console = Console()
     try:
         with SIGNALS.guard():
-            _rows(plan, folder, arguments.workers or len(os.sched_getaffinity(0)), console)
+            _rows(plan, folder, wish, console)
             folder.flush()
     finally:
         console.close()
@@ -167,9 +181,9 @@ def _dry(plan: Plan) -> str:
     return "\n".join(lines)
 
 
-def _rows(plan: Plan, folder: Folder, workers: int, console: Console) -> None:
+def _rows(plan: Plan, folder: Folder, wish: Wish, console: Console) -> None:
     """Run what is not done yet."""
-    from unicon_ros.sweep.local import LocalEngine
+    from unicon_ros.sweep.engines import engine_of
 
     todo = (row for row in plan if row.index not in folder.done)
     left = len(plan) - len(folder.done)
@@ -177,7 +191,7 @@ def _rows(plan: Plan, folder: Folder, workers: int, console: Console) -> None:
         return
     if folder.done:
         console.say(f"{len(folder.done)} of {len(plan)} rollouts are done; going on")
-    engine = LocalEngine(plan.task(), min(workers, left), plan.sweep.timeout, folder.path)
+    engine = engine_of(plan, replace(wish, workers=min(wish.workers, left)), folder.path)
     progress = _Progress(console, len(plan), len(folder.done))
     try:
         for result in engine.run(todo):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from copy import copy
 from dataclasses import replace
@@ -201,11 +201,19 @@ class MujocoPlatform:
         begins = self._begins if scene.begins_as(self._scene) else None  # 0.4 ms to find
         other = MujocoPlatform(self._mujoco, *how, begins)
         # Whoever holds `recv` and `send` holds methods of the robot, which is another one now.
+        other.robots[0].postponed = self.robots[0].postponed
         self.robots[0].become(other.robots[0])
         own = ("robots", "recv", "send", "reset", "change", "_untouched")
         kept = {name: value for name, value in vars(self).items() if name in own}
         vars(self).clear()
         vars(self).update(vars(other) | kept)
+
+    def postpone(self) -> Callable[[], None] | None:
+        """Only take the commands in `send`; see `Postpones`. Not of a batch."""
+        if self._batch is not None:
+            return None
+        self.robots[0].postponed = True
+        return self.robots[0].act
 
     @cached_property
     def _untouched(self) -> Any:

@@ -55,6 +55,7 @@ class SimulatedRobot:
         sources: what the base states are read from.
         ticks: since the beginning.
         tell_again: brings what acted last into the model, of a robot that shares it.
+        postponed: `step` leaves the physics to `act`.
     """
 
     def __init__(
@@ -88,6 +89,7 @@ class SimulatedRobot:
         self._qvel, self._option = data.qvel, model.opt
         self._unseen = _without_sensors(mujoco, model)
         self._split = model.opt.integrator != int(mujoco.mjtIntegrator.mjINT_RK4)
+        self.postponed = False
         self.reset()
 
     def become(self, other: SimulatedRobot) -> None:
@@ -128,6 +130,15 @@ class SimulatedRobot:
             Fault: a command is not finite, or the physics blew up.
         """
         self._take()
+        if not self.postponed:
+            self.act()
+
+    def act(self) -> None:
+        """Simulate one tick under the command that was taken last.
+
+        Raises:
+            Fault: the physics blew up.
+        """
         parts = ((self._decimation, self.command),) if self.delay is None else self.delay()
         self.simulate(self.servo.push, parts)
 
