@@ -44,12 +44,12 @@ class Lockstep(Generic[T]):
         """Run a tick of each rollout; return those that have ended with their marks."""
         ended: list[tuple[T, Rollout]] = []
         for _ in ("commands", "physics"):
-            over = len(ended)
-            for one in self._running:
+            running, self._running = self._running, []
+            for one in running:
                 try:
                     next(one[1])
                 except StopIteration as end:
                     ended.append((one[0], end.value))
-            if len(ended) > over:
-                self._running = [one for one in self._running if one[1].gi_frame is not None]
+                else:
+                    self._running.append(one)
         return ended

@@ -95,8 +95,9 @@ class Rollouts:
         self._built = self._memory.take()
         self._counters = self._graph.memory()
         self.why_not = self._obstacle()
-        can = beside and not self.why_not and isinstance(program.platform, Postpones)
-        self._act = program.platform.postpone() if can else None
+        self._act: Callable[[], None] | None = None
+        if beside and not self.why_not and isinstance(program.platform, Postpones):
+            self._act = program.platform.postpone()
 
     def graphs(self) -> dict[str, CompiledGraph]:
         """Return the compiled tick."""

@@ -75,9 +75,7 @@ class WarmPrograms:
         why_not: why a program could not begin anew, the last such reason; "" for none.
     """
 
-    def __init__(
-        self, stops_at_fall: bool, reference: Reference | None, beside: int = 1
-    ) -> None:
+    def __init__(self, stops_at_fall: bool, reference: Reference | None, beside: int = 1) -> None:
         self._stops, self._reference, self._beside = stops_at_fall, reference, beside
         self._kept: list[Kept] = []
         self.built = 0
