@@ -187,3 +187,21 @@ def test_a_row_that_ends_or_stops_its_worker_takes_no_other_with_it(
     assert found[1]["text"] == "3 times: exit status 7: no more"
     for index in set(found) - {1}:
         assert found[index] == figures(Results(done), index), index
+
+
+@pytest.mark.slow
+def test_mjx_rows_run_by_themselves_and_are_the_same(
+    plan: Plan, runner: Callable[..., RowRunner]
+) -> None:
+    pytest.importorskip(
+        "mujoco.mjx", reason="mujoco-mjx is not installed: pip install 'unicon_ros[sim-mjx]'"
+    )
+    settings = [(*plan.row(i).settings, "platform=mjx") for i in (0, 1)]
+    rows = [replace(plan.row(i), settings=each) for i, each in enumerate(settings)]
+    three, one = runner(3), RowRunner(plan.task())
+    found = together(three, rows, 1)
+    assert found == {i: one(list(each))["row"] for i, each in enumerate(settings)}
+    assert found[0]["ticks"] > 0
+    assert three.programs.why_not == "platform 'mjx' cannot begin in another scene"
+    for each in (one, three):
+        each.programs.close()

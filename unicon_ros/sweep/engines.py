@@ -14,7 +14,7 @@ from unicon_ros.sweep.plan import Plan
 __all__ = ["BATCH", "ENGINES", "Wish", "engine_of"]
 
 BATCH = 4
-"""Rows that `batch` runs side by side, unless told: with 2, 4 and 8 of a Go2 that walks ..."""
+"""Rows that `batch` runs side by side, unless told: eight Go2 do not fit into 1 MB of cache."""
 
 
 @dataclass(frozen=True)
