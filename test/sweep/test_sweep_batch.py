@@ -16,9 +16,10 @@ import pytest
 from unicon_core.policies.networks import onnx
 from unicon_core.policies.networks.onnx import OnnxNetwork, share_sessions
 from unicon_ros.cli.main import main
-from unicon_ros.sweep import local
+from unicon_ros.sweep import pool
 from unicon_ros.sweep.engines import Wish, engine_of
 from unicon_ros.sweep.figures import COLUMNS
+from unicon_ros.sweep.local import LocalEngine
 from unicon_ros.sweep.plan import Plan, Row
 from unicon_ros.sweep.results import Results
 from unicon_ros.sweep.sweep_file import read_sweep
@@ -140,20 +141,18 @@ def test_sessions_are_shared_where_it_is_asked_for(
 
 
 def test_rows_that_may_have_ended_a_worker_are_given_alone(plan: Plan, tmp_path: Path) -> None:
-    engine = local.LocalEngine(plan.task(), 1, 60.0, tmp_path, batch=3)
-    engine._fill(1)
+    engine = LocalEngine(plan.task(), 1, 60.0, tmp_path, batch=3)
+    engine._fill()
     (worker,) = engine._workers
+    again = [(plan.row(0), 2), (plan.row(1), 1)]
     try:
-        todo = iter([plan.row(5)])
-        again = [(plan.row(0), 2), (plan.row(1), 2), (plan.row(2), 1)]
         worker.give(plan.row(3), 1)
-        assert engine._next(worker, again, todo) == (plan.row(2), 1)
-        assert engine._next(worker, again, todo) == (plan.row(5), 1)
-        assert engine._next(worker, again, todo) is None  # it is not empty
+        assert engine._place(worker, again) == 1
+        assert engine._place(worker, again[:1]) is None  # it is not empty
         worker.rows.clear()
-        assert engine._next(worker, again, todo) == (plan.row(0), 2)
+        assert engine._place(worker, again) == 0
         assert worker.wants(3)
-        worker.give(plan.row(0), 2)
+        worker.give(*again[0])
         assert not worker.wants(3)
     finally:
         engine.close()
@@ -163,14 +162,14 @@ def test_rows_that_may_have_ended_a_worker_are_given_alone(plan: Plan, tmp_path:
 def test_a_row_that_ends_or_stops_its_worker_takes_no_other_with_it(
     done: Path, plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(local, "START_S", 20.0)
+    monkeypatch.setattr(pool, "START_S", 20.0)
     (tmp_path / "mod_batch.py").write_text(DIES)
     rows = list(plan)
     setting = "commands=[{call: 'mod_batch:dies'}]"
     rows[1] = replace(rows[1], settings=(*rows[1].settings, setting))
     monkeypatch.setattr(sys, "path", [*sys.path, str(tmp_path)])
     engine = engine_of(plan, Wish("batch", workers=2, batch=3), tmp_path)
-    assert isinstance(engine, local.LocalEngine)
+    assert isinstance(engine, LocalEngine)
     engine._timeout = 3.0
     found: dict[int, dict[str, Any]] = {}
     try:
