@@ -124,7 +124,7 @@ class Pool(ABC):
     def look(self) -> Iterable[PoolWorker]:
         """Return workers that have told something; wait for one, `LOOK` at most."""
 
-    def leave(self, worker: PoolWorker) -> None:
+    def leave(self, worker: PoolWorker) -> None:  # noqa: B027 - most have nothing to do
         """Look at a worker no more."""
 
     def run(self, rows: Iterable[Row]) -> Iterator[Result]:
