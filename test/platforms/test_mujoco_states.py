@@ -76,6 +76,48 @@ def test_sensors_are_fresh_at_the_end_of_the_tick(build: Build, integrator: str)
     np.testing.assert_allclose(states.base_ang_vel, truth["base_ang_vel"], rtol=1e-6)
 
 
+MANY = """
+    <accelerometer site="imu"/> <gyro site="imu"/> <force site="imu"/> <touch site="imu"/>
+    <jointpos joint="elbow_joint"/> <actuatorfrc actuator="b"/> <clock/>
+    <framelinacc objtype="body" objname="ball"/> <subtreelinvel body="box"/>
+"""
+
+
+@pytest.mark.parametrize("integrator", ["Euler", "RK4", "implicitfast"])
+@pytest.mark.parametrize("period", [0.002, 0.004, 0.02])
+@pytest.mark.parametrize("late", [{}, {"joints": {"*": {"delay": 0.006}}}])
+def test_sensors_of_the_last_step_are_those_of_every_step(
+    build: Build, integrator: str, period: float, late: dict[str, Any]
+) -> None:
+    told = []
+    for every in (False, True):
+        model = {"integrator": integrator, "sensors": MANY}
+        platform, states = build(period, model=model, **late)
+        (robot,) = platform.robots
+        assert robot._unseen == mujoco.mjtDisableBit.mjDSBL_SENSOR
+        if every:
+            robot._unseen = 0
+        flags, data = platform.model.opt.disableflags, platform.data
+        data.qpos[2] = 0.1  # the ball touches the floor
+        states.joint_stiffness = 20.0
+        for tick in range(5):
+            states.joint_pos_target = 0.2 * tick
+            tumble(platform, 1)
+        assert platform.model.opt.disableflags == flags
+        names = ("qpos", "qvel", "qacc", "qfrc_actuator", "sensordata", "cfrc_int")
+        told.append([np.array(getattr(data, name)) for name in names])
+    for seldom, always in zip(*told):
+        assert (seldom == always).all()
+
+
+def test_sensors_that_remember_are_reckoned_in_every_step(build: Build) -> None:
+    if not hasattr(mujoco.MjModel, "sensor_interval"):
+        pytest.skip("this MuJoCo has no such sensors: pip install -U mujoco")
+    sensors = '<gyro site="imu" interval="0.004" nsample="3"/>'
+    platform, _ = build(model={"sensors": sensors})
+    assert platform.robots[0]._unseen == 0
+
+
 @pytest.mark.parametrize("with_sensors", [True, False])
 def test_accelerometer_reads_zero_in_flight_and_one_g_at_rest(
     build: Build, with_sensors: bool

@@ -161,7 +161,7 @@ def test_the_reference_is_compared(done: Path, tmp_path: Path) -> None:
     runner = RowRunner(plan_of(done).task())
     settings = list(plan_of(done).row(0).settings)
     runner(settings)
-    ((_, kept),) = runner.programs._kept.items()
+    (kept,) = runner.programs._kept
     rollouts = kept.rollouts
     place = rollouts.program.states.offset("joint_pos")
     names = np.array(rollouts.program.robot.joint_names)
@@ -206,7 +206,7 @@ def test_a_state_that_cannot_be_kept_is_told(
     assert told in refused(capsys, tmp_path / "s.yaml", "--out", tmp_path / "out")
     assert not (tmp_path / "out").exists()
     told = refused(capsys, tmp_path / "s.yaml", "--engine", "ray")
-    assert "keep is of engine local; take it out, or --engine local" in told
+    assert "keep is of engine local or batch; take it out, or --engine local" in told
 
 
 # -- workers that die ------------------------------------------------------------------------------

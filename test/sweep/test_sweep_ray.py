@@ -46,9 +46,9 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
 
 def test_an_engine_that_is_none_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     told = refused(capsys, sweep_file(tmp_path), "--engine", "rey")
-    assert told == "--engine 'rey'; did you mean 'ray'? known: local, ray"
+    assert told == "--engine 'rey'; did you mean 'ray'? known: batch, local, ray"
     told = refused(capsys, sweep_file(tmp_path, TEXT + "engine: rey\n"))
-    assert told.endswith("s.yaml:3: engine is 'rey'; did you mean 'ray'? known: local, ray")
+    assert told.endswith("s.yaml:3: engine is 'rey'; did you mean 'ray'? known: batch, local, ray")
     told = refused(capsys, sweep_file(tmp_path), "--address", "127.0.0.1:6379")
     assert told == "--address is of a Ray cluster; add --engine ray"
 

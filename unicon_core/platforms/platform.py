@@ -40,6 +40,7 @@ __all__ = [
     "Pausable",
     "Placeable",
     "Platform",
+    "Postpones",
     "Prepares",
     "Pushable",
     "ReportsVariant",
@@ -212,6 +213,20 @@ class Changeable(Protocol):
         Raises:
             ModelError: no such key frame or body.
             PlatformError: the scene is wrong, or it has to be built anew.
+        """
+        ...
+
+
+@runtime_checkable
+class Postpones(Protocol):
+    """A simulator whose physics may wait behind `send`, for rollouts side by side in one thread."""
+
+    def postpone(self) -> Callable[[], None] | None:
+        """From now on only take the commands in `send`.
+
+        Returns:
+            What simulates the tick, to be called once behind each `send`; it raises what `send`
+            would. None where it cannot be put off.
         """
         ...
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +21,7 @@ from unicon_core.flow import compile_graph
 from unicon_core.flow.compiled import CompiledGraph
 from unicon_core.flow.scope import LABEL
 from unicon_core.flow.stage import Stage
-from unicon_core.platforms.platform import Changeable
+from unicon_core.platforms.platform import Changeable, Postpones
 from unicon_core.runtime.phases import Phase
 from unicon_core.runtime.report import reason_of
 from unicon_core.runtime.tick_ring import memory_of
@@ -66,6 +66,7 @@ class Rollouts:
     Args:
         program: on a simulator, not run before; its first rollout needs no `begin`.
         look: makes what looks at a rollout, anew for each; or None.
+        beside: others run beside it, so that its physics wait where they can; see `Lockstep`.
 
     Attributes:
         why_not: why it cannot begin anew, "" where it can.
@@ -74,7 +75,13 @@ class Rollouts:
         UniconError: it is no simulator's.
     """
 
-    def __init__(self, program: Program, look: Callable[[States], Look] | None = None) -> None:
+    def __init__(
+        self,
+        program: Program,
+        look: Callable[[States], Look] | None = None,
+        *,
+        beside: bool = False,
+    ) -> None:
         if not program.platform.facts.simulated:
             raise UniconError(
                 f"platform {program.platform.facts.name!r} is a robot; rollouts are simulated"
@@ -88,6 +95,9 @@ class Rollouts:
         self._built = self._memory.take()
         self._counters = self._graph.memory()
         self.why_not = self._obstacle()
+        self._act: Callable[[], None] | None = None
+        if beside and not self.why_not and isinstance(program.platform, Postpones):
+            self._act = program.platform.postpone()
 
     def graphs(self) -> dict[str, CompiledGraph]:
         """Return the compiled tick."""
@@ -132,7 +142,23 @@ class Rollouts:
         Args:
             limit: most ticks.
         """
-        program, graph = self.program, self._graph
+        halves = self.halves(limit)
+        while True:
+            try:
+                next(halves)
+            except StopIteration as end:
+                rollout: Rollout = end.value
+                return rollout
+
+    def halves(self, limit: int) -> Generator[None, None, Rollout]:
+        """Do the same, and yield in front of the physics of each tick and behind them.
+
+        Only where they wait for it; else it yields nothing.
+
+        Args:
+            limit: most ticks.
+        """
+        program, graph, act = self.program, self._graph, self._act
         look = None if self._look is None else self._look(program.states)
         step, deferred, tick = graph.step, graph.deferred, program.states["tick"]
         rows, values = self._rows, self._float
@@ -140,6 +166,12 @@ class Rollouts:
         try:
             while count < limit:
                 done = step()
+                if act is not None:
+                    yield
+                    block = "send"  # should it fail
+                    act()
+                    block = ""
+                    yield
                 try:
                     done = deferred() or done
                 finally:
@@ -155,7 +187,7 @@ class Rollouts:
                     ended = "looked"
                     break
         except Exception as error:
-            ended, fault, block = "fault", reason_of(error), self._where(error)
+            ended, fault, block = "fault", reason_of(error), block or self._where(error)
         digest = program.monitor.sha256
         return Rollout(ended, count, fault, block, digest, rows[:count])
 

@@ -1,8 +1,9 @@
 """`unicon bench sweep`: a rollout of a sweep beside physics and network alone, on the same cores.
 
 A Go2 walks for 10 s with our policy, under pushes, with motors and payloads that differ in every
-row. Both sides have one process for each core (two at most), and take turns; a rollout of the sweep
-has everything in it: scene and program begun anew, safety, figures, the row written down.
+row. All sides have one process for each core (two at most), and take turns; a rollout of the sweep
+has everything in it: scene and program begun anew, safety, figures, the row written down. Engine
+`batch` runs the rows that engine `local` has just run, which have to be the same.
 """
 
 from __future__ import annotations
@@ -30,6 +31,9 @@ SECONDS = 10.0
 RATE = 50.0
 MOST_CORES = 2
 BAR = 1.18
+BATCH_BAR = 1.0
+SIDES = {"local": "sweep", "batch": "batch"}
+"""Engine to the name of its case."""
 
 _WORKFLOW = """\
 robot: go2
@@ -63,6 +67,7 @@ def run(rounds: int | None = None, rollouts: int = ROLLOUTS) -> Bench:
         rounds: interleaved rounds, 20 unless told.
         rollouts: of each side in all rounds together.
     """
+    from unicon_ros.sweep.engines import Wish, engine_of
     from unicon_ros.sweep.folder import Folder, require_pyarrow
     from unicon_ros.sweep.local import LocalEngine
     from unicon_ros.sweep.plan import Plan
@@ -81,44 +86,52 @@ def run(rounds: int | None = None, rollouts: int = ROLLOUTS) -> Bench:
         text = _SWEEP.replace("ROLLOUTS", str(count))
         (folder / "sweep.yaml").write_text(text, encoding="utf-8")
         plan = Plan(read_sweep(folder / "sweep.yaml"))
-        out = Folder(folder / "out", plan, "")
-        engine = LocalEngine(plan.task(), cores, plan.sweep.timeout, folder)
+        sides: list[tuple[str, Folder, LocalEngine]] = []
+        for engine in SIDES:
+            out = Folder(folder / engine, plan, "")
+            made = engine_of(plan, Wish(engine, cores), len(plan), out.path)
+            assert isinstance(made, LocalEngine)
+            sides.append((SIDES[engine], out, made))
         floor = [_Bare(folder / "walk.yaml") for _ in range(cores)]
         rows = iter(plan)
         try:
             for number in range(bench.rounds + 1):
                 SIGNALS.check()
                 todo = [next(rows) for _ in range(each)]
-                begin, spent = time.perf_counter(), _cpu(engine.pids)
-                for result in engine.run(todo):
-                    out.know(result.facts)
-                    out.add(result.index, result.figures)
-                SIGNALS.check()
-                swept = time.perf_counter() - begin, _cpu(engine.pids) - spent
+                spent: dict[str, tuple[float, float]] = {}
+                for side, out, made in sides:
+                    begin, before = time.perf_counter(), _cpu(made.pids)
+                    for result in made.run(todo):
+                        out.know(result.facts)
+                        out.add(result.index, result.figures)
+                    SIGNALS.check()
+                    spent[side] = time.perf_counter() - begin, _cpu(made.pids) - before
                 begin = time.perf_counter()
                 for process in floor:
                     process.ask(each // cores)
                 answers = [process.answer() for process in floor]
-                bare = time.perf_counter() - begin, sum(cpu for cpu, _ in answers)
+                spent["bare"] = time.perf_counter() - begin, sum(cpu for cpu, _ in answers)
                 ways.append(answers[0][1])
                 if number:  # the first one builds and warms up
                     per = 1e6 / each
-                    times.add("sweep", swept[0] * cores * per)
-                    times.add("bare", bare[0] * cores * per)
-                    times.add("sweep, CPU", swept[1] * per)
-                    times.add("bare, CPU", bare[1] * per)
-            out.flush()
-            results = Results(out.path)
+                    for side, (wall, cpu) in spent.items():
+                        times.add(side, wall * cores * per)
+                        times.add(f"{side}, CPU", cpu * per)
+            for _, out, _ in sides:
+                out.flush()
+            results, others = (Results(out.path) for _, out, _ in sides)
         finally:
-            engine.close()
             for process in floor:
                 process.close()
-            out.close()
+            for _, out, made in sides:
+                made.close()
+                out.close()
         fell = sum(bool(value) for value in results.column("fell"))
         bench.facts["rollouts of each side"] = each * bench.rounds
         bench.facts["processes"] = cores
         bench.facts["fell"] = fell
         bench.facts["no result"] = results.failed
+        bench.facts["the same rows"] = results.sha256 == others.sha256
         distances = [value for value in results.column("distance_m") if value is not None]
         bench.facts["way, sweep [m]"] = f"{sum(distances) / len(distances):.2f}"
         bench.facts["way, bare [m]"] = f"{ways[-1]:.2f}"
@@ -126,6 +139,7 @@ def run(rounds: int | None = None, rollouts: int = ROLLOUTS) -> Bench:
         bench.case(name, times.of(name))
     bench.ratio("cost", times.ratio("sweep", "bare"), BAR)
     bench.ratio("cost_cpu", times.ratio("sweep, CPU", "bare, CPU"), BAR)
+    bench.ratio("batch_cpu", times.ratio("batch, CPU", "sweep, CPU"), BATCH_BAR)
     return bench
 
 

@@ -6,19 +6,18 @@
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from unicon_core.errors import MissingDependencyError, UniconError, alternatives
+from unicon_core.errors import MissingDependencyError, UniconError
 from unicon_core.signals import SIGNALS
 from unicon_ros.cli.console import Console
 from unicon_ros.cli.workflow_arguments import add_overrides, count_to
 
 if TYPE_CHECKING:
-    from unicon_ros.sweep.engine import Engine
+    from unicon_ros.sweep.engines import Wish
     from unicon_ros.sweep.folder import Folder
     from unicon_ros.sweep.gate import Gate
     from unicon_ros.sweep.plan import Plan
@@ -58,13 +57,20 @@ def add(commands: Any) -> None:
     parser.add_argument(
         "--engine",
         metavar="NAME",
-        help="local (processes here) or ray (a cluster); the file's unless told, else local",
+        help="local (processes here), batch (several rows side by side in each) or ray (a "
+        "cluster); the file's unless told, else local",
     )
     parser.add_argument(
         "--address",
         metavar="HOST:PORT",
         default="",
         help="head node of a Ray cluster to join (default: a Ray of its own, here)",
+    )
+    parser.add_argument(
+        "--batch",
+        type=count_to(MOST_WORKERS),
+        metavar="N",
+        help="rows side by side in each process, with --engine batch (default: 4)",
     )
     parser.add_argument(
         "--gate",
@@ -111,37 +117,31 @@ def _sweep(arguments: argparse.Namespace) -> int:
 
 
 def _run(arguments: argparse.Namespace, gates: list[Gate]) -> int:
+    from unicon_ros.sweep.engines import Wish
     from unicon_ros.sweep.folder import Folder, require_pyarrow
-    from unicon_ros.sweep.on_ray.engine import require_ray
     from unicon_ros.sweep.plan import Plan
     from unicon_ros.sweep.results import Results
-    from unicon_ros.sweep.sweep_file import ENGINES, read_sweep
+    from unicon_ros.sweep.sweep_file import read_sweep
 
     sweep = read_sweep(arguments.what[0], arguments.overrides)
     engine = arguments.engine or sweep.engine
-    if engine not in ENGINES:
-        raise UniconError(f"--engine {engine!r}; {alternatives(engine, ENGINES)}")
-    if arguments.address and engine != "ray":
-        raise UniconError("--address is of a Ray cluster; add --engine ray")
+    wish = Wish(engine, arguments.workers, arguments.batch, arguments.address)
     for gate in gates:
         gate.check([each.path for each in sweep.parameters])
-    if sweep.keep and engine == "ray":
-        raise UniconError(f"{sweep.path}: keep is of engine local; take it out, or --engine local")
+    wish.check(sweep)
     plan = Plan(sweep)
     program = _checked(plan, arguments.force)
     if arguments.dry:
         print(_dry(plan))
         return 0
     require_pyarrow()
-    if engine == "ray":
-        require_ray()
+    wish.require()
     out = Path(arguments.out or f"{sweep.path.stem}.sweep")
     folder = Folder(out, plan, program)
     console = Console()
     try:
         with SIGNALS.guard():
-            where = (engine, arguments.address, arguments.workers)
-            _rows(plan, folder, where, console)
+            _rows(plan, folder, wish, console)
             folder.flush()
     finally:
         console.close()
@@ -190,15 +190,17 @@ def _dry(plan: Plan) -> str:
     return "\n".join(lines)
 
 
-def _rows(plan: Plan, folder: Folder, where: tuple[str, str, int | None], console: Console) -> None:
+def _rows(plan: Plan, folder: Folder, wish: Wish, console: Console) -> None:
     """Run what is not done yet."""
+    from unicon_ros.sweep.engines import engine_of
+
     todo = (row for row in plan if row.index not in folder.done)
     left = len(plan) - len(folder.done)
     if not left:
         return
     if folder.done:
         console.say(f"{len(folder.done)} of {len(plan)} rollouts are done; going on")
-    engine = _engine(plan, folder, where, left)
+    engine = engine_of(plan, wish, left, folder.path)
     progress = _Progress(console, len(plan), len(folder.done))
     try:
         for result in engine.run(todo):
@@ -207,19 +209,6 @@ def _rows(plan: Plan, folder: Folder, where: tuple[str, str, int | None], consol
             progress(result.figures, result.why_not)
     finally:
         engine.close()
-
-
-def _engine(plan: Plan, folder: Folder, where: tuple[str, str, int | None], left: int) -> Engine:
-    """Return what runs rows: engine, address and workers that were asked for."""
-    name, address, workers = where
-    if name == "ray":
-        from unicon_ros.sweep.on_ray.engine import RayEngine
-
-        return RayEngine(plan, workers, left, folder.path, address)
-    from unicon_ros.sweep.local import LocalEngine
-
-    count = min(workers or len(os.sched_getaffinity(0)), left)
-    return LocalEngine(plan.task(folder.path), count, plan.sweep.timeout, folder.path)
 
 
 class _Progress:

@@ -1,4 +1,4 @@
-"""Engine `local`: a pool of processes on this machine, each of one thread and kept warm."""
+"""Engines `local` and `batch`: processes on this machine, each of one thread and kept warm."""
 
 from __future__ import annotations
 
@@ -23,11 +23,14 @@ class LocalEngine(Pool):
         workers: processes.
         timeout: wall time in [s] that a row may take.
         logs: folder for what engines print.
+        batch: rows that a process runs side by side; see `Lockstep`.
     """
 
-    def __init__(self, task: dict[str, Any], workers: int, timeout: float, logs: Path) -> None:
-        super().__init__(workers, timeout)
-        self._task, self._logs = task, logs
+    def __init__(
+        self, task: dict[str, Any], workers: int, timeout: float, logs: Path, batch: int = 1
+    ) -> None:
+        super().__init__(workers, timeout, batch=batch)
+        self._task, self._logs = task | {"batch": batch}, logs
         self._selector = selectors.DefaultSelector()
 
     @property

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from abc import ABC, abstractmethod
-from collections import deque
 from collections.abc import Iterable, Iterator
 from typing import Any
 
@@ -17,7 +16,7 @@ from unicon_ros.sweep.plan import Row
 __all__ = ["AHEAD", "HOPELESS", "LOOK", "ONE_THREAD", "START_S", "TRIES", "Pool", "PoolWorker"]
 
 AHEAD = 2
-"""Rows that a worker has: the one that it runs, and the next, so that it never waits."""
+"""Rows that a worker has, for each that it runs: that one and the next, so that it never waits."""
 TRIES = 3
 """Of a row whose worker dies, or hangs."""
 HOPELESS = 12
@@ -26,6 +25,8 @@ START_S = 120.0
 """Wall time in [s] that the first row of a worker has besides: engines compile."""
 LOOK = 0.2
 """Time in [s] between two looks at signals and clocks."""
+Given = tuple[Row, int]
+"""A row, and for the so many-th time."""
 ONE_THREAD = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
 )
@@ -40,18 +41,23 @@ class PoolWorker(ABC):
 
     Attributes:
         name: the same.
-        rows: that it has, each with how often it was tried; it runs the first.
+        rows: that it has, each with how often it was tried; it runs the first, or the first ones.
         ready: it takes rows.
         log: where to look when it has died.
     """
 
     def __init__(self, name: int) -> None:
         self.name = name
-        self.rows: deque[tuple[Row, int]] = deque()
+        self.rows: list[Given] = []
         self.ready = True
         self.log = ""
         self._since = time.monotonic()
         self._more = START_S
+
+    def wants(self, batch: int) -> bool:
+        """Return whether it takes another row; beside one that may have ended a batch, none."""
+        alone = batch > 1 and any(tries > 1 for _, tries in self.rows)
+        return self.ready and not alone and len(self.rows) < AHEAD * batch
 
     def give(self, row: Row, tries: int) -> None:
         """Have a row run, for the so many-th time."""
@@ -60,10 +66,11 @@ class PoolWorker(ABC):
         self.rows.append((row, tries))
         self.send(row)
 
-    def taken(self) -> tuple[Row, int]:
-        """Return the row that has ended; the next one begins."""
+    def taken(self, index: int | None = None) -> int:
+        """Return the index of the row that has ended, the first one unless told; another begins."""
         self._since, self._more = time.monotonic(), 0.0
-        return self.rows.popleft()
+        place = 0 if index is None else [row.index for row, _ in self.rows].index(index)
+        return self.rows.pop(place)[0].index
 
     def late(self, timeout: float) -> str:
         """Return that its row takes longer than a time in [s], "" while it does not."""
@@ -77,7 +84,10 @@ class PoolWorker(ABC):
 
     @abstractmethod
     def heard(self) -> Iterator[dict[str, Any]]:
-        """Yield what it has told of its rows, in their order, as of `RowRunner.told`."""
+        """Yield what it has told of its rows, as of `RowRunner.told`.
+
+        In their order, or each with its `index`.
+        """
 
     @abstractmethod
     def gone(self, timeout: float) -> str:
@@ -95,10 +105,14 @@ class Pool(ABC):
         count: of workers.
         timeout: wall time in [s] that a row may take.
         hopeless: workers that may die one after the other without a row done.
+        batch: rows that a worker runs side by side.
     """
 
-    def __init__(self, count: int, timeout: float, hopeless: int = HOPELESS) -> None:
-        self._count, self._timeout, self._hopeless = count, timeout, hopeless
+    def __init__(
+        self, count: int, timeout: float, hopeless: int = HOPELESS, batch: int = 1
+    ) -> None:
+        self._count, self._timeout, self._hopeless = count, timeout * batch, hopeless
+        self._batch = batch
         self._workers: list[Any] = []
         self._deaths = 0
 
@@ -113,14 +127,14 @@ class Pool(ABC):
     def run(self, rows: Iterable[Row]) -> Iterator[Result]:
         """Yield the result of each row; see `Engine`."""
         todo = iter(rows)
-        again: deque[tuple[Row, int]] = deque()
+        again: list[Given] = []
         more = True
         self._fill()
         while not SIGNALS.asked:
             for worker in self._workers:
-                while worker.ready and len(worker.rows) < AHEAD:
-                    if again:
-                        worker.give(*again.popleft())
+                while worker.wants(self._batch):
+                    if (place := self._place(worker, again)) is not None:
+                        worker.give(*again.pop(place))
                     elif more and (row := next(todo, None)) is not None:
                         worker.give(row, 1)
                     else:
@@ -132,17 +146,20 @@ class Pool(ABC):
                 for told in worker.heard():
                     if "error" in told:
                         raise UniconError(str(told["error"]))
-                    row, _ = worker.taken()
+                    index = worker.taken(told.get("index"))
                     self._deaths = 0
                     facts = told.get("facts", {})
-                    yield Result(row.index, told["row"], facts, told["built"], told["why_not"])
+                    yield Result(index, told["row"], facts, told["built"], told["why_not"])
             for worker in list(self._workers):
                 if why := worker.gone(self._timeout):
                     yield from self._replace(worker, why, again)
 
-    def _replace(
-        self, worker: PoolWorker, why: str, again: deque[tuple[Row, int]]
-    ) -> Iterator[Result]:
+    def _place(self, worker: PoolWorker, again: list[Given]) -> int | None:
+        """Return which of the rows to try again a worker gets: what may end a batch, alone."""
+        alone = self._batch > 1 and bool(worker.rows)
+        return next((i for i, (_, tries) in enumerate(again) if tries == 1 or not alone), None)
+
+    def _replace(self, worker: PoolWorker, why: str, again: list[Given]) -> Iterator[Result]:
         """End a worker, start another, and have its rows run again."""
         self._workers.remove(worker)
         why = worker.end(why)
@@ -153,7 +170,7 @@ class Pool(ABC):
                 f"{worker.log}"
             )
         for place, (row, tries) in enumerate(worker.rows):
-            if place:  # it was not at fault
+            if place >= self._batch:  # it was not at fault
                 again.append((row, tries))
             elif tries < TRIES:
                 again.append((row, tries + 1))

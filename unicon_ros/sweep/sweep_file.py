@@ -43,12 +43,13 @@ KEYS = {
     "reference": "a run (.npz) to compare joint positions with",
     "keep": "states that are kept of every tick, a file for each rollout; none unless told",
     "timeout": "wall time in [s] that a rollout may take; 60 unless told",
-    "engine": "local (processes of this machine) or ray (a cluster); local unless told",
+    "engine": "local (processes here), batch (rows side by side in each) or ray (a cluster); local "
+    "unless told",
     "gate": "list of conditions such as fall<0.01",
     "description": "one line",
 }
 SAMPLES = ("grid", "random", "sobol")
-ENGINES = ("local", "ray")
+ENGINES = ("local", "batch", "ray")
 STOPS = ("fall", "none")
 TIMEOUT = 60.0
 MOST_ROLLOUTS = 1_000_000

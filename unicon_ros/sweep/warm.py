@@ -9,7 +9,6 @@ from __future__ import annotations
 import gc
 import hashlib
 import json
-from collections import OrderedDict
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -30,7 +29,7 @@ __all__ = ["Kept", "LookAt", "WarmPrograms", "key_of", "program_sha256"]
 
 LookAt = Callable[[Program], Callable[[States], Look] | None]
 MOST = 4
-"""Programs that are kept; each holds a model and a network."""
+"""Programs that are kept beside those that run; each holds a model and a network."""
 
 BUILT_ANEW = ("model", "mounts")
 """Keys of a scene that make another model."""
@@ -38,11 +37,12 @@ DISTURBS = ("delay", "noise", "push")
 """Keys of a scene of which something stands around the platform, or nothing."""
 
 
-@dataclass
+@dataclass(eq=False)
 class Kept:
     """A program that is kept.
 
     Attributes:
+        key: what a document has to share with its own, as of `key_of`.
         rollouts: of it.
         figures: of them.
         facts: what it is made of: name to SHA-256.
@@ -50,6 +50,7 @@ class Kept:
         period: of a tick in [s].
     """
 
+    key: str
     rollouts: Rollouts
     figures: Figures
     facts: dict[str, str]
@@ -68,15 +69,16 @@ class WarmPrograms:
     Args:
         look: takes a program that was just built, and returns what makes looks at its rollouts.
         reference: to compare with, or None.
+        beside: programs that may run side by side.
 
     Attributes:
         built: programs that were built.
         why_not: why a program could not begin anew, the last such reason; "" for none.
     """
 
-    def __init__(self, look: LookAt, reference: Reference | None) -> None:
-        self._look, self._reference = look, reference
-        self._kept: OrderedDict[str, Kept] = OrderedDict()
+    def __init__(self, look: LookAt, reference: Reference | None, beside: int = 1) -> None:
+        self._look, self._reference, self._beside = look, reference, beside
+        self._kept: list[Kept] = []
         self.built = 0
         self.why_not = ""
 
@@ -87,36 +89,42 @@ class WarmPrograms:
             UniconError: it cannot be built.
         """
         kept = self.begun(document)
-        return kept, kept.rollouts.run(round(duration / kept.period))
+        try:
+            return kept, kept.rollouts.run(round(duration / kept.period))
+        finally:
+            self.keep(kept)
 
     def begun(self, document: WorkflowDocument) -> Kept:
-        """Return the program of a document at its beginning.
+        """Return a program of a document at its beginning, which the caller has until `keep`.
 
         Raises:
             UniconError: it cannot be built.
         """
         key = key_of(document)
-        kept = self._kept.pop(key, None)
-        if kept is not None and not kept.rollouts.why_not:
-            try:
-                kept.rollouts.begin(document)
-            except BaseException:
-                kept.close()
-                raise
-        else:
-            if kept is not None:
-                kept.close()
-            kept = self._build(document)
-        self._kept[key] = kept
-        if len(self._kept) > MOST:
-            self._kept.popitem(last=False)[1].close()
-        return kept
+        kept = next((each for each in reversed(self._kept) if each.key == key), None)
+        if kept is not None:
+            self._kept.remove(kept)
+            if not kept.rollouts.why_not:
+                try:
+                    kept.rollouts.begin(document)
+                except BaseException:
+                    kept.close()
+                    raise
+                return kept
+            kept.close()
+        return self._build(document, key)
 
-    def _build(self, document: WorkflowDocument) -> Kept:
+    def keep(self, kept: Kept) -> None:
+        """Take a program back for another row; its rollout is of no use then."""
+        self._kept.append(kept)
+        if len(self._kept) >= MOST + self._beside:
+            self._kept.pop(0).close()
+
+    def _build(self, document: WorkflowDocument, key: str) -> Kept:
         refuse_robot(document)
         program = Program(document)
         try:
-            rollouts = Rollouts(program, self._look(program))
+            rollouts = Rollouts(program, self._look(program), beside=self._beside > 1)
             told = self._reference
             reference = None if told is None else told.of(program.robot, program.period)
             figures = Figures(program.states, program.robot, program.period, reference)
@@ -127,11 +135,11 @@ class WarmPrograms:
         self.built += 1
         gc.freeze()  # no pass over what stays: 2 ms each
         self.why_not = rollouts.why_not or self.why_not
-        return Kept(rollouts, figures, facts, program_sha256(program), program.period)
+        return Kept(key, rollouts, figures, facts, program_sha256(program), program.period)
 
     def close(self) -> None:
         """Let all go."""
-        for kept in self._kept.values():
+        for kept in self._kept:
             kept.close()
         self._kept.clear()
 

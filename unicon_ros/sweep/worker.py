@@ -1,4 +1,4 @@
-"""Worker: a process that runs rows of a sweep, one after the other (`python -m`, see `local`).
+"""Worker: a process that runs rows of a sweep, one or some at a time (`python -m`, see `local`).
 
 It reads its task and then rows from one pipe, a line of JSON each, and writes a line of JSON for
 each row to another. What engines print goes to the log that its parent made. It has one thread, and
@@ -9,14 +9,18 @@ from __future__ import annotations
 
 import json
 import os
+import select
 import signal
 import sys
+from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from unicon_core.errors import MissingDependencyError, UniconError, WorkflowError
 from unicon_core.located_yaml import read_yaml
+from unicon_core.policies.networks.onnx import share_sessions
+from unicon_core.runtime.lockstep import Lockstep
 from unicon_core.runtime.rollouts import Look, Rollout
 from unicon_core.states import States
 from unicon_core.workflow import Program
@@ -37,7 +41,8 @@ class RowRunner:
 
     Args:
         task: `workflow` (file), `duration`, `stops_at_fall` and `reference` (file or None); where
-            states are kept, `keep`: their `folder` and the names of the `states`.
+            states are kept, `keep`: their `folder` and the names of the `states`; `batch`, where
+            more than one row is run at a time.
         said: an error, as the row of a refused rollout has it.
 
     Raises:
@@ -49,12 +54,16 @@ class RowRunner:
         self._located = read_yaml(Path(task["workflow"]), WorkflowError)
         reference = task["reference"]
         told = None if reference is None else Reference(Path(reference))
-        self.programs = WarmPrograms(self.look, told)
+        self.batch = int(task.get("batch", 1))
+        if self.batch > 1:
+            share_sessions()
+        self.programs = WarmPrograms(self.look, told, self.batch)
         self._stops = bool(task["stops_at_fall"])
         self._duration = float(task["duration"])
         keep = task.get("keep")
         self._keep = None if keep is None else Keeper(Path(keep["folder"]), keep["states"])
         self._told: set[str] = set()
+        self._running: Lockstep[tuple[int, str, Kept]] = Lockstep()
 
     def __call__(self, settings: list[str], name: str = "") -> dict[str, Any]:
         """Return `row` of some settings; where a program is new, also its `facts`.
@@ -67,16 +76,43 @@ class RowRunner:
             MissingDependencyError: what it needs is not installed.
             UniconError: its states cannot be written.
         """
+        refused = self.begin(0, settings, name)
+        if refused is not None:
+            return refused
+        while not (ended := self.tick()):
+            pass
+        ((_, told),) = ended
+        return told
+
+    def __len__(self) -> int:
+        """How many rows are running."""
+        return len(self._running)
+
+    def begin(self, index: int, settings: list[str], name: str = "") -> dict[str, Any] | None:
+        """Have a row run beside the others; return what is told of it where it is refused."""
         try:
-            document = document_with(self._located, settings)
-            kept, rollout = self.programs.run(document, self._duration)
+            kept = self.programs.begun(document_with(self._located, settings))
         except MissingDependencyError:
             raise  # it is so of every row
         except UniconError as error:
             return {"row": empty_row() | {"outcome": "refused", "text": self._said(error)[:300]}}
+        limit = round(self._duration / kept.period)
+        self._running.add((index, name, kept), kept.rollouts, limit)
+        return None
+
+    def tick(self) -> list[tuple[int, dict[str, Any]]]:
+        """Run a tick of each row; return the index of each that has ended, and what is told."""
+        return [
+            (index, self._ended(name, kept, rollout))
+            for (index, name, kept), rollout in self._running.tick()
+        ]
+
+    def _ended(self, name: str, kept: Kept, rollout: Rollout) -> dict[str, Any]:
         if self._keep is not None:
             self._keep(name, kept.rollouts.program, rollout)
-        return self.of(kept, rollout)
+        told = self.of(kept, rollout)
+        self.programs.keep(kept)
+        return told
 
     def look(self, program: Program) -> Callable[[States], Look] | None:
         """Return what makes looks at the rollouts of a program that was just built."""
@@ -93,10 +129,13 @@ class RowRunner:
     def told(self, settings: list[str], name: str = "") -> dict[str, Any]:
         """Return what is told of a row: as above with `built` and `why_not`, or an `error`."""
         try:
-            programs = self.programs
-            return self(settings, name) | {"built": programs.built, "why_not": programs.why_not}
+            return self.counted(self(settings, name))
         except UniconError as error:
             return {"error": self._said(error)}
+
+    def counted(self, told: dict[str, Any]) -> dict[str, Any]:
+        """Return what is told of a row with `built` and `why_not` of the programs so far."""
+        return told | {"built": self.programs.built, "why_not": self.programs.why_not}
 
 
 def serve(make: Callable[[dict[str, Any], Tell], RowRunner]) -> int:
@@ -107,24 +146,55 @@ def serve(make: Callable[[dict[str, Any], Tell], RowRunner]) -> int:
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's
     incoming, outgoing = (int(text) for text in sys.argv[1:3])
-    with os.fdopen(incoming, "rb") as rows, os.fdopen(outgoing, "wb", buffering=0) as results:
+    rows = _Lines(incoming)
+    with os.fdopen(outgoing, "wb", buffering=0) as results:
 
         def tell(value: dict[str, Any]) -> None:
             results.write(line_of(value))
 
-        runner = None
-        for line in rows:
-            task = json.loads(line)
-            if runner is not None:
-                told = runner.told(task["settings"], task["name"])
-            else:
-                try:
-                    runner = make(task, tell)
-                    continue
-                except UniconError as error:
-                    told = {"error": str(error)}
-            tell(told)
+        try:
+            if task := rows.next(wait=True):
+                _run(make(json.loads(task), tell), rows, tell)
+        except UniconError as error:
+            tell({"error": str(error)})
+            return 1
     return 0
+
+
+def _run(runner: RowRunner, rows: _Lines, tell: Tell) -> None:
+    """Run rows until none comes any more; each is told before the next one begins."""
+    while not rows.over or len(runner):
+        for index, told in runner.tick():
+            tell(runner.counted(told) | {"index": index})
+        while len(runner) < runner.batch and (line := rows.next(wait=not len(runner))):
+            row = json.loads(line)
+            refused = runner.begin(row["index"], row["settings"], row["name"])
+            if refused is not None:
+                tell(runner.counted(refused) | {"index": row["index"]})
+
+
+class _Lines:
+    """Lines of a pipe, waited for only where there is nothing else to do.
+
+    Attributes:
+        over: nothing comes any more.
+    """
+
+    def __init__(self, pipe: int) -> None:
+        self._pipe, self._half = pipe, b""
+        self._lines: deque[bytes] = deque()
+        self.over = False
+
+    def next(self, wait: bool) -> bytes:
+        """Return the next line, b"" where none is there yet, or none will come."""
+        while not self._lines and not self.over:
+            if not wait and not select.select([self._pipe], [], [], 0)[0]:
+                return b""
+            data = os.read(self._pipe, 1 << 16)
+            self.over = not data
+            *lines, self._half = (self._half + data).split(b"\n")
+            self._lines.extend(lines)
+        return self._lines.popleft() if self._lines else b""
 
 
 if __name__ == "__main__":

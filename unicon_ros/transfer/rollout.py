@@ -78,10 +78,10 @@ class TimedRunner(RowRunner):
         self._tell = tell
         self._warnings: list[str] = []
 
-    def __call__(self, settings: list[str], name: str = "") -> dict[str, Any]:
-        """Return `row`, and `run` of one that ran."""
+    def begin(self, index: int, settings: list[str], name: str = "") -> dict[str, Any] | None:
+        """As of `RowRunner`; what is not installed is an outcome here."""
         try:
-            return super().__call__(settings, name)
+            return super().begin(index, settings, name)
         except MissingDependencyError as error:
             return {"row": {"outcome": "missing", "text": str(error)}}
 
@@ -96,6 +96,7 @@ class TimedRunner(RowRunner):
         return watch
 
     def of(self, kept: Kept, rollout: Rollout) -> dict[str, Any]:
+        """Return `row`, and `run` besides."""
         watch, program = self._watch, kept.rollouts.program
         if not rollout.ticks and not rollout.fault:
             raise UniconError(

@@ -125,6 +125,15 @@ class Scene:
             and (pose == "model" or pose.startswith(KEYFRAME))
         )
 
+    def begins_as(self, other: Scene) -> bool:
+        """Return whether a robot begins where it does in another scene of the same model."""
+        ours, theirs = self.pose, other.pose
+        return (
+            (self.initial_pose, self.initial_height) == (other.initial_pose, other.initial_height)
+            and (ours is None) == (theirs is None)
+            and (ours is None or theirs is None or np.array_equal(ours, theirs))
+        )
+
     @property
     def bodies(self) -> list[str]:
         """What is said of bodies and ground, as a platform's facts name what it can be told."""

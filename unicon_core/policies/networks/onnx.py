@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
+from weakref import WeakValueDictionary
 
 from numpy.typing import NDArray
 
@@ -12,7 +13,7 @@ from unicon_core.errors import MissingDependencyError, PolicyError
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.networks.onnx_file import OnnxFile, read_onnx
 
-__all__ = ["PROVIDERS", "OnnxNetwork", "load_session", "threads_of"]
+__all__ = ["PROVIDERS", "OnnxNetwork", "load_session", "share_sessions", "threads_of"]
 
 PROVIDERS = {
     "cpu": ("CPUExecutionProvider", "pip install 'unicon_ros[sim]'"),
@@ -20,6 +21,31 @@ PROVIDERS = {
     "tensorrt": ("TensorrtExecutionProvider", "pip install onnxruntime-gpu tensorrt"),
 }
 """Word of a contract to onnxruntime's name of the execution provider, and how it is installed."""
+
+
+_shared: WeakValueDictionary[tuple[Path, str, int], Any] | None = None
+
+
+def share_sessions() -> None:
+    """From now on load each network once in this process, while anybody has it.
+
+    For many programs side by side, whose files do not change meanwhile: the weights stay in the
+    cache from one to the next. A session remembers nothing between two calls.
+    """
+    global _shared
+    if _shared is None:
+        _shared = WeakValueDictionary()
+
+
+def session_of(path: Path, provider: str, threads: int) -> Any:
+    """Return a session, where they are shared the one that is there; see `load_session`."""
+    if _shared is None:
+        return load_session(path, provider, threads)
+    key = path.resolve(), provider, threads
+    session = _shared.get(key)
+    if session is None:
+        session = _shared[key] = load_session(path, provider, threads)
+    return session
 
 
 def load_session(path: Path, provider: str = "cpu", threads: int = 1) -> Any:
@@ -107,7 +133,7 @@ class OnnxNetwork:
             )
         self.inputs = self.file.inputs
         self.outputs = self.file.outputs
-        self._session = load_session(path, provider, threads)
+        self._session = session_of(path, provider, threads)
 
     def bind(
         self, inputs: Mapping[str, NDArray[Any]], outputs: Mapping[str, NDArray[Any]]

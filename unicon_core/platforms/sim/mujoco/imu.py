@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["BaseReader", "find_imu"]
+__all__ = ["BaseReader", "find_imu", "without_sensors"]
 
 Float = NDArray[np.float64]
 Copy = Callable[[], None]
@@ -38,6 +38,12 @@ def find_imu(mujoco: Any, model: Any, body: int) -> dict[str, int]:
         if model.site_bodyid[model.sensor_objid[i]] == body:
             found.setdefault(kind, i)
     return found
+
+
+def without_sensors(mujoco: Any, model: Any) -> int:
+    """Return the flag under which steps leave sensors alone; 0 where each step adds to them."""
+    late = getattr(model, "nhistory", 0) or np.any(getattr(model, "sensor_interval", 0))
+    return 0 if late or model.nplugin else int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
 
 
 class BaseReader:
