@@ -204,19 +204,22 @@ def behind_filter(model: Any, alpha: float) -> None:
     for node in graph.node:
         for i, name in enumerate(node.output):
             if name == out:
-                node.output[i] = "trained"
-    figures = {"new": np.float32(1.0 / alpha), "old": np.float32((1.0 - alpha) / alpha)}
-    places = {"start": [33], "stop": [45], "axis": [1]}
+                node.output[i] = "filter_trained"
+    figures = {
+        "filter_new": np.float32(1.0 / alpha),
+        "filter_old": np.float32((1.0 - alpha) / alpha),
+    }
+    places = {"filter_start": [33], "filter_stop": [45], "filter_axis": [1]}
     graph.initializer.extend(numpy_helper.from_array(np.array(v), k) for k, v in figures.items())
     graph.initializer.extend(
         numpy_helper.from_array(np.array(v, np.int64), k) for k, v in places.items()
     )
     graph.node.extend(
         [
-            helper.make_node("Slice", [obs, *places], ["before"]),
-            helper.make_node("Mul", ["before", "old"], ["held"]),
-            helper.make_node("Mul", ["trained", "new"], ["raised"]),
-            helper.make_node("Sub", ["raised", "held"], [out]),
+            helper.make_node("Slice", [obs, *places], ["filter_before"]),
+            helper.make_node("Mul", ["filter_before", "filter_old"], ["filter_held"]),
+            helper.make_node("Mul", ["filter_trained", "filter_new"], ["filter_raised"]),
+            helper.make_node("Sub", ["filter_raised", "filter_held"], [out]),
         ]
     )
 
