@@ -50,7 +50,11 @@ def rollout_of(workflow: str, ticks: int) -> Callable[[], float]:
     first = data.qpos.copy()
     default, scale = contract.default_joint_pos, np.float32(0.25)
     observation, action = np.zeros((1, 45), np.float32), np.zeros((1, 12), np.float32)
-    run = OnnxNetwork(contract.model).bind({"obs": observation}, {"actions": action})
+    network = OnnxNetwork(contract.model)
+    memory = {x.name: np.zeros((1, int(x.shape[1])), np.float32) for x in network.inputs[1:]}
+    following = {pair.output: memory[pair.input].copy() for pair in contract.recurrent}
+    pairs = [(memory[pair.input], following[pair.output]) for pair in contract.recurrent]
+    run = network.bind({"obs": observation, **memory}, {"actions": action, **following})
     row, rotation = observation[0], data.xmat[1].reshape(3, 3)
 
     def rollout() -> float:
@@ -58,6 +62,8 @@ def rollout_of(workflow: str, ticks: int) -> Callable[[], float]:
         data.qpos[:] = first
         mujoco.mj_forward(model, data)
         action[...] = 0.0
+        for held, _ in pairs:
+            held[...] = 0.0
         qpos, qvel, ctrl = data.qpos, data.qvel, data.ctrl
         for _ in range(ticks):
             row[0:3] = qvel[3:6] * 0.25
@@ -67,6 +73,8 @@ def rollout_of(workflow: str, ticks: int) -> Callable[[], float]:
             row[21:33] = qvel[at_vel] * 0.05
             row[33:45] = action[0]
             run()
+            for held, told in pairs:
+                held[...] = told
             np.clip(action, -8.0, 8.0, out=action)
             ctrl[actuators] = default + scale * action[0]
             mujoco.mj_step(model, data, steps)
