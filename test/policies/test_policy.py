@@ -416,14 +416,17 @@ def write_counter(path: Path, rows: int | str = 1) -> None:
     save(path, graph)
 
 
+COUNTS = toy_values(
+    inputs={"observation": "obs"},
+    outputs={"action": "actions"},
+    recurrent=[{"input": "h_in", "output": "h_out"}],
+)
+"""Of the network of `write_counter`."""
+
+
 def test_recurrent_tensors_are_fed_back_and_reset(tmp_path: Path) -> None:
     write_counter(tmp_path / "policy.onnx")
-    values = toy_values(
-        inputs={"observation": "obs"},
-        outputs={"action": "actions"},
-        recurrent=[{"input": "h_in", "output": "h_out"}],
-    )
-    contract = load_policy(write_toy(tmp_path, values))
+    contract = load_policy(write_toy(tmp_path, COUNTS))
     machine = robot()
     states = states_of(contract, machine)
     policy = Policy(contract, states, machine)
@@ -438,12 +441,7 @@ def test_recurrent_tensors_are_fed_back_and_reset(tmp_path: Path) -> None:
 
 def test_each_of_many_robots_has_a_memory_of_its_own(tmp_path: Path) -> None:
     write_counter(tmp_path / "policy.onnx", "batch")
-    values = toy_values(
-        inputs={"observation": "obs"},
-        outputs={"action": "actions"},
-        recurrent=[{"input": "h_in", "output": "h_out"}],
-    )
-    contract = load_policy(write_toy(tmp_path, values))
+    contract = load_policy(write_toy(tmp_path, COUNTS))
     machine = robot()
     states = states_of(contract, machine, 3)
     policy = Policy(contract, states, machine)
@@ -459,12 +457,7 @@ def test_each_of_many_robots_has_a_memory_of_its_own(tmp_path: Path) -> None:
 
 def test_a_memory_of_one_robot_does_not_drive_many(tmp_path: Path) -> None:
     write_counter(tmp_path / "policy.onnx")
-    values = toy_values(
-        inputs={"observation": "obs"},
-        outputs={"action": "actions"},
-        recurrent=[{"input": "h_in", "output": "h_out"}],
-    )
-    contract = load_policy(write_toy(tmp_path, values))
+    contract = load_policy(write_toy(tmp_path, COUNTS))
     machine = robot()
     with pytest.raises(PolicyError) as caught:
         Policy(contract, states_of(contract, machine, 2), machine)

@@ -31,7 +31,7 @@ class Result:
 
 
 class Engine(Protocol):
-    """Runs rows somewhere: `local` in processes of this machine, `ray` on a cluster."""
+    """Runs rows somewhere: `local` and `batch` in processes here, `ray` on a cluster."""
 
     def run(self, rows: Iterable[Row]) -> Iterator[Result]:
         """Yield the result of each row once.

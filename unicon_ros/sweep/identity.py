@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import importlib.metadata
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
@@ -15,7 +15,7 @@ import unicon_ros.analysis
 import unicon_ros.sweep
 from unicon_core import __version__
 
-__all__ = ["changes", "code_sha256", "versions"]
+__all__ = ["changes", "code_sha256", "differing", "versions"]
 
 PACKAGES = ("numpy", "mujoco", "onnxruntime", "scipy")
 """Packages whose version may move the last bit of a row."""
@@ -42,6 +42,13 @@ def versions() -> dict[str, str]:
     return found
 
 
+def differing(there: Mapping[str, str], here: Mapping[str, str]) -> Iterator[tuple[str, str, str]]:
+    """Yield name, version there and version here of what differs, by name."""
+    for name in sorted({*there, *here}):
+        if there.get(name) != here.get(name):
+            yield name, there.get(name, "absent"), here.get(name, "absent")
+
+
 def changes(there: Mapping[str, Any], here: Mapping[str, Any], identity: Mapping[str, Any]) -> str:
     """Return how a folder's sweep differs from the one at hand, "" where it does not.
 
@@ -55,13 +62,8 @@ def changes(there: Mapping[str, Any], here: Mapping[str, Any], identity: Mapping
         which = [key for key in identity if said.get(key) != identity[key]]
         return f"its {', '.join(which) or 'file'} is not this one's"
     if there.get("versions") != here["versions"]:
-        old = there.get("versions") or {}
-        pairs = [
-            f"{name} was {old.get(name, 'absent')} and is {here['versions'].get(name, 'absent')}"
-            for name in sorted({*old, *here["versions"]})
-            if old.get(name) != here["versions"].get(name)
-        ]
-        return ", ".join(pairs)
+        found = differing(there.get("versions") or {}, here["versions"])
+        return ", ".join(f"{name} was {old} and is {new}" for name, old, new in found)
     if there.get("code") != here["code"]:
         return "it was made by other code of the same version"
     if there.get("program") != here["program"]:

@@ -17,7 +17,7 @@ from unicon_core.errors import UniconError
 from unicon_core.models.find import model_of
 from unicon_core.platforms.kit.scene import SCENE_KEYS
 from unicon_core.resources import sha256_of
-from unicon_core.runtime.rollouts import Look, Rollout, Rollouts
+from unicon_core.runtime.rollouts import Look, Rollouts
 from unicon_core.states import States
 from unicon_core.workflow import Program
 from unicon_core.workflow.document import WorkflowDocument
@@ -81,18 +81,6 @@ class WarmPrograms:
         self._kept: list[Kept] = []
         self.built = 0
         self.why_not = ""
-
-    def run(self, document: WorkflowDocument, duration: float) -> tuple[Kept, Rollout]:
-        """Run a document for a time in [s] at most.
-
-        Raises:
-            UniconError: it cannot be built.
-        """
-        kept = self.begun(document)
-        try:
-            return kept, kept.rollouts.run(round(duration / kept.period))
-        finally:
-            self.keep(kept)
 
     def begun(self, document: WorkflowDocument) -> Kept:
         """Return a program of a document at its beginning, which the caller has until `keep`.

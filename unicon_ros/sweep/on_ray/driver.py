@@ -18,7 +18,7 @@ from dataclasses import asdict
 from typing import Any, BinaryIO
 
 from unicon_core.errors import UniconError
-from unicon_ros.sweep.identity import code_sha256, versions
+from unicon_ros.sweep.identity import code_sha256, differing, versions
 from unicon_ros.sweep.on_ray.actor import RowActor
 from unicon_ros.sweep.piped import line_of
 from unicon_ros.sweep.plan import Row
@@ -139,14 +139,9 @@ def differs(told: Mapping[str, Any]) -> str:
     Args:
         told: as of `RowActor.hello`.
     """
-    here, there = versions(), told["versions"]
-    pairs = [
-        f"{name} {there.get(name, 'absent')} (here {here.get(name, 'absent')})"
-        for name in sorted({*here, *there})
-        if here.get(name) != there.get(name)
-    ]
-    if pairs:
-        return f"has {', '.join(pairs)}: rows would differ; install the same there"
+    found = differing(told["versions"], versions())
+    if pairs := ", ".join(f"{name} {theirs} (here {ours})" for name, theirs, ours in found):
+        return f"has {pairs}: rows would differ; install the same there"
     if told["code"] != code_sha256():
         return (
             "runs other code of unicon_ros than was shipped: rows would differ; take unicon_ros "
