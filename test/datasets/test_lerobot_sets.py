@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import io
 import json
 import os
@@ -10,6 +11,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -145,6 +147,11 @@ def test_an_encoder_takes_no_priority_over_a_tick(bags: list[Path], tmp_path: Pa
     policies = {os.sched_getscheduler(int(name)) for name in os.listdir("/proc/self/task")}
     assert policies.isdisjoint({os.SCHED_FIFO, os.SCHED_RR})
     assert os.sched_getscheduler(0) == before
+    # What libpthread remembers, and Fast DDS hands on to its threads, is no longer SVT-AV1's.
+    told, param = ctypes.c_int(-1), ctypes.create_string_buffer(64)
+    pthread = ctypes.c_ulong(threading.get_ident())
+    assert not ctypes.CDLL(None).pthread_getschedparam(pthread, ctypes.byref(told), param)
+    assert told.value == before
 
 
 def test_a_video_has_a_frame_for_each_row(bags: list[Path], tmp_path: Path) -> None:

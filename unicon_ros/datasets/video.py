@@ -5,7 +5,9 @@ https://github.com/huggingface/lerobot, src/lerobot/datasets/video_utils.py
 
 from __future__ import annotations
 
+import ctypes
 import os
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -109,13 +111,22 @@ def _policies() -> dict[int, int]:
 def _calm(before: dict[int, int]) -> None:
     """Take back the real-time priority that SVT-AV1 gives itself, and its caller, where it is root.
 
-    Its threads would go before the tick of a robot that runs beside an export.
+    Its threads would go before the tick of a robot that runs beside an export. The caller's own is
+    told to libpthread, not only to the kernel: that remembers what was set last, and Fast DDS gives
+    its threads what pthread_getschedparam(3) says of the thread that makes them.
     """
-    for thread, policy in _policies().items() if before else ():
+    found = _policies() if before else {}
+    for thread, policy in found.items():
         usual = before.get(thread, os.SCHED_BATCH)
         if policy != usual:
             with suppress(OSError):
                 os.sched_setscheduler(thread, usual, os.sched_param(0))
+    caller = threading.get_native_id()
+    usual = before.get(caller, os.SCHED_OTHER)
+    if found.get(caller, usual) != usual:
+        nothing = ctypes.create_string_buffer(64)  # struct sched_param, in any libc
+        pthread = ctypes.c_ulong(threading.get_ident())
+        ctypes.CDLL(None).pthread_setschedparam(pthread, ctypes.c_int(usual), nothing)
 
 
 @contextmanager
