@@ -446,8 +446,10 @@ def test_a_browser_shows_the_report(done: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_kills_at_random_moments_lose_and_repeat_no_row(tmp_path: Path) -> None:
-    text = "workflow: go2_walk\nduration: 2\nset: {flow: {policy: walk}}\n"
+@pytest.mark.parametrize("engine", ["local", "batch"])
+def test_kills_at_random_moments_lose_and_repeat_no_row(engine: str, tmp_path: Path) -> None:
+    text = "workflow: go2_walk\nduration: 2\nset:\n  flow: {policy: walk}\n"
+    text += "  scene.terrain: {rough: {extent: 8}}\n"
     text += "vary: {scene.noise.joint_vel: {uniform: [0, 1]}}\nsample: random\nrollouts: 60\n"
     (tmp_path / "s.yaml").write_text(text)
     command = [sys.executable, "-m", "unicon_ros", "sweep", str(tmp_path / "s.yaml")]
@@ -455,7 +457,7 @@ def test_kills_at_random_moments_lose_and_repeat_no_row(tmp_path: Path) -> None:
     random = np.random.default_rng(0)
     for sign in (signal.SIGKILL, signal.SIGTERM, signal.SIGKILL, signal.SIGINT, None):
         process = subprocess.Popen(
-            [*command, "--out", str(tmp_path / "b"), "--workers", "2"],
+            [*command, "--out", str(tmp_path / "b"), "--workers", "2", "--engine", engine],
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
         )
