@@ -49,7 +49,7 @@ SCALE = 1e6
 """Of an observation's term: published contracts have 0.05 to 2."""
 
 SHARE = 1.0
-"""Of the effort limits that `effort_limits` may allow: more than all is no limit."""
+"""Of the effort limits that `effort_limits` may allow: more than all is not a limit."""
 TRIP_SHARE = 10.0
 """The same where it trips: a servo may ask for more than its motor gives, and does at a touch."""
 VELOCITY_FACTOR = 3.0

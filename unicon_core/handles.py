@@ -31,7 +31,7 @@ _SLOT = 2  # int64 for each slot: handle of its frame (0 while it is filled), st
 class FrameRing:
     """A ring of frames of one size; make it with `create` or `attach`.
 
-    Handles count from 1; 0 is no frame. A frame stays readable until as many newer ones have come
+    Handles count from 1; 0 is not a frame. A frame is readable until as many newer ones have come
     as the ring has slots, less the one being filled.
 
     Attributes:

@@ -5,7 +5,7 @@ the ament prefixes; that of the installed package; what other packages bring, by
 index, then by entry points (`unicon_core/packages.py`). `package://NAME/PATH` is a package's file.
 Where `UNICON_COPIES` names a folder that has `data/walk`, that is what `/data/walk` means.
 
-Names come from files: `os.path` tells that a name which is too long, or holds a NUL, is no file,
+Names come from files: `os.path` tells that a name which is too long, or holds a NUL, is not a file,
 where `pathlib` raises.
 """
 
@@ -244,7 +244,7 @@ def file_beside(file: Path, reference: str | Path, what: str, *, error: type[Uni
         path = file.parent / text
         target = path.resolve()
     except (OSError, RuntimeError, ValueError) as wrong:  # endless links, a NUL
-        raise error(f"{what} {text[:80]!r} is no path ({wrong}); {remedy}") from wrong
+        raise error(f"{what} {text[:80]!r} is not a path ({wrong}); {remedy}") from wrong
     inside = any(target.is_relative_to(folder) for folder in folders)
     if not text or Path(text).is_absolute() or ".." in Path(text).parts or not inside:
         raise error(f"{what} {text[:80]!r} is not in the folder of {file.name}; {remedy}")

@@ -202,7 +202,7 @@ class Recording:
 
     Raises:
         MissingDependencyError: rosbags is not installed.
-        UniconError: nothing can be split so, or that is no quality.
+        UniconError: nothing can be split so, or that is not a quality.
     """
 
     def __init__(
@@ -225,7 +225,7 @@ class Recording:
                 "--record", "rosbags", "pip install 'unicon_ros[bags]'"
             ) from error
         if not 0 <= jpeg <= 100:
-            raise UniconError(f"{jpeg} is no quality of a JPEG; give 1 to 100, or 0 for none")
+            raise UniconError(f"{jpeg} is not a quality of a JPEG; give 1 to 100, or 0 for none")
         self._path, self._map_name, self._session = path, map_name, session
         self._namespace, self._frame_prefix = namespace, frame_prefix
         self._warn, self._patient = warn, patient

@@ -65,7 +65,7 @@ WORKFLOWS = {
     "a state by number": (state("{1: {shape: [3]}}"), "state name 1 is not an identifier"),
     "states that are words": (state("{x: a}"), "a state is 'a'; give {shape"),
     "names by number": (state("{x: {shape: [2], names: [1, 2]}}"), "element names [1, 2] are not"),
-    "a hostile dtype": (state("{x: {dtype: \"a';x='\"}}"), "is no NumPy type"),
+    "a hostile dtype": (state("{x: {dtype: \"a';x='\"}}"), "is not a NumPy type"),
     "given a number": (
         BASE + "policies: {walk: {path: go2_velocity, given: 1e-30}}\n",
         "policy 'walk': given is 1e-30; write a mapping of facts",

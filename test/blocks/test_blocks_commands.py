@@ -70,11 +70,11 @@ def test_ramp_and_limits_bound_the_command(bench: Build) -> None:
         ({}, "give either constant: [vx, vy, wz] or schedule: [[t, vx, vy, wz], …]"),
         (
             {"constant": [1.0]},
-            "[1.0] is no command; give [vx, vy, wz], with t in front in a row",
+            "[1.0] is not a command; give [vx, vy, wz], with t in front in a row",
         ),
         (
             {"schedule": [[0, 1, 0]]},
-            "[0, 1, 0] is no command; give [vx, vy, wz], with t in front in a row",
+            "[0, 1, 0] is not a command; give [vx, vy, wz], with t in front in a row",
         ),
         (
             {"schedule": [[1, 0, 0, 0], [1, 0, 0, 0]]},

@@ -111,7 +111,7 @@ def test_a_missing_package_is_told_with_its_install_command(
         ("platform", "--set 'platform' has no '='; write --set path=value, as platform=mujoco"),
         (
             "safety.7=x",
-            "--set safety.7: '7' is no place in a list of 2; give a number from 0 to 1: "
+            "--set safety.7: '7' is not a place in a list of 2; give a number from 0 to 1: "
             "0 (finite), 1 (joint_limits)",
         ),
         (

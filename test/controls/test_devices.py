@@ -145,7 +145,7 @@ def test_keys_count_for_a_while_and_once_commands_leave(
         assert pad.controls.alive == 0
         driving[0] = True
         keys()
-        os.write(master, b"wA15\x1b[A")  # arrows are no keys of ours
+        os.write(master, b"wA15\x1b[A")  # arrows are not keys of ours
         keys()
         assert (pad.pressed(), pad.controls.sticks.any()) == (set(), False)
         os.write(master, b"w15")

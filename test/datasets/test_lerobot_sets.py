@@ -179,7 +179,7 @@ def test_a_video_has_a_frame_for_each_row(bags: list[Path], tmp_path: Path) -> N
         assert np.abs(pixels[row].astype(int) - wanted).mean() < 20.0
 
 
-# -- what was commanded, and what is no number -----------------------------------------------------
+# -- what was commanded, and what is not a number --------------------------------------------------
 
 
 def commands(program: Program) -> dict[Stage, list[Block]]:

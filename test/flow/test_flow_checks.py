@@ -84,7 +84,7 @@ def test_an_unknown_state_comes_alone_with_alternatives() -> None:
     lines = found(wrong, block("late", "phase"), POLICY)
     assert len(lines) == 1
     assert lines[0].startswith(
-        "w.yaml:3: block 'gait' reads 'joint_poz', which is no state; did you mean 'joint_pos'? "
+        "w.yaml:3: block 'gait' reads 'joint_poz', which is not a state; did you mean 'joint_pos'? "
         "known: base_ang_vel, "
     )
     assert lines[0].endswith("; or declare it under 'states:'")
@@ -94,7 +94,7 @@ def test_unknown_states_are_found_in_all_that_a_block_declares() -> None:
     wrong = block("b", "r", "w", "a", expects={"e": {"unit": "m"}})
     words = [line.split("; ")[0] for line in found(wrong)]
     assert words == [
-        f"block 'b' {word} '{word[0]}', which is no state"
+        f"block 'b' {word} '{word[0]}', which is not a state"
         for word in ("reads", "writes", "amends", "expects")
     ]
 

@@ -1,4 +1,4 @@
-"""Modbus frames: known ones byte for byte, a slow twin, and everything that is no frame."""
+"""Modbus frames: known ones byte for byte, a slow twin, and everything that is not a frame."""
 
 from __future__ import annotations
 

@@ -156,7 +156,7 @@ def test_depths_are_where_the_floor_is(
     if kind == "cloud":
         assert middle[1] == pytest.approx(heights[-1] + 0.1, rel=0.03)  # y is down
         assert abs(middle[0]) < 0.05 * z
-    assert 0.2 < last["finite"] < 0.9  # what is beyond 20 m is no measurement
+    assert 0.2 < last["finite"] < 0.9  # what is beyond 20 m is not a measurement
 
 
 @pytest.mark.usefixtures("gl")

@@ -200,7 +200,7 @@ def test_every_cut_of_a_message_is_refused_and_the_next_whole_one_read(line: Lin
     line.says("keeps", name=NAMES, position=values(1.0), velocity=values(2.0))
     whole = joint_state(values(80.0))
     before = line.took("keeps")
-    # 2 bytes are no encapsulation header; the middleware itself may drop those.
+    # 2 bytes are not an encapsulation header; the middleware itself may drop those.
     for length in range(5, len(whole) - 20, 7):
         line.raw("keeps", whole[:length])
         time.sleep(0.012)  # a tick of the host: each is looked at

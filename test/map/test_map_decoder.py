@@ -434,8 +434,8 @@ def test_booleans_of_any_nonzero_byte_are_true() -> None:
 @pytest.mark.parametrize(
     ("path", "reason"),
     [
-        (b"", "0 bytes are no CDR payload"),
-        (b"\0\1\0", "3 bytes are no CDR payload"),
+        (b"", "0 bytes are not a CDR payload"),
+        (b"\0\1\0", "3 bytes are not a CDR payload"),
         (b"\0\3\0\0" + bytes(60), "encapsulation 0x0003 is not plain CDR"),
         (b"\0\1\0\0" + bytes(47), "float64 at 44 runs past the end (51 bytes)"),
         (b"\0\1\0\0" + bytes(52), "4 bytes are left over behind a whole geometry_msgs/msg/Twist"),

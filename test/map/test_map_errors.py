@@ -92,7 +92,7 @@ FILES: list[tuple[str, str]] = [
     ),
     (
         "publish:\n  - topic: a\n    type: Twist\n    fields: {}\n",
-        "m.yaml:3: a: message type 'Twist' is no type name; write pkg/msg/Name, such as "
+        "m.yaml:3: a: message type 'Twist' is not a type name; write pkg/msg/Name, such as "
         "sensor_msgs/msg/JointState",
     ),
     (
@@ -153,7 +153,7 @@ FILES: list[tuple[str, str]] = [
     ),
     (
         OUT + "    fields:\n      linear[0]: x\n",
-        "m.yaml:5: a: linear[0]: linear of geometry_msgs/msg/Twist is no array; drop the [...]",
+        "m.yaml:5: a: linear[0]: linear of geometry_msgs/msg/Twist is not an array; drop the [...]",
     ),
     (
         OUT + "    fields:\n      linear: a b\n",
@@ -237,7 +237,7 @@ FILES: list[tuple[str, str]] = [
     ),
     (
         OUT + "    fields:\n      linear.x: {state: a, text: 8.2q}\n",
-        "m.yaml:5: linear.x: text '8.2q' is no format; write a width, as in 8.2f",
+        "m.yaml:5: linear.x: text '8.2q' is not a format; write a width, as in 8.2f",
     ),
     (
         IN + "    fields:\n      linear.x: {state: a, text: 8.2f}\n",
@@ -266,7 +266,7 @@ FILES: list[tuple[str, str]] = [
     ),
     (
         STATE.replace("publish", "subscribe") + "      position: {state: p, by: names}\n",
-        "m.yaml:5: js: position: by 'names' is no mapped array of names; known: none",
+        "m.yaml:5: js: position: by 'names' is not a mapped array of names; known: none",
     ),
     (
         OUT + "    fields: {true: a, 'true': b}\n",
@@ -405,13 +405,13 @@ PUBLISHED: list[tuple[str, dict[str, object], str]] = [
     (
         DIAG,
         {"status[0].level": "=WARM"},
-        "status[0].level: 'WARM' is no byte; did you mean 'WARN'? known: ERROR, OK, STALE, WARN",
+        "status[0].level: 'WARM' is not a byte; did you mean 'WARN'? known: ERROR, OK, STALE, WARN",
     ),
-    (DIAG, {"status[0].level": 256}, "status[0].level: 256 is no byte; give an integer from 0 to 255"),
-    (DIAG, {"status[0].level": 1.5}, "status[0].level: 1.5 is no byte; give an integer from 0 to 255"),
+    (DIAG, {"status[0].level": 256}, "status[0].level: 256 is not a byte; give an integer from 0 to 255"),
+    (DIAG, {"status[0].level": 1.5}, "status[0].level: 1.5 is not a byte; give an integer from 0 to 255"),
     (DIAG, {"status": [1]}, "status: 1 cannot fill a diagnostic_msgs/msg/DiagnosticStatus; map the fields of its elements"),
     (TWIST_TYPE, {"linear": [1, 2]}, "linear takes 3 values, 2 are given"),
-    (TWIST_TYPE, {"linear.x": "=fast"}, "linear.x: 'fast' is no float64; no constant is named"),
+    (TWIST_TYPE, {"linear.x": "=fast"}, "linear.x: 'fast' is not a float64; no constant is named"),
     (JS, {"header.frame_id": "=a\0b"}, "header.frame_id: a string cannot hold a NUL character"),
     (ODOM, {"pose.covariance": "six"}, "pose.covariance takes 36 elements, six has 6; select them, as in six[:36]"),
     (ODOM, {"pose.pose.orientation": "three"}, "pose.pose.orientation: a quaternion has 4 elements, three has 3"),

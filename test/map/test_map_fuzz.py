@@ -306,7 +306,7 @@ def without_rest(case: Case, raw: bytes) -> Any:
             return case.messages.store.deserialize_cdr(raw[:-rest], case.decoder.spec.type)
         except Exception:
             continue
-    raise AssertionError("accepted what is no message at all")
+    raise AssertionError("accepted what is not a message at all")
 
 
 def fuzz(make: Callable[[], Case], count: int, seed: int) -> dict[str, int]:

@@ -132,7 +132,7 @@ def test_text_file_and_folder_register_alike(tmp_path: Path) -> None:
         ),
         (
             lambda m: m.struct("JointState"),
-            "message type 'JointState' is no type name; write pkg/msg/Name, "
+            "message type 'JointState' is not a type name; write pkg/msg/Name, "
             "such as sensor_msgs/msg/JointState",
         ),
         (

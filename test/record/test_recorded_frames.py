@@ -144,7 +144,7 @@ def test_a_quality_that_is_none_is_refused(text: str, capsys: pytest.CaptureFixt
 
 
 def test_a_quality_that_python_gives_is_checked_too(tmp_path: Path) -> None:
-    with pytest.raises(UniconError, match="101 is no quality of a JPEG; give 1 to 100, or 0"):
+    with pytest.raises(UniconError, match="101 is not a quality of a JPEG; give 1 to 100, or 0"):
         Recording(tmp_path / "run.mcap", frames=["all"], jpeg=101)
 
 

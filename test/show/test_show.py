@@ -82,7 +82,7 @@ def test_text_draws_the_tree_and_marks_the_critical_path() -> None:
         "│     │  └─ ● walk",
         "│     └─ stay: ● pose",
         "├─ ● joint_limits",
-        "├─ deferred, found to be no part of the command",
+        "├─ deferred, found not to be part of the command",
         "│  └─ every 5 ticks",
         "│     └─ when fallen",
         "│        └─ log <1>",

@@ -224,7 +224,7 @@ def test_a_cut_file_is_refused(tmp_path: Path, cut: int) -> None:
     path = tmp_path / "f"
     go2_like().save(path)
     path.write_bytes(path.read_bytes()[:cut])
-    with pytest.raises(StateError, match=r"is no state file|is truncated"):
+    with pytest.raises(StateError, match=r"is not a state file|is truncated"):
         States.load(path)
 
 
@@ -311,7 +311,7 @@ SMALL = {"joint_pos": StateSpec((2,)), "joint_vel": StateSpec((2,))}
         ),
         (
             lambda: StateSpec(dtype="float31"),
-            "state dtype 'float31' is no NumPy type; use float32, int64, bool, …",
+            "state dtype 'float31' is not a NumPy type; use float32, int64, bool, …",
         ),
         (
             lambda: StateSpec(dtype="complex64"),
@@ -370,7 +370,7 @@ def test_files_that_are_no_state_files_are_named(tmp_path: Path) -> None:
     with pytest.raises(StateError) as caught:
         States.load(tmp_path / "text")
     assert str(caught.value) == (
-        f"{tmp_path / 'text'} is no state file; write one with States.save"
+        f"{tmp_path / 'text'} is not a state file; write one with States.save"
     )
 
 

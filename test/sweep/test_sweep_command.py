@@ -373,10 +373,10 @@ def test_a_worse_policy_is_found_by_gate_and_comparison(
     [
         (("nothing.yaml",), "nothing.yaml"),
         (("report",), "report"),
-        (("report", "a", "b"), "is no sweep; write SWEEP.yaml, report FOLDER, or compare A B"),
+        (("report", "a", "b"), "is not a sweep; write SWEEP.yaml, report FOLDER, or compare A B"),
         (("report", "nowhere"), "has no sweep.json"),
         (("compare", "nowhere", "b"), "has no sweep.json"),
-        (("a.yaml", "--gate", "fall"), "is no condition"),
+        (("a.yaml", "--gate", "fall"), "is not a condition"),
     ],
 )
 def test_a_wrong_command_is_told(

@@ -194,10 +194,10 @@ def test_a_plan_that_cannot_be_is_refused(tmp_path: Path, text: str, told: str) 
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        ("fall", "is no condition; write fall<0.01"),
-        ("fall<<1", "is no condition"),
-        ("fall<1.2.3", "is no condition"),
-        ("fall<1 for each", "is no condition"),
+        ("fall", "is not a condition; write fall<0.01"),
+        ("fall<<1", "is not a condition"),
+        ("fall<1.2.3", "is not a condition"),
+        ("fall<1 for each", "is not a condition"),
         ("fall.mean<1", "fall has no 'mean'; .*known: lower, rate, upper"),
         ("distance_m.p50x<1", "distance_m has no 'p50x'"),
         ("outcome<1", "no figure 'outcome'"),

@@ -197,7 +197,9 @@ def test_a_shard_of_somebody_else_is_told(tmp_path: Path) -> None:
     parquet.write_table(pyarrow.table({"row": [100, 101]}), folder.path / "shard-0001.parquet")
     parquet.write_table(pyarrow.table({"row": ["x"]}), folder.path / "mine.parquet")
     for read in (lambda: filled(tmp_path, range(0)), lambda: Results(folder.path)):
-        with pytest.raises(UniconError, match=r"shard-0001\.parquet: it is no shard of this sweep"):
+        with pytest.raises(
+            UniconError, match=r"shard-0001\.parquet: it is not a shard of this sweep"
+        ):
             read()
     (folder.path / "shard-0001.parquet").unlink()
     assert Results(folder.path).rows == [0, 1, 2]

@@ -1,4 +1,4 @@
-"""Figures of sweeps and transfers against what is known by construction, and what is no number."""
+"""Figures of sweeps and transfers against what is known by construction, and NaN."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def test_way_aside_and_backwards_is_not_walked() -> None:
 def test_nothing_counts_after_a_fall_and_one_sample_says_nothing() -> None:
     states = driven(commanded((0.5, 0.0, 0.0)))
     states["projected_gravity"][60:] = (1.0, 0.0, 0.0)
-    states["base_pos_w"][60:, 0] += 2.0  # it topples ahead, which is no walk
+    states["base_pos_w"][60:, 0] += 2.0  # it topples ahead, which is not a walk
     figures = moved(states, PERIOD)
     assert figures["fall_s"] == pytest.approx(1.2)
     assert figures["distance_m"] == pytest.approx(0.5 * 1.2, rel=0.02)

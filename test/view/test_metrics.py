@@ -184,7 +184,7 @@ def test_a_taken_port_is_an_error_before_the_run(
     )
     with pytest.raises(SystemExit):
         main([*run, "--metrics", "70000"])
-    assert "70000 is no port" in capsys.readouterr().err
+    assert "70000 is not a port" in capsys.readouterr().err
 
 
 @pytest.mark.slow

@@ -39,7 +39,7 @@ class Body(Bundle):
 
 @dataclass(frozen=True)
 class Tuned(Bundle):
-    """No bundle: a gain is no state."""
+    """No bundle: a gain is not a state."""
 
     joint_pos: Reads
     gain: float
@@ -140,8 +140,8 @@ def wrong(tuned: Tuned) -> Block:
         (
             wrong,
             None,
-            "f.yaml:3: block 'mine': Tuned.gain is no state; annotate it Reads, Writes or Amends, "
-            "or make it a parameter of the block",
+            "f.yaml:3: block 'mine': Tuned.gain is not a state; annotate it Reads, Writes or "
+            "Amends, or make it a parameter of the block",
         ),
         (
             bow,

@@ -91,15 +91,18 @@ def test_path_means(dotted: str, after: dict[Any, Any]) -> None:
         ("rate.x", "--set rate.x: rate is 50, which has no parts; set it whole: --set rate=VALUE"),
         (
             "safety.limits.margin",
-            "--set safety.limits.margin: 'limits' is no place in a list of 2; give a number from "
-            "0 to 1: 0 (finite), 1 (limits)",
+            "--set safety.limits.margin: 'limits' is not a place in a list of 2; give a number "
+            "from 0 to 1: 0 (finite), 1 (limits)",
         ),
         (
             "safety.0.margin",
             "--set safety.0.margin: safety.0 is 'finite', which has no parts; set it whole: "
             "--set safety.0=VALUE",
         ),
-        ("empty.0", "--set empty.0: '0' is no place in a list of 0; set the list: --set empty=[…]"),
+        (
+            "empty.0",
+            "--set empty.0: '0' is not a place in a list of 0; set the list: --set empty=[…]",
+        ),
     ],
 )
 def test_path_that_means_nothing_names_the_alternatives(dotted: str, message: str) -> None:

@@ -77,7 +77,7 @@ def nothing_sent() -> None:
 def program_of(platform: str, **described: Any) -> Program:
     """Build a workflow on a platform of this module."""
     keys = {"flow": Chain(pose("rest", duration=0.4), block("hold"))} | described
-    pacing = {"hang": 20}  # a busy machine is no fault here
+    pacing = {"hang": 20}  # a busy machine is not a fault here
     return Program(robot="go2", platform=platform, rate=100, pacing=pacing, **keys)
 
 

@@ -134,7 +134,7 @@ class Go2Env:
         self.steps += 1
         gravity, height = self.gravity, self.height
         fallen = (height < 0.17) | (gravity[:, 2] > -0.6) | broken
-        stepping = (self.air_time > 0.07).any(axis=1)  # a twitch is no step
+        stepping = (self.air_time > 0.07).any(axis=1)  # a twitch is not a step
         waiting = ~stepping & (np.abs(self.command).max(axis=1) > 0.15)
         self.idle = np.where(waiting, self.idle + 1, 0)
         failed = fallen | (self.idle >= self.idle_steps)

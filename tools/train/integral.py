@@ -23,7 +23,7 @@ COMMAND = slice(6, 9)  # of the observation
 UNIT = np.array([1.0, 1.0, 2.0], np.float32)
 GAIN = 1.2  # in [1/s]: it settles within two seconds, a stride takes half of one
 LARGEST = 0.4  # integral, in units
-NOTICED = 0.3  # of the error, in units: a push is no slowness
+NOTICED = 0.3  # of the error, in units: a push is not slowness
 LAG = 0.3  # of a robot behind its command in [s]: the error is that to a command delayed so
 # Share that is forgotten a second for each unit by which the command is ahead of that.
 FORGET = 6.0

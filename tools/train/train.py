@@ -134,7 +134,7 @@ def collect(
     obs: np.ndarray,
     critic: np.ndarray,
 ) -> tuple[Batch, np.ndarray, np.ndarray, float]:
-    """Roll the policy out; a time-out is no failure, so its lost future is added back as value."""
+    """Roll the policy out; a time-out is not a failure, so its lost future is added as value."""
     rows: dict[str, list[torch.Tensor]] = {k: [] for k in Batch.__annotations__}
     rewards, dones = [], []
     for _ in range(steps):

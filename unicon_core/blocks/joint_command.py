@@ -106,7 +106,7 @@ def ticks_of(seconds: float | None, period: float, option: str) -> int | None:
     """Return a time as a number of ticks, at least 1; None for no end.
 
     Raises:
-        WorkflowError: it is no time.
+        WorkflowError: it is not a time.
     """
     if seconds is None:
         return None

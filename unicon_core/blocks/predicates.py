@@ -52,7 +52,7 @@ def tilted(projected_gravity: Reads, *, angle: float = 1.0) -> Callable[[], bool
     bound, most = -math.cos(angle), largest(projected_gravity[..., 2])
 
     def is_tilted() -> bool:
-        return not most() <= bound  # true for NaN: a lost IMU is no upright robot
+        return not most() <= bound  # true for NaN: a lost IMU is not an upright robot
 
     return is_tilted
 
@@ -69,7 +69,7 @@ def commanded(
 
     Args:
         velocity_command: vx, vy in [m/s], wz in [rad/s], shape (..., 3).
-        least: a magnitude below this is no command, in [m/s] or [rad/s].
+        least: a magnitude below this is not a command, in [m/s] or [rad/s].
         hold: for how long it holds after the last command in [s].
     """
     return Commanded(velocity_command, least, ticks_of(hold, period, "hold") or 1)

@@ -44,7 +44,9 @@ def velocity_command(
     if not rows or any(len(row) != 4 for row in rows):
         wrong = next((row for row in rows if len(row) != 4), [])
         shown = wrong[1:] if constant is not None else wrong
-        raise WorkflowError(f"{shown} is no command; give [vx, vy, wz], with t in front in a row")
+        raise WorkflowError(
+            f"{shown} is not a command; give [vx, vy, wz], with t in front in a row"
+        )
     times = [float(row[0]) for row in rows]
     if any(late <= early for early, late in pairwise(times)) or not (
         times[0] >= 0.0 and times[-1] <= LONGEST_S

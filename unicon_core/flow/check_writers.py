@@ -20,8 +20,8 @@ def two_writers(root: Node) -> list[Finding]:
     """Find states with two writers in one tick.
 
     Children of a chain and cases of a switch exclude each other. Of two blocks below two `when`
-    nobody can tell. A block that amends is no writer, and a block is no second writer to itself.
-    Blocks of different members or groups of a robot write different joints.
+    nobody can tell. A block that amends is not a writer, and a block is not a second writer to
+    itself. Blocks of different members or groups of a robot write different joints.
     """
     found: dict[tuple[str, str, str], Finding] = {}
 

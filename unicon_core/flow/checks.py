@@ -75,7 +75,7 @@ def _unknown(root: Node, states: States) -> Iterator[Finding]:
             for name in names:
                 if name not in states:
                     remedy = f"{alternatives(name, states)}; or declare it under 'states:'"
-                    yield Finding.of(block, f"{word} {name!r}, which is no state", remedy)
+                    yield Finding.of(block, f"{word} {name!r}, which is not a state", remedy)
 
 
 def _mismatches(root: Node, states: States) -> Iterator[Finding]:

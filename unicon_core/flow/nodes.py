@@ -145,7 +145,7 @@ class Switch:
             if key in self.names:
                 return self.names.index(key)
         elif isinstance(key, np.bool_) or hasattr(key, "__index__"):
-            # a comparison of states is a np.bool_, which is no index to NumPy
+            # a comparison of states is a np.bool_, which is not an index to NumPy
             number = int(key) if isinstance(key, np.bool_) else index_of(key)
             if 0 <= number < len(self.names):
                 return number

@@ -120,7 +120,7 @@ def _power(x: Array, length: int) -> Array:
         part = x[..., start : start + length, :]
         middle = part.mean(axis=-2, keepdims=True)
         moved = part - middle
-        # A constant minus its mean may leave a last bit, which is no oscillation.
+        # A constant minus its mean may leave a last bit, which is not an oscillation.
         moved[np.abs(moved) <= 1e-12 * np.abs(middle)] = 0.0
         total += np.abs(np.fft.rfft(moved * window, axis=-2)) ** 2
     return total / len(starts)

@@ -93,7 +93,7 @@ def _distances(chain: Chain, robot: Robot) -> list[tuple[int, int, float]]:
 
 
 def _meet(chain: Chain, one: int, other: int) -> bool:
-    """Whether moved joints move two geoms against each other, and they are no neighbours."""
+    """Whether moved joints move two geoms against each other, and they are not neighbours."""
     model = chain.loaded.model
     a, b = int(model.geom_bodyid[one]), int(model.geom_bodyid[other])
     if (chain.moved_by(a) == chain.moved_by(b)).all():

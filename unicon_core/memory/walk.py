@@ -45,7 +45,7 @@ _FOREIGN = frozenset(
 
 
 class Keeps(Protocol):
-    """What knows best what it remembers: such as a network, whose memory is no array of NumPy."""
+    """What knows best what it remembers: such as a network, whose memory NumPy does not hold."""
 
     def memory(self) -> Any:
         """Return a value of numbers, texts, arrays and lists of them."""

@@ -42,7 +42,7 @@ class Intrinsics:
     """A pinhole without distortion, in [pixels]; the middle of the first pixel is (0, 0).
 
     Attributes:
-        fx, fy: focal lengths; 0 where the camera is no pinhole.
+        fx, fy: focal lengths; 0 where the camera is not a pinhole.
         cx, cy: principal point.
     """
 

@@ -102,7 +102,7 @@ def find_model(reference: str | Path, relative_to: Path | None = None) -> Path:
         return find_resource(text, "model", error=ModelError, relative_to=relative_to)
     name = text.removeprefix(_PREFIX)
     if not name.isidentifier():
-        raise ModelError(f"model {text!r} is no description; write {_PREFIX}go2_mj_description")
+        raise ModelError(f"model {text!r} is not a description; write {_PREFIX}go2_mj_description")
     module = _description(name, f"model {text!r}")
     for key in ("MJCF_PATH", "URDF_PATH"):
         path = Path(str(getattr(module, key, "")))

@@ -32,7 +32,7 @@ def mend_floor(mujoco: Any, spec: Any, notes: list[str]) -> None:
         spec.worldbody.add_light(pos=[0.0, 0.0, 4.0])
         planes.append(floor)
         notes.append("the model has no surroundings: a floor was added")
-    # Two names that are not there in one pair are no robot's foot on a floor: MuJoCo tells.
+    # Two names that are not there in one pair are not a robot's foot on a floor: MuJoCo tells.
     alone = [
         (pair, key)
         for pair, key in lost

@@ -53,7 +53,7 @@ def read_tree(model: Any, robot: Robot, *, colliding: bool = False) -> list[Link
 def frame_of(model: Any, robot: Robot, body: int) -> tuple[str, Float] | None:
     """Return the name of the frame that a body carries and its origin in the body's frame, [m].
 
-    The frame is turned as the body. None where the body is no part of the robot.
+    The frame is turned as the body. None where the body is not part of the robot.
 
     Args:
         model: an `MjModel` that has the robot's joints.
@@ -186,4 +186,4 @@ class _Reader:
             centre, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
             middle = position + rotate(quat, np.array(centre))
             return [part("box", *(2.0 * float(x) for x in half), at=middle)]
-        return []  # planes and height fields are no part of a robot
+        return []  # planes and height fields are not part of a robot

@@ -26,7 +26,7 @@ def repaired_urdf(path: Path, notes: list[str]) -> str | None:
         notes: gets one line for each kind of mistake.
 
     Raises:
-        ModelError: the file is no XML, or declares entities: no robot needs any, and they may grow
+        ModelError: the file is not XML, or declares entities: no robot needs any, and they may grow
             without end or name other files.
     """
     try:

@@ -164,7 +164,7 @@ class FakePlatform:
 class FakeRobot(FakePlatform):
     """The same where a robot is meant: real time, the machine's clock, and a robot's rules.
 
-    Its joints are no faster than the robot's, and its IMU has the noise that every real one has:
+    Its joints are not faster than the robot's, and its IMU has the noise that every real one has:
     one without counts as frozen (`imu_stop`).
     """
 

@@ -123,7 +123,7 @@ def _observation(observation: _Value, period: float, optional: bool) -> Observat
         return ObservationSpec(())
     listed = observation.mapping(_OBSERVATION).at("terms")
     if not isinstance(listed.value or [], (list, tuple)):
-        raise listed.fail("is no list; give '- {name: …, state: …}'")
+        raise listed.fail("is not a list; give '- {name: …, state: …}'")
     terms = tuple(_term(listed.at(i), period) for i in range(len(listed.value or ())))
     layout = observation.choice("layout", "term_major", "frame_major")
     odd = [term for term in terms if term.history != terms[0].history]

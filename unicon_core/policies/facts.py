@@ -235,7 +235,7 @@ def given_joints(path: Path, given: Mapping[str, Any]) -> list[str] | None:
     """Return the joint names that the user gives, by which a source's patterns are resolved.
 
     Raises:
-        PolicyError: they are no list of names.
+        PolicyError: they are not a list of names.
     """
     joints = given.get("joints")
     if joints is None:

@@ -128,7 +128,7 @@ class FromModel:
         """Fill in pose and gains in policy order.
 
         Args:
-            joints: the policy's; what is no list of names is refused elsewhere.
+            joints: the policy's; what is not a list of names is refused elsewhere.
 
         Raises:
             PolicyError: as for `joints`; or the joints are not known yet.

@@ -103,7 +103,7 @@ class HumanHand:
         return ""
 
     def _wrong(self, sizes: NDArray[np.float64], norm: float) -> str:
-        """Return why it is no hand."""
+        """Return why it is not a hand."""
         if np.isnan(self._points).any() or norm != norm or not sizes.any():
             return ABSENT  # as where nothing is tracked, all joints at one place
         if not np.isfinite(sizes).all():

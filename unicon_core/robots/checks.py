@@ -121,7 +121,7 @@ def check_name(located: Located, where: Where, value: Any) -> Problems:
         yield wrong(
             located,
             where,
-            f"{value[:60]!r} is no name; write letters, digits and _ . / : + -, the first a "
+            f"{value[:60]!r} is not a name; write letters, digits and _ . / : + -, the first a "
             "letter, a digit or _",
         )
 
@@ -144,7 +144,7 @@ def check_one_of(located: Located, where: Where, value: Any, known: tuple[str, .
 
 def check_joints(located: Located, joints: Any) -> Problems:
     if not isinstance(joints, list) or not joints:
-        yield wrong(located, ("joints",), "is no list; name each joint in motor order")
+        yield wrong(located, ("joints",), "is not a list; name each joint in motor order")
         return
     seen: dict[str, int] = {}
     for i, joint in enumerate(joints):

@@ -84,6 +84,6 @@ def wrong_hand(said: object) -> Iterator[tuple[tuple[str, ...], str]]:
     for finger in fingers:
         if finger not in FINGERS:
             known = alternatives(str(finger), FINGERS)
-            yield ("fingers", str(finger)), f"is no finger; {known}"
+            yield ("fingers", str(finger)), f"is not a finger; {known}"
     for where, found in wrong_places(fingers):
         yield ("fingers", *where), found

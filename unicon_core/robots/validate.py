@@ -305,7 +305,7 @@ def _sources(located: Located, document: dict[str, Any]) -> Problems:
         return
     for key, text in sources.items():
         if not isinstance(key, str):
-            yield located.error(("sources", key), f"sources: {key!r} is no group; write a word")
+            yield located.error(("sources", key), f"sources: {key!r} is not a group; write a word")
         else:
             yield from check_text(located, ("sources", key), text)
     joints = _joints(document)

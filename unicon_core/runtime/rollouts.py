@@ -72,7 +72,7 @@ class Rollouts:
         why_not: why it cannot begin anew, "" where it can.
 
     Raises:
-        UniconError: it is no simulator's.
+        UniconError: it is not a simulator's.
     """
 
     def __init__(

@@ -39,7 +39,7 @@ def title(node: Node) -> str:
     if isinstance(node, Switch):
         blend = f", blended over {node.blend} ticks" if node.blend else ""
         return f"switch on {node.selector.name}{blend}"
-    return "deferred, found to be no part of the command" if node.ends else "deferred"
+    return "deferred, found not to be part of the command" if node.ends else "deferred"
 
 
 def branches(node: Node) -> list[tuple[str, Node]]:

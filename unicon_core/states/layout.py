@@ -136,7 +136,7 @@ class Layout:
         """Read a layout back from `to_json`.
 
         Raises:
-            StateError: the text is no layout.
+            StateError: the text is not a layout.
         """
         try:
             value: dict[str, Any] = json.loads(text)

@@ -65,7 +65,7 @@ class StateSpec:
             dtype = np.dtype(self.dtype)
         except (SyntaxError, TypeError, ValueError) as error:
             raise StateError(
-                f"state dtype {self.dtype!r} is no NumPy type; use float32, int64, bool, …"
+                f"state dtype {self.dtype!r} is not a NumPy type; use float32, int64, bool, …"
             ) from error
         if dtype.kind not in _KINDS:
             raise StateError(

@@ -219,7 +219,7 @@ class States:
         start = len(_MAGIC) + 8
         size = int.from_bytes(data[len(_MAGIC) : start], "little")
         if not data.startswith(_MAGIC) or len(data) < start + size:
-            raise StateError(f"{path} is no state file; write one with States.save")
+            raise StateError(f"{path} is not a state file; write one with States.save")
         layout = Layout.from_json(data[start : start + size].decode())
         if len(data) != start + size + layout.nbytes:
             raise StateError(f"{path} is truncated; write it again with States.save")

@@ -13,7 +13,7 @@ __all__ = ["gaps", "pyramid", "slope", "stairs"]
 Strip = tuple[float, float, float]
 """From, to and height in [m]."""
 
-_NONE = 1e-6  # [m]; what rounding leaves at the edge is no step
+_NONE = 1e-6  # [m]; what rounding leaves at the edge is not a step
 
 
 def slope(terrain: Terrain) -> Ground:

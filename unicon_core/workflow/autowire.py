@@ -213,7 +213,7 @@ def _states_of(
         others = option_names(bundle)
         if others:
             raise wrong(
-                f": {bundle.__name__}.{others[0]} is no state; annotate it Reads, "
+                f": {bundle.__name__}.{others[0]} is not a state; annotate it Reads, "
                 "Writes or Amends, or make it a parameter of the block"
             )
         arguments[parameter] = bundle(**_states_of(bundle, context, rename, wrong, used))

@@ -180,7 +180,7 @@ class _Expression:
         if isinstance(node, ast.Constant):
             value = node.value
             if not isinstance(value, (int, float)) or not abs(value) <= LARGEST_NUMBER:
-                raise self.fail(f"{_short(value)} is no number that a state holds")
+                raise self.fail(f"{_short(value)} is not a number that a state holds")
         elif isinstance(node, ast.Name):
             self.name(node)
             return

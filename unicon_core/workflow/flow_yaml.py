@@ -7,7 +7,7 @@
         - zip: [sway, {call: my_package.blocks:wave}]
 
 A word is a block without options; a mapping with one key is a block with its options, or one of
-zip, chain, loop, every, when, switch, deferred, skills. A value that is no mapping is the first
+zip, chain, loop, every, when, switch, deferred, skills. A value that is not a mapping is the first
 option. `on: NAME` beside it gives a block to a part of a divided workflow, `of: MEMBER` to a member
 of the robot.
 """
@@ -172,7 +172,9 @@ class FlowReader:
             raise self._error((*path, "cases"), "switch: cases: needs a mapping of name to block")
         blend = body.get("blend", 0.0)
         if isinstance(blend, bool) or not isinstance(blend, (int, float)) or blend < 0:
-            raise self._error((*path, "blend"), f"switch: blend: {blend!r} is no time >= 0 in [s]")
+            raise self._error(
+                (*path, "blend"), f"switch: blend: {blend!r} is not a time >= 0 in [s]"
+            )
         nodes = {str(name): self.node(case, (*path, "cases", name)) for name, case in cases.items()}
         selector = self._predicate(body["on"], (*path, "on"))
         return Switch(selector, nodes, blend=float(blend), where=where)

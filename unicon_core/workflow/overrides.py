@@ -138,7 +138,7 @@ def _place(here: Any, key: Any, dotted: str) -> Any:
         if not here:
             remedy = f"set the list: --set {dotted.rpartition('.')[0]}=[…]"
         raise WorkflowError(
-            f"--set {dotted}: {key!r} is no place in a list of {len(here)}; {remedy}"
+            f"--set {dotted}: {key!r} is not a place in a list of {len(here)}; {remedy}"
         )
     return key
 

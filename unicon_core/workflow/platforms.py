@@ -183,7 +183,7 @@ def _stand_in(facts: Facts, context: BuildContext, arguments: dict[str, Any]) ->
     """Return `fake`, with what the hardware would read and write."""
     from unicon_core.platforms.fake import FakePlatform, make
 
-    # What nobody has said yet is no finding.
+    # What nobody has said yet is not a finding.
     bound = Binding(replace(facts, writes=SIMULATED) if UNDECLARED in facts.notes else facts)
     if facts.examine is not None:
         bound = facts.examine(context.states, context.robot, context.period, **arguments)

@@ -121,7 +121,7 @@ def message_order(elements: tuple[int, ...], field: FieldSpec, kind: TypeRef) ->
         kind: the type that its path ends at.
 
     Raises:
-        MapStateError: the number of elements is no multiple of four.
+        MapStateError: the number of elements is not a multiple of four.
     """
     whole = isinstance(kind, Struct) and kind.name == QUATERNION
     if field.quat == "none" or (field.quat is None and not whole):

@@ -31,7 +31,7 @@ def unitree_crc(field: FieldSpec, message: Struct, buffer: bytearray) -> Callabl
         buffer: payload with header; its first byte is zero and stands for all padding.
 
     Raises:
-        MapStateError: the message is no C struct that ends in a uint32 checksum.
+        MapStateError: the message is not a C struct that ends in a uint32 checksum.
     """
     last = list(message.fields)[-1]
     if field.path != last or message.fields[last] is not PRIMITIVES["uint32"]:
@@ -98,7 +98,7 @@ class _Places:
                 self.walk(kind.item)
         else:
             raise self.field.state_error(
-                "a message with strings or sequences is no C struct; Unitree's checksum covers "
+                "a message with strings or sequences is not a C struct; Unitree's checksum covers "
                 "LowCmd and its kin"
             )
 

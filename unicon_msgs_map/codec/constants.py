@@ -41,8 +41,8 @@ def constant(
             raise field.state_error("a string cannot hold a NUL character")
         if field.steps[-1][0] in _FRAMES and value and not _FRAME.fullmatch(value):
             raise field.state_error(
-                f"{value[:60]!r} is no frame; write letters, digits and _ . / -, without a leading "
-                "slash"
+                f"{value[:60]!r} is not a frame; write letters, digits and _ . / -, without a "
+                "leading slash"
             )
         return value
     if not isinstance(kind, Primitive):
@@ -51,6 +51,7 @@ def constant(
             "its elements"
         )
     number = constants.get(value, value) if isinstance(value, str) else value
+    wanted = f"{'an' if kind.name[0] == 'i' else 'a'} {kind.name}"
     if isinstance(number, bytes) and len(number) == 1:
         number = number[0]
     if isinstance(number, str):
@@ -58,9 +59,9 @@ def constant(
             number = _parse_number(number)
         except ValueError:
             named = alternatives(str(number), constants) if constants else "no constant is named"
-            raise field.state_error(f"{number!r} is no {kind.name}; {named}") from None
+            raise field.state_error(f"{number!r} is not {wanted}; {named}") from None
     if not isinstance(number, (int, float)):
-        raise field.state_error(f"{value!r} is no {kind.name}")
+        raise field.state_error(f"{value!r} is not {wanted}")
     if kind.name == "bool":
         return bool(number)
     if kind.code in "fd":
@@ -71,9 +72,7 @@ def constant(
     if isinstance(number, float) and number.is_integer():
         number = int(number)
     if not isinstance(number, int) or not low <= number <= high:
-        raise field.state_error(
-            f"{value!r} is no {kind.name}; give an integer from {low} to {high}"
-        )
+        raise field.state_error(f"{value!r} is not {wanted}; give an integer from {low} to {high}")
     return int(number)
 
 

@@ -49,7 +49,7 @@ def check_subscribe(spec: SubscribeSpec) -> None:
             )
         if field.by not in (None, "none") and field.by not in variables:
             raise field.file_error(
-                f"by {field.by!r} is no mapped array of names; "
+                f"by {field.by!r} is not a mapped array of names; "
                 f"{alternatives(str(field.by), [*variables, 'none'])}"
             )
     if not spec.states:
@@ -101,7 +101,7 @@ def field_type(
             f"{name} of {owner.name} is an array; select elements, as in {name}[0] or {name}[:12]"
         )
     if selector is not None and not is_array:
-        raise field.type_error(f"{name} of {owner.name} is no array; drop the [...]")
+        raise field.type_error(f"{name} of {owner.name} is not an array; drop the [...]")
     return kind
 
 

@@ -316,7 +316,7 @@ def full_name(name: str) -> str:
     if len(name) > 255 or not _TYPE_NAME.fullmatch("/".join(parts)):
         shown = name if len(name) <= 60 else f"{name[:57]}…"
         raise MessageTypeError(
-            f"message type {shown!r} is no type name; write pkg/msg/Name, "
+            f"message type {shown!r} is not a type name; write pkg/msg/Name, "
             "such as sensor_msgs/msg/JointState"
         )
     return "/".join(parts)
@@ -327,7 +327,7 @@ def _check_names(name: str, definition: Any) -> None:
     constants, fields = definition
     for field in (*(each[0] for each in constants), *(each[0] for each in fields)):
         if not _FIELD_NAME.fullmatch(field):
-            raise MessageTypeError(f"definition of {name!r}: {field!r} is no name of a field")
+            raise MessageTypeError(f"definition of {name!r}: {field!r} is not a name of a field")
     for field, kind in fields:
         while kind[0] > 2:
             kind = kind[1][0]

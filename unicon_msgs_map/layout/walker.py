@@ -94,7 +94,7 @@ def walk(raw: bytes, message: Struct, want: Want) -> Found:
         Malformed: it is cut, too long, or holds a length that cannot be.
     """
     if len(raw) < 4:
-        raise Malformed(f"{len(raw)} bytes are no CDR payload; it starts with a 4-byte header")
+        raise Malformed(f"{len(raw)} bytes are not a CDR payload; it starts with a 4-byte header")
     kind = raw[:2]
     if kind not in (CDR_LE, CDR_BE):
         raise Malformed(

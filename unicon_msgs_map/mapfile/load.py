@@ -335,7 +335,9 @@ def _text(path: str, entry: Entry) -> str:
     try:
         width = len(format(0.0, form))
     except ValueError:
-        raise entry.fail(f"{path}: text {form!r} is no format; write a width, as in 8.2f") from None
+        raise entry.fail(
+            f"{path}: text {form!r} is not a format; write a width, as in 8.2f"
+        ) from None
     if width != len(format(-1.5, form)) or width < 2:
         raise entry.fail(f"{path}: text {form!r} has no fixed width; write one, as in 8.2f")
     return form

@@ -159,7 +159,7 @@ def info_message(
     """Return a CameraInfo with stamp 0, for an image as `frame_message` lays it out.
 
     Nothing is turned (R the identity, P as K), and binning and region are left at 0, which stands
-    for the whole image (REP-104). All of K is 0 where the camera is no pinhole: that is how the
+    for the whole image (REP-104). All of K is 0 where the camera is not a pinhole: that is how the
     message says "not calibrated".
 
     Args:

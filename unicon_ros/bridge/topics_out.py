@@ -30,7 +30,7 @@ class TopicOut:
         phase: number of the first tick of those, so that topics do not all fall on one tick.
         group: callback group of its events.
         warn: takes warnings.
-        prepare: called before each encoding: brings arrays up to date that are no states.
+        prepare: called before each encoding: brings arrays up to date that are not states.
         part: whose messages these are, where a node has several publishers of one topic.
 
     Attributes:

@@ -116,7 +116,7 @@ def _facts(path: Path, name: str) -> _Facts:
 
 
 def _simple(model: Any) -> list[int]:
-    """Return the joints with one axis of the tree that has most of them: others are no robot's."""
+    """Return the joints with one axis of the tree that has most of them: the robot's."""
     mujoco = import_mujoco()
     joints = [i for i in range(model.njnt) if is_simple(mujoco, model, i)]
     roots = [int(model.body_rootid[model.jnt_bodyid[i]]) for i in joints]

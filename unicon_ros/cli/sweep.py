@@ -110,8 +110,8 @@ def _sweep(arguments: argparse.Namespace) -> int:
         return 0
     if len(what) != 1:
         raise UniconError(
-            f"sweep: {' '.join(what)!r} is no sweep; write SWEEP.yaml, report FOLDER, or compare "
-            "A B"
+            f"sweep: {' '.join(what)!r} is not a sweep; write SWEEP.yaml, report FOLDER, or "
+            "compare A B"
         )
     return _run(arguments, gates)
 

@@ -63,7 +63,7 @@ def quality(text: str) -> int:
     """Return an argument that is the quality of a JPEG."""
     number = int(text)
     if not 1 <= number <= 100:
-        raise argparse.ArgumentTypeError(f"{text} is no quality of a JPEG; give 1 to 100")
+        raise argparse.ArgumentTypeError(f"{text} is not a quality of a JPEG; give 1 to 100")
     return number
 
 
@@ -71,7 +71,7 @@ def port(text: str) -> int:
     """Return an argument that is a number of a port, 0 for any that is free."""
     number = int(text)
     if not 0 <= number <= 65535:
-        raise argparse.ArgumentTypeError(f"{text} is no port; give 1 to 65535, or 0 for any")
+        raise argparse.ArgumentTypeError(f"{text} is not a port; give 1 to 65535, or 0 for any")
     return number
 
 

@@ -257,7 +257,7 @@ def _class(name: str, description: Any, digest: bytes, template: _Template) -> A
     def refuse(self: Any, *_: Any, **__: Any) -> None:
         raise TypeError(f"{name} goes as bytes only: the ROS package {package} is not installed")
 
-    # rclpy wants the other four to be there, and looks into them for a message that is no bytes.
+    # rclpy wants the other four to be there, and looks into them for a message that is not bytes.
     unused = dict.fromkeys(
         ("_CREATE_ROS_MESSAGE", "_CONVERT_FROM_PY", "_CONVERT_TO_PY", "_DESTROY_ROS_MESSAGE"), ""
     )

@@ -43,7 +43,7 @@ class Wanted:
 
 
 def cameras_of(path: Path, record: Record, wanted: Wanted, told: list[str]) -> dict[str, Pictures]:
-    """Return the cameras of a recording that are wanted; tell of frames that are no pictures.
+    """Return the cameras of a recording that are wanted; tell of frames that are not pictures.
 
     Args:
         path: of the recording.
@@ -52,7 +52,7 @@ def cameras_of(path: Path, record: Record, wanted: Wanted, told: list[str]) -> d
         told: gets a line for each kind of frames that is left out.
 
     Raises:
-        UniconError: one that is named was not recorded, or is no camera.
+        UniconError: one that is named was not recorded, or is not a camera.
     """
     found, others = pictures_of(record, wanted.cameras)
     if wanted.cameras is None:

@@ -126,7 +126,9 @@ def read_gate(text: str) -> Gate:
     except ValueError:
         found = None
     if found is None:
-        raise UniconError(f"gate {text!r:.60} is no condition; write fall<0.01 or distance_m.p05>3")
+        raise UniconError(
+            f"gate {text!r:.60} is not a condition; write fall<0.01 or distance_m.p05>3"
+        )
     word, statistic, sign = found[1], found[2], found[3]
     figures = [name for name, column in COLUMNS.items() if column.kind in (int, float)]
     if word not in _SHARES and word not in figures:

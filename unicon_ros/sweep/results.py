@@ -35,7 +35,7 @@ class Results:
         identity: of the sweep.
 
     Raises:
-        UniconError: it is no sweep's folder.
+        UniconError: it is not a sweep's folder.
     """
 
     def __init__(self, path: Path) -> None:

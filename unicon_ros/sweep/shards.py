@@ -95,7 +95,7 @@ def read_shards(
         names: of the columns, None for all.
 
     Raises:
-        UniconError: a file is no shard, or one of another sweep.
+        UniconError: a file is not a shard, or one of another sweep.
     """
     import pyarrow
     from pyarrow import parquet
@@ -106,7 +106,7 @@ def read_shards(
             table = parquet.read_table(path, columns=None if names is None else list(names))
             facts = json.loads((table.schema.metadata or {}).get(METADATA, b"{}"))
             if facts.get("sha256") != sha256:
-                raise ValueError("it is no shard of this sweep")
+                raise ValueError("it is not a shard of this sweep")
         except (OSError, ValueError, pyarrow.ArrowException) as error:
             raise UniconError(
                 f"cannot read {path}: {str(error).splitlines()[0][:100]}; move it away, and its "

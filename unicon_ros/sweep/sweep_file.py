@@ -120,7 +120,7 @@ def read_sweep(path: str | Path, overrides: Iterable[str] = ()) -> SweepFile:
         overrides: further texts as of `--set`, the same in every rollout.
 
     Raises:
-        UniconError: it is no sweep; with file and line.
+        UniconError: it is not a sweep; with file and line.
     """
     located = read_yaml(Path(path), UniconError)
     return _Reader(located).read(tuple(overrides))

@@ -237,7 +237,7 @@ def rates_of(max_rate: float | Literal["robot"], robot: Robot, block: str) -> ND
 
     Raises:
         RobotError: `robot` is asked for, and its file does not say them.
-        WorkflowError: it is no speed.
+        WorkflowError: it is not a speed.
     """
     if max_rate == "robot":
         return velocity_limits(robot, f"give {block} a max_rate in [rad/s]")

@@ -46,7 +46,7 @@ def pose_of(view: NDArray[Any]) -> tuple[Vector, Quat] | None:
 def heading(quat: Quat) -> float:
     """Return where a head looks to about the vertical, in [rad]; x is forward, z is up.
 
-    Its own up stands in where it looks up or down, so that bowing is no turn.
+    Its own up stands in where it looks up or down, so that bowing is not a turn.
 
     Args:
         quat: unit quaternion wxyz, head to world.

@@ -35,7 +35,7 @@ DAMPING_TIME = 0.5
 that is asked to end shall be gone within a second."""
 
 ABSURD = 1.0
-"""A measured position that is further outside its limits is no measurement, [rad] or [m]."""
+"""A measured position that is further outside its limits is not a measurement, [rad] or [m]."""
 
 ENDLESS = 1e3
 """Limit of joints whose limit is not known, [rad] or [m]: nothing is beyond it but nonsense."""
@@ -85,7 +85,7 @@ class Damping:
 
     Args:
         states: whose command states are written.
-        robot: says limits and damping; what it does not say is no limit, and what was sent.
+        robot: says limits and damping; what it does not say is not a limit, and what was sent.
         last: what was sent last.
         period: of a tick in [s].
     """

@@ -18,7 +18,7 @@ def quiet(handle: int = 1) -> Iterator[None]:
     their own, which stays.
 
     Args:
-        handle: 2 for that of errors, where a library complains of what is no error.
+        handle: 2 for that of errors, where a library complains of what is not an error.
     """
     stream = sys.stdout if handle == 1 else sys.stderr
     stream.flush()

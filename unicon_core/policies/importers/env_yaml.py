@@ -45,7 +45,7 @@ def env_yaml_facts(path: Path, given: Mapping[str, Any]) -> Facts:
         given: facts of the user; `joints` resolves the patterns.
 
     Raises:
-        PolicyError: not readable, or actions that are no joint position targets.
+        PolicyError: not readable, or actions that are not joint position targets.
     """
     located = read_yaml(path, PolicyError, foreign=True)
     document = located.value

@@ -30,7 +30,7 @@ _REFERENCE = {
 
 
 def json_metadata(onnx: OnnxFile) -> dict[str, Any]:
-    """Return the metadata with every value decoded; a value that is no JSON stays a text.
+    """Return the metadata with every value decoded; a value that is not JSON stays a text.
 
     Raises:
         PolicyError: a key stands twice with different values.

@@ -71,7 +71,7 @@ def read_onnx(path: Path) -> OnnxFile:
     """Read inputs, outputs, metadata and the names of external files of an ONNX model.
 
     Raises:
-        PolicyError: no such file, or it is no ONNX model.
+        PolicyError: no such file, or it is not an ONNX model.
     """
     if not os.path.isfile(path):
         raise PolicyError(f"{path}: no such ONNX file; put it there or correct the path")

@@ -40,7 +40,7 @@ CASES = (
     _sensing("the policy gives NaN", _NO_LONGER, flow=NAN),
     _sensing(
         "the policy gives 1e30 rad",
-        # A limit is no fault: what leaves is within the limits.
+        # A limit is not a fault: what leaves is within the limits.
         Wants(most=None, least=20, ms=None, status=(0, 3)),
         flow=_broken(1e30),
     ),

@@ -55,7 +55,7 @@ def ipv4_of(interface: str) -> str:
 
 
 def without(raw: bytes, unwanted: int = FOREIGN) -> bytes | None:
-    """Return an announcement without a parameter; None where it is no announcement.
+    """Return an announcement without a parameter; None where it is not an announcement.
 
     Args:
         raw: an RTPS message of little-endian submessages.

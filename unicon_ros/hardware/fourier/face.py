@@ -166,7 +166,7 @@ class FourierFace:
                     states["joint_effort"][joint] * np.sign(scale),
                 )
                 answer["errors"] = 0
-                answer["errors"][0, 1] = 1  # the kind of its encoder, which is no error
+                answer["errors"][0, 1] = 1  # the kind of its encoder, which is not an error
                 if error is not None:
                     answer["errors"][0, 0] = int(error[joint]) & 0xFFFFFFFF
                 answer["errors"][0, TIMED_OUT[0]] = TIMED_OUT[1] * actuator.timed_out

@@ -33,7 +33,7 @@ from unicon_ros.hardware.fourier.enabling import Enabling
 __all__ = ["FourierWire"]
 
 KIND_OF_ENCODER = 1, 0x03
-"""Of `errors`: a word whose lowest two bits are no error."""
+"""Of `errors`: a word whose lowest two bits are not an error."""
 
 
 def acknowledged(code: int, payload: bytes, count: int) -> bytes:

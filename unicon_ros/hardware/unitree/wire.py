@@ -37,7 +37,7 @@ REMOTE = 40
 
 
 def own_arrays(robot: Robot) -> dict[str, NDArray[Any]]:
-    """Return the arrays of the messages that are no states, zero; for both ends of the wire."""
+    """Return the arrays of the messages that are not states, zero; for both ends of the wire."""
     n = robot.num_joints
     return {
         "tick": np.zeros((), np.uint32),

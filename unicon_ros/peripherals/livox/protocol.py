@@ -179,7 +179,7 @@ def read_command(data: bytes) -> tuple[int, int, int, bytes]:
     """Return number, command, REQUEST or ACK, and the data.
 
     Raises:
-        Refused: it is no command, or was damaged.
+        Refused: it is not a command, or was damaged.
     """
     if not DATA <= len(data) <= LARGEST:
         raise Refused("wrong length")
@@ -198,7 +198,7 @@ def read_answer(data: bytes) -> str:
     """Return why a configuration was refused, empty if it was taken.
 
     Raises:
-        Refused: it is no answer.
+        Refused: it is not an answer.
     """
     if len(data) != 3:
         raise Refused("wrong length")
@@ -210,7 +210,7 @@ def read_values(data: bytes) -> dict[int, bytes]:
     """Return the keys and values of an answer to INQUIRE.
 
     Raises:
-        Refused: it is no answer.
+        Refused: it is not an answer.
     """
     if len(data) < 3 or data[0]:
         raise Refused("wrong length")

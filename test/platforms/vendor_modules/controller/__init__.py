@@ -2,7 +2,7 @@
 
 Names and arguments are those of lib/controller/python/controller of Webots R2025a. Refused are
 arguments of another type or length, which Webots' own module tells on stderr and drops, sensors
-that are not enabled, steps that are no multiple of the world's, and a push of some solids only.
+that are not enabled, steps that are not a multiple of the world's, and a push of some solids only.
 Sensors tell NaN before the first step; motors follow positions until they are given torques.
 """
 
