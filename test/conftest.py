@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from hypothesis import settings
+from passing import let_time_pass
 from peer import Peer
 from stolen import Stolen
 from turns import turn
@@ -90,6 +91,12 @@ def latch_files(monkeypatch: pytest.MonkeyPatch) -> Path:
     folder = Path(tempfile.mkdtemp(prefix="latches_", dir=LOG_DIR))
     monkeypatch.setenv("UNICON_LATCHES", str(folder))
     return folder
+
+
+@pytest.fixture
+def time_passes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Sleeps of the test's thread take no time, and the clocks go on by them."""
+    let_time_pass(monkeypatch)
 
 
 @pytest.fixture

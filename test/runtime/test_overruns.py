@@ -15,7 +15,7 @@ from unicon_core.runtime import Report, Runner, RunOptions, TickStatistics, perc
 from unicon_core.runtime.detail import EVERY, LEARN
 from unicon_core.workflow import Program, load_workflow
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.usefixtures("time_passes")
 
 US = 1000  # ns
 NAMES = ("recv", "policy", "send", "bridge", "recorder")
@@ -91,6 +91,7 @@ def test_where_blocks_share_a_stamp_their_group_is_named() -> None:
     assert spans == ["tick", "send", "bridge … recorder, 2 blocks", "tick", *NAMES]
 
 
+@pytest.mark.alone
 @pytest.mark.parametrize(("blocks", "detail"), [(100, False), (4, True)])
 def test_stamps_that_take_longer_than_a_tenth_of_a_tick_are_written_now_and_then(
     blocks: int, detail: bool
@@ -134,6 +135,7 @@ flow: {hold: {duration: 0.6}}
 """
 
 
+@pytest.mark.alone
 def test_a_slow_observer_of_a_run_is_in_the_report(tmp_path: Path) -> None:
     path = tmp_path / "slow.yaml"
     path.write_text(WORKFLOW, encoding="utf-8")

@@ -21,8 +21,6 @@ from unicon_core.runtime import Pacing, Runner, RunOptions, WallClock, prepare_p
 from unicon_core.runtime.ticker import Ticker
 from unicon_core.workflow import load_workflow
 
-pytestmark = pytest.mark.alone
-
 linux = pytest.mark.skipif(sys.platform != "linux", reason="scheduling of Linux")
 
 
@@ -190,16 +188,19 @@ def drift_in_periods(folder: Path, seconds: float) -> float:
     return float(np.median(late[-100:]) - np.median(late[:100])) / runner.period_ns
 
 
+@pytest.mark.alone
 def test_a_run_of_a_second_drifts_less_than_a_period(tmp_path: Path) -> None:
     assert abs(drift_in_periods(tmp_path, 1.0)) < 1.0
 
 
+@pytest.mark.alone
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_a_run_of_ten_minutes_drifts_less_than_a_period(tmp_path: Path) -> None:
     assert abs(drift_in_periods(tmp_path, 600.0)) < 1.0
 
 
+@pytest.mark.alone
 @pytest.mark.parametrize("late", [0.4, 2.4])
 def test_a_first_tick_that_is_late_leaves_the_deadlines_behind_it_where_they_were(
     tmp_path: Path, late: float

@@ -25,6 +25,7 @@ from unicon_core.states import States
 RATE = 50
 ROBOT = {"robot": "go2", "rate": RATE, "platform": "fake_robot"}
 QUICK = {"operator": False, "fade_in": 0.2, "approach": 10.0}
+TIME_PASSES = pytest.mark.usefixtures("time_passes")
 
 
 @dataclass
@@ -106,6 +107,7 @@ def falls(sent: Sent) -> None:
     assert np.allclose(damped[:, 2], before[3])
 
 
+@TIME_PASSES
 def test_a_robot_waits_approaches_runs_winds_down_and_damps() -> None:
     sent = Sent()
     program = made(
@@ -115,11 +117,15 @@ def test_a_robot_waits_approaches_runs_winds_down_and_damps() -> None:
         wind_down=pose("rest", duration=0.3),
         start={"operator": True, "fade_in": 0.4, "approach": 2.0},
     )
-    program.gates[:] = [gate := Battery(holds_at=5)]
+    class Eager(Battery):
+        def __call__(self) -> str:
+            assert self.asked >= 4 or not runner.go()  # not yet: the gate does not hold
+            return super().__call__()
+
+    program.gates[:] = [gate := Eager(holds_at=5)]
     runner, told = runs(program, duration=0.5, operator=True)
 
     def press() -> None:
-        assert not runner.go()  # not yet: the gate does not hold
         while "go" not in runner.waits_for:
             time.sleep(0.005)
         assert not sent.rows
@@ -154,6 +160,7 @@ def test_a_gate_that_cannot_hold_refuses() -> None:
     assert told == ["waiting for battery: it is at 3 %; charge it"]
 
 
+@TIME_PASSES
 def test_where_nobody_looks_on_waiting_ends(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("unicon_core.runtime.waiting.PATIENCE", 0.1)
     sent = Sent()
@@ -213,6 +220,7 @@ def test_a_stop_before_it_runs_lets_nothing_begin() -> None:
     assert not sent.rows
 
 
+@TIME_PASSES
 @pytest.mark.parametrize("error", [Fault("tripped"), ValueError("a block"), SystemExit(7)])
 def test_after_a_fault_only_the_damping_command_leaves(error: BaseException) -> None:
     sent, ticks = Sent(), 0
@@ -232,6 +240,7 @@ def test_after_a_fault_only_the_damping_command_leaves(error: BaseException) -> 
     falls(sent)
 
 
+@TIME_PASSES
 def test_a_fault_behind_send_counts_the_tick_whose_command_has_left() -> None:
     sent = Sent()
 
@@ -249,6 +258,7 @@ def test_a_fault_behind_send_counts_the_tick_whose_command_has_left() -> None:
     falls(sent)
 
 
+@TIME_PASSES
 def test_what_hears_and_looks_and_fails_stops_no_damping() -> None:
     sent, looked = Sent(), 0
 
@@ -266,6 +276,7 @@ def test_what_hears_and_looks_and_fails_stops_no_damping() -> None:
     assert looked == 21  # and then left alone
 
 
+@TIME_PASSES
 def test_where_commands_cannot_be_sent_the_platform_closes_at_once() -> None:
     sent = Sent(fails_at=30)
     closed: list[int] = []
@@ -277,6 +288,7 @@ def test_where_commands_cannot_be_sent_the_platform_closes_at_once() -> None:
     assert closed == [len(sent.rows)]
 
 
+@TIME_PASSES
 def test_start_none_sends_the_flow_at_once() -> None:
     sent = Sent()
     program = made(sent, flow=pose("stand", duration=0.2), start="none")
@@ -285,6 +297,7 @@ def test_start_none_sends_the_flow_at_once() -> None:
     assert sent.phases == [Phase.RUN, Phase.DAMP]
 
 
+@TIME_PASSES
 def test_a_simulator_neither_waits_nor_approaches_nor_is_damped_when_all_is_well() -> None:
     sent = Sent()
     program = made(sent, platform="fake", flow=pose("stand", duration=0.2), start=None)
@@ -314,6 +327,7 @@ def test_wrong_settings_are_refused(start: Any, message: str) -> None:
         Program(flow=block("hold"), **(ROBOT | {"start": start}))
 
 
+@TIME_PASSES
 def test_a_stall_while_it_waits_harms_nobody() -> None:
     sent = Sent()
     program = made(sent, flow=pose("stand", duration=0.2), pacing={"hang": 0.05})
@@ -359,6 +373,7 @@ def test_what_looks_at_commands_stays_where_another_flow_writes_fewer() -> None:
         made(Sent(), flow=pose("stand"), wind_down=block(nudge), safety=kept)
 
 
+@TIME_PASSES
 def test_what_looks_at_the_flow_of_the_run_is_left_out_elsewhere() -> None:
     sent = Sent()
     program = made(

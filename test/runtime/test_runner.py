@@ -17,6 +17,8 @@ from unicon_core.runtime import Runner, RunOptions
 from unicon_core.signals import SIGNALS
 from unicon_core.workflow import Program, load_workflow
 
+TIME_PASSES = pytest.mark.usefixtures("time_passes")
+
 WORKFLOW = """
 robot: go2
 platform: fake
@@ -117,6 +119,7 @@ def test_a_fault_stops_before_send_and_closes_everything(path: Path) -> None:
     assert calls.count("close") == 1
 
 
+@TIME_PASSES
 @pytest.mark.parametrize(("overrun", "wanted"), [("skip", 1), ("catch_up", 2)])
 def test_a_slow_tick_is_an_overrun_and_the_policy_says_what_follows(
     path: Path, overrun: str, wanted: int
@@ -151,6 +154,7 @@ def drift(path: Path) -> float:
     return (starts[-1] - starts[0]) / 1e7 / (len(starts) - 1) - 1.0
 
 
+@TIME_PASSES
 def test_deadlines_do_not_drift(path: Path) -> None:
     # Of several, since a busy machine may hold up the first or the last tick of one.
     assert any(abs(drift(path)) < 0.1 for _ in range(5))

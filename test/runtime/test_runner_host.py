@@ -14,7 +14,7 @@ from unicon_core.platforms.fake import FakePlatform
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import Program, load_workflow
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.usefixtures("time_passes")
 
 WORKFLOW = """\
 schema: unicon.workflow/1
@@ -54,6 +54,7 @@ def test_actions_run_between_two_ticks_in_their_order(
     assert report.ticks == 100
 
 
+@pytest.mark.alone
 def test_a_long_action_is_no_overrun(workflow: Callable[..., Program]) -> None:
     loaded = workflow()
     runner = Runner(loaded, RunOptions(duration=0.1))
@@ -144,6 +145,7 @@ class Arrivals:
             self.taken += 1
 
 
+@pytest.mark.alone
 @pytest.mark.parametrize("interval", [0.002, 0.0125, 0.02])
 def test_ticks_keep_their_rate_however_often_data_come(
     workflow: Callable[..., Program], interval: float, monkeypatch: pytest.MonkeyPatch

@@ -28,6 +28,7 @@ from unicon_core.workflow.gate import Gate
 
 GO2 = load_robot("go2")
 PERIOD = 0.02
+TIME_PASSES = pytest.mark.usefixtures("time_passes")
 
 
 def states_of_go2() -> States:
@@ -130,6 +131,7 @@ def test_go_counts_only_where_nothing_else_is_waited_for(monkeypatch: pytest.Mon
     ]
 
 
+@TIME_PASSES
 def test_what_looks_at_the_policy_is_left_out_of_approach_and_wind_down() -> None:
     program = Program(
         robot="go2",
@@ -238,6 +240,7 @@ def test_a_fault_acts_before_the_platform_damps() -> None:
     assert acted == [0]
 
 
+@TIME_PASSES
 def test_a_block_that_hung_is_not_asked_again_while_it_damps() -> None:
     asked: list[int] = []
 
@@ -263,6 +266,7 @@ def test_a_block_that_hung_is_not_asked_again_while_it_damps() -> None:
     assert len(asked) == 3
 
 
+@TIME_PASSES
 def test_a_pause_between_ticks_is_no_hang() -> None:
     program, sent = simulated(flow=block("hold"), pacing={"hang": 0.1})
     runner = Runner(program, RunOptions(duration=0.2))
@@ -271,6 +275,7 @@ def test_a_pause_between_ticks_is_no_hang() -> None:
     assert len(sent) == 10
 
 
+@TIME_PASSES
 def test_a_tick_in_a_long_pause_is_sent() -> None:
     counts: list[int] = []
 
@@ -293,6 +298,7 @@ def test_a_tick_in_a_long_pause_is_sent() -> None:
     assert counts[1] == counts[0] + 1
 
 
+@TIME_PASSES
 def test_time_in_which_no_tick_ran_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> None:
     program, sent = simulated(flow=block("hold"), pacing={"hang": 0.2})
     until = WallClock.until
@@ -328,6 +334,7 @@ def damped(sending: Any = None) -> tuple[Program, list[str]]:
     return program, done
 
 
+@TIME_PASSES
 def test_damping_hears_and_takes_its_time_on_a_robot() -> None:
     program, done = damped()
     began = time.monotonic()

@@ -17,6 +17,7 @@ from unicon_core.runtime.pacing import staying
 from unicon_core.workflow import Program, load_workflow
 
 pytestmark = pytest.mark.alone
+TIME_PASSES = pytest.mark.usefixtures("time_passes")
 
 WORKFLOW = """\
 robot: go2
@@ -138,6 +139,7 @@ def test_the_wait_is_asleep_where_the_workflow_says_so(tmp_path: Path) -> None:
     assert not stream.looks
 
 
+@TIME_PASSES
 def test_data_that_stay_away_are_waited_for_asleep_in_spite_of_a_spin(tmp_path: Path) -> None:
     pacing = "pacing={trigger: state, arrival_spin_us: 500}"
     workflow = loaded(tmp_path, pacing)
@@ -169,6 +171,7 @@ def test_of_rare_data_every_one_makes_a_tick(tmp_path: Path) -> None:
     assert report.overruns <= 2
 
 
+@TIME_PASSES
 def test_without_data_ticks_go_on_slowly_as_overruns(tmp_path: Path) -> None:
     runner, _, report = streamed(tmp_path, 1 << 60, 0.1)
     assert report.ticks == 5
@@ -195,6 +198,7 @@ def test_the_policy_warms_up_before_the_data_that_are_waited_for(tmp_path: Path)
 HANG = "pacing={trigger: state, hang: 0.2}"
 
 
+@TIME_PASSES
 def test_a_tick_that_hangs_is_not_sent(tmp_path: Path) -> None:
     workflow = loaded(tmp_path, HANG)
     platform: Any = workflow.platform
@@ -211,6 +215,7 @@ def test_a_tick_that_hangs_is_not_sent(tmp_path: Path) -> None:
     assert "a tick hung: recv took 0.6" in report.faults[0]
 
 
+@TIME_PASSES
 def test_data_that_stay_away_while_the_process_is_held_up_are_a_fault(tmp_path: Path) -> None:
     workflow = loaded(tmp_path, HANG)
     platform: Any = workflow.platform

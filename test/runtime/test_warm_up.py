@@ -55,6 +55,7 @@ def test_the_states_of_every_tick_are_the_same_with_and_without_warm_ups(
         runner.close()
 
 
+@pytest.mark.usefixtures("time_passes")
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_paced_run_sends_the_same_bytes_with_and_without_warm_ups(
     kind: str, paths: dict[str, Path]
