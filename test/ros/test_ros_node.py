@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import signal
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -44,26 +45,51 @@ def test_a_signal_ends_an_inactive_node_too(nodes: Start, peers: Start, react: P
     assert node.end() == (0, node.end()[1])
 
 
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        (ros_args("workflow:=nope"), "unknown workflow 'nope'; known: "),
-        (ros_args("workflow:=go2_stand", "map:=nope"), "unknown map 'nope'"),
-        (ros_args("workflow:=go2_stand", "overrides:=['rate=x']"), "rate: 'x' is not a number"),
-        (ros_args("workflow:=go2_stand", "frame_prefix:=/r/"), "frame prefix '/r/': tf2 takes no"),
-        (["--ros-args", "-p", "foo"], "Couldn't parse parameter override rule: '-p foo'"),
-        (ros_args("max_vx:=-1.0"), "max_vx"),
-    ],
-)
+BAD = [
+    (ros_args("workflow:=nope"), "unknown workflow 'nope'; known: "),
+    (["--ros-args", "-p", "foo"], "Couldn't parse parameter override rule: '-p foo'"),
+    (ros_args("workflow:=go2_stand", "map:=nope"), "unknown map 'nope'"),
+    (ros_args("workflow:=go2_stand", "overrides:=['rate=x']"), "rate: 'x' is not a number"),
+    (ros_args("workflow:=go2_stand", "frame_prefix:=/r/"), "frame prefix '/r/': tf2 takes no"),
+    (ros_args("max_vx:=-1.0"), "max_vx"),
+]
+
+
+def is_told(said: str, errors: str) -> None:
+    lines = [line for line in errors.splitlines() if not line.startswith(("[INFO]", "[WARN]"))]
+    assert len(lines) == 1, errors
+    assert lines[0].startswith("unicon_node: error: ")
+    assert said in lines[0]
+
+
+@pytest.mark.parametrize(("arguments", "said"), BAD[:2])
 def test_bad_input_at_start_is_one_line_and_exit_status_1(
     nodes: Start, arguments: list[str], said: str
 ) -> None:
     status, errors = nodes(*arguments).end()
-    lines = [line for line in errors.splitlines() if not line.startswith(("[INFO]", "[WARN]"))]
     assert status == 1, errors
-    assert len(lines) == 1, errors
-    assert lines[0].startswith("unicon_node: error: ")
-    assert said in lines[0]
+    is_told(said, errors)
+
+
+IN_A_ROW = """\
+import json, sys
+from unicon_ros.node_main import main
+for arguments in json.loads(sys.argv[1]):
+    print(f"status {main(arguments)}", file=sys.stderr, flush=True)
+"""
+
+
+def test_all_bad_input_is_one_line_and_the_next_node_of_the_process_tells_its_own(
+    processes: Start,
+) -> None:
+    arguments = json.dumps([each for each, _ in BAD])
+    status, errors = processes(sys.executable, "-c", IN_A_ROW, arguments).end()
+    assert status == 0, errors
+    told = errors.split("status 1\n")
+    assert told.pop() == ""
+    assert len(told) == len(BAD), errors
+    for (_, said), error in zip(BAD, told):
+        is_told(said, error)
 
 
 def test_lifecycle_is_clean_in_every_order(nodes: Start, peers: Start, react: Path) -> None:
@@ -81,11 +107,12 @@ def test_lifecycle_is_clean_in_every_order(nodes: Start, peers: Start, react: Pa
         "start",  # configures and activates
         "wait=0.3",
         "stop",
-        "wait=0.3",
+        "until=inactive",
         "?",
         "start",
         "estop",
-        "wait=0.6",
+        "wait=0.6",  # nothing clears it before
+        "until=inactive",
         "?",
         "clear_estop",
         "start",
@@ -170,7 +197,7 @@ def test_two_nodes_run_in_two_namespaces(nodes: Start, peers: Start, react: Path
     for space in ("a", "b"):
         nodes(*ros_args(f"workflow:={react}"), "-r", f"__ns:=/{space}")
     for space in ("a", "b"):
-        caller = peers("caller", f"/{space}/unicon", "wait=0.5", "?", "stop")
+        caller = peers("caller", f"/{space}/unicon", "until=active", "?", "stop")
         status, errors = caller.end()
         assert status == 0, errors
         assert caller.lines[0]["state"] == "active"
@@ -197,8 +224,8 @@ def test_a_robot_waits_for_the_operator_and_start_is_his_go(
     path.write_text(ROBOT)
     node = nodes(*ros_args(f"workflow:={path}"))
     node.wait_for(lambda: ASKS in node.errors, ASKS, timeout=60.0)
-    words = ["?", "pause", "start", "wait=1", "start", "stop", "wait=2", "?"]
-    again = ["start", "wait=2", "start", "estop", "wait=2", "start", "?"]
+    words = ["?", "pause", "start", "wait=0.2", "start", "stop", "until=inactive", "?"]
+    again = ["start", "wait=2", "start", "estop", "until=inactive", "start", "?"]
     callers, waits = [], []
     for each in (words, again):
         callers.append(peers("caller", "unicon", *each))

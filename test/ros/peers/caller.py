@@ -2,7 +2,7 @@
 
 Nothing of unicon is imported. Usage: caller.py NODE WORD...   where WORD is a Trigger service
 (estop), a lifecycle transition (+configure), a parameter (max_vx=0.5, its value as JSON or else a
-text), `wait=SECONDS`, or
+text), `wait=SECONDS`, `until=STATE` of the lifecycle, or
 `flood=SERVICE,SECONDS`. Prints one JSON line for each.
 """
 
@@ -52,7 +52,17 @@ def main() -> None:
         kind = Parameter.Type.BOOL_ARRAY if parsed == [] else None
         return Parameter(name, kind, parsed).to_parameter_msg()
 
+    def state() -> str:
+        return call(GetState, "get_state", GetState.Request()).current_state.label
+
     for word in sys.argv[2:]:
+        if word.startswith("until="):
+            end = time.monotonic() + 30.0
+            while state() != word.partition("=")[2]:
+                if time.monotonic() > end:
+                    raise SystemExit(f"{target}: not {word} within 30 s")
+                time.sleep(0.02)
+            continue
         if word.startswith("wait="):
             time.sleep(float(word.partition("=")[2]))
             continue
@@ -66,11 +76,9 @@ def main() -> None:
             request.transition.label = word[1:]
             answer = {"success": call(ChangeState, "change_state", request).success}
             if word != "+shutdown":  # which ends the process that would answer
-                state = call(GetState, "get_state", GetState.Request()).current_state.label
-                answer["state"] = state
+                answer["state"] = state()
         elif word == "?":
-            state = call(GetState, "get_state", GetState.Request()).current_state.label
-            answer = {"state": state}
+            answer = {"state": state()}
         elif "=" in word:
             name, _, value = word.partition("=")
             request = SetParameters.Request()
