@@ -51,7 +51,7 @@ def test_it_runs_and_says(path: Path, request: pytest.FixtureRequest) -> None:
     arguments = []
     if path.stem == "05_ros":
         pytest.importorskip("rclpy", reason="this one needs ROS")
-        arguments = ["2"]
+        arguments = ["1"]
     assert len(path.read_text(encoding="utf-8").splitlines()) <= LONGEST
     said = output(path, *arguments)
     assert re.search(SAYS[path.stem], said), said

@@ -134,6 +134,7 @@ def test_a_connection_that_fails_before_the_run_is_an_error_and_no_fault(
     assert wire.closed
 
 
+@pytest.mark.usefixtures("time_passes")
 def test_close_damps_what_was_driven_and_nothing_else(robot: Robot, states: States) -> None:
     states["joint_pos_target"][...], states["joint_stiffness"][...] = robot.default_joint_pos, 20.0
     wire = Scripted(states, [0.1])

@@ -38,6 +38,7 @@ def module(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
         del sys.modules[name]
 
 
+@pytest.mark.usefixtures("time_passes")
 def test_calls_come_in_order_with_what_the_robot_file_says(module: Any) -> None:
     states = hand_states(ROBOT)
     platform = make(states, ROBOT, 0.01, device="/dev/ttyUSB7")

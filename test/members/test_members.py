@@ -267,6 +267,7 @@ def of(robot: str) -> list[str]:
     return [what for name, what in LOG if name == robot]
 
 
+@pytest.mark.usefixtures("time_passes")
 def test_two_robots_run_behind_their_gates_and_the_hands_get_ready_first() -> None:
     program = robots({"steps": 2}, {"steps": 3})
     assert not program.platform.facts.simulated
@@ -285,6 +286,7 @@ def test_two_robots_run_behind_their_gates_and_the_hands_get_ready_first() -> No
     }
 
 
+@pytest.mark.usefixtures("time_passes")
 @pytest.mark.parametrize(
     ("where", "faulty"),
     [pytest.param("recv", "body", marks=pytest.mark.slow), ("send", "left_hand")],

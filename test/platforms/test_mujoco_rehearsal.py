@@ -238,6 +238,7 @@ def test_a_model_with_a_plugin_is_not_rehearsed(build: Build) -> None:
     assert robot.model.nplugin == 0
 
 
+@pytest.mark.usefixtures("time_passes")
 def test_a_run_in_real_time_sends_the_bytes_of_one_at_full_speed(tmp_path: Path) -> None:
     digests, calls = set(), []
     for options in ({"duration": 1.5}, {"duration": 1.5, "speed": "max"}):

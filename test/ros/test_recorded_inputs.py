@@ -41,6 +41,7 @@ schema: unicon.workflow/1
 robot: go2
 platform: fake_robot
 rate: 100
+start: {fade_in: 0.2}
 flow: hold
 pacing: {hang: 20}
 """
@@ -147,7 +148,7 @@ def test_a_robots_messages_carry_the_wall_clock_published_or_not(tmp_path: Path)
     session = RosSession(warn=lambda line: None)
     recording = Recording(file, session=session)
     program = load_workflow(path, hooks=[session.hook, recording.hook])
-    runner = Runner(program, RunOptions(duration=1.0, operator=False, warn=print))
+    runner = Runner(program, RunOptions(duration=0.5, operator=False, warn=print))
     session.attach(runner)
     runner.run()
     session.close()

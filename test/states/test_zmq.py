@@ -45,7 +45,7 @@ def take(reader: ZmqReader, *, until: Callable[[], bool] = lambda: True) -> None
         assert time.monotonic() < end, "nothing has come"
 
 
-def nothing_comes(reader: ZmqReader, seconds: float = 1.0) -> bool:
+def nothing_comes(reader: ZmqReader, seconds: float = 0.5) -> bool:
     return not reader.wait(seconds) and not reader.take()
 
 
@@ -108,7 +108,7 @@ def test_what_was_taken_is_not_taken_again_and_a_silent_writer_is_not_alive(ipc:
         writer.send_signal(signal.SIGSTOP)
         drain(reader)
         number = reader.number
-        assert nothing_comes(reader)
+        assert nothing_comes(reader, 1.0)
         assert not reader.alive()
         assert reader.number == number
         writer.send_signal(signal.SIGCONT)
@@ -139,7 +139,7 @@ def test_what_a_cut_link_has_kept_is_late_and_the_next_is_taken() -> None:
         for _ in range(10):  # a newer one may replace what was kept before anybody looks
             link.cut()
             drain(reader)
-            assert nothing_comes(reader, 1.0)
+            assert nothing_comes(reader, 0.6)
             # 0.2 s longer than the fastest at most, which is not slow here.
             oldest = time.monotonic_ns() - 400_000_000
             link.mend()
@@ -160,7 +160,7 @@ def test_a_link_that_breaks_is_made_anew_and_what_it_lost_is_counted() -> None:
         take(reader)
         link.cut()
         link.break_connections()
-        assert nothing_comes(reader, 1.0) or nothing_comes(reader, 1.0)
+        assert nothing_comes(reader) or nothing_comes(reader)
         number = reader.number
         link.mend()
         take(reader)

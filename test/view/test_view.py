@@ -249,7 +249,7 @@ def walked(folder: Path | None, *signals: int) -> str:
     document = load_document("go2_walk")
     view = View({"sink": "telling_sink:Telling", "folder": str(folder)})
     program = Program(document, hooks=[] if folder is None else [view.hook])
-    runner = Runner(program, RunOptions(duration=8.0, speed="max", warn=lambda _: None))
+    runner = Runner(program, RunOptions(duration=5.0, speed="max", warn=lambda _: None))
     if folder is not None:
         view.attach(runner)
         assert view._peripheral is not None
