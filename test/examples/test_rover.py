@@ -111,6 +111,7 @@ def test_the_command_changes_no_faster_than_its_slew(whole: Any) -> None:
     assert np.abs(np.diff(told["base_lin_vel"][:1150:5, 0])).max() < 2.0 * 1.5 * 0.05
 
 
+@pytest.mark.usefixtures("time_passes")
 def test_real_and_max_send_the_same() -> None:
     def sent(speed: str) -> str:
         report, _ = driven(speed=speed, duration=1.6)

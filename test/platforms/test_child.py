@@ -36,7 +36,7 @@ def left() -> list[str]:
 
 def commands(platform: str, *more: str) -> str:
     program = load_workflow("go2_walk", [f"platform={platform}", *more])
-    options = RunOptions(duration=4.0, speed="max", warn=lambda _: None)
+    options = RunOptions(duration=3.0, speed="max", warn=lambda _: None)
     return Runner(program, options).run().sha256_commands
 
 

@@ -26,7 +26,9 @@ FLOW = {"chain": [{"hold": {"duration": 0.1}}, "hold"]}
 class Rig:
     """A run of the fake platform in a thread, with a viewer that tells what it sees."""
 
-    def __init__(self, folder: Path, workflow: str | Path, rate: float = 100.0) -> None:
+    def __init__(
+        self, folder: Path, workflow: str | Path, rate: float = 100.0, duration: float = 30.0
+    ) -> None:
         self.folder, self.lines = folder, list[str]()
         document: WorkflowDocument = load_document(workflow, [f"rate={rate}"])
         self.view = View(
@@ -35,7 +37,7 @@ class Rig:
         self.view.declare(document)
         self.sent = VelocitySent()
         self.program = Program(document, hooks=[self.view.hook, self.sent.hook])
-        self.runner = Runner(self.program, RunOptions(duration=30.0, warn=self.lines.append))
+        self.runner = Runner(self.program, RunOptions(duration=duration, warn=self.lines.append))
         self.view.attach(self.runner)
         self.report: Report | None = None
         self.thread = threading.Thread(target=self._run)
@@ -75,11 +77,10 @@ class Rig:
         return self.report
 
 
-@pytest.fixture
-def workflow(tmp_path: Path) -> Path:
+def written(folder: Path) -> Path:
     import yaml
 
-    path = tmp_path / "shown.yaml"
+    path = folder / "shown.yaml"
     path.write_text(
         yaml.safe_dump(
             {
@@ -97,13 +98,23 @@ def workflow(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def rig(tmp_path: Path, workflow: Path) -> Iterator[Rig]:
-    made = Rig(tmp_path, workflow)
+def rig(tmp_path: Path) -> Iterator[Rig]:
+    made = Rig(tmp_path, written(tmp_path))
     yield made
     made.end()
 
 
-def test_it_sees_every_tick_and_where_the_flow_is(rig: Rig) -> None:
+@pytest.fixture(scope="module")
+def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
+    """For tests after which it goes on as before."""
+    folder = tmp_path_factory.mktemp("shared")
+    made = Rig(folder, written(folder), duration=600.0)
+    yield made
+    made.end()
+
+
+def test_it_sees_every_tick_and_where_the_flow_is(shared: Rig) -> None:
+    rig = shared
     rig.until(lambda seen: seen["tick"] > 40)
     seen = rig.seen()
     assert seen["lost"] == 0
@@ -114,7 +125,8 @@ def test_it_sees_every_tick_and_where_the_flow_is(rig: Rig) -> None:
     assert 0 < seen["busy_ns"] < 1e9
 
 
-def test_a_driver_replaces_the_script_until_it_lets_go(rig: Rig) -> None:
+def test_a_driver_replaces_the_script_until_it_lets_go(shared: Rig) -> None:
+    rig = shared
     rig.until(lambda seen: seen["tick"] > 5)
     rig.say("hold", [0.5, 0.1, -0.2])
     time.sleep(0.2)
@@ -127,7 +139,10 @@ def test_a_driver_replaces_the_script_until_it_lets_go(rig: Rig) -> None:
     rig.until(lambda _: rig.command() == [0.3, 0.0, 0.0])
 
 
-@pytest.mark.parametrize("how", ["silent", "stopped", "killed"])
+# Of a page that stalls and of a process that was stopped the run knows the same: nothing comes.
+@pytest.mark.parametrize(
+    "how", [pytest.param("silent", marks=pytest.mark.slow), "stopped", "killed"]
+)
 def test_a_driver_who_is_not_heard_stands_until_a_new_touch(rig: Rig, how: str) -> None:
     rig.until(lambda seen: seen["tick"] > 5)
     rig.say("touch")
@@ -230,7 +245,8 @@ def test_a_viewer_that_was_killed_is_told_again_what_the_run_said(rig: Rig) -> N
     assert rig.end().faults == []
 
 
-def test_a_viewer_that_stood_still_gets_the_newest_of_what_it_had_no_room_for(rig: Rig) -> None:
+def test_a_viewer_that_stood_still_gets_the_newest_of_what_it_had_no_room_for(shared: Rig) -> None:
+    rig = shared
     rig.until(lambda seen: seen["tick"] > 5)
     peripheral, pid = rig.view._peripheral, rig.process
     assert peripheral is not None
