@@ -117,6 +117,7 @@ def test_a_robot_waits_approaches_runs_winds_down_and_damps() -> None:
         wind_down=pose("rest", duration=0.3),
         start={"operator": True, "fade_in": 0.4, "approach": 2.0},
     )
+
     class Eager(Battery):
         def __call__(self) -> str:
             assert self.asked >= 4 or not runner.go()  # not yet: the gate does not hold
