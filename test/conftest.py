@@ -93,6 +93,12 @@ def latch_files(monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.fixture
+def short_damping(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Robots of this process are damped for 0.1 s at their end, which others test, not for 0.5."""
+    monkeypatch.setattr("unicon_core.runtime.damp.DAMPING_TIME", 0.1)
+
+
+@pytest.fixture
 def processes() -> Iterator[Callable[..., Peer]]:
     """Starts commands that say JSON lines, and kills them at the end."""
     started: list[Peer] = []
