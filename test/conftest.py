@@ -38,12 +38,14 @@ for name in ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"):
 settings.register_profile("busy", deadline=None)  # a busy machine takes its time for an example
 settings.load_profile("busy")
 os.environ.setdefault("UNICON_TURNS", LOG_DIR)  # workers have that of who starts them
-if os.environ.get("UNICON_TESTS") == "smoke":  # to read all others takes longer than to test
-    collect_ignore = [
-        str(path)
-        for path in Path(__file__).parent.rglob("test_*.py")
-        if "mark.smoke" not in path.read_text("utf-8")
-    ]
+SMOKE = os.environ.get("UNICON_TESTS") == "smoke"
+
+
+def pytest_ignore_collect(collection_path: Path) -> bool | None:
+    """For a quick look leave out whole files: to import all of them takes longer than to test."""
+    if not SMOKE or not (collection_path.name.startswith("test_") and collection_path.is_file()):
+        return None
+    return "mark.smoke" not in collection_path.read_text("utf-8") or None
 
 
 def pytest_unconfigure(config: pytest.Config) -> None:
@@ -72,7 +74,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         for item in items:
             alone = item.get_closest_marker("alone") is not None
             item.add_marker(pytest.mark.flaky(reruns=2, condition=alone or stolen))
-    if os.environ.get("UNICON_TESTS") != "smoke":
+    if not SMOKE:
         return
     kept = [item for item in items if item.get_closest_marker("smoke")]
     config.hook.pytest_deselected(items=[item for item in items if item not in kept])
@@ -113,6 +115,12 @@ def latch_files(monkeypatch: pytest.MonkeyPatch) -> Path:
 def time_passes(monkeypatch: pytest.MonkeyPatch) -> None:
     """Sleeps of the test's thread take no time, and the clocks go on by them."""
     let_time_pass(monkeypatch)
+
+
+@pytest.fixture
+def short_damping(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Robots of this process are damped for 0.1 s at their end, which others test, not for 0.5."""
+    monkeypatch.setattr("unicon_core.runtime.damp.DAMPING_TIME", 0.1)
 
 
 @pytest.fixture

@@ -30,7 +30,7 @@ class Recorded(FakePlatform):
     def recv(self) -> bool | None:
         """Take the time that a slow tick takes."""
         time.sleep(self._recv_s)
-        if self._fails == "recv" and self._sends > 20:
+        if self._fails == "recv" and self._sends > 5:
             raise OSError("the cable is out")
         return super().recv()
 

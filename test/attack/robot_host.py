@@ -17,6 +17,7 @@ ENTRY = {
     "run": "from unicon_ros.cli.main import main",
     "node": "from unicon_ros.node_main import main",
 }
+TRIGGERS = ("start", "pause", "estop", "clear_estop")
 WORKFLOW = """\
 schema: unicon.workflow/1
 robot: go2
@@ -80,6 +81,15 @@ class Host:
         self.process.wait(10)
 
 
+def services() -> dict[str, Any]:
+    """Return what `unicon run --ros` and unicon_node offer to callers: name to type."""
+    from lifecycle_msgs.srv import ChangeState, GetState
+    from std_srvs.srv import Trigger
+
+    triggers = dict.fromkeys(("start", "pause", "estop", "clear_estop"), Trigger)
+    return {**triggers, "get_state": GetState, "change_state": ChangeState}
+
+
 class Caller:
     """A plain rclpy client of one node, in a context of its own."""
 
@@ -89,30 +99,30 @@ class Caller:
         from rclpy.executors import SingleThreadedExecutor
         from rclpy.signals import SignalHandlerOptions
 
-        self._rclpy, self._target = rclpy, target
+        self._rclpy = rclpy
         self._context = Context()
         rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
         self.node = rclpy.create_node("attacker", context=self._context)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
-        self._clients: dict[str, Any] = {}
+        self._clients = {  # at once, so that their services are waited for once
+            name: self.node.create_client(kind, f"{target}/{name}")
+            for name, kind in services().items()
+        }
+        self._made = time.monotonic()
 
-    def find(self, name: str, kind: Any = None) -> Any:
-        """Return a client whose service is there; of type Trigger unless told."""
-        from std_srvs.srv import Trigger
-
-        if name not in self._clients:
-            made = self.node.create_client(kind or Trigger, f"{self._target}/{name}")
-            self._clients[name] = made
+    def find(self, name: str) -> Any:
+        """Return a client whose service is there."""
         found = self._clients[name]
-        if not found.service_is_ready():
-            assert found.wait_for_service(timeout_sec=20.0), f"no service {name}"
+        if not found.service_is_ready() or time.monotonic() - self._made < 0.3:
+            # Its own `wait_for_service` looks four times a second.
+            wait_for(found.service_is_ready, f"the service {name}")
             time.sleep(0.3)  # the service may see its client later, and cannot answer before
         return found
 
-    def send(self, name: str, request: Any = None, kind: Any = None) -> tuple[int, Any]:
+    def send(self, name: str, request: Any = None) -> tuple[int, Any]:
         """Send a request; return when, in [ns], and its future."""
-        client = self.find(name, kind)
+        client = self.find(name)
         return time.monotonic_ns(), client.call_async(request or client.srv_type.Request())
 
     def wait(self, future: Any, timeout: float = 10.0) -> Any:
@@ -120,18 +130,16 @@ class Caller:
         self._executor.spin_until_future_complete(future, timeout_sec=timeout)
         return future.result()
 
-    def call(self, name: str, request: Any = None, kind: Any = None) -> Any:
+    def call(self, name: str, request: Any = None) -> Any:
         """Return the answer to a request."""
-        _, future = self.send(name, request, kind)
+        _, future = self.send(name, request)
         answer = self.wait(future)
         assert answer is not None, f"{name} did not answer"
         return answer
 
     def state(self) -> str:
         """Return the node's lifecycle state."""
-        from lifecycle_msgs.srv import GetState
-
-        return str(self.call("get_state", kind=GetState).current_state.label)
+        return str(self.call("get_state").current_state.label)
 
     def become(self, state: str, timeout: float = 20.0) -> None:
         """Wait for a lifecycle state."""

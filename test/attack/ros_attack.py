@@ -36,7 +36,7 @@ BEHIND = """\
 schema: unicon.workflow/1
 robot: go2
 platform: {make}
-platforms: {{"{make}": {{connect: {connect}, map: {map}}}}}
+platforms: {{"{make}": {{connect: {connect}, map: {map}, damping: {damping}}}}}
 rate: 100
 pacing: {{hang: 5.0}}  # a busy machine may hold a process up
 flow: {{hold: {{}}}}
@@ -74,9 +74,13 @@ def running(path: Path | str, **options: Any) -> Iterator[Run]:
 
 
 def behind_topics(
-    folder: Path, safety: str, map: str | Path = "ros_robot", connect: float = 10.0
+    folder: Path,
+    safety: str,
+    map: str | Path = "ros_robot",
+    connect: float = 10.0,
+    damping: float = 0.1,
 ) -> Path:
-    """Write a workflow of a robot behind topics that holds its pose."""
+    """Write a workflow of a robot behind topics that holds its pose; users damp it for 0.5 s."""
     path = folder / "behind_topics.yaml"
     path.write_text(
         BEHIND.format(
@@ -84,6 +88,7 @@ def behind_topics(
             safety=f"{{only: [{safety}]}}" if safety else "none",
             map=map,
             connect=connect,
+            damping=damping,
         )
     )
     return path

@@ -95,7 +95,7 @@ class Run:
                 raise AssertionError(f"not reached; {out!r} {err!r}; log {self.lines()[-3:]}")
             time.sleep(0.01)
 
-    def until_sent(self, count: int = 10) -> None:
+    def until_sent(self, count: int = 5) -> None:
         self.until(lambda: self.sent() >= count)
 
     def lines(self) -> list[list[str]]:

@@ -17,7 +17,7 @@ from unicon_ros.bridge.topics_in import TopicIn
 pytestmark = [
     pytest.mark.ros,
     pytest.mark.alone,  # a peer that another test starves for 0.5 s is silent
-    pytest.mark.usefixtures("domain"),
+    pytest.mark.usefixtures("domain", "short_damping"),
     pytest.mark.timeout(90),
 ]
 
@@ -62,7 +62,7 @@ def test_a_walking_go2_stops_half_a_second_after_its_driver_sends_only_garbage(
     ],
 )
 def test_a_robot_that_sends_only_garbage_is_a_fault(lie: str, tmp_path: Path) -> None:
-    with robot(lie, 0.5) as peer:
+    with robot(lie, 0.2) as peer:
         run = Run(behind_topics(tmp_path, "finite, tilt_stop")).start()
         try:
             wait_for(lambda: bool(peer.lines) and peer.lines[-1]["lies"], "the lies")
@@ -78,9 +78,11 @@ def test_a_robot_that_sends_only_garbage_is_a_fault(lie: str, tmp_path: Path) ->
 
 
 def test_a_robot_that_sent_garbage_from_the_first_message_on_is_not_there(tmp_path: Path) -> None:
-    with robot("nan joints", -1.0), pytest.raises(PlatformError) as error:
-        load_workflow(behind_topics(tmp_path, "finite", connect=3.0))
-    assert "no message on /joint_states within 3 s" in str(error.value)
+    with robot("nan joints", -1.0) as peer:
+        wait_for(lambda: bool(peer.lines), "the robot")
+        with pytest.raises(PlatformError) as error:
+            load_workflow(behind_topics(tmp_path, "finite", connect=1.5))
+    assert "no message on /joint_states within 1.5 s" in str(error.value)
     assert "is nan, and nonfinite: reject is declared" in str(error.value)
 
 

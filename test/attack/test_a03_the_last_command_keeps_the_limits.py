@@ -18,7 +18,7 @@ from unicon_core.workflow import Program, load_workflow
 pytestmark = [
     pytest.mark.ros,
     pytest.mark.alone,  # a peer that another test starves for 0.5 s is silent
-    pytest.mark.usefixtures("domain"),
+    pytest.mark.usefixtures("domain", "short_damping"),
     pytest.mark.timeout(90),
 ]
 
@@ -68,7 +68,8 @@ def test_the_last_target_of_an_absurd_measurement_is_what_was_sent_before(
     wrong: float, tmp_path: Path, gains: Path
 ) -> None:
     with robot("none", 0.0) as peer:
-        workflow, runner = ticked(behind_topics(tmp_path, "finite", map=gains), peer)
+        path = behind_topics(tmp_path, "finite", map=gains, damping=0.5)
+        workflow, runner = ticked(path, peer)
         sent = workflow.states.joint_pos_target.copy()
         states = workflow.states
         states.joint_pos[2] = wrong
@@ -89,7 +90,7 @@ def test_the_last_target_of_an_absurd_measurement_is_what_was_sent_before(
 
 def test_a_map_of_positions_alone_holds_the_targets_that_were_sent_last(tmp_path: Path) -> None:
     with robot("none", 0.0) as peer:
-        workflow, runner = ticked(behind_topics(tmp_path, "finite"), peer)
+        workflow, runner = ticked(behind_topics(tmp_path, "finite", damping=0.5), peer)
         sent = workflow.states.joint_pos_target.copy()
         workflow.states.joint_pos[...] = -1.0  # where it is by now
         workflow.states.joint_pos_target[...] = math.nan  # what a tick left behind
@@ -102,7 +103,7 @@ def test_a_map_of_positions_alone_holds_the_targets_that_were_sent_last(tmp_path
 
 
 def test_a_robot_that_goes_mad_is_damped_within_its_limits(tmp_path: Path) -> None:
-    with robot("far joints", 0.5) as peer:
+    with robot("far joints", 0.2) as peer:
         run = Run(behind_topics(tmp_path, "finite, {rate_limit: {max_rate: 5.0}}")).start()
         try:
             wait_for(lambda: bool(peer.lines) and peer.lines[-1]["lies"], "the lies")
@@ -117,7 +118,7 @@ def test_a_robot_that_goes_mad_is_damped_within_its_limits(tmp_path: Path) -> No
 
 def test_a_command_that_is_not_finite_never_leaves(tmp_path: Path, gains: Path) -> None:
     with robot("none", 0.0) as peer:
-        workflow, runner = ticked(behind_topics(tmp_path, "", map=gains), peer)
+        workflow, runner = ticked(behind_topics(tmp_path, "", map=gains, damping=0.5), peer)
         workflow.states.joint_stiffness[4] = math.nan
         with pytest.raises(Fault, match="joint_stiffness of joint FL_thigh_joint is nan"):
             workflow.platform.send()
@@ -147,7 +148,8 @@ def test_a_publication_that_fails_at_the_end_does_not_keep_the_rest_open(
 def test_a_close_in_the_middle_of_a_send_has_the_last_word(tmp_path: Path, gains: Path) -> None:
     """As from a signal handler: nothing of the command that was under way leaves behind it."""
     with robot("none", 0.0) as peer:
-        workflow, runner = ticked(behind_topics(tmp_path, "finite", map=gains), peer)
+        path = behind_topics(tmp_path, "finite", map=gains, damping=0.5)
+        workflow, runner = ticked(path, peer)
         (out,) = workflow.platform._out
         encode = out._encode
 

@@ -95,8 +95,8 @@ def test_the_log_of_ros_stops_no_commands(tmp_path: Path, full_pipe: int) -> Non
         request = ChangeState.Request()
         request.transition.id = 99  # rcl_lifecycle tells that it does not know it
         client.call_async(request)
-        time.sleep(1.0)
-        until_sent(sent() + 50)
+        time.sleep(0.5)
+        until_sent(sent() + 25)
         process.send_signal(signal.SIGTERM)
         assert process.wait(20) == 0
         assert "close" in log.read_text()

@@ -37,7 +37,8 @@ from unicon_core.flow import Amends, Tick
 
 def slow(joint_pos_target: Amends, flag: str) -> Tick:
     open(flag, "w").close()
-    time.sleep(1.5)
+    while not os.path.exists(f"{flag}.over"):
+        time.sleep(0.01)
     return lambda: False
 """
 
@@ -65,6 +66,7 @@ def test_a_signal_while_building_closes_the_platform_that_is_open(
     run.start()
     run.until(flag.exists)
     run.process.send_signal(number)
+    Path(f"{flag}.over").touch()
     status, _, _ = run.wait()
     assert status == 128 + number
     assert [line[0] for line in run.lines()] == ["close"]
@@ -109,7 +111,7 @@ def test_two_signals_of_one_press_are_one(tmp_path: Path) -> None:
 
 
 def test_what_nohup_ignores_stays_ignored(tmp_path: Path) -> None:
-    run = Run(tmp_path, more="duration: 1.0")
+    run = Run(tmp_path, more="duration: 0.5")
     run.start(preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN))
     run.until_sent()
     run.process.send_signal(signal.SIGHUP)

@@ -53,7 +53,7 @@ def caller() -> Iterator[Caller]:
     made.close()
 
 
-def ticking(log: Path, count: int = 30) -> None:
+def ticking(log: Path, count: int = 10) -> None:
     wait_for(lambda: len(events(log, "send")) > count, "commands")
 
 
@@ -291,4 +291,4 @@ def transition(caller: Caller, label: str) -> bool:
 
     request = ChangeState.Request()
     request.transition.label = label
-    return bool(caller.call("change_state", request, ChangeState).success)
+    return bool(caller.call("change_state", request).success)

@@ -16,6 +16,7 @@ HANGS = """\
 import ctypes, sys
 from rclpy.node import Node
 import unicon_ros.ending
+unicon_ros.ending.exits_within.__wrapped__.__defaults__ = (1.0,)  # its PATIENCE
 Node.destroy_node = lambda node: ctypes.PyDLL(None).sleep(600)
 """
 

@@ -13,7 +13,11 @@ from unicon_core.errors import Fault
 from unicon_core.runtime import Runner
 from unicon_core.workflow import load_workflow
 
-pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("domain"), pytest.mark.timeout(60)]
+pytestmark = [
+    pytest.mark.ros,
+    pytest.mark.usefixtures("domain", "short_damping"),
+    pytest.mark.timeout(60),
+]
 
 
 class Broken:
@@ -52,7 +56,7 @@ def test_a_command_that_cannot_be_taken_any_more_goes_to_zero(tmp_path: Path) ->
         wait_for(lambda: topic.stale, "the time-out", 5.0)
         assert run.session.incoming == [topic]
         ticks = run.runner.statistics.count
-        wait_for(lambda: run.runner.statistics.count > ticks + 100, "ticks")
+        wait_for(lambda: run.runner.statistics.count > ticks + 50, "ticks")
         assert run.program.states.velocity_command.tolist() == [0.0, 0.0, 0.0]
         assert broken.calls < 0.2 * (run.runner.statistics.count - begun)  # a slow pace
         broken.mended = take

@@ -11,7 +11,11 @@ from unicon_core.errors import Fault
 from unicon_core.runtime import Runner
 from unicon_core.workflow import load_workflow
 
-pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("domain"), pytest.mark.timeout(60)]
+pytestmark = [
+    pytest.mark.ros,
+    pytest.mark.usefixtures("domain", "short_damping"),
+    pytest.mark.timeout(60),
+]
 
 
 def refused(raw: bytes) -> None:
@@ -55,7 +59,7 @@ def test_a_dead_mirror_is_told_and_stops_nothing(tmp_path: Path) -> None:
             out._publish = refused
         dead = run.session.outgoing[0]
         ticks = run.runner.statistics.count
-        wait_for(lambda: run.runner.statistics.count > ticks + 300, "ticks")
+        wait_for(lambda: run.runner.statistics.count > ticks + 150, "ticks")
         assert dead.failed == 100  # then it costs nothing any more
         report = run.end()
     assert report.faults == []

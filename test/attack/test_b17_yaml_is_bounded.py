@@ -56,8 +56,18 @@ READERS: dict[str, tuple[Callable[[Path], Any], type[Exception]]] = {
 }
 
 
-@pytest.mark.parametrize("reader", READERS)
-@pytest.mark.parametrize("attack", ATTACKS)
+LARGE = ("million lines", "deep")
+"""Attacks that take half a second each: of one reader only, but in the slow tests."""
+CASES = [
+    pytest.param(
+        attack, reader, marks=[pytest.mark.slow] if attack in LARGE and reader != "workflow" else []
+    )
+    for attack in ATTACKS
+    for reader in READERS
+]
+
+
+@pytest.mark.parametrize(("attack", "reader"), CASES)
 def test_every_reader_refuses_it_with_its_line(attack: str, reader: str, tmp_path: Path) -> None:
     read, error = READERS[reader]
     path = tmp_path / "a.yaml"

@@ -35,7 +35,7 @@ def test_an_exception_is_a_fault_with_its_reason(tmp_path: Path, fault: str, whe
     run = Run(tmp_path, f"fault: {fault}, where: {where}", arguments=arguments).start()
     status, out, err = run.wait()
     assert status == 3
-    assert run.sent() == 20
+    assert run.sent() == 5
     assert run.closed
     assert run.report["ended"] == "fault"
     assert run.report["faults"][0].startswith(REASONS[fault])
@@ -43,7 +43,7 @@ def test_an_exception_is_a_fault_with_its_reason(tmp_path: Path, fault: str, whe
     assert "Traceback" not in err  # it is in the report
     assert ("recording_robot.py" in run.report["traceback"]) is (fault != "fault")
     spans = json.loads(trace.read_text())["traceEvents"]
-    assert sum(span["name"] == "tick" for span in spans) == 20
+    assert sum(span["name"] == "tick" for span in spans) == 5
 
 
 def test_a_mistake_in_closing_does_not_hide_the_fault(tmp_path: Path) -> None:

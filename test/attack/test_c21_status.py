@@ -40,10 +40,10 @@ def test_a_full_device_behind_the_output_is_one_line(
     tmp_path: Path, fault: str, wanted: int
 ) -> None:
     with FULL.open("w") as full:
-        run = Run(tmp_path, f"fault: {fault}", more="duration: 1.0").start(stdout=full)
+        run = Run(tmp_path, f"fault: {fault}", more="duration: 0.2").start(stdout=full)
         status, _, err = run.wait()
     assert status == wanted
-    assert run.report["ticks"] == (20 if fault == "fault" else 50)
+    assert run.report["ticks"] == (5 if fault == "fault" else 10)
     assert "Traceback" not in err
     if fault == "none":
         assert err == "unicon: error: cannot write to standard output: No space left on device\n"
@@ -59,7 +59,7 @@ def test_even_errors_that_nobody_can_read_keep_their_status(tmp_path: Path) -> N
 
 def test_a_good_run_into_a_pipe_that_has_gone_is_good(tmp_path: Path) -> None:
     writer = closed_pipe()
-    run = Run(tmp_path, more="duration: 0.5").start(stdout=writer, stderr=subprocess.PIPE)
+    run = Run(tmp_path, more="duration: 0.2").start(stdout=writer, stderr=subprocess.PIPE)
     os.close(writer)
     status, _, err = run.wait()
     assert (status, err) == (0, "")

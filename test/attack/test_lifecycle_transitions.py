@@ -30,7 +30,7 @@ def caller() -> Iterator[Caller]:
 def change(caller: Caller, number: int, label: str = "") -> bool:
     request = ChangeState.Request()
     request.transition.id, request.transition.label = number, label
-    return bool(caller.call("change_state", request, ChangeState).success)
+    return bool(caller.call("change_state", request).success)
 
 
 def test_an_idle_node_refuses_and_lives_on(caller: Caller, tmp_path: Path) -> None:

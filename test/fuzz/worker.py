@@ -3,6 +3,7 @@
 `python worker.py KIND SEED FIRST COUNT OUT` writes a line of JSON to OUT before each case and for
 each finding, so that who started it knows the case of a crash. A case depends on KIND, SEED and its
 number alone: `python worker.py workflow 7 1234 1 /dev/stdout` runs that one and prints its file.
+Without arguments it forks for each line of JSON that it is given: see `serve`.
 """
 
 from __future__ import annotations
@@ -146,6 +147,29 @@ def main(kind: str, seed: int, first: int, count: int, out: str) -> None:
     shutil.rmtree(home, ignore_errors=True)
 
 
+def serve() -> None:
+    """Run what lines of JSON ask for: the arguments of `main`, and a file for what is spoken.
+
+    Each in a fork, which has this process' imports: they take longer than the cases of a quick run.
+    Answers with its process id, and with its exit status when it has ended.
+    """
+    sys.path.insert(0, str(Path(__file__).resolve().parent))
+    import kinds  # noqa: F401
+
+    for line in sys.stdin:
+        *arguments, spoken = json.loads(line)
+        process = os.fork()
+        if process == 0:
+            os.chdir(Path(spoken).parent)
+            os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+            os.dup2(os.open(spoken, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), 1)
+            os.dup2(1, 2)
+            main(*arguments)
+            return
+        print(process, flush=True)
+        print(os.waitstatus_to_exitcode(os.waitpid(process, 0)[1]), flush=True)
+
+
 def shown(folder: Path, verdict: str) -> dict[str, str]:
     """Return the text of the files of a case that failed."""
     if verdict in ("accepted", "refused"):
@@ -158,4 +182,7 @@ def shown(folder: Path, verdict: str) -> dict[str, str]:
 
 
 if __name__ == "__main__":
+    if len(sys.argv) == 1:
+        serve()
+        sys.exit()
     main(sys.argv[1], int(sys.argv[2]), int(sys.argv[3]), int(sys.argv[4]), sys.argv[5])

@@ -306,8 +306,8 @@ def test_the_wait_and_the_approach_of_a_robot_are_compared(
     workflow = written(
         tmp_path,
         platform="fake_robot",
-        start={"fade_in": 0.2, "approach": 2.0},
-        duration=0.5,
+        start={"fade_in": 0.1, "approach": 6.0},
+        duration=0.2,
         wind_down={"pose": {"to": "rest", "duration": 0.3}},
     )
     bag = tmp_path / "robot.mcap"

@@ -23,6 +23,8 @@ from unicon_core.workflow import Program, load_workflow
 from unicon_core.workflow.safety_set import ROBOT_SAFETY
 from unicon_ros.cli.main import main
 
+pytestmark = pytest.mark.usefixtures("short_damping")
+
 HERE = __name__
 MEASURED = (*JOINT_STATES, *BASE_STATES[:4], "stamp_ns")
 STRICT = [name for name in ROBOT_SAFETY if name != "hardware_stop"]
@@ -125,7 +127,8 @@ def test_a_robot_has_what_its_workflow_does_not_list(
 def test_what_is_left_out_is_told_at_every_start_and_in_the_report(
     tmp_path: Path, safety: Any, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    path, report = document(tmp_path, safety=safety), tmp_path / "report.json"
+    path = document(tmp_path, safety=safety, start={"approach": 10.0, "fade_in": 0.1})
+    report = tmp_path / "report.json"
     kept = [] if safety == "none" else ["finite", "joint_limits"]
     words = "safety: none" if safety == "none" else "safety: only"
     for _ in range(2):

@@ -18,7 +18,11 @@ from unicon_core.states import States
 from unicon_core.workflow.uses import on
 from unicon_ros.cli.main import main
 
+pytestmark = pytest.mark.usefixtures("short_damping")
+
 SENT: list[str] = []
+SOON = {"approach": 10.0, "fade_in": 0.1}
+"""A start whose phases are short."""
 
 
 class Counting(FakeRobot):
@@ -78,7 +82,7 @@ def program_of(platform: str, **described: Any) -> Program:
     """Build a workflow on a platform of this module."""
     keys = {"flow": Chain(pose("rest", duration=0.4), block("hold"))} | described
     pacing = {"hang": 20}  # a busy machine is not a fault here
-    return Program(robot="go2", platform=platform, rate=100, pacing=pacing, **keys)
+    return Program(robot="go2", platform=platform, rate=100, pacing=pacing, start=SOON, **keys)
 
 
 def test_a_robot_is_sent_nothing_while_the_whole_graph_runs() -> None:
@@ -216,6 +220,7 @@ def test_run_dry_records_what_would_have_been_sent(tmp_path: Path) -> None:
     reader = pytest.importorskip("mcap.reader")
     path = tmp_path / "dry.mcap"
     platform = ["--set", "platform=fake_robot", "--set", "pacing.hang=20"]
+    platform += ["--set", "start={approach: 10, fade_in: 0.1}"]
     assert (
         main(
             [

@@ -104,10 +104,10 @@ def test_the_check_shows_what_is_held(partial: tuple[Path, list[str]]) -> None:
 
 @pytest.mark.parametrize("name", workflow_names())
 def test_every_workflow_runs_on_the_fake_robot_by_one_word(name: str, assets: Path) -> None:
-    report, _ = run(name, {"platform": "fake"}, 2.0)
+    report, _ = run(name, {"platform": "fake"}, 1.0)
     assert report.platform == "fake"
     assert report.ticks > 0
-    assert report.duration_s == pytest.approx(2.0)
+    assert report.duration_s == pytest.approx(1.0)
     assert not report.faults
 
 

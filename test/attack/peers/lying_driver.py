@@ -1,4 +1,4 @@
-"""A plain rclpy process that drives by `cmd_vel` for a second, then sends garbage at 1 kHz.
+"""A plain rclpy process that drives by `cmd_vel` for half a second, then sends garbage at 1 kHz.
 
 Nothing of unicon is imported. Usage: lying_driver.py VX
 """
@@ -20,7 +20,7 @@ def main() -> None:
         time.sleep(0.01)
     twist = Twist()
     twist.linear.x = float(sys.argv[1])
-    for _ in range(50):
+    for _ in range(25):
         commands.publish(twist)
         time.sleep(0.02)
     print(json.dumps({"kind": "garbage"}), flush=True)
