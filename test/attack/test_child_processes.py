@@ -100,7 +100,7 @@ def test_a_parent_that_goes_on_after_the_watchdog_is_at_fault(tmp_path):
 @pytest.mark.parametrize(
     "fault",
     [
-        *("exit", "interrupt"),  # what is no Exception is missed first
+        *("exit", "interrupt"),  # what is not an Exception is missed first
         *(pytest.param(name, marks=pytest.mark.slow) for name in ("value", "memory", "recursion")),
     ],
 )
