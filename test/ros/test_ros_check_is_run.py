@@ -8,8 +8,8 @@ made is one that begins. Both go through the command line, in this process, with
 
 from __future__ import annotations
 
-import gc
 import contextlib
+import gc
 import io
 import json
 import shutil
