@@ -114,10 +114,10 @@ class Caller:
     def find(self, name: str) -> Any:
         """Return a client whose service is there."""
         found = self._clients[name]
-        if not found.service_is_ready() or time.monotonic() - self._made < 0.3:
+        if not found.service_is_ready() or time.monotonic() - self._made < 0.7:
             # Its own `wait_for_service` looks four times a second.
             wait_for(found.service_is_ready, f"the service {name}")
-            time.sleep(0.3)  # the service may see its client later, and cannot answer before
+            time.sleep(0.7)  # the service may see its client later, and cannot answer before
         return found
 
     def send(self, name: str, request: Any = None) -> tuple[int, Any]:
