@@ -82,7 +82,7 @@ def test_a_robot_that_sent_garbage_from_the_first_message_on_is_not_there(tmp_pa
         wait_for(lambda: bool(peer.lines), "the robot")
         with pytest.raises(PlatformError) as error:
             load_workflow(behind_topics(tmp_path, "finite", connect=2.5))
-    assert "no message on /joint_states within 1.5 s" in str(error.value)
+    assert "no message on /joint_states within 2.5 s" in str(error.value)
     assert "is nan, and nonfinite: reject is declared" in str(error.value)
 
 

@@ -62,7 +62,7 @@ def test_the_start_waits_for_an_optional_imu_that_the_safety_reads(
         wait_for(lambda: bool(peer.lines), "the robot")
         with pytest.raises(PlatformError) as error:
             load_workflow(behind_topics(tmp_path, TILT, connect=2.5)).close()
-    assert "no message on /imu/data within 1.5 s" in str(error.value)
+    assert "no message on /imu/data within 2.5 s" in str(error.value)
     assert said in str(error.value)
 
 
@@ -139,4 +139,4 @@ def test_a_joint_that_no_message_tells_is_not_taken_for_zero(tmp_path: Path) -> 
     told = load_robot("go2").joint_names[:5]
     untold = load_robot("go2").joint_names[5]
     assert untold not in told
-    assert f"no message tells joint_pos of {untold} within 1.5 s" in str(error.value)
+    assert f"no message tells joint_pos of {untold} within 2.5 s" in str(error.value)
