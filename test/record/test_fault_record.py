@@ -170,7 +170,7 @@ def test_readers_of_others_find_every_state_by_name_and_bit(tmp_path: Path) -> N
 
 def test_the_ring_goes_round_and_keeps_the_newest(short_ring: None, tmp_path: Path) -> None:
     workflow = written(tmp_path, safety=["finite"])
-    for ticks in (74, 75, 76, 149, 230):
+    for ticks in (74, 75, 76, 149, 400):
         record = cut_off(workflow, tmp_path / "faults", ticks).record
         assert 50 <= len(record.ticks) <= 76 or ticks < 75
         assert record.ticks.tolist() == list(range(ticks + 1 - len(record.ticks), ticks + 1))
@@ -383,7 +383,7 @@ def test_kill_9_while_writing_leaves_what_the_next_record_finishes(tmp_path: Pat
     whole = open_record(path)
     path.unlink()
     found = set()
-    for cut in range(0, len(raw), len(raw) // 6):
+    for cut in range(0, len(raw), len(raw) // 9):
         torn = folder / "fault-19700101T000000-torn-1-1.mcap.partial"
         torn.write_bytes(raw[:cut])
         if cut > len(raw) // 2:

@@ -92,9 +92,9 @@ def in_time(*processes: subprocess.Popen[str], runs: int, apart: float | None = 
 
 
 @pytest.mark.alone
-def test_two_robots_begin_together_twice_in_a_row(workflow: Path) -> None:
-    left, right = (begin(workflow, 2, together(me)) for me in ("left", "right"))
-    in_time(left, right, runs=2, apart=None)
+def test_two_robots_begin_together_three_times_in_a_row(workflow: Path) -> None:
+    left, right = (begin(workflow, 3, together(me)) for me in ("left", "right"))
+    in_time(left, right, runs=3, apart=None)
     assert not [found.name for found in segments() if GROUP in found.name]
 
 
