@@ -18,6 +18,8 @@ ENTRY = {
     "node": "from unicon_ros.node_main import main",
 }
 TRIGGERS = ("start", "pause", "estop", "clear_estop")
+MATCHED = 0.7
+"""In which a service sees its client, in [s]: later than the client sees it."""
 WORKFLOW = """\
 schema: unicon.workflow/1
 robot: go2
@@ -86,8 +88,8 @@ def services() -> dict[str, Any]:
     from lifecycle_msgs.srv import ChangeState, GetState
     from std_srvs.srv import Trigger
 
-    triggers = dict.fromkeys(("start", "pause", "estop", "clear_estop"), Trigger)
-    return {**triggers, "get_state": GetState, "change_state": ChangeState}
+    transitions = {"get_state": GetState, "change_state": ChangeState}
+    return dict.fromkeys(TRIGGERS, Trigger) | transitions
 
 
 class Caller:
@@ -114,10 +116,10 @@ class Caller:
     def find(self, name: str) -> Any:
         """Return a client whose service is there."""
         found = self._clients[name]
-        if not found.service_is_ready() or time.monotonic() - self._made < 0.7:
+        if not found.service_is_ready() or time.monotonic() - self._made < MATCHED:
             # Its own `wait_for_service` looks four times a second.
             wait_for(found.service_is_ready, f"the service {name}")
-            time.sleep(0.7)  # the service may see its client later, and cannot answer before
+            time.sleep(MATCHED)  # it cannot answer before
         return found
 
     def send(self, name: str, request: Any = None) -> tuple[int, Any]:

@@ -73,7 +73,7 @@ class Footprint:
         return cls(loaded, feet, joint_pos, base_quat)
 
     def update(self) -> None:
-        """Bring `position` and `quat` up to date; keeps them where the orientation is NaN."""
+        """Bring `position` and `quat` up to date; keeps them where `base_quat` is not one."""
         w, x, y, z = map(float, self._base_quat)
         norm = math.sqrt(w * w + x * x + y * y + z * z)
         if not 0.5 < norm < 2.0:

@@ -98,7 +98,7 @@ class Binding:
 
     def _check_size(self, observation: Observation, tensor: Tensor) -> None:
         if tensor.dtype != "float32":
-            raise self._fail(f"input {tensor} is not a float32; export the network in float32")
+            raise self._fail(f"input {tensor} is not float32; export the network in float32")
         if tensor.takes(observation.size):
             return
         start, parts = 0, []

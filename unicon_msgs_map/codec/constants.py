@@ -51,7 +51,6 @@ def constant(
             "its elements"
         )
     number = constants.get(value, value) if isinstance(value, str) else value
-    wanted = f"{'an' if kind.name[0] == 'i' else 'a'} {kind.name}"
     if isinstance(number, bytes) and len(number) == 1:
         number = number[0]
     if isinstance(number, str):
@@ -59,9 +58,9 @@ def constant(
             number = _parse_number(number)
         except ValueError:
             named = alternatives(str(number), constants) if constants else "no constant is named"
-            raise field.state_error(f"{number!r} is not {wanted}; {named}") from None
+            raise field.state_error(f"{number!r} is not {_one(kind)}; {named}") from None
     if not isinstance(number, (int, float)):
-        raise field.state_error(f"{value!r} is not {wanted}")
+        raise field.state_error(f"{value!r} is not {_one(kind)}")
     if kind.name == "bool":
         return bool(number)
     if kind.code in "fd":
@@ -72,8 +71,14 @@ def constant(
     if isinstance(number, float) and number.is_integer():
         number = int(number)
     if not isinstance(number, int) or not low <= number <= high:
-        raise field.state_error(f"{value!r} is not {wanted}; give an integer from {low} to {high}")
+        raise field.state_error(
+            f"{value!r} is not {_one(kind)}; give an integer from {low} to {high}"
+        )
     return int(number)
+
+
+def _one(kind: Primitive) -> str:
+    return f"{'an' if kind.name.startswith('i') else 'a'} {kind.name}"
 
 
 def _parse_number(text: str) -> bool | int | float:

@@ -112,21 +112,20 @@ def _calm(before: dict[int, int]) -> None:
     """Take back the real-time priority that SVT-AV1 gives itself, and its caller, where it is root.
 
     Its threads would go before the tick of a robot that runs beside an export. The caller's own is
-    told to libpthread, not only to the kernel: that remembers what was set last, and Fast DDS gives
+    told to libpthread, which tells the kernel: it remembers what was set last, and Fast DDS gives
     its threads what pthread_getschedparam(3) says of the thread that makes them.
     """
-    found = _policies() if before else {}
-    for thread, policy in found.items():
+    for thread, policy in _policies().items() if before else ():
         usual = before.get(thread, os.SCHED_BATCH)
-        if policy != usual:
-            with suppress(OSError):
-                os.sched_setscheduler(thread, usual, os.sched_param(0))
-    caller = threading.get_native_id()
-    usual = before.get(caller, os.SCHED_OTHER)
-    if found.get(caller, usual) != usual:
-        nothing = ctypes.create_string_buffer(64)  # struct sched_param, in any libc
-        pthread = ctypes.c_ulong(threading.get_ident())
-        ctypes.CDLL(None).pthread_setschedparam(pthread, ctypes.c_int(usual), nothing)
+        if policy == usual:
+            continue
+        if thread == threading.get_native_id():
+            nothing = ctypes.create_string_buffer(64)  # struct sched_param, in any libc
+            pthread = ctypes.c_ulong(threading.get_ident())
+            ctypes.CDLL(None).pthread_setschedparam(pthread, ctypes.c_int(usual), nothing)
+            continue
+        with suppress(OSError):
+            os.sched_setscheduler(thread, usual, os.sched_param(0))
 
 
 @contextmanager

@@ -172,7 +172,7 @@ class _Metadata:
         return values
 
     def nested(self, key: str, count: int) -> list[list[float] | None]:
-        """One entry for each term; an entry's own numbers are parted by `;`, None means none."""
+        """One entry for each term; an entry's own numbers are parted by `;`, "None" is none."""
         entries = self.metadata[key].split(",")
         if len(entries) != count:
             raise self.fail(key, f"has {len(entries)} entries for {count} observation_names")
