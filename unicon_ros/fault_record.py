@@ -190,9 +190,13 @@ def _new_file(folder: Path, workflow: str) -> McapFile:
     while True:
         number += 1
         path = folder / f"{name}-{number}.mcap"
-        if not path.exists():
-            with suppress(Taken):  # by another run of this process
-                return McapFile(path)
+        if path.exists():
+            continue
+        with suppress(Taken):  # by another run of this process
+            file = McapFile(path)
+            if not path.exists():
+                return file
+            file.discard()  # that run had it until now, and has given it this name
 
 
 def _recover(folder: Path) -> None:

@@ -24,6 +24,7 @@ from unicon_core.errors import StateError, UniconError
 from unicon_core.flow import Block, Stage
 from unicon_core.runtime import Report, Runner, RunOptions
 from unicon_core.workflow import Program, load_workflow
+from unicon_ros import fault_record
 from unicon_ros.cli.main import main
 from unicon_ros.fault_record import KEPT, FaultRecord, fault_folder
 from unicon_ros.recording import McapFile, open_record
@@ -220,6 +221,25 @@ def test_two_runs_of_a_process_that_end_at_once(tmp_path: Path) -> None:
         run.join(30)
     assert len(set(paths)) == 4
     assert all(path is not None and len(open_record(path).ticks) == 61 for path in paths)
+
+
+def test_a_name_that_another_run_takes_at_that_moment_is_left_to_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    others: list[Path] = []
+
+    def late(path: Path) -> McapFile:
+        if not others:  # it finished its own since we looked
+            others.append(path)
+            path.write_bytes(b"another's")
+        return McapFile(path)
+
+    monkeypatch.setattr(fault_record, "McapFile", late)
+    path = faulty(written(tmp_path), tmp_path / "faults", 60)[1]
+    assert path is not None
+    assert len(open_record(path).ticks) == 61
+    assert others[0].read_bytes() == b"another's"
+    assert {each.name for each in path.parent.iterdir()} == {path.name, others[0].name}
 
 
 def test_a_robot_has_the_time_of_the_wall(short_damping: None, tmp_path: Path) -> None:
