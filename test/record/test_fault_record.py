@@ -27,7 +27,7 @@ from unicon_core.workflow import Program, load_workflow
 from unicon_ros import fault_record
 from unicon_ros.cli.main import main
 from unicon_ros.fault_record import KEPT, FaultRecord, fault_folder
-from unicon_ros.recording import McapFile, open_record
+from unicon_ros.recording import McapFile, mcap_file, open_record
 from unicon_ros.recording.facts import network_hash
 
 HOLD = {
@@ -240,6 +240,25 @@ def test_a_name_that_another_run_takes_at_that_moment_is_left_to_it(
     assert len(open_record(path).ticks) == 61
     assert others[0].read_bytes() == b"another's"
     assert {each.name for each in path.parent.iterdir()} == {path.name, others[0].name}
+
+
+def test_a_file_that_another_run_clears_away_before_it_is_locked_is_made_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cleared: list[Path] = []
+
+    def late(descriptor: int) -> None:
+        if not cleared:  # what is empty counts as a killed run's
+            cleared.append(Path(os.readlink(f"/proc/self/fd/{descriptor}")))
+            cleared[0].unlink()
+        mcap_file_lock(descriptor)
+
+    mcap_file_lock = mcap_file.lock
+    monkeypatch.setattr(mcap_file, "lock", late)
+    path = faulty(written(tmp_path), tmp_path / "faults", 60)[1]
+    assert path is not None
+    assert len(open_record(path).ticks) == 61
+    assert len(cleared) == 1
 
 
 def test_a_robot_has_the_time_of_the_wall(short_damping: None, tmp_path: Path) -> None:

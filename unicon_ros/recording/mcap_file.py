@@ -75,9 +75,11 @@ class McapFile:
             flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW
             self._file = os.open(self.partial.name, flags, 0o644, dir_fd=self._folder)
             lock(self._file)
-            there = os.stat(self.partial.name, dir_fd=self._folder)
-            if not os.path.samestat(there, os.fstat(self._file)):
-                raise Taken  # finished and renamed since it was opened
+            with suppress(FileNotFoundError):
+                there = os.stat(self.partial.name, dir_fd=self._folder)
+                if os.path.samestat(there, os.fstat(self._file)):
+                    return
+            raise Taken  # finished and renamed since it was opened, or deleted while it was empty
         except BaseException:
             self.leave()
             raise
